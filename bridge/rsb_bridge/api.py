@@ -22,7 +22,7 @@ class EngineError(Exception):
 
 
 class InvalidRequestError(EngineError):
-    """The request itself is wrong, as with a misspelt field: the same words are refused whenever they are sent."""
+    """The request itself is wrong, for example a misspelt field: to repeat it does not help."""
 
 
 class ArmingApi(Protocol):
@@ -151,7 +151,7 @@ class EngineApi(Protocol):
 
         Args:
             key: of a route or a pattern. A route that is down with its link has the link's fault.
-            acknowledged: False takes it back.
+            acknowledged: whether the fault is acknowledged from now on.
             link: the name of a link, instead of a key.
         """
         ...

@@ -103,7 +103,7 @@ class Bridge:
         return self._role.links()
 
     def refused(self) -> tuple[RefusedClient, ...]:
-        """Return the clients that a server refuses, and that no link shows."""
+        """Return the refused clients."""
         return self._role.refused()
 
     @property
@@ -241,15 +241,15 @@ class Bridge:
             self._topic_commands.pause(key, paused=paused)
 
     async def acknowledge(self, key: str, *, acknowledged: bool, link: str) -> None:
-        """Have a known fault count no more until it changes, or count again."""
+        """Acknowledge a fault until it changes, or take that back."""
         with self._command():
             self._snapshots.refresh_now(self._role)
             faulty = find_faulty(self._snapshots.latest, key, link)
-            known = self._snapshots.acknowledged
+            acknowledgements = self._snapshots.acknowledged
             if acknowledged:
-                known.add(faulty, operator())
+                acknowledgements.add(faulty, operator())
             else:
-                known.remove(faulty)
+                acknowledgements.remove(faulty)
             code = EventCode.OPERATOR_ACKNOWLEDGED if acknowledged else EventCode.OPERATOR_ACKNOWLEDGEMENT_UNDONE
             what = f"{faulty.state.upper()} acknowledged" if acknowledged else "acknowledgement taken back"
             if isinstance(faulty, LinkSnapshot):
@@ -418,5 +418,5 @@ class Bridge:
 
 
 def _undo_mark() -> str:
-    """The end of the text of an event by which an operator takes back an earlier change."""
+    """Return the end of an event's text: a mark if the operator takes back an earlier change."""
     return " (undo)" if is_undo() else ""

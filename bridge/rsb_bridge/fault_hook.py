@@ -24,30 +24,30 @@ if TYPE_CHECKING:
     from rsb_bridge.model.snapshot import Snapshot
 
 RUNS_FOR = 10.0
-"""s after which a command is ended, with everything that it has started."""
+"""s after which a command is killed, with everything that it has started."""
 WAITING = 16
 """Changes of different links and routes that wait for their command; later ones are counted as merged."""
 EVERY = 1.0
-"""s from one start of the command to the next, at the least."""
+"""s between two starts of the command, at least."""
 STARTS, STARTS_WITHIN = 10, 60.0
-"""Starts of the command in so many s, at the most."""
+"""The most starts of the command, and the s in which they are counted."""
 OUTPUT = 1000
 """Characters of a command's output that are logged; the rest is read and dropped."""
 _ENDS_WITHIN = 1.0
-"""s from SIGTERM to SIGKILL for a command that takes too long, and s that the end of the thread is waited for."""
+"""s from SIGTERM to SIGKILL for a command that takes too long, and s that `join` waits for the thread."""
 _ENDS_WITHIN_AT_STOP = 0.2
 _LOOK_EVERY = 0.05
-"""s from one look at a command that runs to the next."""
+"""s between two checks of a running command."""
 _TOLD_EVERY = 60.0
-"""s from one event about a problem to the next, at the least."""
+"""s between two events about a problem, at least."""
 _READ_SIZE = 64 << 10
 _OF_THE_BRIDGE = ("LD_", "PYTHON", "NOTIFY_SOCKET", "WATCHDOG_", "LISTEN_")
-"""Beginnings of the environment variables that are meant for the bridge's process: what libraries and modules it
-loads, and its supervisor."""
+"""Prefixes of the environment variables that are meant for the bridge's process: for its loader, Python and
+supervisor."""
 
 
 class FaultHook:
-    """The command of the session that runs. It belongs to the I/O thread.
+    """Runs the command of the present session. It belongs to the I/O thread.
 
     Args:
         context: the session, the clock and the event log.
@@ -60,7 +60,7 @@ class FaultHook:
         self._runner: _Runner | None = None
 
     def open(self) -> None:
-        """Start to run the command that the session names now, for the faults that last already, too."""
+        """Start with the session's present command. It also runs for faults that have begun already."""
         self.close()
         self._runner = None
         if self._context.session.on_fault is not None:
@@ -68,24 +68,24 @@ class FaultHook:
             self._runner.thread.start()
 
     def tick(self, snapshot: Snapshot) -> None:
-        """Look for faults in the newest snapshot; to be called once a second."""
+        """Look for faults in the newest snapshot. Called once a second."""
         if self._runner is not None:
             self._runner.show(snapshot)
 
     def close(self) -> None:
-        """Run no command any more, and end the one that runs. May be called twice."""
+        """Stop the command that runs, and start no other. May be called twice."""
         if self._runner is not None:
             self._runner.end()
 
     def join(self) -> None:
-        """Wait until that has ended, a second at most."""
+        """Wait for the thread that `close` ended, a second at most."""
         runner, self._runner = self._runner, None
         if runner is not None:
             runner.thread.join(_ENDS_WITHIN)
 
 
 class WaitingChanges:
-    """The changes for which no command was run yet: the newest of each link and route, in the order of their first."""
+    """Changes that wait for their command: the newest of each link and route, the longest waiting first."""
 
     def __init__(self) -> None:
         self._waiting: dict[tuple[str, str], FaultChange] = {}
@@ -95,7 +95,7 @@ class WaitingChanges:
         return len(self._waiting)
 
     def add(self, change: FaultChange) -> None:
-        """Add a change. It takes the place of an earlier one of the same link or route, or is only counted."""
+        """Add a change. It replaces an earlier one of its link or route; if the queue is full, it is only counted."""
         earlier = self._waiting.get(change.key)
         if earlier is None and len(self._waiting) >= WAITING:
             self._merged += 1
@@ -107,20 +107,20 @@ class WaitingChanges:
         self._waiting[change.key] = change
 
     def take(self) -> tuple[FaultChange, int]:
-        """Take the first one, and how many were merged since the last was taken."""
+        """Return the first change, and how many changes were merged since the last call."""
         key = next(iter(self._waiting))
         merged, self._merged = self._merged, 0
         return self._waiting.pop(key), merged
 
 
 class StartLimit:
-    """Says whether the command may be started now."""
+    """Limits how often the command starts."""
 
     def __init__(self) -> None:
         self._starts: deque[float] = deque(maxlen=STARTS)
 
     def take(self, now: float) -> bool:
-        """Whether it may be started at `now` (s); if so, it counts as started."""
+        """Return whether the command may start at `now` (s), and count the start if so."""
         if self._starts and now - self._starts[-1] < EVERY:
             return False
         if len(self._starts) == STARTS and now - self._starts[0] < STARTS_WITHIN:
@@ -133,7 +133,7 @@ class _Runner:
     """Watches for faults and runs one command for them, on a thread of its own, until `end`.
 
     Attributes:
-        thread: of this.
+        thread: that runs it.
     """
 
     def __init__(self, context: Context, command: tuple[str, ...], folder: Path) -> None:
@@ -154,12 +154,12 @@ class _Runner:
     # --- from the I/O thread
 
     def show(self, snapshot: Snapshot) -> None:
-        """Have the thread look at a snapshot."""
+        """Hand the thread a snapshot."""
         self._newest = snapshot
         self._news.set()
 
     def end(self) -> None:
-        """Have the thread end soon, and the command that runs with it."""
+        """End the thread soon, and the command that it runs."""
         self._ends = True
         self._news.set()
 
@@ -198,7 +198,7 @@ class _Runner:
         self._note(problem if program is not None else program_problem(self._command[0], self._base))
 
     def _execute(self, program: Path, report: bytes) -> str:
-        """Run the command, and wait for its end; what is wrong, or an empty string."""
+        """Run the command to its end, and return its problem or an empty string."""
         try:
             process = subprocess.Popen(  # noqa: S603 -- the session file alone names it; a peer's texts are in no argument
                 self._command,
@@ -234,7 +234,7 @@ class _Runner:
         if self._ends:
             return ""
         if was_late:
-            return f"took longer than {RUNS_FOR:g} s, and was ended"
+            return f"took longer than {RUNS_FOR:g} s and was ended"
         if process.returncode:
             ended = f"exit code {process.returncode}" if process.returncode > 0 else f"signal {-process.returncode}"
             return f"ended with {ended}{output.kept and ': '}{output.text}"
@@ -249,7 +249,7 @@ class _Runner:
             self._wait(_LOOK_EVERY)
 
     def _note(self, problem: str) -> None:
-        """Tell of a problem once, and again after a while where it was over in between."""
+        """Log a problem once, and again after a while if the command worked in between."""
         what, now = problem.partition(":")[0], self._clock.steady()
         if not problem:
             self._problem = ""
@@ -263,7 +263,7 @@ class _Output:
     """The first characters that a command writes.
 
     Attributes:
-        kept: they, encoded.
+        kept: the characters, encoded.
     """
 
     def __init__(self, descriptor: int) -> None:
@@ -273,11 +273,11 @@ class _Output:
 
     @property
     def text(self) -> str:
-        """They, as one text."""
+        """The characters as one text."""
         return self.kept.decode(errors="replace").strip()
 
     def read(self) -> None:
-        """Read from the pipe as far as possible without waiting."""
+        """Read all that the pipe holds now."""
         with contextlib.suppress(BlockingIOError):
             data = os.read(self._descriptor, _READ_SIZE)
             self.kept += data[: OUTPUT - len(self.kept)]
@@ -289,10 +289,10 @@ def command_environment(environment: Mapping[str, str]) -> dict[str, str]:
 
 
 def _has_exited(process: subprocess.Popen[bytes]) -> bool:
-    """Whether a process has exited. It is not reaped, so that its process group cannot become another one's."""
+    """Return whether a process has exited. It is not reaped, so that no other group gets its id."""
     try:
         return os.waitid(os.P_PID, process.pid, os.WEXITED | os.WNOHANG | os.WNOWAIT) is not None
-    except ChildProcessError:  # somebody has SIGCHLD ignored
+    except ChildProcessError:  # this process ignores SIGCHLD
         return True
 
 

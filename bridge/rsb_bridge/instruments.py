@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 
 class Instruments:
-    """All of one engine. They belong to the I/O thread; what does not work ends nothing else.
+    """All instruments of one engine. They belong to the I/O thread; a failing one ends nothing else.
 
     Args:
         context: the session, and what every part shares.
@@ -25,7 +25,7 @@ class Instruments:
         folder: gives the folder of the session file.
 
     Attributes:
-        by_key: what begins anew where these keys of the session have changed.
+        by_key: instruments to restart when their key of the session changes.
     """
 
     def __init__(self, context: Context, look: Callable[[], Snapshot], folder: Callable[[], Path]) -> None:
@@ -55,5 +55,5 @@ class Instruments:
         self._metrics.close()
 
     def join(self) -> None:
-        """Wait until what `close` ends has ended, a second at most."""
+        """Wait for what `close` ended, a second at most."""
         self._fault_hook.join()

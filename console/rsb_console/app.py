@@ -304,7 +304,7 @@ class ConsoleApp(TerminalApp[None]):
         self.action_quit()
 
     def action_bell_on_fault(self) -> None:
-        """Ring the bell from now on when a fault begins, or ring it no more."""
+        """Turn the bell for new faults on or off."""
         self.fault_bell.is_on = not self.fault_bell.is_on
         self.notify("the bell rings when a fault begins" if self.fault_bell.is_on else "the bell is off", timeout=3)
 

@@ -73,7 +73,7 @@ class Console(ConsoleShell, Protocol):
         attached_to: the bridge of another process that is shown; empty: the engine is the console's own.
         note: what the console is doing with the session (``starting``); empty: nothing.
         refresh_rate: Hz.
-        changes: what this console has changed on the engine, and can take back.
+        changes: this console's changes to the engine that can be undone.
     """
 
     engine: EngineApi | None

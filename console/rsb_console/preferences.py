@@ -1,4 +1,4 @@
-"""The user's themes, keys and settings. The console reports a mistake in them, and uses its own instead."""
+"""The user's themes, keys and settings. The console reports mistakes in them and uses its defaults instead."""
 
 from __future__ import annotations
 
@@ -34,8 +34,8 @@ class Preferences:
         themes: by name.
         theme: the name of the one to begin with.
         keymap: action ids to the user's keys.
-        bell: whether the terminal's bell rings when a fault begins, at the start.
-        problems: what was wrong, each with a title.
+        bell: whether the terminal's bell for new faults is on at the start.
+        problems: titles and texts of mistakes.
     """
 
     def __init__(self, config: Path, theme: str | None) -> None:

@@ -22,11 +22,11 @@ from rsb_bridge.control import bridges
 from rsb_bridge.model.session import Session, Topic
 from rsb_bridge.model.snapshot import Acknowledgement, LinkSnapshot, RouteSnapshot, Snapshot, State
 from rsb_console.app import ConsoleApp
-from rsb_console.look.glyphs import KNOWN_WORD, STATE_WORD
+from rsb_console.look.glyphs import ACK_WORD, STATE_WORD
 from rsb_console.screens.links import LinksScreen
 from rsb_console.widgets.faults import faults_of
 from rsb_console.widgets.pattern import Pattern
-from rsb_console.widgets.status import known_count, state_counts, warning_count
+from rsb_console.widgets.status import acknowledged_count, state_counts, warning_count
 
 KNOWN = Acknowledgement("anna on pts/3", NOW - 60)
 FIRST = next(route for route in ROUTES if route.state is State.DOWN)
@@ -53,8 +53,8 @@ def test_it_is_not_in_the_banner_and_counted_apart() -> None:
     assert state_counts([FIRST], State) != ()
     assert state_counts([known()], State) == ()
     assert warning_count([replace(warned, acknowledged=KNOWN)]) == ()
-    assert known_count([known(), *OTHERS])[0][1] == "dim"
-    assert known_count(ROUTES) == ()
+    assert acknowledged_count([known(), *OTHERS])[0][1] == "dim"
+    assert acknowledged_count(ROUTES) == ()
 
 
 @on_main()
@@ -68,14 +68,14 @@ async def test_it_is_listed_after_the_other_faults_dimmed_with_a_mark(app: Conso
     assert all(state.severity for state in states[:at])
     assert not any(state.severity for state in states[at + 1 :])
     _, state, *cells = table.line(at + 1)
-    assert state[0].split() == [KNOWN_WORD, STATE_WORD[FIRST.state]]
+    assert state[0].split() == [ACK_WORD, STATE_WORD[FIRST.state]]
     assert {look for _, look in (state, *cells)} == {"dim"}
     app.main.action_next_match()
     assert app.main.selected is not None
     assert app.main.selected.topic != FIRST.topic
     await pilot.press("f")
     await until(pilot, lambda: FIRST.topic in listed(app) and len(listed(app)) < len(ROUTES), "all faults")
-    table.pattern = Pattern(f"state:{KNOWN_WORD}")
+    table.pattern = Pattern(f"state:{ACK_WORD}")
     table.relist()
     assert listed(app) == [FIRST.topic]
 
@@ -150,13 +150,13 @@ def test_what_one_console_acknowledges_another_and_the_shell_know(
                     tmux.wait_for(f"✗ {STATE_WORD[State.DOWN]}")
                 one("send-keys", "i")
                 for tmux in (one, other):
-                    tmux.wait_for(f"{KNOWN_WORD} {STATE_WORD[State.DOWN]}")
+                    tmux.wait_for(f"{ACK_WORD} {STATE_WORD[State.DOWN]}")
                 assert command("status") == 0
                 assert command("ack", "/chat", "--undo") == 0  # it is down with the link: that is meant
-                other.wait_for(f"{KNOWN_WORD} {STATE_WORD[State.DOWN]}", there=False)
+                other.wait_for(f"{ACK_WORD} {STATE_WORD[State.DOWN]}", there=False)
                 assert command("status") == 1
                 assert command("ack", "robot1") == 0
                 assert command("ack", "/caht") == 2
-                one.wait_for(f"{KNOWN_WORD} {STATE_WORD[State.DOWN]}")
+                one.wait_for(f"{ACK_WORD} {STATE_WORD[State.DOWN]}")
         finally:
             bridge.terminate()

@@ -111,7 +111,7 @@ def test_what_has_to_be_armed_comes_back_disarmed() -> None:
     async def steps(app: ConsoleApp, engine: ChangingEngine, pilot: Pilot[None]) -> None:
         await removed(pilot, "/cmd_vel")
         await question(app, pilot)
-        await shown(pilot, "not armed")
+        await shown(pilot, "stays disarmed")
         await pilot.press("y")
         await until(pilot, lambda: engine.undone, "an undo")
         assert engine.undone == [("add", ARMED, "robot1")]

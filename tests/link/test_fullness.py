@@ -19,7 +19,7 @@ class Bed:
 
     def look(self, *arrived: float, full: bool = True) -> bool:
         for each in arrived:
-            self.fullness.look([SCAN, CAMERA], each, full=full, peer="the server")
+            self.fullness.tick([SCAN, CAMERA], each, full=full, peer="the server")
         return self.fullness.out is not None
 
 
@@ -30,11 +30,11 @@ def test_it_is_full_as_long_as_less_arrives_than_is_asked() -> None:
     out = bed.fullness.out
     assert out is not None
     assert (out.carried, out.asked, out.topics) == (25e3, ALL, ("/camera", "/scan"))
-    assert bed.fullness.news() == FullRecord(25_000, 48_000, ("/robot1/camera", "/robot1/scan"))
-    assert bed.fullness.news() is None
+    assert bed.fullness.next_record() == FullRecord(25_000, 48_000, ("/robot1/camera", "/robot1/scan"))
+    assert bed.fullness.next_record() is None
     assert bed.look(ALL, ALL, ALL, full=False)
     assert not bed.look(ALL, ALL, ALL, full=False)
-    assert bed.fullness.news() == FullRecord()
+    assert bed.fullness.next_record() == FullRecord()
     assert bed.events == [EventCode.LINK_FULL, EventCode.LINK_ROOM]
 
 
@@ -54,9 +54,9 @@ def test_nothing_says_that_it_is_full() -> None:
 
 def test_what_the_peer_says_is_brought_within_sense() -> None:
     bed = Bed()
-    bed.fullness.told(FullRecord(float("nan"), float("inf"), ("/a",) * 9), "robot1")
+    bed.fullness.take_record(FullRecord(float("nan"), float("inf"), ("/a",) * 9), "robot1")
     assert bed.fullness.into is None or bed.fullness.into.carried <= bed.fullness.into.asked
-    bed.fullness.told(FullRecord(5e3, 15e3, ("/camera",)), "robot1")
+    bed.fullness.take_record(FullRecord(5e3, 15e3, ("/camera",)), "robot1")
     assert bed.fullness.warning("robot1")
     bed.fullness.disconnected()
     assert bed.fullness.warning("robot1") == ""

@@ -22,13 +22,13 @@ def at(host: str) -> Any:
 
 def test_a_flood_of_names(loop: VirtualLoop, make_context: Callable[..., Context]) -> None:
     refused = RefusedClients(make_context())
-    refused.tried(at("10.0.0.9"), "robot9", LinkCause.UNKNOWN_NAME, "")
+    refused.record_attempt(at("10.0.0.9"), "robot9", LinkCause.UNKNOWN_NAME, "")
     for number in range(1000):
-        refused.tried(at("10.0.0.66"), f"x{number}", LinkCause.UNKNOWN_NAME, "")
-        refused.tried(at(f"2001:db8::{number:x}"), f"x{number}", LinkCause.UNKNOWN_NAME, "")
+        refused.record_attempt(at("10.0.0.66"), f"x{number}", LinkCause.UNKNOWN_NAME, "")
+        refused.record_attempt(at(f"2001:db8::{number:x}"), f"x{number}", LinkCause.UNKNOWN_NAME, "")
     assert len(refused.shown()) == 1 + 2 * MOST_OF_ONE_HOST
     for number in range(1000):
-        refused.tried(at(f"10.1.{number // 250}.{number % 250}"), "x", LinkCause.UNKNOWN_NAME, "")
+        refused.record_attempt(at(f"10.1.{number // 250}.{number % 250}"), "x", LinkCause.UNKNOWN_NAME, "")
     assert len(refused.shown()) == MOST
     assert refused.shown()[0].name == "robot9"
 
@@ -36,7 +36,7 @@ def test_a_flood_of_names(loop: VirtualLoop, make_context: Callable[..., Context
 def test_it_is_listed_until_it_tries_no_more(loop: VirtualLoop, make_context: Callable[..., Context]) -> None:
     refused = RefusedClients(make_context())
     for attempt in range(1, 10):
-        refused.tried(at("10.0.0.9"), "robot9", LinkCause.UNKNOWN_NAME, "")
+        refused.record_attempt(at("10.0.0.9"), "robot9", LinkCause.UNKNOWN_NAME, "")
         loop.jump(12.0)
         refused.tick()
         assert [each.attempts for each in refused.shown()] == [attempt]

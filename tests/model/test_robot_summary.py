@@ -21,10 +21,10 @@ from rsb_bridge.model.robot_summary import (
     RobotState,
     RobotSummary,
     decode,
+    drop_repeated_faults,
     encode,
     of_clients,
     of_engine,
-    told_once,
 )
 from rsb_bridge.model.session import Client, Session, Topic
 from rsb_bridge.model.snapshot import (
@@ -137,9 +137,14 @@ def test_a_fault_of_a_client_is_listed_once_at_that_client() -> None:
     assert (server.state.is_wrong, server.wrong_clients, server.clients_wrong) == (True, ("robot1", "robot2"), 2)
     assert decode(encode(server)) == server
     rows = [RobotSummary(name=name, role="client", state=RobotState.FAULT, why="it") for name in ("robot1", "robot2")]
-    assert [each.state for each in told_once([server, *rows])] == [RobotState.OK, RobotState.FAULT, RobotState.FAULT]
+    states = [each.state for each in drop_repeated_faults([server, *rows])]
+    assert states == [
+        RobotState.OK,
+        RobotState.FAULT,
+        RobotState.FAULT,
+    ]
     # robot2 has never been in the fleet: only the server knows that it is missing
-    alone, _ = told_once([server, rows[0]])
+    alone, _ = drop_repeated_faults([server, rows[0]])
     assert alone.state is server.state
     assert "robot2" in alone.why
     assert "robot1" not in alone.why
@@ -157,7 +162,7 @@ def test_more_clients_than_a_summary_names() -> None:
     assert server.clients_wrong == 200
     assert len(encode(server)) <= SUMMARY_BYTES
     rows = [RobotSummary(name=name, state=RobotState.FAULT) for name in server.wrong_clients]
-    assert told_once([server, *rows])[0].state.is_wrong
+    assert drop_repeated_faults([server, *rows])[0].state.is_wrong
 
 
 def test_what_has_stopped_has_no_rate() -> None:

@@ -56,7 +56,7 @@ class DatagramSender(_DatagramChannel):
 
     batch_bytes = BATCH_BYTES
     arrived_share: float | None = None
-    """The share of the datagrams that arrives, by the last receipts, or None if there was none."""
+    """The share of the datagrams that arrives, by the last receipts, or None before the first."""
 
     def __init__(self, udp_channel: UdpChannel, route: RouteSink, codec: DatagramWriter) -> None:
         super().__init__(udp_channel, route)
@@ -190,7 +190,7 @@ class DatagramReceiver(_DatagramChannel):
         self._codec.expire(now, _EXPIRE)
         missing = self._codec.newest_sequence + 1 - self._codec.opened
         if missing > self._missing and self._codec.opened:
-            self._acknowledge()  # the sender learns within a second how much does not come
+            self._acknowledge()  # so the sender learns within a second how much is lost
         if self._buffer < RECEIVE_BUFFER:  # its limit may have been raised
             before, self._buffer = self._buffer, self.carrier.socket.receive_buffer
             if self._buffer != before:

@@ -90,13 +90,13 @@ class Multiplexer:
 
 
 class _MultiplexedChannel:
-    """What all ends share.
+    """The base of both ends.
 
     Args:
         multiplexer: of the stream.
-        route: what it carries.
+        route: that the channel carries.
         keys: make the codecs.
-        book: for receipts, or None if the other side does not know them.
+        book: for receipts, or None if the peer does not support them.
     """
 
     ready = True

@@ -1,7 +1,7 @@
 """Ends of stream channels that limit the data in transit by receipts (`rsb_bridge.channel.window`).
 
-All channels of a link share one `ReceiptBook`, which puts the receipts of many routes into few messages. Without the
-feature on the other side, a channel has neither book nor window.
+All channels of a link share one `ReceiptBook`, which puts the receipts of many routes into few messages. If the peer
+lacks the feature, a channel has neither book nor window.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from rsb_bridge.channel.channel import RouteSink, SendingChannel
 
 _OF_FIRST = 2.5
-"""Patience of routes that go ahead of others: the data in front of theirs is the others', who are to yield first."""
+"""`Window.patience` of routes with a high priority: they wait behind others' data, and the others yield first."""
 _APART = 0.005
 """s between two messages with receipts."""
 
@@ -63,12 +63,12 @@ class ReceiptBook:
         self._timer: asyncio.TimerHandle | None = None
 
     def acknowledge(self, route_id: int, received: int) -> None:
-        """Acknowledge so many bytes of a route."""
+        """Acknowledge the bytes received of a route so far."""
         self._received[route_id] = received
         self._soon()
 
     def ask(self, route_id: int, every: int) -> None:
-        """Ask for a receipt after so many bytes of a route each."""
+        """Ask for a receipt after every `every` bytes of a route."""
         self._every[route_id] = every
         self._soon()
 
@@ -119,11 +119,11 @@ class WindowedSender:
 
     @property
     def congested(self) -> bool:
-        """Whether it is better not to send now."""
+        """Whether new messages should wait in the queue."""
         raise NotImplementedError
 
     def begin_window(self) -> None:
-        """Create the window, if the other side sends receipts."""
+        """Create the window, if the peer sends receipts."""
         if self._book is not None:
             self._window = Window(self.sent)
 
@@ -170,7 +170,7 @@ class ReceiptSender:
     _book: ReceiptBook | None = None
 
     def begin_receipts(self) -> None:
-        """Create the counter; receipts are never due if the other side does not know them."""
+        """Create the counter; no receipt is ever due if the peer does not support them."""
         self._counter = ReceiptCounter() if self._book is not None else ReceiptCounter(float("inf"))
 
     def count_bytes(self, size: int) -> None:
@@ -181,7 +181,7 @@ class ReceiptSender:
             self.send_receipt()
 
     def set_interval(self, every: int) -> None:
-        """Have a receipt sent after every so many bytes."""
+        """Send a receipt after every `every` bytes from now on."""
         if self._book is not None:
             self._counter.set_interval(every)
 

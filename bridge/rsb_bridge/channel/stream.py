@@ -26,13 +26,13 @@ _STUCK = (
 
 
 class _StreamChannel(StreamHandler):
-    """What all ends share.
+    """The base of both ends.
 
     Args:
-        stream: that is let in.
-        route: what it carries.
+        stream: that the server has accepted.
+        route: that the channel carries.
         keys: make the codecs.
-        book: for receipts, or None if the other side does not know them.
+        book: for receipts, or None if the peer does not support them.
 
     Attributes:
         carrier: the stream; the channel is its handler.
@@ -146,7 +146,7 @@ class StreamDuplex(StreamReceiver, StreamSender):
 def stream_channel(
     stream: Stream, route: RouteSink, keys: DataKeys, book: ReceiptBook | None = None
 ) -> StreamSender | StreamReceiver:
-    """Return this side's end of a route's channel on a stream that is let in."""
+    """Return this side's end of a route's channel on an accepted stream."""
     if route.duplex:
         return StreamDuplex(stream, route, keys, book)
     return StreamSender(stream, route, keys, book) if route.outgoing else StreamReceiver(stream, route, keys, book)

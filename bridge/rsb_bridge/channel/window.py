@@ -1,13 +1,12 @@
 """Limits the data in transit on a stream channel, so that messages wait on the way for a second at most.
 
-A stream accepts as much as its buffers hold: the kernel's, and those of a tunnel behind them. On a link of 5 kB/s that
+A stream accepts as much as the buffers of the kernel and of a tunnel behind it hold. On a link of 5 kB/s that
 is data for several minutes. So the receiver acknowledges bytes by receipts, and the sender keeps no more than a window
 of them in transit. The rest waits in the route's queue, which drops the oldest messages first.
 
 The window follows the age of the oldest unacknowledged byte. While the age is low, the window grows by the bytes that
 are acknowledged, so it doubles in a round trip, as TCP's does in slow start. Once the age exceeds `_LATE`, the window
-shrinks to the bytes that cross in `_AIM`. So the sender needs no rate to begin with, and a link that is fast enough
-never fills the window.
+shrinks to the bytes that cross in `_AIM`. So the sender needs no initial rate, and a fast link never fills the window.
 
 This module uses neither sockets nor clocks. It counts bytes from the beginning of the stream.
 """
@@ -73,7 +72,7 @@ class Window:
     )
 
     def __init__(self, sent: int) -> None:
-        """Begin on a stream on which so many bytes were sent before."""
+        """Begin on a stream that already carried `sent` bytes."""
         self.size = FIRST
         self.limit = sent + FIRST
         self.slow = False
@@ -140,7 +139,7 @@ class Window:
             self.limit = min(self.limit, max(sent, self._acknowledged + LEAST))
 
     def moves(self, now: float) -> bool:
-        """Return whether a receipt came lately."""
+        """Return whether a receipt came recently."""
         return bool(self._receipts) and now - self._receipts[-1][1] < _STOPPED
 
     @property
@@ -153,7 +152,7 @@ class Window:
         return self._age(now) - max(self._shortest, min(self.back, _LONGEST_BACK))
 
     def _age(self, now: float) -> float:
-        """Return the age (s) of the oldest unacknowledged byte, or 0 if there is none."""
+        """Return the age (s) of the oldest unacknowledged byte, or 0 if all are acknowledged."""
         return now - self._marks[0][1] if self._marks else 0.0
 
     def _rate(self, acknowledged: int, now: float) -> float:
@@ -180,13 +179,13 @@ class ReceiptCounter:
     __slots__ = ("_every", "_sent", "count", "due")
 
     def __init__(self, every: float = FIRST_RECEIPT) -> None:
-        """Begin with a receipt after every so many bytes."""
+        """Begin with a receipt after every `every` bytes."""
         self.count = self._sent = 0
         self._every = every
         self.due = every
 
     def set_interval(self, every: int) -> None:
-        """Have a receipt sent after every so many bytes."""
+        """Send a receipt after every `every` bytes from now on."""
         self._every = max(1, every)
         self.due = self._sent + self._every
 

@@ -1,4 +1,4 @@
-"""The command of a session's `on_fault`: its words, its program, and what is wrong with either."""
+"""The command of a session's `on_fault`: its words, its program, and their mistakes."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def command_words(command: str | Sequence[str]) -> tuple[str, ...]:
         command: a list of words, or a text with quotation marks and backslashes as in a shell.
 
     Raises:
-        ValueError: it has no program, a quotation mark is not closed, or a word cannot be given to a program.
+        ValueError: it has no program, an open quotation mark, a NUL character, or too many characters.
     """
     try:
         words = tuple(shlex.split(command)) if isinstance(command, str) else tuple(command)
@@ -37,7 +37,7 @@ def command_words(command: str | Sequence[str]) -> tuple[str, ...]:
     if not words or not words[0]:
         raise ValueError("has no program: give a command, or leave on_fault out")
     if any("\0" in word for word in words):
-        raise ValueError("has a NUL character, which no program can be given")
+        raise ValueError("has a NUL character: remove it")
     if sum(map(len, words)) > _LONGEST:
         raise ValueError(f"is longer than {_LONGEST} characters: put it into a script")
     return words
@@ -47,7 +47,7 @@ def program_path(program: str, folder: Path) -> Path | None:
     """Find the file of a program; return None if it does not exist.
 
     Args:
-        program: a name, to be found along ``$PATH``; or a path, relative to `folder`, absolute, or starting with ``~``.
+        program: a name to look for in ``$PATH``, or a path: relative to `folder`, absolute, or starting with ``~``.
         folder: of the session file.
     """
     if "/" in program:
@@ -58,7 +58,7 @@ def program_path(program: str, folder: Path) -> Path | None:
 
 
 def program_problem(program: str, folder: Path) -> str:
-    """Say why a program cannot be run, or return an empty string."""
+    """Return the reason why a program cannot be run, or an empty string."""
     path = program_path(program, folder)
     if path is None:
         if "/" in program:
@@ -73,7 +73,7 @@ def program_problem(program: str, folder: Path) -> str:
 
 
 def fault_command_warnings(session: Session, file: Path) -> Iterator[str]:
-    """Name what is wrong with a valid session's command, on this machine and for this user.
+    """Name the faults of a valid session's command, on this machine and for this user.
 
     Args:
         session: its `on_fault` may be None.
@@ -83,7 +83,7 @@ def fault_command_warnings(session: Session, file: Path) -> Iterator[str]:
         return
     words = command_words(session.on_fault)
     if problem := program_problem(words[0], file.parent):
-        yield f"on_fault: {problem}; until then no command runs, and the bridge goes on"
+        yield f"on_fault: {problem}; until then no command runs; the bridge goes on"
     if marks := [word for word in words if word in _OF_A_SHELL or word.startswith("$")]:
         yield f"on_fault: no shell reads it, so {marks[0]} is a plain argument: put the command into a script"
     program = program_path(words[0], file.parent)

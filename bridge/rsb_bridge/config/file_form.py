@@ -75,7 +75,7 @@ _NOT_OF_CALLS = {
     "qos": "calls have ROS's own QoS: leave it out",
     "expected_rate": "nobody expects calls at a rate: leave it out",
     "stale_after": "nobody expects calls all the time: leave it out; timeout says how long an answer may take",
-    "late_after": "calls are not judged by it: leave it out; timeout says how long an answer may take",
+    "late_after": "only topics have it: leave it out; timeout limits how long a call waits for its answer",
     "direction": f"write provider: client or provider: server, {_SIDE}",
 }
 

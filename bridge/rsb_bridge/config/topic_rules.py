@@ -199,7 +199,7 @@ def _qos(value: str | int | dict[str, Any], location: str) -> Iterator[Problem]:
 
 
 def late_problems(seconds: float, location: str) -> Iterator[Problem]:
-    """Check that messages can be judged by such a delay."""
+    """Check a topic's or a session's `late_after`."""
     if seconds and seconds not in LATE_AFTER:
         yield Problem(location, f"{seconds} is out of range: {LATE_AFTER} s, or 0 to accept any delay")
 

@@ -303,7 +303,7 @@ class Console:
             engine, encoded = self._engine, self._served.encoded
             snapshot, session = engine.snapshot(), engine.session
             if session.on_fault is not None and not self._connection.of_this_machine:
-                # The command line may hold more than an operator elsewhere should read, and is of no use there.
+                # The command line may contain secrets, and is of no use to an operator elsewhere.
                 session = msgspec.structs.replace(session, on_fault=None)
             for state in self._sender.differences(
                 snapshot, session, waits_for_operator=engine.waits_for_operator, encoded=encoded

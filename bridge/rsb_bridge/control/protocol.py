@@ -134,7 +134,7 @@ class Request(_Message, frozen=True, tag="request"):
     Attributes:
         id: of the console's choosing.
         command: what to do.
-        undo: whether it takes back an earlier command of this console, which the bridge's log then says.
+        undo: whether it takes back an earlier command of this console; the bridge's log marks it.
     """
 
     id: int
@@ -167,19 +167,19 @@ ToBridge: TypeAlias = Hello | Request | Look | Follow | Watch
 
 
 class State(_Message, frozen=True, tag="state"):
-    """How the engine's state differs from the one before.
+    """Changes of the engine's state since the last message.
 
     Attributes:
-        routes: those that are new or have changed.
-        more: another one follows that belongs to this state; only the last has what is below.
-        keys: of all routes, in order; None: as before.
-        time: as in `rsb_bridge.model.snapshot.Snapshot`, likewise those below.
-        domain_id: likewise.
-        address: likewise.
-        running: likewise.
-        links: likewise.
-        last_event: likewise.
-        session: as in `rsb_bridge.api.EngineApi`; None: as before.
+        routes: new and changed routes.
+        more: whether another message of this state follows; only the last one has the fields below.
+        keys: of all routes, in order, or None if unchanged.
+        time: as in `rsb_bridge.model.snapshot.Snapshot`.
+        domain_id: as in `rsb_bridge.model.snapshot.Snapshot`.
+        address: as in `rsb_bridge.model.snapshot.Snapshot`.
+        running: as in `rsb_bridge.model.snapshot.Snapshot`.
+        links: as in `rsb_bridge.model.snapshot.Snapshot`.
+        last_event: as in `rsb_bridge.model.snapshot.Snapshot`.
+        session: as in `rsb_bridge.api.EngineApi`, or None if unchanged.
         waits_for_operator: as in `rsb_bridge.api.EngineApi`.
         refused: as in `rsb_bridge.model.snapshot.Snapshot`.
     """

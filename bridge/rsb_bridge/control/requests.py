@@ -32,12 +32,12 @@ class Requests:
     def new(
         self, command: Command, answered: Future[object], step: Callable[[str], None] | None, *, undo: bool = False
     ) -> Request:
-        """The message for a command.
+        """Return the message for a command.
 
         Args:
             command: to be done.
             answered: gets the answer.
-            step: is told of each step; None: nobody is.
+            step: called with each step, or None.
             undo: whether it takes back an earlier command.
         """
         number = next(self._ids)

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 UP = (State.OK, State.UNHEARD)
 """Messages cross as they should; that nobody hears them is no outage."""
 CROSSES = (*UP, State.LATE)
-"""States in which messages cross. A late topic is in trouble, and not out."""
+"""States in which messages cross. A late topic has trouble, but no outage."""
 FINE = (*UP, State.PAUSED, State.DISARMED)
 """A pause is wanted, and so is what nobody has armed; it counts neither as up nor as out."""
 OUTAGES_OF_ONE = 100
@@ -114,7 +114,7 @@ class Subject:
     def observe(
         self, now: float, state: State, reason: str, link: Subject | None, rate: float, *, is_open: bool = False
     ) -> None:
-        """Take note of how it is now. Until the next time it counts as being so.
+        """Record the present state, which counts until the next call.
 
         Args:
             now: the time.
@@ -122,7 +122,7 @@ class Subject:
             reason: why it is not OK.
             link: of a topic.
             rate: of a link, bytes/s; what is counted by `count` comes on top.
-            is_open: a topic that waits could carry messages.
+            is_open: whether a waiting topic could carry messages.
         """
         if not self.live:
             self.live, self._opening = True, True
@@ -155,7 +155,7 @@ class Subject:
             self._open = _Open(self._born, state, reason, with_link=link is not None and link.is_out)
 
     def _waits(self, now: float, *, is_open: bool = False) -> bool:
-        """Whether it waits for its first message. One that opens again after an outage is out until it is open."""
+        """Whether it waits for its first message. After an outage it is out until it is open again."""
         if self._waits_since is None:
             return False
         return self._open is None or is_open or now - self._waits_since >= _OPENS_WITHIN

@@ -297,7 +297,7 @@ def _key_of(link: str) -> Key:
 
 
 def _is_open(route: RouteSnapshot) -> bool:
-    """Whether messages or calls would cross, though none has come since it was opened."""
+    """Whether messages or calls could cross, though none has since the route was opened."""
     if route.calls is None:
         return route.cause == Cause.PUBLISHER_SILENT
     return any(stage.name == "offered" and stage.done for stage in route.stages)

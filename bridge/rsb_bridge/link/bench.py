@@ -344,8 +344,8 @@ class LinkBench:
     # --- both
 
     @property
-    def measures(self) -> bool:
-        """Whether a measurement fills the link on purpose now."""
+    def is_measuring(self) -> bool:
+        """Whether a measurement fills the link now."""
         return bool(self._routes())
 
     def _routes(self) -> list[Route]:

@@ -381,14 +381,14 @@ class ClientLink(Link):
 
 
 def _not_connected(address: str, error: OSError) -> Failure:
-    """Say why there is no connection to an address, and what to check."""
+    """Return the reason why an address cannot be reached, and what to check."""
     if isinstance(error, TimeoutError):  # the kernel's own timeout is one, too
         return Failure(
-            f"{address}: nothing comes back: is it on, is server_ip right, does a firewall drop it?",
+            f"{address}: nothing comes back: check that it is on, server_ip, and firewalls",
             LinkCause.TIMED_OUT,
         )
     message = os_error_message(error)
     if isinstance(error, socket.gaierror):
-        remedy = "correct server_ip in this side's session file (an address in numbers needs no name server)"
+        remedy = "correct server_ip in this side's session file (a numeric address needs no name server)"
         message = f"{message}: {remedy}"
     return Failure(f"{address}: {message}")

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 _EMPTY_LINE = b"\r\n\r\n"
 _PROBED_FOR = 0.5
-"""s in which a program answers that waits for the end of a line."""
+"""s to wait for a program that answers once it has read a whole line."""
 
 LetIn: TypeAlias = "Callable[[Stream, Established | Accepted, list[Event]], None]"
 """Gives an accepted stream its new handler; the events are those that followed the server's answer."""
@@ -40,7 +40,7 @@ class Failure(NamedTuple):
 
     @property
     def refused(self) -> bool:
-        """Whether the server refused, or another program answered; else the server was not reached."""
+        """Whether the server or another program answered; otherwise the server was not reached."""
         return self.code is not None or self.cause is LinkCause.NOT_A_BRIDGE
 
 
@@ -54,7 +54,7 @@ class ConnectAttempt(StreamHandler):
         let_in: called when the server accepts the stream.
 
     Attributes:
-        outcome: None: the server accepted the stream.
+        outcome: the failure, or None if the server accepted the stream.
     """
 
     def __init__(
@@ -74,7 +74,7 @@ class ConnectAttempt(StreamHandler):
 
     @property
     def connects(self) -> bool:
-        """Whether the stream is connected, or has been."""
+        """Whether the stream is or was connected."""
         return self._stream is not None
 
     def connected(self, stream: Stream) -> None:
@@ -110,15 +110,15 @@ class ConnectAttempt(StreamHandler):
     def closed(self, reason: str) -> None:
         text = f"{self._address}: {reason} before the handshake finished"
         if not self._heard:
-            text = f"{text}: is it an rsb-console server, or a tunnel that leads nowhere?"
+            text = f"{text}: check that rsb-console runs there, and any tunnel to it"
         self._finish(Failure(text))
 
     async def silence(self, *, probe: bool) -> Failure:
-        """Give up a stream that is accepted and not answered.
+        """Give up a stream that the server accepts and does not answer.
 
         Args:
-            probe: send an empty line first: many programs answer only to a whole line. A bridge that hangs takes it for
-                a broken handshake, so do this only where no bridge has ever answered.
+            probe: send an empty line first, because many programs answer only to a whole line. A bridge that hangs
+                would read it as a broken handshake, so do this only where no bridge has ever answered.
         """
         self._probing = True
         if probe and self._stream is not None and not self._stream.over:
@@ -130,7 +130,7 @@ class ConnectAttempt(StreamHandler):
                         return answer
         if self._heard:
             return Failure(_not_a_bridge(self._address, ""), LinkCause.NOT_A_BRIDGE)
-        text = f"{self._address} accepts, but does not answer: does an rsb-console server run there, or does it hang?"
+        text = f"{self._address} accepts, but does not answer: check there that rsb-console runs and does not hang"
         return Failure(text, LinkCause.NO_ANSWER)
 
     @property
@@ -148,11 +148,11 @@ class ConnectAttempt(StreamHandler):
 
 
 def _not_a_bridge(address: str, protocol: str) -> str:
-    """Say that another program answers, and what to do.
+    """Name the program that answers instead, and the remedy.
 
     Args:
-        address: where.
-        protocol: the name of its protocol, or an empty string.
+        address: of the server.
+        protocol: the other program's, or an empty string if it is unknown.
     """
     what = f"{address} answers as {protocol}, not as rsb-console" if protocol else f"{address} is not an rsb-console"
     if protocol == "Zenoh":

@@ -38,7 +38,7 @@ _HELD_UP = 0.2
 _POOR, _MUCH = 0.35, 50e3
 """The share of datagrams that arrive, and bytes/s of a topic."""
 _DELAYED = 1.0
-"""s that messages have been under way at least."""
+"""s of delay from which messages wait on the way."""
 _MORE = 1.1
 """Times what arrives."""
 _MARGIN, _DRAINS = 0.9, 0.6
@@ -60,7 +60,7 @@ class _Asking(NamedTuple):
 
 
 def _mostly_lost(asking: _Asking) -> bool:
-    """Whether so many datagrams of a busy topic are lost that the link rather is full than poor."""
+    """Whether a busy topic loses so many datagrams that the link is probably full, not poor."""
     share = asking.route.arrived_share
     return share is not None and share < _POOR and asking.traffic.bytes_per_second >= _MUCH
 
@@ -116,9 +116,9 @@ class Contention:
         Args:
             keepalive: of the link.
             features: of the other side.
-            connection: counts up from one to the next.
+            connection: its number.
             peer: the other side's name.
-            measures: somebody fills the link on purpose, to measure it.
+            measures: whether a measurement fills the link.
         """
         self._warn(features, connection)
         now, at = self._context.now(), self._context.wall()
@@ -138,7 +138,7 @@ class Contention:
             for each in asking
             if each.traffic.bytes_per_second > 0.0
         ]
-        self._fullness.look(wanted, max(arrived, self._datagrams(asking)), full=full and not measures, peer=peer)
+        self._fullness.tick(wanted, max(arrived, self._datagrams(asking)), full=full and not measures, peer=peer)
         received = sum(each.received_bytes for each in self._carriers())
         self.receiving.look(received - self._received, now, at, full=False)
         self._received = received
@@ -176,11 +176,11 @@ class Contention:
         return arrived + self._calls(), full
 
     def _delayed(self, asking: Collection[_Asking], asked: float) -> bool:
-        """Whether messages wait somewhere on the way, as in a tunnel that takes them faster than it carries them."""
+        """Whether messages wait on the way, for example in a tunnel that accepts more than it carries."""
         return asked > _MORE * self._crossed and any(each.route.delay >= _DELAYED for each in asking)
 
     def _datagrams(self, asking: Collection[_Asking]) -> float:
-        """Bytes/s that arrive where messages go by datagrams: parts of a message arrive though it does not."""
+        """Return the bytes/s of datagrams that arrive, also of messages of which other datagrams are lost."""
         shares = [(each.traffic.bytes_per_second, each.route.arrived_share) for each in asking]
         return sum(size * share for size, share in shares if share is not None)
 

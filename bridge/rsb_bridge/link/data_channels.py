@@ -33,14 +33,14 @@ class DataChannels:
     Args:
         loop: sets the timers.
         log: adds an event about the link.
-        unfinished: what the peer may have this side hold of messages that are not whole yet.
+        unfinished: the budget for incomplete messages of the peer.
         send_receipts: sends receipts to the peer.
         way_back: gives the s that a message of the peer takes to get here.
 
     Attributes:
-        book: for receipts of streams, or None without a link or if the peer does not know them.
-        keys: what seals and opens routes' messages; None: not linked.
-        probe: what is sent to find a UDP path; None: not linked.
+        book: for receipts of streams, or None without a link or if the peer does not support them.
+        keys: to seal and open routes' messages, or None without a link.
+        probe: the datagram that finds a UDP path, or None without a link.
         shared_streams: multiplexed streams, by transport and channel.
         udp: the UDP channels.
     """
@@ -64,7 +64,7 @@ class DataChannels:
         self._way_back = way_back
 
     def connected(self, keys: SessionKeys, role: Role, *, receipts: bool) -> None:
-        """Begin a connection, which has left these keys; `receipts`: both sides know them."""
+        """Begin a connection with its keys; `receipts` says whether both sides support them."""
         self.book = ReceiptBook(self._loop, self._send_receipts, self._way_back) if receipts else None
         self.keys = DataKeys(keys, role, self._unfinished)
         self.probe = PathProbe(self.keys)
@@ -111,7 +111,7 @@ class DataChannels:
                 route.channel.acknowledge(received)
 
     def tick(self, routes: Iterable[Route]) -> None:
-        """Send the receipts that are left, and close the windows of stalled channels. Called once a second."""
+        """Send pending receipts, and close the windows of stalled channels. Called once a second."""
         self.udp.tick()
         if self.book is None:
             return

@@ -1,4 +1,4 @@
-"""Whether a link carries less than is asked of it: what this side finds out, and what the peer says of its own."""
+"""Decides whether a link is full: this side judges what it sends, and takes the peer's word for the other direction."""
 
 from __future__ import annotations
 
@@ -17,28 +17,28 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Collection
 
 _BEGINS, _ENDS = 4, 6
-"""Looks, a second apart, that have to agree before a link counts as full, or as not full any more."""
+"""Ticks that have to agree before a link counts as full, or as no longer full."""
 _WINDOW = 3
-"""Looks that what arrives is taken over: fewer than `_BEGINS`, so that a stall is not taken for a full link."""
+"""Ticks over which the arriving bytes are averaged: fewer than `_BEGINS`, so that a stall is no full link."""
 _MORE = 1.15
-"""Times what arrives: more than that has to be asked for."""
+"""A full link is asked for more than so many times the arriving bytes."""
 _FAR_LESS = 0.6
-"""Times what is asked for."""
+"""Share of the asked bytes: if less arrives on average, the link is full even if the last tick brought more."""
 _AFTER_STALL = 6
-"""Looks after a stall in which what arrives says nothing of what the link carries."""
+"""Ticks after a stall in which the arriving bytes say nothing about the link's capacity."""
 _SMOOTH = 0.4
-"""The part that the newest look has in the figures."""
+"""Weight of the newest tick in the figures."""
 _NAMED = 3
 _FASTEST = 1e12
 
 
 class Asked(NamedTuple):
-    """What one topic wants of the link.
+    """Demand of one topic.
 
     Attributes:
         topic: its name on this side.
         remote_topic: its name on the other side.
-        bytes_per_second: that it wants to send.
+        bytes_per_second: that it asks the link to carry.
     """
 
     topic: str
@@ -53,8 +53,8 @@ class LinkFullness:
         log: adds an event about the link.
 
     Attributes:
-        out: what the link carries from here if that is less than is asked of it, else None.
-        into: likewise to here, as the peer says.
+        out: the rates from here, or None if the link is not full.
+        into: the rates to here, as the peer reports them, or None if the link is not full.
     """
 
     def __init__(self, log: Callable[[Level, EventCode, str], None]) -> None:
@@ -62,20 +62,20 @@ class LinkFullness:
         self.into: Fullness | None = None
         self._log = log
         self._other = 0
-        self._stalled = 0  # looks for which the last stall explains what arrives
+        self._stalled = 0  # ticks for which the last stall explains the arriving bytes
         self._flowed = False
         self._carried = self._asked = 0.0
         self._arrived: deque[float] = deque(maxlen=_WINDOW)
-        self._told = FullRecord()
+        self._sent = FullRecord()
         self._record = FullRecord()
 
-    def look(self, topics: Collection[Asked], arrived: float, *, full: bool, peer: str) -> None:
-        """Look once a second.
+    def tick(self, topics: Collection[Asked], arrived: float, *, full: bool, peer: str) -> None:
+        """Judge the direction from here. Called once a second.
 
         Args:
             topics: that have something to send.
-            arrived: bytes, since the last look a second ago.
-            full: more waits to be sent all the time, or is late.
+            arrived: bytes since the last tick.
+            full: whether messages wait to be sent all the time, or are late.
             peer: the other side's name.
         """
         asked = sum(each.bytes_per_second for each in topics)
@@ -83,7 +83,7 @@ class LinkFullness:
         carried = sum(self._arrived) / len(self._arrived)
         self._carried += _SMOOTH * (carried - self._carried)
         self._asked += _SMOOTH * (asked - self._asked)
-        # After a stall, one look brings less than is asked for, and the next ones all of it.
+        # After a stall, one tick brings less than is asked for, and the next ones bring all of it.
         too_little = asked > _MORE * arrived or carried < _FAR_LESS * asked
         self._stalled = max(0, self._stalled - 1)
         if carried or not asked:
@@ -100,12 +100,12 @@ class LinkFullness:
                 self._carried, self._asked = carried, asked
             else:
                 self.out = None
-                self._log(Level.INFO, EventCode.LINK_ROOM, f"the link to {peer} carries all that is asked of it again")
+                self._log(Level.INFO, EventCode.LINK_ROOM, f"the link to {peer} is no longer full")
         if not was:
             self.out, self._record = None, FullRecord()
             return
         most = sorted(topics, key=lambda each: -each.bytes_per_second)[:_NAMED]
-        # What is asked is no less than what arrives, though one of the two may be smoothed behind the other.
+        # Smoothing may delay one of the two; at least as much is asked for as arrives.
         figures = min(self._carried, self._asked), self._asked
         begins = self.out is None
         self.out = Fullness(*figures, tuple(each.topic for each in most))
@@ -114,15 +114,15 @@ class LinkFullness:
         if begins:
             self._log(Level.WARNING, EventCode.LINK_FULL, self.out.warning(f"to {peer}"))
 
-    def news(self) -> FullRecord | None:
-        """Return what the peer has not been told yet, or None."""
-        if self._record == self._told:
+    def next_record(self) -> FullRecord | None:
+        """Return the record for the peer, or None if it has not changed since the last one."""
+        if self._record == self._sent:
             return None
-        self._told = self._record
+        self._sent = self._record
         return self._record
 
-    def told(self, record: FullRecord, peer: str) -> None:
-        """Take what the peer says of what it sends; figures that cannot be right are brought within sense."""
+    def take_record(self, record: FullRecord, peer: str) -> None:
+        """Take the peer's record of what it sends; impossible figures are limited."""
         before, self.into = self.into, None
         if record.asked:
             asked = _within(record.asked)
@@ -130,7 +130,7 @@ class LinkFullness:
             if before is None:
                 self._log(Level.WARNING, EventCode.LINK_FULL, self.into.warning(f"from {peer}"))
         elif before is not None:
-            self._log(Level.INFO, EventCode.LINK_ROOM, f"the link from {peer} carries all that is asked of it again")
+            self._log(Level.INFO, EventCode.LINK_ROOM, f"the link from {peer} is no longer full")
 
     def disconnected(self) -> None:
         """Forget everything: the next connection may go another way."""
@@ -138,10 +138,10 @@ class LinkFullness:
         self._other = self._stalled = 0
         self._carried = self._asked = 0.0
         self._arrived.clear()
-        self._told = self._record = FullRecord()
+        self._sent = self._record = FullRecord()
 
     def warning(self, peer: str) -> str:
-        """What an operator is told, or an empty string."""
+        """Return the warning for an operator, or an empty string."""
         out = self.out.warning(f"to {peer}") if self.out is not None else ""
         into = self.into.warning(f"from {peer}") if self.into is not None else ""
         return "; ".join(filter(None, (out, into)))

@@ -20,8 +20,8 @@ DEAD_AFTER = 5.0
 """s without a byte from the peer until the link is given up."""
 _KERNELS = 1.0
 """s by which the kernel is more patient with a connection."""
-_LONGEST_WAY = 3600.0
-"""s; a longer way is a clock that was set."""
+_LONGEST_PING = 3600.0
+"""s; a ping that takes longer means that a clock was set."""
 _ANSWERS, _ANSWERS_A_SECOND = 10, 4.0
 """A peer pings once a second; after a pause of its process, several times at once."""
 
@@ -55,7 +55,7 @@ class Keepalive:
         self._received = self._sent = 0
         self._pings = self._answered = 0
         self._pinged_at = self._began
-        self._way_back = 0.0
+        self._ping_delay = 0.0
         self._answers = TokenBucket(_ANSWERS, _ANSWERS_A_SECOND, self._began)
         self._on_silence: Callable[[], None] | None = None
         self._watchdog: asyncio.TimerHandle | None = None
@@ -99,15 +99,15 @@ class Keepalive:
         return self._context.now() - self._pinged_at + unanswered - 1 if unanswered else 0.0
 
     @property
-    def way_back(self) -> float:
-        """S that the peer's last ping took to get here, by its clock; 0: not known."""
-        return self._way_back
+    def ping_delay(self) -> float:
+        """Delay (s) of the peer's last ping by its clock, or 0 if it is unknown."""
+        return self._ping_delay
 
-    def pinged(self, ping: Ping) -> None:
-        """Note how long the peer's ping was under way."""
+    def record_ping(self, ping: Ping) -> None:
+        """Record the delay of a ping of the peer."""
         if self.clock.offset is not None:
             delay = (self._context.wall_ns() - ping.sent) / 1e9 + self.clock.offset
-            self._way_back = min(max(0.0, delay), _LONGEST_WAY)
+            self._ping_delay = min(max(0.0, delay), _LONGEST_PING)
 
     def watch(self, on_silence: Callable[[], None]) -> None:
         """Call a function once nothing has come for as long as it has patience, until `stop`."""

@@ -77,7 +77,7 @@ class Link(ABC):
         connections: how many connections there have been.
         linked_at: s, when the present or last connection was made.
         channels: what carries the routes' messages.
-        fullness: whether the link carries less than is asked of it.
+        fullness: whether the link is full.
         contention: divides what the link carries, and `budget` is what the peer may have this side hold and do.
         revisions: numbers the changes made on this side.
         duplicates: further clients of its name, which are refused.
@@ -319,7 +319,7 @@ class Link(ABC):
         """The peer sent a control message."""
         match message:
             case Ping():
-                self.keepalive.pinged(message)
+                self.keepalive.record_ping(message)
                 if (pong := self.keepalive.answer(message)) is not None:
                     self.send(pong)
             case Pong():
@@ -338,7 +338,7 @@ class Link(ABC):
                 self.bench.handle(message)
             case Report():
                 if message.full is not None:
-                    self.fullness.told(message.full, self._peer_name)
+                    self.fullness.take_record(message.full, self._peer_name)
                 self.table.handle(message)
             case Duplicate():
                 self.on_duplicate(message)
@@ -359,7 +359,7 @@ class Link(ABC):
         self.table.closed(route_id)
 
     def report_soon(self, route: Route) -> None:
-        """Send a route's counts sooner than with the next second's report. May be called for every batch."""
+        """Send a route's counts before the next regular report. May be called for every batch."""
         self._early.add(route)
 
     def open_channel(self, route: Route) -> None:
@@ -399,11 +399,11 @@ class Link(ABC):
         self.patterns.tick()
         if self.control is None:
             return
-        measures = self.bench.measures
+        measures = self.bench.is_measuring
         self.contention.tick(self.keepalive, self.features, self.connections, self._peer_name, measures=measures)
         self.send(self.keepalive.tick())
         self.channels.tick(self.routes.values())
-        for report in reports(self.routes.values(), self.fullness.news()):
+        for report in reports(self.routes.values(), self.fullness.next_record()):
             self.send(report)
         self.table.tick()
         self.bench.tick()
@@ -426,7 +426,7 @@ class Link(ABC):
 
     @property
     def cause(self) -> LinkCause:
-        """Why it is down, or what is wrong though it is up."""
+        """Cause of its fault, up or down."""
         if not self.linked:
             return self.status.cause
         if self.duplicates.warning(self.context.now(), self.context.wall()):
@@ -436,18 +436,18 @@ class Link(ABC):
 
     @property
     def full_out(self) -> Fullness | None:
-        """What it carries from here, if that is less than is asked of it."""
+        """The rates from here, or None if the link is not full."""
         return self.fullness.out
 
     @property
     def full_in(self) -> Fullness | None:
-        """What it carries to here, likewise."""
+        """The rates to here, or None if the link is not full."""
         return self.fullness.into
 
     @property
     def report_delay(self) -> float:
-        """Seconds that what the peer reports takes to get here, about."""
-        return self.keepalive.way_back
+        """About how many s the peer's reports take to get here."""
+        return self.keepalive.ping_delay
 
     def _certain_way_back(self) -> float:
         return max(0.0, self.report_delay - (self.clock_uncertainty or 0.0))

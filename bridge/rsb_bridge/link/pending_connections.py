@@ -37,8 +37,8 @@ _CODES = {
     RefusalCode.NAME_TAKEN: EventCode.LINK_NAME_TAKEN,
     RefusalCode.SHUT_DOWN: EventCode.LINK_SHUT_DOWN,
 }
-_ONLY_BRIDGES = "this port is for bridges only, so correct the address in that program"
-_SENDS_NOTHING = "it sends nothing for 5 s: a port scan or a health check? A robot's bridge would send its name"
+_ONLY_BRIDGES = "correct the address in that program, as only bridges use this port"
+_SENDS_NOTHING = "it sent nothing for 5 s: probably a port scan or a health check, as a bridge sends its name"
 _TOO_MANY = "too many unauthenticated connections"
 
 
@@ -98,7 +98,7 @@ class Admission(Protocol):
         ...
 
     def remedy_for_unknown(self, name: str) -> str:
-        """Say what an operator does about a client whose name the session file does not have."""
+        """Return the remedy for a client whose name is not in the session file."""
         ...
 
 
@@ -198,7 +198,7 @@ class _PendingConnection(StreamHandler):
         self._leave()
 
     def _gives_up(self) -> None:
-        """End a handshake that takes too long."""
+        """Reject a client whose handshake takes too long."""
         if self._stream is None or self._stream.received_bytes:
             self.reject("no handshake within 5 s")
         else:

@@ -1,4 +1,4 @@
-"""Clients that a server refuses and that none of its links shows: unknown names, and wrong keys for a linked name."""
+"""Refused clients that no link of the server shows: with an unknown name, or a wrong key for a linked name."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ MOST = 16
 MOST_OF_ONE_HOST = 4
 """Robots behind one router share an address; a program that makes up names must not fill the table."""
 FORGOTTEN_AFTER = 30.0
-"""s without an attempt; a client that is refused tries again within 12 s."""
+"""s without an attempt; a refused client tries again within 12 s."""
 
 
 class Clocks(Protocol):
@@ -38,22 +38,22 @@ class _Entry:
 
 
 class RefusedClients:
-    """The refused clients that still try, each until it has been quiet for 30 s.
+    """The refused clients that still try, each until 30 s after its last attempt.
 
-    Nobody is displaced as long as they try: a flood of made-up names cannot hide a robot that is listed.
+    A new client displaces no other: a flood of made-up names cannot hide a robot that is listed.
     """
 
     def __init__(self, clocks: Clocks) -> None:
         self._clocks = clocks
         self._entries: dict[tuple[str, str], _Entry] = {}
 
-    def tried(self, stream: Stream, name: str, cause: LinkCause, reason: str) -> None:
-        """Note an attempt; nothing happens if the table or the host's share of it is full.
+    def record_attempt(self, stream: Stream, name: str, cause: LinkCause, reason: str) -> None:
+        """Record an attempt, unless the table or the host's share of it is full.
 
         Args:
-            stream: where it comes from.
-            name: the client's own, or empty if it did not say one.
-            cause: why it is refused.
+            stream: of the client.
+            name: that the client gave, or empty.
+            cause: of the refusal.
             reason: the same in words, with the remedy.
         """
         host = network(stream.host)
@@ -81,5 +81,5 @@ class RefusedClients:
             del self._entries[key]
 
     def shown(self) -> tuple[RefusedClient, ...]:
-        """Return them, the longest refused first."""
+        """Return the refused clients, the longest refused first."""
         return tuple(entry.shown for entry in self._entries.values())

@@ -25,7 +25,7 @@ _EARLY = 0.1
 
 
 def reports(routes: Iterable[Route], full: FullRecord | None = None) -> Iterator[Report]:
-    """This side's counts, as far as the peer does not know them, and how full the link is if that is news."""
+    """Yield the counts that the peer does not know yet, and the link's fullness if it has changed."""
     sent: list[SentReport] = []
     received: list[ReceivedReport] = []
     calls: list[CallsReport] = []
@@ -48,7 +48,7 @@ def reports(routes: Iterable[Route], full: FullRecord | None = None) -> Iterator
 
 
 class EarlyReports:
-    """Reports of routes that have received much since their last one: together, and ten times a second at most.
+    """Early reports of routes that have received much since the last one: together, at most ten times a second.
 
     Args:
         loop: the I/O loop.
@@ -74,7 +74,7 @@ class EarlyReports:
             self._send(report)
 
     def disconnected(self) -> None:
-        """Forget what is due: nobody is there to take it."""
+        """Forget the pending reports: no peer can take them."""
         self._due.clear()
         if self._timer is not None:
             self._timer.cancel()

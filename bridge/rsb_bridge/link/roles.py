@@ -78,7 +78,7 @@ class BridgeRole(Protocol):
         ...
 
     def refused(self) -> tuple[RefusedClient, ...]:
-        """Return the clients that are refused, and that no link shows."""
+        """Return the refused clients."""
         ...
 
     def tick(self) -> None:

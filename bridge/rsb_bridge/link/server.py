@@ -43,8 +43,8 @@ class Server:
     """The server's end of all its links.
 
     Attributes:
-        entries: of the clients that are let in, by their names.
-        links: likewise; a client that the session lists has one before it ever came.
+        entries: of the admitted clients, by name.
+        links: by client name; a client in the session has one even before it first connects.
         refused_clients: refused clients that no link shows.
     """
 
@@ -197,7 +197,7 @@ class Server:
             link = at_host[0] if len(at_host) == 1 else None
         cause = CAUSES.get(code, LinkCause.REFUSED)
         if link is None or link.linked:
-            self.refused_clients.tried(stream, name, cause, message)
+            self.refused_clients.record_attempt(stream, name, cause, message)
         else:
             link.refused(stream, cause, message)
         return "" if link is None else link.name
@@ -211,7 +211,7 @@ class Server:
             link.asked(stream)
 
     def remedy_for_unknown(self, name: str) -> str:
-        """Say what an operator does about an unknown client name; the client itself is not told."""
+        """Return the remedy for an unknown client name: for this side's operator only, not for the client."""
         session = self.context.session
         correct = "correct name" if session.clients else f"set name to {session.name!r}"
         return f"rsb-console client add {shlex.quote(name)}, or {correct} in the robot's session"

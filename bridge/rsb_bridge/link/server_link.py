@@ -134,12 +134,12 @@ class ServerLink(Link):
         self.duplicates.tried(address, host, self.context.now(), self.context.wall())
 
     def _look_at_network(self) -> None:
-        """Show that the router is lost for as long as it is lost."""
+        """Show the link as down while its Zenoh router is lost."""
         problem, cause = self.transport.problem, self.status.cause
         if problem and cause is not LinkCause.SHUT_DOWN:
             self.status.down(LinkCause.ROUTER_LOST, problem)
         elif not problem and cause is LinkCause.ROUTER_LOST:
-            self.status.down(LinkCause.LOST, "the Zenoh router is back, and the client has not come yet")
+            self.status.down(LinkCause.LOST, "the Zenoh router is back; waiting for the client")
 
     def tick(self) -> None:
         super().tick()

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from rsb_bridge.model.snapshot import Snapshot
 
 LASTS = 2.0
-"""s for which a fault must last before it is reported, and must be gone before it is reported to be over."""
+"""s for which a fault lasts before it is reported, and is gone before its end is reported."""
 
 _Key = tuple[str, str]
 _Kind = tuple[str, str]
@@ -23,11 +23,11 @@ _Kind = tuple[str, str]
 
 
 class ChangeKind(StrEnum):
-    """The ways in which a fault changes."""
+    """Kind of a fault's change."""
 
     BEGUN = "begun"
     CHANGED = "changed"
-    """The state or the cause is another one than was reported last."""
+    """Its state or its cause differs from the last report."""
     OVER = "over"
 
 
@@ -36,10 +36,10 @@ class FaultChange:
     """A change of one link's or route's fault.
 
     Attributes:
-        kind: the way in which it changed.
-        subject: the link or the route, as it is now; as it was last if it was removed.
-        removed: the link or the route is not there any more.
-        before: the state and the cause that were reported last; of a fault that has begun, those before it, or empty.
+        kind: of the change.
+        subject: the newest snapshot of the link or the route.
+        removed: whether the link or the route was removed.
+        before: the state and the cause of the last report; of a fault that has begun, the earlier ones, or empty.
     """
 
     kind: ChangeKind
@@ -55,13 +55,13 @@ class FaultChange:
 
 @dataclass(slots=True)
 class _Watched:
-    """A link or a route that is at fault, or was.
+    """A link or a route with a fault, past or present.
 
     Attributes:
         subject: its newest snapshot.
-        since: s, when the fault began; from `reported` on, when `next` did.
-        reported: the state and cause that were reported, or None if nothing was reported yet.
-        next: the state and cause to report next, or None for the fault's end; used from `reported` on.
+        since: s, when the fault began; once it is reported, when `next` began.
+        reported: the state and cause of the last report, or None before the first.
+        next: the state and cause to report next, or None for the fault's end; used after the first report.
         before: the state before the fault began.
     """
 
@@ -88,11 +88,11 @@ class FaultWatch:
 
     @property
     def ongoing(self) -> int:
-        """How many faults were reported and are not over."""
+        """Number of faults that were reported and are not over."""
         return sum(each.reported is not None for each in self._watched.values())
 
     def assume(self, snapshot: Snapshot, now: float) -> None:
-        """Take the faults that a snapshot shows as reported, at `now` (s)."""
+        """Treat the faults of a snapshot at `now` (s) as reported already."""
         down = _names_of_down(snapshot)
         links = [link for link in snapshot.links if link_is_wrong(link)]
         routes = [route for route in snapshot.routes if route.link not in down and route_is_wrong(route)]
@@ -102,7 +102,7 @@ class FaultWatch:
             self._watched[_key(subject)] = _Watched(subject, now, ("", ""), kind, kind)
 
     def look(self, snapshot: Snapshot, now: float) -> list[FaultChange]:
-        """Compare with the snapshots before, at `now` (s, on a clock that nobody sets); the changes to report."""
+        """Return the changes to report since the snapshots before, at `now` (s on a monotonic clock)."""
         found = [*self._changes(snapshot, now)]
         subjects: tuple[LinkSnapshot | RouteSnapshot, ...] = (*snapshot.links, *snapshot.routes)
         self._well = {_key(each): _kind(each) for each in subjects if _key(each) not in self._watched}
@@ -153,7 +153,7 @@ class FaultWatch:
             yield FaultChange(ChangeKind.CHANGED, subject, before=before)
 
     def _suspend(self, route: RouteSnapshot) -> None:
-        """Restart the count of how long a route's fault lasts, or has been gone."""
+        """Restart the time for which a route's fault has lasted or been gone."""
         watched = self._watched.get(_key(route))
         if watched is None:
             return

@@ -1,4 +1,4 @@
-"""What a link carries that is asked for more than that."""
+"""The rates of a full link."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ class Fullness(msgspec.Struct, frozen=True, array_like=True, gc=False):
 
     Attributes:
         carried: bytes/s that arrive.
-        asked: bytes/s that its topics want.
-        topics: those that want the most, the first one most of all; their names on this side.
+        asked: bytes/s that its topics ask for.
+        topics: names on this side of the topics that ask for the most, the greatest first.
     """
 
     carried: float
@@ -24,21 +24,21 @@ class Fullness(msgspec.Struct, frozen=True, array_like=True, gc=False):
 
     @property
     def share(self) -> str:
-        """``carries 25 of 48 kB/s``."""
+        """Text such as ``carries 25 of 48 kB/s``."""
         return f"carries {rates_text(self.carried, self.asked)}"
 
     def warning(self, way: str) -> str:
-        """What an operator is told.
+        """Return the warning for an operator.
 
         Args:
-            way: ``to`` or ``from`` whom.
+            way: ``to`` or ``from`` and the peer.
         """
         most = f" (most: {join_first(self.topics, _NAMED)})" if self.topics else ""
         return f"link full {way}: {self.share}{most}; set max_rate, compression: zstd or priority"
 
 
 def rates_text(part: float, whole: float) -> str:
-    """``1.1 of 3.0 MB/s``, ``25 of 48 kB/s``."""
+    """Format two rates: ``1.1 of 3.0 MB/s``, ``25 of 48 kB/s``."""
     for unit, name in ((1e6, "MB/s"), (1e3, "kB/s")):
         if whole >= unit:
             digits = 1 if whole < 9.95 * unit else 0

@@ -17,9 +17,9 @@ _NOTHING_WRONG = frozenset({State.WAITING, State.PAUSED, State.DISARMED, State.O
 
 
 def state_counts(things: Iterable[RouteSnapshot | LinkSnapshot]) -> dict[State, int]:
-    """Count how many routes or links are in each state, the worst first: a console, a fleet and `status` all show this.
+    """Count the routes or links in each state, the worst first. A console, a fleet and `status` all show this.
 
-    States that none of them has are left out, and so are acknowledged faults.
+    Empty states and acknowledged faults are left out.
     """
     counts = Counter(thing.state for thing in things if thing.acknowledged is None)
     return {state: counts[state] for state in State if counts[state]}

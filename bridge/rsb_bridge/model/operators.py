@@ -44,7 +44,7 @@ def is_undo() -> bool:
 
 @contextlib.contextmanager
 def undoing(undo: bool = True) -> Iterator[None]:
-    """Give commands that take back earlier ones."""
+    """Mark the commands given inside as ones that take back earlier commands."""
     token = _undo.set(undo)
     try:
         yield

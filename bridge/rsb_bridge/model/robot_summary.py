@@ -42,7 +42,7 @@ LOSS_SPAN = 60.0
 _MEANT = frozenset({"already published", "would loop", "thinned", "paused", "disarmed"})
 """Causes of drops that an operator or the bridge wants: no loss."""
 _CLIENT_NAMES = 1500
-"""Characters of the names of a server's clients, so that its summary stays within `SUMMARY_BYTES`."""
+"""Characters for all names in `wrong_clients`, so that a summary stays within `SUMMARY_BYTES`."""
 _NAMED = 3
 _MARK_EVERY = 1.0
 _COUNT = 1 << 31
@@ -59,7 +59,7 @@ class RobotState(StrEnum):
     WARN = "warn"
     """Too little crosses, or not to everybody; or a link has a warning."""
     ACKNOWLEDGED = "acknowledged"
-    """Something is wrong, and an operator has acknowledged all of it."""
+    """Operators have acknowledged all its faults."""
     WAITING = "waiting"
     """It has not been there yet."""
     OK = "ok"
@@ -124,10 +124,10 @@ class RobotSummary(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True
         links: all links.
         flowing: topics, services and the like that carry something.
         routes: all of them.
-        states: how many of them are in each state; the console of the robot shows the same figures.
-        wrong_clients: of a server, the clients whose faults `why` is about, as many as there is room for.
-        clients_wrong: how many such clients there are.
-        acknowledged: faults that an operator has acknowledged.
+        states: number of them in each state; the robot's own console shows the same figures.
+        wrong_clients: of a server, names of clients with a fault, as many as fit.
+        clients_wrong: number of all clients with a fault.
+        acknowledged: number of acknowledged faults.
         messages_from_robot: Hz, of all topics that it sends.
         messages_to_robot: Hz, likewise.
         bytes_from_robot: a second, on the wire of its links.
@@ -259,7 +259,7 @@ def of_engine(
     )
     if session.role == "server" and snapshot.running:
         summary = _with_faults_of_clients(summary, snapshot, session)
-    if summary.state is RobotState.MISSING and snapshot.running:  # it is there: the other side is not
+    if summary.state is RobotState.MISSING and snapshot.running:  # this bridge answers; its peer does not
         summary = msgspec.structs.replace(summary, state=RobotState.FAULT)
     return msgspec.structs.replace(
         summary,
@@ -274,7 +274,7 @@ def of_engine(
 
 
 def _with_faults_of_clients(summary: RobotSummary, snapshot: Snapshot, session: Session) -> RobotSummary:
-    """Name the clients that a server's faults are about, unless the fault is its own: then no link can come up."""
+    """Name a server's clients with faults, unless the fault is the server's own, so that no link can come up."""
     if any(link.cause == LinkCause.UNREACHABLE for link in snapshot.links):
         return summary
     wrong = [client for client in of_clients(snapshot, session, {}, {}) if client.state.is_wrong]
@@ -295,13 +295,13 @@ def _with_faults_of_clients(summary: RobotSummary, snapshot: Snapshot, session: 
     )
 
 
-def told_once(summaries: Sequence[RobotSummary]) -> list[RobotSummary]:
-    """Leave out of each server's row what the rows of its clients say: a fault is listed once, where it belongs."""
+def drop_repeated_faults(summaries: Sequence[RobotSummary]) -> list[RobotSummary]:
+    """Drop from each server's row the faults that its clients' rows show, so that each fault is listed once."""
     wrong = {summary.name for summary in summaries if summary.state.is_wrong and summary.role != "server"}
-    return [_told_once(summary, wrong) for summary in summaries]
+    return [_drop_repeated_faults(summary, wrong) for summary in summaries]
 
 
-def _told_once(summary: RobotSummary, wrong: Collection[str]) -> RobotSummary:
+def _drop_repeated_faults(summary: RobotSummary, wrong: Collection[str]) -> RobotSummary:
     if summary.role != "server" or not summary.wrong_clients:
         return summary
     left = [name for name in summary.wrong_clients if name not in wrong]
@@ -388,9 +388,9 @@ def _state(
     if partial := [(pattern, link) for link in links for pattern in link.patterns if pattern_needs_attention(pattern)]:
         pattern, link = partial[0]
         return RobotState.WARN, _and_more(f"{pattern.spec.topic}: {pattern.reason}", len(partial)), link.since
-    if known := list(_known_faults(links, routes, called)):
-        why, since = known[0]
-        return RobotState.ACKNOWLEDGED, _and_more(why, len(known)), since
+    if acknowledged := list(_acknowledged_faults(links, routes, called)):
+        why, since = acknowledged[0]
+        return RobotState.ACKNOWLEDGED, _and_more(why, len(acknowledged)), since
     if links and all(link.state is State.WAITING for link in links):
         return RobotState.WAITING, links[0].reason, links[0].since
     unheard = [route for route in routes if route.state is State.UNHEARD]
@@ -398,10 +398,10 @@ def _state(
     return RobotState.OK, why, max((link.since for link in links if link.state is State.OK), default=snapshot.time)
 
 
-def _known_faults(
+def _acknowledged_faults(
     links: Sequence[LinkSnapshot], routes: Sequence[RouteSnapshot], called: Callable[[RouteSnapshot], str]
 ) -> Iterator[tuple[str, float]]:
-    """The faults that an operator has acknowledged, each with the moment since when; links, then the worst routes."""
+    """Yield the acknowledged faults, each with its beginning: of links first, then of the worst routes."""
     for link in links:
         if link.acknowledged is not None and link_is_wrong(link):
             yield link.reason or link.warning, link.since
@@ -414,7 +414,7 @@ def _known_faults(
 
 
 def _acknowledged(links: Sequence[LinkSnapshot], routes: Sequence[RouteSnapshot]) -> int:
-    return sum(1 for _ in _known_faults(links, routes, lambda route: route.topic))
+    return sum(1 for _ in _acknowledged_faults(links, routes, lambda route: route.topic))
 
 
 def _worst(routes: Iterable[RouteSnapshot], count: int, called: Callable[[RouteSnapshot], str]) -> tuple[str, float]:

@@ -69,8 +69,8 @@ class Problem:
 class Topic(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True):
     """One bridged topic, service, action or node's parameters, as the *client* sees it (thesis, chapter 3).
 
-    In a session file those that are not topics stand under ``services``, ``actions`` and ``parameters``. Where the name
-    is a pattern (`rsb_bridge.model.patterns`), the entry is what becomes of each that matches on the sending side.
+    A session file lists services, actions and parameters under keys of their own. If the name is a pattern
+    (`rsb_bridge.model.patterns`), the entry is a template for each matching name of the sending side.
 
     Attributes:
         topic: its name on the client, absolute (``/scan``); of parameters, their node's.
@@ -78,22 +78,22 @@ class Topic(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defaul
             direction of the requests.
         type: ``pkg/msg/Name`` (``pkg/srv/Name``, ``pkg/action/Name``), a short thesis name (``LaserScan``), or
             ``auto``: from either side's graph.
-        protocol: what carries it; None: tcp on an IP link, bluetooth on an RFCOMM link.
-        port: a TCP or UDP port or an RFCOMM channel of its own (topics may share a channel); None: the link's.
+        protocol: the transport, or None for tcp on an IP link and bluetooth on an RFCOMM link.
+        port: a TCP or UDP port or an RFCOMM channel of its own (topics may share a channel), or None for the link's.
         qos: ``auto``, a profile's name, a depth, or a mapping of `rsb_bridge.model.qos.Qos` fields.
-        remote_topic: its name on the server; None: the same, after the prefix if `use_name` is set.
-        compression: None: zstd on Bluetooth, none elsewhere.
-        max_rate: Hz; None: no limit.
-        expected_rate: Hz, shown beside the real rate; None: learned.
-        stale_after: s without a message until a warning; None: the session's; 0: never.
-        late_after: s that a message may take until the topic is late; None: the session's; 0: any time.
+        remote_topic: its name on the server, or None for the same name, after the prefix if `use_name` is set.
+        compression: or None for zstd on Bluetooth and no compression elsewhere.
+        max_rate: Hz, or None for no limit.
+        expected_rate: Hz, shown with the real rate, or None to learn it.
+        stale_after: s without a message until a warning, 0 for no warning, or None for the session's.
+        late_after: s that a message may take until the topic is late, 0 for no limit, or None for the session's.
         paused: the topic is set up, and carries nothing until it is resumed.
-        arm: it carries nothing until an operator of either side arms it on a console.
-        deadman: s without a key on that console after which it disarms; None: `DEADMAN`; 0: none.
-        kind: what it is.
-        timeout: s after which a call without an answer is given up; None: `CALL_TIMEOUT`. Not of topics.
-        priority: less of lower ones crosses while the link carries less than is asked for. Only of topics.
-        excepts: of a pattern, the names on the client that are left out, patterns or not; ``except`` in a file.
+        arm: whether it carries nothing until an operator of either side arms it on a console.
+        deadman: s without a key on that console after which it disarms, 0 for never, or None for `DEADMAN`.
+        kind: topic, service, action or parameters.
+        timeout: s that a call waits for its answer, or None for `CALL_TIMEOUT`; not for topics.
+        priority: on a full link, topics of a lower priority are thinned first; only for topics.
+        excepts: names on the client that a pattern leaves out, patterns or not; ``except`` in a file.
     """
 
     topic: str
@@ -245,14 +245,14 @@ class Session(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defa
         key_file: path, relative to the session file.
         next_key_file: on a server, the key that replaces it. Both are valid as long as it is given.
         stale_after: s without a message until a topic is stale (thesis: 15); 0: never.
-        late_after: s that messages may take until their topic is late; 0: any time.
+        late_after: s that messages may take until their topic is late, or 0 for no limit.
         stale_warnings: how many times to warn of it (thesis: 5).
         shutdown_topic: "shutdown" as ``std_msgs/String`` on it closes the sockets on both sides; None: no such topic.
         diagnostics_topic: the state of links and routes is published on it, as ``diagnostic_msgs/DiagnosticArray``;
             None: nowhere.
         metrics: the address on which Prometheus finds the metrics, ``127.0.0.1:9464``; None: nowhere.
-        on_fault: a command that is run when a fault begins, changes or is over: a list of words, or a text that
-            `rsb_bridge.config.fault_command` splits into words as a shell would; or None for no command.
+        on_fault: the command to run when a fault begins, changes or is over, or None. It is a list of words, or a text
+            that `rsb_bridge.config.fault_command` splits into words as a shell would.
         topics: a client's topics.
         clients: those that a server lets in; empty: one, with the session's own name and key.
         ports: which TCP and UDP ports of their own clients' topics may have on the server; None: 16 for each client.

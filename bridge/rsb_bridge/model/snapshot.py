@@ -21,7 +21,7 @@ class State(StrEnum):
     DOWN = "down"
     """No message can cross."""
     STALE = "stale"
-    """No message has come for `stale_after`, though one was due; no rate says when."""
+    """No message has come for `stale_after`, though one was due."""
     STOPPED = "stopped"
     """No message has come for several of the periods that its rate lets expect."""
     LATE = "late"
@@ -49,12 +49,12 @@ class State(StrEnum):
 
     @property
     def flows(self) -> bool:
-        """Whether messages cross, be it too few of them, too late, or unheard."""
+        """Whether messages cross, even if too few, too late or unheard."""
         return self in (State.OK, State.UNHEARD, State.SLOW, State.LATE)
 
     @classmethod
     def _missing_(cls, value: object) -> State | None:
-        """Take a state that only a newer version has for a warning: somebody should look."""
+        """Treat an unknown state of a newer version as a warning."""
         return cls.SLOW if isinstance(value, str) else None
 
 
@@ -146,9 +146,9 @@ class Ledger:
         expired: given up incomplete.
         in_flight: not accounted for yet.
         dropped: by cause.
-        unknown: sent, but the other side's process ended before it said whether they arrived.
-        lost_in_dds: lost before they could be taken; no part of `offered`, like the next one.
-        missed_while_down: published while the route was down, estimated from the time and the usual rate.
+        unknown: sent to a process that ended before it reported whether they arrived.
+        lost_in_dds: lost before the bridge could take them; not part of `offered`.
+        missed_while_down: published while the route was down, estimated from the usual rate; not part of `offered`.
     """
 
     offered: int = 0
@@ -188,7 +188,7 @@ class ArmingSnapshot:
 
 @dataclass(frozen=True, slots=True)
 class Acknowledgement:
-    """An operator knows of a fault: it counts no more until its state or its cause changes.
+    """An operator has acknowledged a fault: it does not count until its state or its cause changes.
 
     Attributes:
         by: the operator, in words.
@@ -208,45 +208,43 @@ class RouteSnapshot:
         link: the peer's name.
         topic: its name on this side.
         remote_topic: its name on the other side.
-        outgoing: True: this side sends; of what is not a topic, the requests: the callers are here.
+        outgoing: whether this side sends; of a service, action or parameters, whether the callers are here.
         spec: the topic as it was asked for, as the client sees it.
-        state: its state, the worse of what both sides say; `reason` says why it is not OK, and who says so where it is
-            the other side.
-        type_name: empty until it is known.
-        type_hash: empty until it is known.
-        qos: of the bridge's endpoints on both sides; None: not known yet.
-        publisher_qos: what the publishers of its topic offer, combined; their depths are not known. None: none.
-        subscriber_qos: what the subscriptions at its other end request, likewise.
+        state: the worse of both sides' states; `reason` explains it and names the other side if that reports it.
+        type_name: or empty if it is unknown yet.
+        type_hash: or empty if it is unknown yet.
+        qos: of the bridge's endpoints on both sides, or None if it is unknown yet.
+        publisher_qos: combined offer of its publishers, without depths, or None without publishers.
+        subscriber_qos: combined request of its subscriptions, without depths, or None without subscriptions.
         transport: ``tcp``, ``udp`` or ``bluetooth``.
         port: the port or channel that carries it.
         stages: in order.
         ledger: message counts.
         rate: Hz, over the last seconds.
-        expected_rate: Hz, given or learned; None: not known yet.
+        expected_rate: Hz, given or learned, or None if it is unknown yet.
         bytes_per_second: of payload.
         bytes_total: of payload.
-        latency_p50: s, one way; None: no figure.
+        latency_p50: s, one way, or None without a figure.
         latency_p99: s.
         latency_uncertainty: s, the uncertainty of the clock offset that they contain.
-        jitter: s, RFC 3550 section 6.4.1; None: no figure.
-        age: s since the last message; None: none yet.
+        jitter: s (RFC 3550 section 6.4.1), or None without a figure.
+        age: s since the last message, or None before the first.
         history: messages in each of the last seconds, up to 120, oldest first.
         last_error: the last error, or empty.
-        cause: of the state, an `rsb_bridge.model.verdict.Cause`, or a newer peer's; empty: there is nothing to say.
-        from_peer: the other side says so.
-        since: s since the epoch, when this state began with this cause, as far as this process knows.
-        publishers: the nodes that publish it on the sending side, as far as they are known.
-        subscribers: the nodes that subscribe to it on the receiving side, likewise.
-        arming: whether it is armed; None: it need not be.
-        allowed_rate: Hz that the rights of the two sides allow; None: any.
-        calls: of what is not a topic, its calls, which `rate`, `history` and `age` are about then; None: a topic.
-        goals: of an action, the newest ones, those that are not over first.
-        lanes: of what is not a topic, the names that a call may be made to by hand: ``set_parameters``; a service has
-            one, ``""``.
-        pattern: of this side's session, which has made it; empty: it is listed by its name, or the other side's.
+        cause: of the state, an `rsb_bridge.model.verdict.Cause`, one of a newer peer, or empty.
+        from_peer: whether the other side reports the state.
+        since: s since the epoch, the beginning of this state and cause, as far as this process knows.
+        publishers: known nodes that publish it on the sending side.
+        subscribers: known nodes that subscribe to it on the receiving side.
+        arming: whether it is armed, or None if arming is not required.
+        allowed_rate: Hz that the rights of the two sides allow, or None for any rate.
+        calls: its calls, which `rate`, `history` and `age` then count, or None for a topic.
+        goals: the newest goals of an action, unfinished ones first.
+        lanes: names that can be called by hand, such as ``set_parameters``; a service has one, ``""``; a topic none.
+        pattern: of this side's session that made it, or empty.
         messages_total: messages or calls that `rate` and `bytes_total` count: on the sending side those given to the
             link, on the receiving side those published.
-        acknowledged: who knows of its fault, or None. That of a link covers the routes that its loss has stopped.
+        acknowledged: the acknowledgement of its fault, or None. A link's covers the routes that are down with it.
     """
 
     key: str
@@ -304,15 +302,15 @@ class PatternSnapshot:
     Attributes:
         key: identifies it in commands, as `RouteSnapshot.key` does a route.
         link: the peer's name.
-        spec: what the session says of it.
+        spec: its entry in the session.
         state: WAITING while nothing matches, DOWN if something that matches is not bridged, else OK.
-        reason: how much is bridged, and what is not, and why.
-        here: whether this side's graph is followed, or the other side's.
-        source: the pattern as it is held against that graph's names.
-        routes: that it has made.
-        gone: of them, those whose topic nobody publishes now.
-        beyond: how many names match and are not bridged, because there are too many.
-        acknowledged: who knows of its fault, or None.
+        reason: how many names are bridged, and why others are not.
+        here: whether it follows this side's graph, not the other side's.
+        source: the pattern for the names of that graph.
+        routes: number of routes that it has made.
+        gone: number of these routes without a publisher now.
+        beyond: number of matching names beyond the limit, which are not bridged.
+        acknowledged: the acknowledgement of its fault, or None.
     """
 
     key: str
@@ -337,30 +335,30 @@ class LinkSnapshot:
         peer: address of the other side, ``host:port`` or ``MAC channel n``; while it is down, where it was last seen.
         state: OK if linked, WAITING before the first attempt, else DOWN; `reason` says why.
         since: s since the epoch, when this state began.
-        retry_in: s until the next attempt; 0: it is under way; None: none is planned.
+        retry_in: s until the next attempt, 0 during an attempt, or None if none is planned.
         attempts: failed attempts since it was last linked.
         encrypted: False must be shown in red.
         cipher: ``AESGCM``, ``ChaChaPoly``, or empty.
-        fingerprint: of the key in use; while it is down, of this side's.
-        rtt: s; None: no figure.
-        clock_offset: s, peer's clock minus ours; None: no figure.
+        fingerprint: of the key in use, or of this side's key while the link is down.
+        rtt: s, or None without a figure.
+        clock_offset: s, peer's clock minus ours, or None without a figure.
         clock_uncertainty: s.
         rx_bytes_per_second: wire bytes received.
         tx_bytes_per_second: wire bytes sent.
         peer_version: the other side's rsb-console version, or empty.
-        peer_domain: the other side's ROS domain; None: not linked yet.
-        use_name: the client's topics have its name before them on the server.
-        cause: of a fault, an `rsb_bridge.model.verdict.LinkCause`; empty: there is none.
-        warning: what is wrong though the link is up, for an operator; or empty.
-        next_fingerprint: on a server, of the key that replaces the client's, and is valid, too; empty: none does.
-        capacity_out: what it is known to carry from here; None: nothing yet.
-        capacity_in: what it is known to carry to here; None: nothing yet.
-        rx_bytes_total: wire bytes received since this process knows the link, over all its connections.
-        tx_bytes_total: sent, likewise.
-        patterns: those of this side's session, in their order.
-        full_out: what it carries from here, if that is less than is asked of it; None: it carries all.
-        full_in: what it carries to here, likewise, as the other side says.
-        acknowledged: who knows of its fault, or None.
+        peer_domain: the other side's ROS domain, or None before the first connection.
+        use_name: whether the client's name prefixes its topics on the server.
+        cause: of a fault, an `rsb_bridge.model.verdict.LinkCause`, or empty.
+        warning: a fault that does not take the link down, for an operator, or empty.
+        next_fingerprint: on a server, of the client's next key, which is valid already, or empty.
+        capacity_out: measured capacity from here, or None if it is unknown.
+        capacity_in: measured capacity to here, or None if it is unknown.
+        rx_bytes_total: wire bytes received in this process, over all connections.
+        tx_bytes_total: wire bytes sent in this process, over all connections.
+        patterns: of this side's session, in its order.
+        full_out: the rates from here, or None if the link is not full.
+        full_in: the rates to here, as the peer reports them, or None if the link is not full.
+        acknowledged: the acknowledgement of its fault, or None.
     """
 
     name: str
@@ -396,10 +394,10 @@ class LinkSnapshot:
 
 @dataclass(frozen=True, slots=True)
 class RefusedClient:
-    """A client that a server refuses at present, and that none of its links shows.
+    """A refused client that no link of its server shows.
 
     Attributes:
-        name: the client's name as it says, or empty if it said none.
+        name: that the client gave, or empty.
         host: its address.
         cause: the reason as an `rsb_bridge.model.verdict.LinkCause`.
         reason: the same in words, with the remedy.
@@ -429,7 +427,7 @@ class Snapshot:
         links: on a server, one for each known client.
         routes: of all links.
         last_event: number of the newest event.
-        refused: clients that a server refuses at present.
+        refused: a server's refused clients.
     """
 
     time: float

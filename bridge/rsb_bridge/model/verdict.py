@@ -89,9 +89,9 @@ class LinkCause(StrEnum):
     """One of the sides ended it on purpose."""
     UNREACHABLE = "unreachable"
     TIMED_OUT = "timed_out"
-    """Not one packet comes back from the server's address."""
+    """No packet comes back from the server's address."""
     ROUTER_LOST = "router_lost"
-    """The Zenoh router is lost, without which neither side reaches the other."""
+    """The Zenoh router that connects the two sides is lost."""
     NO_ANSWER = "no_answer"
     """The server's port accepts the connection, and nothing answers."""
     NOT_A_BRIDGE = "not_a_bridge"
@@ -103,7 +103,7 @@ class LinkCause(StrEnum):
     NAME_TAKEN = "name_taken"
     """Two machines have its name."""
     FULL = "full"
-    """It is up, and carries less than is asked of it."""
+    """It is up and carries less than its topics ask for."""
     SHUT_DOWN = "shut_down"
     """An operator has shut it down on the server, which refuses the client until the link is restarted there."""
 
@@ -158,16 +158,15 @@ def state_for_any(state: State) -> State:
 
 
 def state_of(state: str, cause: str) -> State:
-    """Return the state that `state_for_any` stands for, or SLOW if only a newer version knows it."""
+    """Return the original of a state from `state_for_any`, or SLOW if only a newer version knows it."""
     return State.LATE if (state, cause) == (State.SLOW, Cause.LATE) else State(state)
 
 
 def worse(sender: Verdict, receiver: Verdict) -> tuple[Verdict, bool]:
     """Return the verdict that counts.
 
-    The worse state counts. If a side knows only that nothing comes, the other side's cause explains it, and a topic
-    that has stopped is not stale as well. If both are equally bad, the sending side's cause counts: there a message's
-    way begins.
+    The worse state counts. If one side knows only that nothing comes, the other side's cause explains it, and a stopped
+    topic is not stale as well. If both are equally bad, the sending side's cause counts, as messages start there.
 
     Returns:
         The verdict, and whether it is the sending side's.

@@ -29,7 +29,7 @@ _TEXT_LENGTH = 300
 
 _LONGEST = 1e9  # s
 _JITTER = 2.0
-"""s by which one report may take longer than another about the same trouble."""
+"""s by which two reports on the same fault may be apart."""
 _NODES, _NODE_LENGTH = 4, 64
 """Nodes that the other side is told of, and characters of their names."""
 
@@ -73,7 +73,7 @@ class BothSides:
         state = state_of(record.state, record.cause)
         since, before = _since(record.lasting, now), self.peer
         same = (before.state, before.cause) == (state, record.cause)
-        # Reports take different times on their way.
+        # Reports take different times to arrive.
         if same and before.since is not None and abs(since - before.since) < _JITTER:
             since = before.since
         self.peer = Verdict(state, record.cause, record.text, since)

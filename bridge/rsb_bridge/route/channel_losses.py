@@ -15,8 +15,8 @@ _LINK_OUTLIVES = 1.0
 """s by which a link has to outlive a channel before the channel's loss is reported. A link that ends (with a goodbye, a
 crash or a cut) takes its channels with it, and they may be seen to end first."""
 _AGAIN_AND_AGAIN = 2
-"""Channels that end before a message arrives. One may be bad luck, unless the kernel has tried for long. One over which
-messages have arrived says nothing of the path: the link may be full, or the network was away."""
+"""Channels that end before a message arrives. One may be bad luck, unless the kernel has tried for long. A channel over
+which messages have arrived does not count: its link may be full, or the network was down."""
 _TIMED_OUT = os.strerror(errno.ETIMEDOUT)
 
 

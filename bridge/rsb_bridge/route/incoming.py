@@ -48,8 +48,8 @@ _INCOMPLETE_IN_A_ROW = 3
 _ASKED_EVERY = 0.9
 """s until the graph is asked again who subscribes, where their number is the same."""
 _REPORTS_AFTER = 100
-"""Messages after which a report goes sooner than with the next second's: if this process is killed, the sender never
-learns whether the unreported ones arrived."""
+"""Messages after which an early report is sent: if this process is killed, the sender never learns whether the
+unreported messages arrived."""
 _NO_HISTORY = HistoryHeader(bytes(PUBLISHER_ID_LENGTH), number=0, depth=AUTO_DEPTH)
 """Of messages whose sender does not say whose they are: they count as one publisher's."""
 
@@ -231,7 +231,7 @@ class IncomingRoute(TopicRoute):
             self.peer.report_soon(self)
         if count:
             latency = None if (offset := self.peer.clock_offset) is None else (now - stamp) / 1e9 + offset
-            if latency is not None and latency <= began - self._flows_since:  # else it was kept from before, on purpose
+            if latency is not None and latency <= began - self._flows_since:  # else it was kept from before
                 self.latency.add(latency)
             if self.peek_slot.wanted:
                 self._show(payload, flags, now, latency)
@@ -284,7 +284,7 @@ class IncomingRoute(TopicRoute):
     def _failed_later(self, error: Exception) -> None:
         self.notices.message_error(EventCode.ROUTE_PUBLISH_FAILED, str(error))
 
-    def _look_for_delay(self, now: float) -> None:
+    def _tick_lateness(self, now: float) -> None:
         uncertainty = self.peer.clock_uncertainty
         if not self.flowing or uncertainty is None or self._held_back:
             self.lateness.reset()
@@ -294,7 +294,7 @@ class IncomingRoute(TopicRoute):
 
     @property
     def _held_back(self) -> bool:
-        """Whether the sender has messages wait on purpose, as topics of a higher priority go first."""
+        """Whether the sender holds messages back for topics of a higher priority."""
         if self.judged.peer.cause != Cause.THINNED or self.qos is None:
             return False
         return self.qos.latched or (self.qos.reliability == "reliable" and self.rank >= 0)
@@ -376,12 +376,12 @@ class IncomingRoute(TopicRoute):
 
     @property
     def has_kept(self) -> bool:
-        """Whether messages are kept here; the peer's verdict says whether its publishers have newer ones."""
+        """Whether messages are kept here; the peer's verdict says whether newer ones exist."""
         return self._outputs.has_kept
 
     @property
     def silence_counts(self) -> bool:
-        """Whether silence counts, and messages are on their way; else the sending side knows best."""
+        """Whether silence counts while messages are in transit; otherwise the sending side judges."""
         return super().silence_counts and (self.silence.own or self._sender_ledger.in_flight > 0)
 
     @property

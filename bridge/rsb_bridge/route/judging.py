@@ -69,7 +69,7 @@ def facts_of(route: TopicRoute) -> Facts:
 
 
 def _trouble(route: Route) -> str:
-    """Why what carries it does not get through; a stream that waits on a full link is no such trouble."""
+    """Return the reason why its channel does not get through; a stream that waits on a full link is none."""
     full = route.peer.full_out if route.outgoing else route.peer.full_in
     return "" if full is not None and route.transport.reliable else route.trouble()
 

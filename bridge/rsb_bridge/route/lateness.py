@@ -1,8 +1,8 @@
-"""Whether a topic's messages are late, and by how much: what both halves find out, and what an operator is told.
+"""Decides whether a topic's messages are late, and words the verdict.
 
-The receiving half measures how long messages take, by the other side's clock, and leaves out what it cannot tell from
-that clock's uncertainty. The sending half needs no other clock: it knows since when messages wait in its queue, and how
-long ago it sent the oldest one that the receiver has not reported yet. That counts where nothing arrives at all.
+The receiving half measures how long messages take by the other side's clock, less the uncertainty of that clock. The
+sending half needs no other clock: it knows how long messages have waited in its queue, and how long ago it sent the
+oldest message that the receiver has not reported. So it notices lateness even if nothing arrives.
 """
 
 from __future__ import annotations
@@ -16,22 +16,22 @@ from rsb_bridge.model.verdict import Cause, Verdict
 if TYPE_CHECKING:
     from rsb_bridge.model.fullness import Fullness
 
-_LOOKS = 2
-"""Looks, a second apart, that have to agree before a topic becomes late, or is not late any more."""
+_TICKS = 2
+"""Ticks that have to agree before a topic becomes late, or is no longer late."""
 _CLEARLY = 2.0
-"""Times the bound: beyond that, one look is enough, unless a clock that was set may explain it."""
+"""Times the bound: beyond that, one tick is enough, unless a clock that was set may explain it."""
 _OVER = 0.8
-"""Times the bound: below that, a late topic is in time again."""
+"""Times the bound: below that, a late topic is on time again."""
 _REMEMBERED, _REMEMBERED_GAPS, _LONGEST_REMEMBERED = 5.0, 2.0, 60.0
-"""s without a message after which a measured delay says nothing any more, or times the last gap between messages if
-that is longer, and s at the most: a topic with a message every 10 s must not be fine in between."""
+"""s without a message after which the last delay is outdated, or times the last gap between messages if that is longer,
+and s at the most: a topic with a message every 10 s must not be fine in between."""
 _SAME = 0.15
-"""Part by which a delay has to change until another figure is shown."""
+"""Share by which a delay has to change before the shown figure does."""
 _REPORTED_EVERY = 1.0
 """s between the receiver's reports."""
 _MOST_MARKS = 600
 _USUAL = 0.1
-"""The part that a new delay has in the usual one."""
+"""Weight of a new delay in the usual one."""
 
 WAY, QUEUE = "way", "queue"
 """Where messages are held up: on the way, or in the sender's own queue."""
@@ -41,11 +41,11 @@ class Late(NamedTuple):
     """A delay that is too long.
 
     Attributes:
-        seconds: how long messages take.
-        usual: s that they take as a rule, or None if that is not known.
-        where: `WAY`, `QUEUE`, or empty if it is not known.
-        full: what the link carries, if it carries less than is asked of it, else None.
-        since: s, when it began.
+        seconds: s that messages take.
+        usual: s that they usually take, or None if that is unknown.
+        where: `WAY` or `QUEUE`, or empty if that is unknown.
+        full: the rates of a full link, or None if the link is not full.
+        since: s, when the lateness began.
     """
 
     seconds: float
@@ -56,12 +56,12 @@ class Late(NamedTuple):
 
 
 class LateWatch:
-    """Decides once a second whether messages are late, and changes its mind slowly.
+    """Decides once a second whether messages are late, with hysteresis.
 
     Attributes:
         since: s, when they became late, or None if they are not.
         seconds: the delay that is shown.
-        usual: s that messages take as a rule, or None if that is not known.
+        usual: s that messages usually take, or None if that is unknown.
     """
 
     def __init__(self) -> None:
@@ -86,11 +86,11 @@ class LateWatch:
         """Take a delay.
 
         Args:
-            delay: s, or None if no message has come since the last look.
-            uncertainty: s by which it may be too long.
-            bound: s that a message may take; 0: any time.
+            delay: s, or None if no message has come since the last tick.
+            uncertainty: s by which `delay` may be too long.
+            bound: s that a message may take, or 0 for no limit.
             now: s.
-            measured: s that messages take, for what is usual; None: no figure.
+            measured: s that messages take, from which the usual delay is learned, or None without a figure.
             own: the part of `delay` that this side knows without the other one's clock, which may just have been set.
         """
         if not bound:
@@ -115,13 +115,13 @@ class LateWatch:
         if not self._other:
             self._first = now
         self._other += 1
-        if self._other >= _LOOKS or (over and own > _CLEARLY * bound):
+        if self._other >= _TICKS or (over and own > _CLEARLY * bound):
             self._other = 0
             self.since = None if late else self._first
             self.seconds = 0.0 if late else delay
 
     def reset(self) -> None:
-        """Begin anew; what is usual stays."""
+        """Start again, but keep the usual delay."""
         self.since = None
         self.seconds = 0.0
         self._other = 0
@@ -129,7 +129,7 @@ class LateWatch:
 
 
 class Unreported:
-    """How long ago the oldest message was sent that the receiver has not reported."""
+    """Age of the oldest message that the receiver has not reported."""
 
     def __init__(self) -> None:
         self._marks: deque[tuple[float, int]] = deque()
@@ -140,16 +140,16 @@ class Unreported:
 
         Args:
             sent: messages so far.
-            accounted: those of them that the receiver has reported, one way or another.
+            accounted: messages that the receiver has reported, arrived or lost.
             now: s.
 
         Returns:
-            About how many s ago it was sent; 0: there is none.
+            The age in s, about, or 0 if all messages are reported.
         """
         marks, (at, before) = self._marks, self._looked or (now, 0)
         self._looked = now, sent
         if marks and marks[-1][1] > sent:
-            marks.clear()  # counted anew
+            marks.clear()  # a new opening counts from 0
         while marks and marks[0][1] <= accounted:
             marks.popleft()
         if sent > accounted and (not marks or marks[-1][1] < sent) and len(marks) < _MOST_MARKS:
@@ -159,17 +159,17 @@ class Unreported:
 
 
 def delay_of_sender(unreported: float, report_delay: float) -> float:
-    """How long messages take at least, by the age (s) of the oldest unreported one.
+    """Return the least s that messages take, from the age of the oldest unreported one.
 
     Args:
-        unreported: that age.
+        unreported: s, that age.
         report_delay: s that a report takes to come back.
     """
     return max(0.0, unreported - _REPORTED_EVERY - report_delay)
 
 
 def late_verdict(late: Late) -> Verdict:
-    """What an operator is told."""
+    """Return the verdict on a late topic."""
     usually = "" if late.usual is None or late.usual >= late.seconds else f", usually {seconds_text(late.usual)}"
     text = f"{seconds_text(late.seconds)} late{usually}: {_why(late)}"
     return Verdict(State.LATE, Cause.LATE, text, late.since)
@@ -179,14 +179,14 @@ def _why(late: Late) -> str:
     if late.full is not None:
         return f"the link is full ({late.full.share}): set max_rate, compression: zstd or priority"
     if late.where == QUEUE:
-        return "waits in the sender's queue: set max_rate, compression: zstd or priority"
+        return "messages wait in the sender's queue: set max_rate, compression: zstd or priority"
     if late.where == WAY:
-        return "held up on the way: look for a slow network, tunnel or receiver"
-    return "held up on the way, or by the sender: look for a slow network or tunnel"
+        return "held up on the way: check the network, tunnels and the receiver"
+    return "held up on the way or by the sender: check the network and tunnels"
 
 
 def seconds_text(seconds: float) -> str:
-    """A delay: ``0.003 s``, ``1.4 s``, ``12 s``, ``3 min``."""
+    """Format a delay: ``0.003 s``, ``1.4 s``, ``12 s``, ``3 min``."""
     if seconds < 0.1:
         return f"{max(0.0, seconds):.3f} s"
     if seconds < 9.95:

@@ -22,7 +22,7 @@ _OTHER = "other"
 THROTTLED = "throttled"
 """The receiver left these out, for the rate that it allows."""
 UNKNOWN = "unknown"
-"""Cause under which a report lists `Ledger.unknown`, so that the sum is right for an older peer, too."""
+"""Cause under which a report lists `Ledger.unknown`, so that the sum is right for older peers, too."""
 _ON_THE_WAY = "lost on the way"
 _LARGEST = 2**53
 """The largest count that is kept or sent; anything beyond it is a mistake."""
@@ -56,7 +56,7 @@ class _Counted:
         return self.delivered + self.expired + sum(self.dropped.values())
 
     def lost(self, overdue: int = 0) -> int:
-        """Return how many numbered messages are lost: newer ones have arrived, or the first `overdue` are too late."""
+        """Return how many numbered messages are lost: newer ones arrived, or they are among the first `overdue`."""
         return max(0, max(self.newest, overdue) - self.whole - self.expired - self.incomplete)
 
 
@@ -112,11 +112,11 @@ class _Opening:
 class RouteLedger:
     """Counts since the route was made.
 
-    The receiver counts each opening anew. What it counted after its last report on an opening comes with the next one's
-    `Ready` (PROTOCOL.md, 3); until then those messages are in flight, and only what it never saw is lost.
+    The receiver counts each opening from 0. Its counts after the last report on an opening come with the next opening's
+    `Ready` (PROTOCOL.md, 3). Until then those messages are in flight; only messages that it never saw are lost.
 
-    If the process that counted an opening has ended, nobody knows about the messages that its last report leaves open:
-    they are `unknown`, neither delivered nor lost.
+    If the process that counted an opening has ended, the messages after its last report are `unknown`: neither
+    delivered nor lost.
 
     Args:
         numbered: whether the channel numbers its messages and may lose them.
@@ -125,8 +125,8 @@ class RouteLedger:
         offered: messages taken from ROS.
         throttled: left out for the route's highest rate.
         dropped: here, by cause.
-        unknown: sent, but their receiver ended before it said whether they arrived.
-        lost_in_dds: lost before they could be taken.
+        unknown: sent to a process that ended before it reported whether they arrived.
+        lost_in_dds: lost before the bridge could take them.
         missed: messages published while the route was down, estimated.
     """
 
@@ -160,7 +160,7 @@ class RouteLedger:
 
     @property
     def reported_now(self) -> int:
-        """Messages of the present opening that the receiver has seen, given up, or seen newer ones of."""
+        """Messages of the present opening that the receiver has seen, given up or skipped."""
         counted = self._opening.counted
         return max(counted.newest, counted.whole + counted.expired) if counted else 0
 
@@ -200,10 +200,10 @@ class RouteLedger:
         Args:
             report: of the receiver.
             now: s.
-            delay: s that a message and the report on it take; what is under way for so long is not lost.
+            delay: s that a message and its report take together; a younger message is not lost.
 
         Returns:
-            Whether its figures could be right; those that could not are limited to what was sent.
+            Whether its figures are possible; impossible ones are limited to the messages sent.
         """
         opening = self._opening
         opening.counted = _within(report, opening.sent)
@@ -216,13 +216,13 @@ class RouteLedger:
         """Close the account of the last opening in which anything was sent.
 
         Args:
-            final: what the receiver counted in the last opening in which it got anything; None: it knows of none.
-            instance: of the peer's process that says so. If it is not the one that the opening was with, what that
-                one has not reported is unknown. If the report is of another opening, the last report of the opening
-                itself counts, and the rest is lost.
+            final: the receiver's counts of the last opening in which it got anything, or None.
+            instance: of the peer's process. If the opening was with another process, what that process did not report
+                is unknown. If `final` is of another opening, the last report of the opening itself counts, and the rest
+                is lost.
 
         Returns:
-            Whether the figures could be right.
+            Whether the figures are possible.
         """
         opening, self._unsettled = self._unsettled, None
         if opening is None:
@@ -233,7 +233,7 @@ class RouteLedger:
             counted = _within(final, opening.sent)
             plausible = counted.plausible
         elif final is None and counted is not None and counted.whole:
-            same_process = False  # the receiver has forgotten what it counted
+            same_process = False  # the receiver has forgotten its counts
         left = opening.sent
         if counted is not None:
             self._delivered += counted.delivered
@@ -280,12 +280,12 @@ class RouteLedger:
 
 
 class MissedWhileDown:
-    """Estimates how many messages were published while a route could not take them: the time at the usual rate.
+    """Estimates the messages that were published while a route was down: its downtime at the usual rate.
 
-    The time counts only between `lost` and `back`, and only as long as somebody publishes.
+    Time counts from `lost` to `back`, as long as somebody publishes.
 
     Attributes:
-        rate: Hz, the usual rate of the messages that cross, or None if there is none.
+        rate: Hz, the usual rate of the topic, or None if it has none.
     """
 
     def __init__(self) -> None:
@@ -300,7 +300,7 @@ class MissedWhileDown:
 
     @property
     def down(self) -> bool:
-        """Whether time counts."""
+        """Whether the route is down, so that time counts."""
         return self._since is not None
 
     def lost(self, now: float) -> None:
@@ -316,13 +316,13 @@ class MissedWhileDown:
             self._since = now
 
     def back(self, now: float, *, published: bool) -> None:
-        """Count until `now` (s), and no more."""
+        """Stop counting at `now` (s)."""
         self.tick(now, published=published)
         self._since = None
 
 
 def reported_ledger(report: SentReport) -> Ledger | None:
-    """Return the ledger that a sender reports, or None if its figures cannot be right."""
+    """Return the ledger that a sender reports, or None if its figures are impossible."""
     parts = (report.delivered, report.throttled, report.expired, report.in_flight, *report.dropped.values())
     figures = (*parts, report.lost_in_dds, report.missed_while_down)
     if sum(parts) != report.offered or not all(0 <= figure <= _LARGEST for figure in figures):
@@ -343,7 +343,7 @@ def reported_ledger(report: SentReport) -> Ledger | None:
 
 
 def reported_drops(ledger: Ledger) -> dict[str, int]:
-    """Return what a report lists as dropped: the causes of the ledger, and what is unknown."""
+    """Return the drops that a report lists: by the ledger's causes, and the unknown messages."""
     return {**ledger.dropped, UNKNOWN: ledger.unknown} if ledger.unknown else ledger.dropped
 
 

@@ -88,7 +88,7 @@ class Outbox:
         return len(self._queue)
 
     def waits(self, now: float) -> float:
-        """How long (s) the oldest message has waited at `now` (s); 0: none waits."""
+        """Return how long (s) the oldest message has waited at `now` (s), or 0 if none waits."""
         oldest = self._queue.oldest_since
         return 0.0 if oldest is None else now - oldest
 
@@ -98,7 +98,7 @@ class Outbox:
         return self._queue.clear()
 
     def limits(self, qos: Qos | None, depth: int, pace: Pace, now: float, profile: LinkProfile = PLAIN) -> QueueLimits:
-        """Return what may wait at `now` (s). As long as the channel takes messages, the queue only passes them on.
+        """Return the queue's limits at `now` (s). While the channel takes messages, the queue only passes them on.
 
         Args:
             qos: of the route, or None if it is unknown.

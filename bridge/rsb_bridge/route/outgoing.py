@@ -43,12 +43,12 @@ if TYPE_CHECKING:
     from rsb_bridge.route.peer import Owner
     from rsb_bridge.route.verdict import Facts
 
-_TOLD_LATELY = 2.5
-"""s for which a delay counts that the receiver has reported."""
+_REPORTED_LATELY = 2.5
+"""s for which a delay that the receiver has reported counts."""
 _LONGEST_DELAY = 3600.0
-"""s; a longer one is a mistake."""
+"""s; a longer delay is taken for a mistake."""
 _LONGEST_UNDER_WAY = 60.0
-"""s; what is under way for longer is lost."""
+"""s; a message that is in transit for longer is lost."""
 _LIMITED = "they are limited to what was sent"
 
 
@@ -56,7 +56,7 @@ class OutgoingRoute(TopicRoute):
     """Takes a topic's messages here and sends them to the peer.
 
     Attributes:
-        delay: s that messages take at least, as this side knows without the other one's clock.
+        delay: s that messages take at least; needs no clock of the other side.
     """
 
     outgoing: ClassVar[bool] = True
@@ -69,7 +69,7 @@ class OutgoingRoute(TopicRoute):
         self._present: frozenset[bytes] | None = None  # the publishers that the peer was told of
         self._ledger = RouteLedger(numbered=isinstance(self.transport, DatagramTransport))
         self._report: ReceivedReport | None = None  # of the present opening
-        self._kept_there: Collection[bytes] = ()  # publishers of a latched topic whose messages the peer has
+        self._kept_there: Collection[bytes] = ()  # publishers of a latched topic whose messages the peer keeps
         self._described: Describe | None = None
         self._sorter = Sorter(context, peer, self.advance)
         self._sending = Sending(context, self, self._ledger, self._sorter)
@@ -78,7 +78,7 @@ class OutgoingRoute(TopicRoute):
         self._health = Health()
         self._unreported = Unreported()
         self.delay = 0.0
-        self._told_delay: tuple[float, float] | None = None  # what the receiver measured, s, and when it was told, s
+        self._reported_delay: tuple[float, float] | None = None  # s, by the receiver; and when it reported it, s
 
     # --- setting up
 
@@ -183,7 +183,7 @@ class OutgoingRoute(TopicRoute):
         except RosError as error:
             self.request_reopen(EventCode.ROUTE_SUBSCRIBE_FAILED, str(error), Level.ERROR)
             return
-        self._ledger.missed.back(self.context.now(), published=self._misses)
+        self._ledger.missed.back(self.context.now(), published=self._is_published)
         self.silence.rearm(self.context.now())
         self.log(Level.INFO, EventCode.ROUTE_CONNECTED, f"→ {self.transport.name} connected ({self.type_name})")
 
@@ -233,7 +233,7 @@ class OutgoingRoute(TopicRoute):
         """Begin a new opening."""
         super().open(route_id)
         self._unreported = Unreported()
-        self._told_delay = None
+        self._reported_delay = None
         self.delay = 0.0
         self._sorter.clear()
         self._ledger.opened(route_id, self.peer.instance)
@@ -256,7 +256,7 @@ class OutgoingRoute(TopicRoute):
 
     def tick(self) -> None:
         now = self.context.now()
-        latched = self.is_latched  # silent for as long as it likes, unless an operator expects a rate
+        latched = self.is_latched  # may be silent for any time, unless an operator expects a rate
         self._health.tick(
             Flow(
                 self.flowing and self._subscribed,
@@ -279,29 +279,33 @@ class OutgoingRoute(TopicRoute):
         """Learn the rate at which messages cross, or estimate how many are missed now."""
         missed = self._ledger.missed
         if missed.down:
-            missed.tick(now, published=self._misses)
+            missed.tick(now, published=self._is_published)
         elif self.flowing:
             usual = None if latched else self.meter.usual_rate
             rate, limit = usual or self.spec.expected_rate, self.limit.rate
             missed.rate = min(rate, limit) if rate and limit else rate
 
     @property
-    def _misses(self) -> bool:
+    def _is_published(self) -> bool:
         """Whether somebody publishes the topic, and neither side has paused or refused it."""
         if self.paused or self.refusal:
             return False
         own = self.context.announcements.own_publishers(self.topic, besides=self.peer.name)
         return bool(own or self.context.ros.publishers(self.topic))
 
-    def _look_for_delay(self, now: float) -> None:
+    def _tick_lateness(self, now: float) -> None:
         unreported = self._unreported.age(self._ledger.sent_now, self._ledger.reported_now, now)
         self.delay = 0.0
         if not self.flowing:
             self.lateness.reset()
             return
         measured = None
-        if self._told_delay is not None and now - self._told_delay[1] <= _TOLD_LATELY and not self.yielding.holds:
-            measured = self._told_delay[0]
+        if (
+            self._reported_delay is not None
+            and now - self._reported_delay[1] <= _REPORTED_LATELY
+            and not self.yielding.holds
+        ):
+            measured = self._reported_delay[0]
         if not self.transport.reliable:  # unreported datagrams may be lost, unless pings by a stream are held up, too
             unreported = min(unreported, self.peer.ping_wait)
         own = max(self._sending.waits(now), delay_of_sender(unreported, self.peer.report_delay))
@@ -309,10 +313,10 @@ class OutgoingRoute(TopicRoute):
         self.lateness.tick(self.delay, 0.0, self.late_after, now, measured, own=own)
 
     @property
-    def _under_way(self) -> float:
-        """S that a message and the report on it take, as far as is known."""
+    def _message_and_report(self) -> float:
+        """Estimated s that a message and its report take together."""
         back = self.peer.report_delay
-        there = 0.0 if self._told_delay is None else self._told_delay[0]
+        there = 0.0 if self._reported_delay is None else self._reported_delay[0]
         return min(max(0.0, there, back) + back, _LONGEST_UNDER_WAY)
 
     def _held_up_where(self) -> str:
@@ -361,7 +365,7 @@ class OutgoingRoute(TopicRoute):
         """The peer said what arrived in the present opening."""
         self._report = report
         self.judged.take(report.verdict, self.context.now())
-        if not self._ledger.reported(report, self.context.now(), self._under_way):
+        if not self._ledger.reported(report, self.context.now(), self._message_and_report):
             self.notices.doubt(self.peer.instance, _LIMITED)
         if self._ledger.received_now:
             self.losses.arrived()
@@ -369,7 +373,7 @@ class OutgoingRoute(TopicRoute):
             self._resolver.hint = MessageType(report.type, report.type_hash)
             self.advance()
         if report.latency is not None and abs(report.latency) <= _LONGEST_DELAY:
-            self._told_delay = report.latency, self.context.now()
+            self._reported_delay = report.latency, self.context.now()
         self.latency.told(report.latency_p50, report.latency_p99, report.jitter)
 
     def ledger(self) -> Ledger:
@@ -411,12 +415,12 @@ class OutgoingRoute(TopicRoute):
 
     @property
     def has_kept(self) -> bool:
-        """Whether the peer has messages of a publisher that is still there."""
+        """Whether the peer keeps messages of a publisher that still exists."""
         return bool(self._kept_there) and any(publisher_id(each.gid) in self._kept_there for each in self.endpoints)
 
     @property
     def silence_counts(self) -> bool:
-        """Whether silence counts, and there is no usual rate, by which `Health` judges a topic."""
+        """Whether silence counts and there is no usual rate; `Health` judges topics with one."""
         return super().silence_counts and (self.silence.own or self.meter.usual_rate is None)
 
     def end_qos(self) -> tuple[Qos | None, Qos | None]:
@@ -440,7 +444,7 @@ class OutgoingRoute(TopicRoute):
 
     @property
     def arrived_share(self) -> float | None:
-        """The share of its datagrams that arrives, or None if it goes by none, or that is not known yet."""
+        """The share of its datagrams that arrives, or None without datagrams or before the first receipt."""
         return self.channel.arrived_share if isinstance(self.channel, DatagramSender) else None
 
     def _datagrams(self) -> int:

@@ -16,7 +16,7 @@ class Overload:
     """Overload of one topic.
 
     Attributes:
-        lasts: whether more is published than its channel delivers.
+        lasts: whether more is published than the channel delivers.
     """
 
     def __init__(self) -> None:

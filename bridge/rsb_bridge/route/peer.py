@@ -63,7 +63,7 @@ class Peer(Protocol):
 
     @property
     def report_delay(self) -> float:
-        """Seconds that what the peer reports takes to get here, about."""
+        """About how many s the peer's reports take to get here."""
         ...
 
     @property
@@ -73,12 +73,12 @@ class Peer(Protocol):
 
     @property
     def full_out(self) -> Fullness | None:
-        """What the link carries from here, if it carries less than is asked of it, else None."""
+        """The rates from here, or None if the link is not full."""
         ...
 
     @property
     def full_in(self) -> Fullness | None:
-        """What the link carries to here, likewise, as the peer says."""
+        """The rates to here, or None if the link is not full."""
         ...
 
     @property
@@ -103,7 +103,7 @@ class Owner(Peer, Protocol):
     """The link that a route belongs to."""
 
     def report_soon(self, route: Route) -> None:
-        """Send a route's counts sooner than with the next second's report. May be called for every batch."""
+        """Send a route's counts before the next regular report. May be called for every batch."""
         ...
 
     def open_channel(self, route: Route) -> None:

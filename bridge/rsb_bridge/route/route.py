@@ -47,7 +47,7 @@ if TYPE_CHECKING:
 _FIRST_PAUSE, _LONGEST_PAUSE = 1.0, 10.0
 _PROPOSED_WITHIN = 3.0
 _REFUSED_WITHIN = 5.0
-"""s in which a route that is tried again after a refusal is refused again, if it is."""
+"""s after which a retried route is no longer likely to be refused again."""
 
 
 class Route:
@@ -96,7 +96,7 @@ class Route:
         self.closed_ids: deque[int] = deque()
         self.closed_at = 0.0
         self.retry_at = 0.0
-        self._refused = ""  # the last refusal, until a later opening has gone better
+        self._refused = ""  # the last refusal, until a later opening succeeds
         self._backoff = Backoff(_FIRST_PAUSE, _LONGEST_PAUSE)
         self.notices = Notices(self.log)
         self.limit = RateLimit(proposal.max_rate, self.local_topic, peer.budget.rates, self.log)
@@ -184,7 +184,7 @@ class Route:
 
     @property
     def standing_refusal(self) -> str:
-        """The refusal that an operator is shown: it stands while the route is tried again, until that goes better."""
+        """The refusal to show to operators: the last one, until a retry succeeds."""
         if self.id and (self.life.ready or self.context.now() - self.opened_at >= _REFUSED_WITHIN):
             self._refused = ""
         return self.life.refusal or self._refused

@@ -118,7 +118,7 @@ class Sending:
         return self._outbox.clear()
 
     def waits(self, now: float) -> float:
-        """How long (s) messages wait here for their channel at `now` (s); those held back on purpose do not count."""
+        """Return how long (s) messages have waited for the channel at `now` (s); messages held back do not count."""
         return 0.0 if self._route.yielding.holds else self._outbox.waits(now)
 
     def offer(self, batch: Sequence[RawMessage]) -> None:

@@ -62,12 +62,12 @@ class Silence:
         self._warned = False
 
     def tick(self, now: float, *, due: bool, cause: str) -> None:
-        """Warn if nothing has come for too long although messages are due; called once a second.
+        """Warn if nothing has come for too long although messages are due. Called once a second.
 
         Args:
             now: s.
-            due: messages are.
-            cause: of the route's state. One that says why nothing comes has been logged, and is not repeated.
+            due: whether messages are due.
+            cause: of the route's state. A cause that explains the silence is logged already, and not repeated.
         """
         if due and (number := self._watch.check(now)) and cause not in _EXPLAINS:
             self._warned = True

@@ -31,10 +31,10 @@ class TopicRoute(Route):
     Attributes:
         qos: of the bridge's endpoints on both sides; None: not known yet.
         latency: of its messages, one way.
-        silence: watches for it.
-        peek_slot: takes the next message for whoever looks at the topic.
+        silence: warns of a silent topic.
+        peek_slot: takes the next message for operators who look at the topic.
         lateness: watches for messages that take too long.
-        yielding: what its sending half leaves to others of the link.
+        yielding: its sending half's share of the link.
     """
 
     def __init__(self, context: Context, peer: Owner, spec: Topic, proposal: Propose, *, proposed_here: bool) -> None:
@@ -90,15 +90,15 @@ class TopicRoute(Route):
 
     @property
     def late_after(self) -> float:
-        """S that messages may take, as the topic's entry and the session say now; 0: any time."""
+        """Bound (s) that the topic's entry or the session sets now, or 0 for no limit."""
         own = self.spec.late_after
         bound = self.context.session.late_after if own is None else own
         if bound and self.qos is not None and self.qos.latched and self.limit.rate:
-            bound += 1 / self.limit.rate  # so long the newest message is held for the limit
+            bound += 1 / self.limit.rate  # the rate limit holds the newest message for so long
         return bound
 
     def late(self) -> Late | None:
-        """How late messages are, or None if they are not."""
+        """The lateness of messages, or None if they are on time."""
         watch = self.lateness
         if watch.since is None or not self.flowing:
             return None
@@ -106,17 +106,17 @@ class TopicRoute(Route):
         return Late(watch.seconds, watch.usual, self._held_up_where(), full, watch.since)
 
     def _held_up_where(self) -> str:
-        """Where messages are held up, as far as this half knows."""
+        """Return the place where messages are held up, or an empty string if this half does not know it."""
         return ""
 
-    def _look_for_delay(self, now: float) -> None:
-        """Have `lateness` look, at `now` (s)."""
+    def _tick_lateness(self, now: float) -> None:
+        """Tick `lateness` at `now` (s)."""
         raise NotImplementedError
 
     def tick(self) -> None:
         """Once a second: histories, stale warnings, and what has turned for the worse."""
         self.latency.tick()
-        self._look_for_delay(self.context.now())
+        self._tick_lateness(self.context.now())
         super().tick()
         self.limit.set_profile_rate(self._profile_rate())
         if not self.flowing:
@@ -137,25 +137,25 @@ class TopicRoute(Route):
 
     @property
     def is_latched(self) -> bool:
-        """Whether it is latched, so that nothing need come after the first message."""
+        """Whether it is latched, so that no message is due after the first."""
         return self.qos is not None and self.qos.latched
 
     @property
     def came(self) -> bool:
-        """Whether messages have come in this opening, or the receiving side has kept some of a latched topic."""
+        """Whether messages came in this opening, or the receiving side keeps some of a latched topic."""
         return (self.meter.last is not None and self.meter.last >= self.opened_at) or self.has_kept
 
     @property
     def has_kept(self) -> bool:
-        """Whether the receiving side has messages of a latched topic from an earlier opening."""
+        """Whether the receiving side keeps messages of a latched topic from an earlier opening."""
         raise NotImplementedError
 
     @property
     def silence_counts(self) -> bool:
         """Whether this half judges silence by `stale_after`.
 
-        It does if the topic's entry sets that, or if messages came at a rhythm. A topic that is published on now and
-        then may be silent for as long as it likes.
+        It does if the topic's entry sets `stale_after`, or if messages came at a rhythm. A topic with occasional
+        messages may be silent for any time.
         """
         return self.silence.own or (self.meter.regular and not self.is_latched)
 

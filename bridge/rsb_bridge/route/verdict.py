@@ -34,45 +34,45 @@ _EXPLAINS_SILENCE = frozenset({Cause.QOS_INCOMPATIBLE, Cause.TYPE_CONFLICT})
 
 
 class Facts(NamedTuple):
-    """What a half knows of its route.
+    """One half's knowledge of its route.
 
     Attributes:
-        sends: it is the sending half.
+        sends: whether it is the sending half.
         topic: its name on this side.
         domain_id: of this side.
         endpoints: the topic's publishers on the sending side, its subscriptions on the receiving side.
         matched: subscriptions on the receiving side that DDS has matched, which may be known before their nodes are.
         similar: a topic of the sending side with publishers and a similar name, where this one never had any; or empty.
-        link_down: why the link is down; empty: it is up.
-        refusal: why the route is refused; empty: it is not.
-        loop: why its messages would loop; empty: they would not.
-        paused: an operator has paused it.
-        paused_by: who, in words; empty: it is not known.
-        disarmed: why it is not armed, though it has to be; empty: it is, or need not be.
-        no_path: why its transport does not get through; empty: it does.
-        breaking: why what carries it breaks before a message arrives; empty: it does not.
-        subscribe_failed: why its subscription failed; empty: it did not.
-        left_out: which publishers are not bridged, as their type is another one; empty: none.
-        unresolved: why its type or QoS is not known.
-        waits_for: what has to come before messages can.
-        type_name: of its messages; empty: not known yet.
-        qos: it is subscribed to and published with; None: not known yet.
-        flowing: messages could cross now.
-        came: some have since it was opened, or the receiving side has kept some of a latched topic.
-        came_before: some have in an earlier opening, and none in this one.
-        stale_since: s, of the last message, if silence counts and that is longer ago than `stale_after`, or None.
-        stopped_since: s, of the last message, where its publishers have stopped; else None.
-        slow_since: s, when it got slow; None: it is not.
+        link_down: the reason why the link is down, or empty.
+        refusal: the reason why the route is refused, or empty.
+        loop: the reason why its messages would loop, or empty.
+        paused: whether an operator has paused it.
+        paused_by: the operator, or empty if unknown.
+        disarmed: the reason why it is not armed although it must be, or empty.
+        no_path: the reason why its transport does not get through, or empty.
+        breaking: the reason why its channel breaks before a message arrives, or empty.
+        subscribe_failed: the reason why its subscription failed, or empty.
+        left_out: the publishers with another type, which are not bridged, or empty.
+        unresolved: cause and reason if its type or QoS is unknown, or None.
+        waits_for: the step that has to come before messages can cross.
+        type_name: of its messages, or empty if unknown yet.
+        qos: of its subscription and publishers, or None if unknown yet.
+        flowing: whether messages could cross now.
+        came: whether messages have crossed since it was opened, or the receiving side keeps some of a latched topic.
+        came_before: whether messages crossed in an earlier opening, but none in this one.
+        stale_since: s, of the last message if silence counts and has lasted `stale_after`, or None.
+        stopped_since: s, of the last message if its publishers have stopped, or None.
+        slow_since: s, when it became slow, or None.
         rate: Hz, of the messages that are sent.
-        expected_rate: Hz, to judge the rate by; None: there is none to go by.
+        expected_rate: Hz, to judge the rate by, or None.
         lost_in_dds: messages that DDS lost in the last `LATELY` s before they could be taken.
-        loss: between the two sides; None: none to speak of.
-        datagrams: that a message takes, about; 0: its transport has none.
-        limit: Hz that an operator allows it; 0: all.
-        limited_by: who says so.
-        yielded: what it leaves to topics with a higher priority; None: nothing.
-        late: how late its messages are; None: they are not.
-        full: what the link carries, if it carries less than is asked of it; None: it carries all.
+        loss: between the two sides, or None if it is negligible.
+        datagrams: about how many a message takes, or 0 if its transport has none.
+        limit: Hz that an operator allows, or 0 for no limit.
+        limited_by: the reason for the limit, in words.
+        yielded: the share that it leaves to topics with a higher priority, or None.
+        late: the lateness of its messages, or None if they are on time.
+        full: the rates of the link if it is full, or None.
     """
 
     sends: bool
@@ -168,7 +168,7 @@ def _stale(facts: Facts) -> Verdict | None:
 
 
 def _why_silent(facts: Facts) -> tuple[Cause, str]:
-    """Explain that nothing is published. DDS lists one that died for up to 40 s, so whether it runs is unknown."""
+    """Explain the silence. DDS lists a publisher for up to 40 s after its death, so it may not run any more."""
     ever = facts.came or facts.came_before
     if facts.endpoints:
         silent = ("has stopped publishing, or died", "have stopped publishing, or died")
@@ -250,7 +250,7 @@ def _stopped(facts: Facts) -> Verdict | None:
 
 
 def _departed(facts: Facts) -> Verdict | None:
-    """A rule: the publisher has left, and nothing more was due."""
+    """Judge a topic whose publisher has left while no message was due."""
     if not facts.sends or not facts.flowing or not facts.came or facts.endpoints:
         return None
     text = f"{no_publisher(facts.topic, facts.domain_id)} any more"
@@ -266,7 +266,7 @@ def _slow(facts: Facts) -> Verdict | None:
     if facts.slow_since is None or facts.expected_rate is None:
         return None
     rates = f"{_steady_figure(facts.rate)} Hz of {facts.expected_rate:.3g} expected"
-    if facts.rate >= FAST_ABOVE * facts.expected_rate:  # the watch waits a little before it calls the topic fine
+    if facts.rate >= FAST_ABOVE * facts.expected_rate:  # the watch waits before it ends the fault
         return Verdict(State.SLOW, Cause.SLOW, f"recovering after {LASTING}: {rates}", facts.slow_since)
     text = f"{rates}, for {LASTING}"
     if facts.lost_in_dds > (facts.expected_rate - facts.rate) * LATELY / 2:  # it is the greater part of what is missing
@@ -279,7 +279,7 @@ def _slow(facts: Facts) -> Verdict | None:
 _LOSSES: dict[str, tuple[Cause, str]] = {
     "queue full": (
         Cause.QUEUE_FULL,
-        "more is published than the link carries: set max_rate, compression: zstd, or priority, or use a faster link",
+        "more is published than the link carries: set max_rate, compression: zstd or priority",
     ),
     "too large": (Cause.TOO_LARGE, "they are larger than its transport carries: use protocol: tcp"),
     "publish failed": (Cause.NOT_PUBLISHED, "the receiving side cannot publish them; its log says why"),

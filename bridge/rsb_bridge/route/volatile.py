@@ -4,9 +4,9 @@ DDS keeps each message until every reliable subscription has acknowledged it, up
 that is stopped acknowledges nothing until DDS gives it up, 20 s later. The memory of a message is used again for others
 of the same publisher, and never shrinks; it is freed with the publisher.
 
-Messages that waited while a process was frozen come in a burst, much faster than subscriptions acknowledge. A publisher
-that keeps few messages then overwrites some that a reliable subscription has missed and asks for again. So where nobody
-has chosen a depth, it keeps many, as long as no subscription leaves them unacknowledged for long.
+After a process was frozen, its messages come in a burst, faster than subscriptions acknowledge them. A publisher that
+keeps few messages overwrites some that a reliable subscription has missed and requests again. So without a chosen depth
+it keeps many messages, unless a subscription leaves them unacknowledged for long.
 """
 
 from __future__ import annotations
@@ -25,9 +25,9 @@ FREE = 1 << 16
 BURST_DEPTH = 2000
 """Messages that a publisher keeps at first if nobody has chosen a depth."""
 _BURST_BYTES = 1 << 20
-"""Bytes of messages kept for a burst from which on DDS is asked more often whether they are acknowledged."""
+"""Bytes kept for a burst from which on DDS is asked more often for acknowledgements."""
 _BURST_TIME = 2.0
-"""Seconds for which more than that may be kept before the publisher is replaced by one that keeps few."""
+"""Seconds for which more bytes may be kept before a publisher that keeps few messages replaces this one."""
 _MATCHED_WITHIN = 2.0
 """Seconds that subscriptions have to find the new publisher before it takes over: what is published before is lost to
 them."""
@@ -55,8 +55,8 @@ class VolatileTopic:
         depth: messages that it keeps at most.
         budget: of the publisher's link; one topic takes no more of it than it leaves to the others.
         now: the clock that all timers use, in s.
-        renew: makes another publisher of some depth in this one's place, or None if nothing does.
-        lasting_depth: messages that it keeps once a subscriber has turned out to be slow, or None if always `depth`.
+        renew: replaces this publisher by one of another depth, or None.
+        lasting_depth: messages that it keeps once a subscriber is slow, or None if always `depth`.
     """
 
     def __init__(
@@ -139,7 +139,7 @@ class VolatileTopic:
             self._successor = None
 
     def _begin_anew(self, renew: Callable[[int], Publisher]) -> None:
-        """Have a publisher without memory: each piece of this one's is too small, or kept for a slow subscriber."""
+        """Replace the publisher to free its memory, which is in pieces too small, or kept for a slow subscriber."""
         successor, self._successor = self._successor, None
         former, self._publisher = self._publisher, successor or renew(self._lasting_depth)
         self._depth, self._unacknowledged_since = self._lasting_depth, None

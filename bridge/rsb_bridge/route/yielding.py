@@ -32,7 +32,7 @@ PER_MESSAGE = 60
 _SHOWN = 5.0
 """s that a topic counts as thinned after the last message that was left out."""
 _LESS = 0.95
-"""A topic is thinned if less than this share of what it wants crosses; figures that differ by less look the same."""
+"""A topic is thinned if less than this share of its demand crosses; smaller differences do not show."""
 _FADES = 0.8
 """The part of the messages so far that still counts a second later, for the size of the average one."""
 
@@ -222,7 +222,7 @@ class Yielding:
         if self.share is None or self._now - self._thinned_at > _SHOWN:
             return None
         if self._crossed.rate >= _LESS * self._wanted.rate:
-            return None  # it has recovered, though it was thinned a moment ago
+            return None  # it has just recovered
         return Yielded(self.share, self._crossed.rate, self._wanted.rate, self._thins, self._since)
 
 

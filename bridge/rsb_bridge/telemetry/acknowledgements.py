@@ -1,4 +1,4 @@
-"""Faults that an operator has acknowledged: each until its state or its cause changes."""
+"""Acknowledged faults, each until its state or its cause changes."""
 
 from __future__ import annotations
 
@@ -15,20 +15,20 @@ if TYPE_CHECKING:
     from rsb_bridge.model.snapshot import Snapshot
 
 _TOLERANCE = 2.0
-"""s: the beginnings of states are known no more exactly than that, because the wall clock is adjusted."""
+"""s by which the beginning of a state may be wrong, because the wall clock is adjusted."""
 _NO_FAULT = frozenset({State.OK, State.PAUSED, State.DISARMED})
 
 Faulty = TypeVar("Faulty", RouteSnapshot, LinkSnapshot, PatternSnapshot)
 
 
-class _Known(NamedTuple):
+class _AcknowledgedFault(NamedTuple):
     """One acknowledged fault.
 
     Attributes:
         state: of the route or the link, when it was acknowledged.
         cause: its cause then.
-        record: who did it.
-        at: s on the steady clock, when that was.
+        record: of the acknowledgement.
+        at: s on the steady clock, the time of the acknowledgement.
     """
 
     state: State
@@ -38,7 +38,7 @@ class _Known(NamedTuple):
 
 
 class Acknowledgements:
-    """Marks the acknowledged faults of each snapshot. It knows of none that has gone, so its size is bounded by theirs.
+    """Marks the acknowledged faults of each snapshot, and forgets them once they are over, which bounds its size.
 
     Args:
         clock: the wall clock.
@@ -46,9 +46,9 @@ class Acknowledgements:
 
     def __init__(self, clock: Clock) -> None:
         self._clock = clock
-        self._known: dict[tuple[str, str], _Known] = {}
+        self._known: dict[tuple[str, str], _AcknowledgedFault] = {}
         self._marked: dict[tuple[str, str], tuple[Any, Any]] = {}
-        """The newest marked snapshots, each with its original: an unchanged one is given out as the same object."""
+        """The newest marked snapshots, each with its original, so that an unchanged one stays the same object."""
 
     def add(self, faulty: RouteSnapshot | LinkSnapshot | PatternSnapshot, by: str) -> None:
         """Acknowledge a fault.
@@ -57,23 +57,23 @@ class Acknowledgements:
             ValueError: it has no fault.
         """
         if not has_fault(faulty):
-            raise ValueError(f"{_name(faulty)}: there is no fault to acknowledge")
+            raise ValueError(f"{_name(faulty)} has no fault to acknowledge")
         record = Acknowledgement(by, self._clock.time_ns() / 1e9)
-        self._known[_key(faulty)] = _Known(faulty.state, _cause(faulty), record, self._clock.steady())
+        self._known[_key(faulty)] = _AcknowledgedFault(faulty.state, _cause(faulty), record, self._clock.steady())
 
     def remove(self, faulty: RouteSnapshot | LinkSnapshot | PatternSnapshot) -> None:
-        """Have a fault count again.
+        """Take an acknowledgement back.
 
         Raises:
             ValueError: it is not acknowledged.
         """
         if self._known.pop(_key(faulty), None) is None:
-            raise ValueError(f"{_name(faulty)}: no fault of it is acknowledged")
+            raise ValueError(f"{_name(faulty)} has no acknowledged fault")
 
     def mark(
         self, links: Iterable[LinkSnapshot], routes: Iterable[RouteSnapshot], now: float
     ) -> tuple[tuple[LinkSnapshot, ...], tuple[RouteSnapshot, ...]]:
-        """Mark what is acknowledged, and forget what has changed since. A link's covers what its loss has stopped.
+        """Mark acknowledged faults, and forget changed ones. A link's covers the routes that are down with it.
 
         Args:
             links: all.
@@ -91,7 +91,7 @@ class Acknowledgements:
         return new_links, tuple(self._route(route, down, before, marked, now) for route in routes)
 
     def _link(
-        self, link: LinkSnapshot, before: dict[tuple[str, str], _Known], marked: dict[Any, Any], now: float
+        self, link: LinkSnapshot, before: dict[tuple[str, str], _AcknowledgedFault], marked: dict[Any, Any], now: float
     ) -> LinkSnapshot:
         record = self._keep(link, before, now)
         patterns = [self._keep(pattern, before, now) for pattern in link.patterns]
@@ -103,7 +103,7 @@ class Acknowledgements:
         self,
         route: RouteSnapshot,
         down: dict[str, Acknowledgement],
-        before: dict[tuple[str, str], _Known],
+        before: dict[tuple[str, str], _AcknowledgedFault],
         marked: dict[Any, Any],
         now: float,
     ) -> RouteSnapshot:
@@ -115,7 +115,7 @@ class Acknowledgements:
     def _keep(
         self,
         faulty: RouteSnapshot | LinkSnapshot | PatternSnapshot,
-        before: dict[tuple[str, str], _Known],
+        before: dict[tuple[str, str], _AcknowledgedFault],
         now: float,
     ) -> Acknowledgement | None:
         known = before.get(_key(faulty))
@@ -123,7 +123,7 @@ class Acknowledgements:
             return None
         if not isinstance(faulty, PatternSnapshot):
             lasting, elapsed = now - faulty.since, self._clock.steady() - known.at
-            if lasting + _TOLERANCE < elapsed:  # it went away meanwhile, and has come back
+            if lasting + _TOLERANCE < elapsed:  # it was over meanwhile, and began again
                 return None
         self._known[_key(faulty)] = known
         return known.record
@@ -151,12 +151,12 @@ class Acknowledgements:
 
 
 def has_fault(faulty: RouteSnapshot | LinkSnapshot | PatternSnapshot) -> bool:
-    """Whether there is something to acknowledge: a fault, or something that waits."""
+    """Whether it has a fault, or waits, so that it can be acknowledged."""
     return faulty.state not in _NO_FAULT or (isinstance(faulty, LinkSnapshot) and bool(faulty.warning))
 
 
 def find_faulty(snapshot: Snapshot, key: str, link: str) -> RouteSnapshot | LinkSnapshot | PatternSnapshot:
-    """Return what an operator means by a key, or by a link's name.
+    """Return the link, route or pattern that an operator names.
 
     Args:
         snapshot: the newest.
@@ -164,12 +164,12 @@ def find_faulty(snapshot: Snapshot, key: str, link: str) -> RouteSnapshot | Link
         link: the name of a link, or an empty string.
 
     Raises:
-        ValueError: there is no such thing.
+        ValueError: it does not exist.
     """
     links = {each.name: each for each in snapshot.links}
     if link:
         if link not in links:
-            raise ValueError(f"there is no link {link!r}, only {', '.join(links) or 'none'}")
+            raise ValueError(f"no link {link!r}; links: {', '.join(links) or 'none'}")
         return links[link]
     for route in snapshot.routes:
         if route.key == key:
@@ -177,7 +177,7 @@ def find_faulty(snapshot: Snapshot, key: str, link: str) -> RouteSnapshot | Link
     for pattern in (pattern for each in snapshot.links for pattern in each.patterns):
         if pattern.key == key:
             return pattern
-    raise ValueError(f"there is no route {key!r} any more")
+    raise ValueError(f"the route {key!r} was removed")
 
 
 def _key(faulty: RouteSnapshot | LinkSnapshot | PatternSnapshot) -> tuple[str, str]:

@@ -1,4 +1,4 @@
-"""A fault's change as one JSON object: the form in which a session's `on_fault` command gets it."""
+"""The JSON object by which a session's `on_fault` command gets a fault's change."""
 
 from __future__ import annotations
 
@@ -13,23 +13,23 @@ if TYPE_CHECKING:
     from rsb_bridge.model.fault_watch import FaultChange
 
 VERSION = 1
-"""Grows when a field changes its meaning or goes. A new field does not change it."""
+"""Grows when a field is removed or changes its meaning; a new field does not change it."""
 REMOVED = "removed"
-"""The state of a link or a route that is not there any more."""
+"""State of a link or a route that was removed."""
 
 
 def fault_report(change: FaultChange, *, time: float, bridge: str, role: str, ongoing: int, merged: int) -> bytes:
     """Encode a change as one line of ASCII.
 
-    Every text is of a limited length and has no control characters, since some come from the other side.
+    Texts are cut and cleaned of control characters, since some come from the other side.
 
     Args:
         change: to report.
         time: s since the epoch.
         bridge: the session's name.
         role: ``client`` or ``server``.
-        ongoing: the faults that are reported and not over, this one included.
-        merged: the changes before this one that no command was run for.
+        ongoing: number of faults that are reported and not over, this one included.
+        merged: number of earlier changes for which no command was run.
     """
     subject = change.subject
     content: dict[str, object] = {

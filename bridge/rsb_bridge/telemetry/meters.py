@@ -104,7 +104,7 @@ class RateMeter:
 
     @property
     def regular(self) -> bool:
-        """Whether messages have come at a rhythm, so that silence means something."""
+        """Whether messages came at a rhythm, so that silence is a fault."""
         return self._usual.regular
 
     @property
@@ -161,10 +161,10 @@ class LatencyMeter:
     """One-way latency of a route and its jitter (RFC 3550 section 6.4.1), in seconds.
 
     Attributes:
-        p50: of the last samples; None: no figure.
-        p99: likewise.
-        jitter: likewise.
-        recent: the median of what came between the last two ticks; None: nothing did.
+        p50: of the last samples, or None without a figure.
+        p99: of the last samples, or None without a figure.
+        jitter: or None without a figure.
+        recent: median of the samples between the last two ticks, or None without one.
     """
 
     __slots__ = ("_fresh", "_samples", "_transit", "jitter", "p50", "p99", "recent")
@@ -218,10 +218,10 @@ class ClockOffset:
 
     Attributes:
         rtt: s, of the last exchange; None: no exchange yet.
-        offset: s, of the exchange that says most: of the last ones and the best one before, the one with the least
-            uncertainty; None: no exchange yet.
-        uncertainty: s: half its round trip, which bounds the error whatever the asymmetry of the path, and how far the
-            clocks may have drifted apart since. So what is held up on the way for long is not taken for an offset.
+        offset: s, of the exchange with the least uncertainty among the last ones and the best earlier one, or None
+            before the first.
+        uncertainty: s: half the round trip, which bounds the error on asymmetric paths, too, plus the clocks' possible
+            drift since. So a long delay on the path is not taken for an offset.
     """
 
     __slots__ = ("_best", "_samples", "offset", "rtt", "uncertainty")

@@ -112,7 +112,7 @@ FAMILIES = tuple(
             "messages_delivered_total": "Messages published on the receiving side.",
             "messages_throttled_total": "Messages left out because an operator allows no more.",
             "messages_expired_total": "Messages given up incomplete.",
-            "messages_unknown_total": "Messages sent to a process that ended before it said whether they arrived.",
+            "messages_unknown_total": "Messages sent to a process that ended before it reported whether they arrived.",
             "messages_lost_in_dds_total": "Messages lost before the bridge could take them.",
             "messages_missed_while_down_total": "Messages published while the route was down, estimated.",
             "messages_jitter_seconds": "Variation of the latency (RFC 3550).",

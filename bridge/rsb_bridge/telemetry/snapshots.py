@@ -59,16 +59,16 @@ class ShownBridge(Protocol):
         ...
 
     def refused(self) -> tuple[RefusedClient, ...]:
-        """Return the clients that a server refuses, and that no link shows."""
+        """Return the refused clients."""
         ...
 
 
 class SnapshotPublisher:
-    """Renews the snapshot, as long as anybody looks at it.
+    """Renews the snapshot while anybody uses it.
 
     Attributes:
         latest: the newest snapshot; replaced, never changed, so that any thread may read it.
-        acknowledged: the faults that operators know of.
+        acknowledged: the acknowledged faults.
     """
 
     def __init__(self, blank: Snapshot, events: EventLog, clock: Clock) -> None:

@@ -10,7 +10,7 @@ _SAMPLES, _ENOUGH = 20, 15
 _JUDGED_OVER = 3.0
 """Messages, and s: a rate is judged over the longer of both (`rsb_bridge.telemetry.meters`, `watches`)."""
 _RHYTHM_SAMPLES, _RHYTHM_STEADY = 5, 0.1
-"""Samples that show a rhythm before there are enough to learn its rate, and how steady so few have to be."""
+"""Samples that show a rhythm before its rate can be learned, and how steady they have to be."""
 _STEADY = 0.15
 """Standard deviation, as a share of the rate, that the rate over so long may have; watches call less than 0.7 slow."""
 _LONGEST_GAP = 60.0
@@ -34,7 +34,7 @@ class UsualRate:
 
     Attributes:
         rate: Hz, or None if it is not known yet or there is none.
-        regular: messages come at a rhythm, though its rate may not be known yet; silence keeps it.
+        regular: whether messages came at a rhythm, even if its rate is not known yet.
     """
 
     __slots__ = ("_irregular", "_last", "_lower_for", "_samples", "_ticked", "rate", "regular")

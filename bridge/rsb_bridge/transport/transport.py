@@ -169,7 +169,7 @@ class StreamTransport(_Transport):
 
     @property
     def problem(self) -> str:
-        """The reason why no peer can be reached at all, with the remedy, or an empty string."""
+        """The reason why no peer can be reached, and the remedy, or an empty string."""
         return ""
 
     def source_address(self, peer: Address) -> str:

@@ -21,8 +21,8 @@ class Amend(ControlMessageBase, frozen=True):
     """The route goes on with other limits; the fields are those of `Propose`.
 
     The route's proposer decides: it tells what holds from now on. The other side asks it by the same message, and
-    changes nothing before the proposer has answered. `who` is the operator who changes it; empty in an answer. Without
-    a `priority` or a `late_after`, it is an older side's, and the route keeps the one it has.
+    changes nothing before the proposer has answered. `who` is the operator who changes it; empty in an answer. An older
+    side sends no `priority` or `late_after`; then the route keeps its own.
     """
 
     route: RouteId

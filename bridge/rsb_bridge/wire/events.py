@@ -87,8 +87,7 @@ class Failed:
 
     Attributes:
         reason: for an operator.
-        foreign: the protocol that the peer speaks instead, or an empty string if that is unknown; None if the peer is
-            an rsb-console.
+        foreign: the other program's protocol, empty if it is unknown, or None if the peer is an rsb-console.
     """
 
     reason: str

@@ -115,7 +115,7 @@ class Propose(_Message, frozen=True, kw_only=True):
         max_rate: Hz; 0: unlimited.
         expected_rate: Hz, shown to operators; 0: each side learns it.
         stale_after: s; 0: never warn; None: each side's own default.
-        late_after: s; 0: no message is late; None: each side's own default.
+        late_after: s, 0 for no limit, or None for each side's own default.
         paused: begin paused.
         pause_revision: of `paused`; see `Pause`.
         arm: the proposer's session wants it to be armed before anything crosses.
@@ -321,7 +321,7 @@ class Report(_Message, frozen=True):
         sent: of the routes that it sends on.
         received: of those that it receives on.
         calls: of those that carry calls, either way.
-        full: how full the link is, from its sender to its receiver; None: as before.
+        full: the rates of a full link in the direction of the message, or None if unchanged.
     """
 
     sent: tuple[SentReport, ...]

@@ -19,7 +19,7 @@ class ForeignProtocolError(ProtocolError):
     """The peer is not an rsb-console.
 
     Attributes:
-        protocol: the name of the protocol that it speaks instead, or an empty string if that is unknown.
+        protocol: the other program's, or an empty string if it is unknown.
     """
 
     def __init__(self, protocol: str = "") -> None:

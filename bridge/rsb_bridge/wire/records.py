@@ -48,19 +48,19 @@ class SentReport(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
 
     Attributes:
         route: route id.
-        offered: messages taken from ROS since the route was made; so for all counts here.
+        offered: messages taken from ROS since the route was made, as for all counts here.
         delivered: published by the receiver, according to its last report.
         throttled: left out because of `Propose.max_rate`.
         expired: datagram messages that the receiver gave up incomplete.
-        in_flight: not accounted for yet.
-        dropped: by cause; ``unknown``: sent, and the receiver ended before it said whether they arrived.
-        lost_in_dds: lost before they could be taken.
-        missed_while_down: published while the route was down, estimated; no part of `offered`.
+        in_flight: not reported yet.
+        dropped: by cause; ``unknown``: sent to a process that ended before it reported whether they arrived.
+        lost_in_dds: lost before the bridge could take them.
+        missed_while_down: published while the route was down, estimated; not part of `offered`.
         publishers: on its topic.
-        publisher_qos: what they offer together; None: there are none.
-        subscribed: messages are being taken.
-        verdict: what the sending side makes of the route; None: nothing to say.
-        nodes: that publish the topic, some of them.
+        publisher_qos: their combined offer, or None without publishers.
+        subscribed: whether the sender takes messages from ROS.
+        verdict: of the sending side, or None.
+        nodes: some of the nodes that publish the topic.
     """
 
     route: RouteId
@@ -94,15 +94,15 @@ class ReceivedReport(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=Tr
         newest: the highest message number seen on datagrams.
         dropped: by cause.
         subscribers: on its topic.
-        subscriber_qos: what they ask for together; None: there are none.
+        subscriber_qos: their combined request, or None without subscribers.
         type: the topic's type in the receiver's graph, while the sender has described none.
         type_hash: likewise.
-        latency: s, of the messages of the last second, one way, corrected by the clock offset; None: no figure.
-        latency_p50: s, likewise, of the last messages.
-        latency_p99: likewise.
-        jitter: s (RFC 3550, 6.4.1); None: no figure.
-        verdict: what the receiving side makes of the route; None: nothing to say.
-        nodes: that subscribe to the topic, some of them.
+        latency: s, one way, of the last second's messages, corrected by the clock offset, or None without a figure.
+        latency_p50: s, one way, of the last messages, or None without a figure.
+        latency_p99: s, one way, of the last messages, or None without a figure.
+        jitter: s (RFC 3550, 6.4.1), or None without a figure.
+        verdict: of the receiving side, or None.
+        nodes: some of the nodes that subscribe to the topic.
     """
 
     route: RouteId
@@ -128,12 +128,12 @@ class ReceivedReport(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=Tr
 
 
 class FullRecord(msgspec.Struct, frozen=True, omit_defaults=True):
-    """What a link carries in the direction in which a report goes (`rsb_bridge.model.fullness.Fullness`).
+    """Rates of a full link in the direction of the report (`rsb_bridge.model.fullness.Fullness`).
 
     Attributes:
         carried: bytes/s that arrive.
-        asked: bytes/s that the sender's topics want; 0: the link is not full any more.
-        topics: those that want the most, by their names on the receiving side.
+        asked: bytes/s that the sender's topics ask for, or 0 if the link is no longer full.
+        topics: names on the receiving side of the topics that ask for the most.
     """
 
     carried: float = 0.0

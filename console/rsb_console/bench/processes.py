@@ -28,8 +28,8 @@ class ChildError(BenchError):
 class Process:
     """A Python process that answers lines of commands with lines of JSON.
 
-    It is in a process group of its own, so that a Ctrl-C reaches only this one, which ends it. It also ends where this
-    one is killed.
+    It has a process group of its own: a Ctrl-C reaches only this process, which then ends the other one. It also ends
+    if this process is killed.
     """
 
     def __init__(

@@ -105,7 +105,7 @@ def parser_and_commands() -> tuple[argparse.ArgumentParser, list[str]]:
 
 
 def _add_debug(parser: argparse.ArgumentParser) -> None:
-    """Have a command's own commands take --debug, too, as `client list` does."""
+    """Add --debug to the subcommands of a command, for example `client list`."""
     for action in parser._actions:
         if isinstance(action, argparse._SubParsersAction):
             for nested in action.choices.values():

@@ -231,8 +231,8 @@ def _session_path(arguments: Namespace) -> Path:
     """Return the session file by its path, by the name of its bridge, or of the only server that runs here.
 
     Raises:
-        UsageError: it cannot be told which.
-        NoBridgeError: none is named, and no bridge runs.
+        UsageError: several files are possible.
+        NoBridgeError: no file is named, and no bridge runs.
     """
     if arguments.session is not None:
         path: Path = arguments.session
@@ -247,14 +247,14 @@ def _session_path(arguments: Namespace) -> Path:
 
 
 def _file_of(name: str) -> Path | None:
-    """Return the session file of the bridge of that name that runs here, or None if no such bridge runs."""
+    """Return the session file of a running bridge, or None if no bridge of that name runs here."""
     named = (each for each in running_bridges() if each.name == name and each.info is not None and each.info.file)
     bridge = next(named, None)
     return Path(bridge.info.file) if bridge is not None and bridge.info is not None and bridge.info.file else None
 
 
 def _only_server(arguments: Namespace) -> RunningBridge | None:
-    """Return the server that is meant where the arguments name no bridge and one server runs here, or None."""
+    """Return the only server that runs here if the arguments name no bridge, or None."""
     if arguments.bridge is not None or arguments.control is not None:
         return None
     servers = [each for each in running_bridges() if each.info is not None and each.info.role == "server"]

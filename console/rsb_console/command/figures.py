@@ -26,11 +26,11 @@ if TYPE_CHECKING:
 _EVERY = 1.0
 _LOOK_EVERY = 0.05
 _SHORTEST = 0.9
-"""s over which figures are taken, at the least: a snapshot may be made a little early."""
+"""The least s over which figures are taken; a snapshot may be a little early."""
 _LEDGER_FROM = 5.0
-"""s from which on the ledger's rates are printed for people: the other side reports its counts once a second."""
+"""The least s for the ledger's rates: the other side reports its counts once a second."""
 _RENEWED_WITHIN = 10.0
-"""s in which a bridge that works has a newer snapshot."""
+"""s within which a working bridge has a newer snapshot."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,8 +39,8 @@ class Figures:
 
     Attributes:
         route: its newest snapshot.
-        time: s since the epoch, of that.
-        seconds: s that the figures are about.
+        time: s since the epoch, of that snapshot.
+        seconds: s over which the figures are taken.
         messages: that this bridge sent over the link, or published.
         size: bytes of their payload.
         offered: messages that the sending bridge took from ROS, as far as this side knows.
@@ -106,7 +106,7 @@ class Window:
 
 
 def _began_again(before: RouteSnapshot, now: RouteSnapshot) -> bool:
-    """Whether counts have become smaller: the route, or one of the bridges, has started again."""
+    """Whether counts are smaller than before: the route or one of the bridges has started again."""
     return (
         now.messages_total < before.messages_total
         or now.bytes_total < before.bytes_total
@@ -129,11 +129,11 @@ class FiguresCommand:
 
 
 def print_figures(command: FiguresCommand, arguments: Namespace) -> int:
-    """Print figures once a second until there were as many as are wanted. Returns the exit code.
+    """Print figures once a second, as often or as long as the arguments say. Returns the exit code.
 
     Raises:
-        UsageError: it is not clear which topic is meant.
-        EngineError: the bridge has ended, or does not bridge the topic any more.
+        UsageError: the arguments fit no topic, or several.
+        EngineError: the bridge has ended, or no longer bridges the topic.
     """
     with attached(arguments, read_only=True) as engine:
         route = chosen_route(engine, arguments)
@@ -148,7 +148,7 @@ def print_figures(command: FiguresCommand, arguments: Namespace) -> int:
             now = _newer(engine, moment, due)
             moment, route = now.time, _find(engine, now, route)
             if route.bytes_total and not route.messages_total:
-                raise EngineError(f"{engine.bridge.name} runs an older version, which does not count messages for this")
+                raise EngineError(f"{engine.bridge.name} runs an older rsb-console without these counts: update it")
             figures = window.add(moment, route)
             due = max(due + _EVERY, time.monotonic())
             if figures is None:
@@ -164,7 +164,7 @@ def print_figures(command: FiguresCommand, arguments: Namespace) -> int:
 
 
 def _newer(engine: RemoteEngine, moment: float, due: float) -> Snapshot:
-    """Wait until it is time to look, and for a snapshot newer than `moment` (s since the epoch)."""
+    """Wait until `due`, and for a snapshot newer than `moment` (s since the epoch)."""
     time.sleep(max(0.0, due - time.monotonic()))
     deadline = time.monotonic() + _RENEWED_WITHIN
     while (now := engine.snapshot()).time == moment and time.monotonic() < deadline:
@@ -178,7 +178,7 @@ def _find(engine: RemoteEngine, now: Snapshot, before: RouteSnapshot) -> RouteSn
     for route in now.routes:
         if (route.link, route.key) == (before.link, before.key):
             return route
-    raise EngineError(f"{engine.bridge.name} does not bridge {before.topic} any more")
+    raise EngineError(f"{engine.bridge.name} no longer bridges {before.topic}")
 
 
 def _where(route: RouteSnapshot, other: str) -> str:

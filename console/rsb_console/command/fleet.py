@@ -203,7 +203,7 @@ def _parsed(words: Sequence[str]) -> Namespace:
     if words[0] == "echo" and not parsed.once and parsed.count is None:
         raise UsageError("echo does not end: give --once, or --count N")
     if words[0] in ("hz", "bw") and parsed.count is None and parsed.lasts is None:
-        raise UsageError(f"{words[0]} does not end: give --count N, or --for N")
+        raise UsageError(f"{words[0]} does not end by itself: give --count N or --for N")
     if words[0] in ("echo", "wait") and parsed.timeout is None:
         raise UsageError(f"{words[0]} may wait for ever: give --timeout N")
     if any(getattr(parsed, name, None) for name in ("bridge", "control", "fleet", "link")):

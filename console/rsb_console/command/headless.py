@@ -244,7 +244,7 @@ class Signals:
 
     @property
     def hung_up(self) -> bool:
-        """Whether the end of the terminal is what ends the bridge."""
+        """Whether the bridge ends because its terminal has gone."""
         return self.caught == signal.SIGHUP.name
 
     def _ignores_hangup(self) -> bool:

@@ -21,11 +21,10 @@ if TYPE_CHECKING:
 
 
 def wrong(now: Snapshot) -> list[str]:
-    """List what is wrong and not acknowledged, each in a sentence, links first, and a link's loss once.
+    """List the faults that nobody has acknowledged, a sentence each: links first, and a lost link once.
 
-    What nobody has begun to use is not wrong: a link or a topic that waits for its first connection or message, and a
-    topic without a subscriber. Nor is what an operator wants: a pause, a limit, a
-    topic that nobody has armed.
+    Some states are not faults: a link or a topic that waits for its first connection or message, a topic without a
+    subscriber, and the wishes of operators: a pause, a limit, a disarmed topic.
     """
     if not now.running:
         return ["the bridge is stopped"]
@@ -35,7 +34,7 @@ def wrong(now: Snapshot) -> list[str]:
 
 
 def acknowledged(now: Snapshot) -> list[str]:
-    """List what is wrong and acknowledged, each in a sentence."""
+    """List the acknowledged faults, a sentence each."""
     if not now.running:
         return []
     links = [f"link {each.name} {link_fault(each)}" for each in now.links if each.acknowledged and link_is_wrong(each)]

@@ -1,4 +1,4 @@
-"""The command ``info``: prints all that a bridge knows of one topic, service, action or node's parameters."""
+"""The command ``info``: prints all details of one topic, service, action or node's parameters."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 
 def print_info(arguments: Namespace) -> int:
-    """Print all about the route that the arguments mean. Returns the exit code."""
+    """Print the details of the route that the arguments name. Returns the exit code."""
     with attached(arguments, read_only=True) as engine:
         route = chosen_route(engine, arguments)
         now = engine.snapshot()
@@ -86,7 +86,7 @@ def _lines(route: RouteSnapshot, link: LinkSnapshot | None, other: str) -> Itera
     missing = [stage for stage in route.stages if not stage.done]
     if missing:
         detail = f": {missing[0].detail}" if missing[0].detail else ""
-        yield f"Not passed: {missing[0].name}{detail}"
+        yield f"Waits for: {missing[0].name}{detail}"
     if route.last_error:
         yield f"Last error: {route.last_error}"
 
@@ -106,7 +106,7 @@ def _carriers(route: RouteSnapshot) -> Iterator[str]:
 def _link_parts(link: LinkSnapshot) -> Iterator[str]:
     yield f"{link.name} {link.state.upper()}{f' {link.peer}' if link.peer else ''}"
     if link.rtt is not None:
-        yield f"there and back {formats.span(link.rtt)}"
+        yield f"rtt {formats.span(link.rtt)}"
     if fault := link.reason or link.warning:
         yield fault
 

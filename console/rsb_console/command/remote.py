@@ -21,11 +21,11 @@ from rsb_console.command.figures import BW, HZ, print_figures
 from rsb_console.command.health import acknowledged, waiting, wrong
 from rsb_console.command.info import print_info
 from rsb_console.command.reports import (
+    acknowledged_by,
     clock,
     faults_first,
     json_event,
     json_line,
-    known_by,
     links_of,
     made_by,
     of_links_that_are_up,
@@ -86,7 +86,7 @@ def _status(arguments: Namespace) -> int:
 
 
 def _all_bridges(arguments: Namespace) -> list[RunningBridge]:
-    """Return all bridges of this machine if there are several and the arguments name none; else nothing."""
+    """Return all bridges of this machine if several run and the arguments name none, else an empty list."""
     if arguments.bridge is not None or arguments.control is not None or getattr(arguments, "fleet", None) is not None:
         return []
     if getattr(arguments, "attach", None) is not None:
@@ -96,7 +96,7 @@ def _all_bridges(arguments: Namespace) -> list[RunningBridge]:
 
 
 def _status_of_all(bridges: list[RunningBridge], arguments: Namespace) -> int:
-    """Print how each bridge is. Returns the worst of their exit codes."""
+    """Print the status of each bridge. Returns the worst exit code."""
     codes: list[int] = []
     figures: list[dict[str, object]] = []
     for bridge in bridges:
@@ -124,7 +124,7 @@ def _status_of_all(bridges: list[RunningBridge], arguments: Namespace) -> int:
 
 
 def _status_of(engine: RemoteEngine) -> tuple[list[str], list[str], dict[str, object]]:
-    """Return what is wrong with a bridge, how it is in lines, and the same as data."""
+    """Return a bridge's faults, its status as lines, and the same as data."""
     now, bridge = engine.snapshot(), engine.bridge
     faults, known, waits = wrong(now), acknowledged(now), waiting(now)
     about = {key: getattr(bridge, key) for key in ("name", "role", "pid", "started", "file", "program")}
@@ -138,18 +138,18 @@ def _status_of(engine: RemoteEngine) -> tuple[list[str], list[str], dict[str, ob
     ]
     for link in now.links:
         where, fault = link.peer and f" {link.peer}", why_down(link) or link.warning
-        lines.append(f"  link {link.name} {link.state.upper()}{where}{fault and f': {fault}'}{known_by(link)}")
+        lines.append(f"  link {link.name} {link.state.upper()}{where}{fault and f': {fault}'}{acknowledged_by(link)}")
         if waits_for_link := topics_of_link_that_is_down(now, link):
             lines.append(f"    {waits_for_link}")
     lines += [f"  {refused_text(client)}" for client in now.refused]
     shown = faults_first(of_links_that_are_up(now))
-    lines += [f"  {rate_text(route)}{made_by(route)}{known_by(route)}" for route in shown]
-    lines += [f"  {pattern_text(pattern)}{known_by(pattern)}" for pattern in patterns_of(now)]
+    lines += [f"  {rate_text(route)}{made_by(route)}{acknowledged_by(route)}" for route in shown]
+    lines += [f"  {pattern_text(pattern)}{acknowledged_by(pattern)}" for pattern in patterns_of(now)]
     return faults, lines, figures
 
 
 def _in_short(now: Snapshot, faults: list[str], known: list[str], waits: list[str]) -> str:
-    """Say how much is wrong, acknowledged, and waiting."""
+    """Return the numbers of faults, acknowledged faults and waiting things in words."""
     if not now.running:
         return "STOPPED"
     parts = [f"{len(faults)} {plural(len(faults), 'thing')} wrong" if faults else "nothing is wrong"]

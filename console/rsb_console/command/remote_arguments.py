@@ -44,9 +44,9 @@ exit codes:
   1  the bridge refused, or did not answer
 {NO_BRIDGE}"""
 _EXIT_STATUS = f"""\
-A topic or a link that waits for its first message or connection is not wrong, nor
-is a topic that is paused or not armed, or to which nobody subscribes, nor a fault
-that is acknowledged (`ack`).
+These are not wrong: a link or a topic that waits for its first connection or
+message, a topic that is paused or not armed, a topic without a subscriber, and an
+acknowledged fault (`ack`).
 
 exit codes:
   0  nothing is wrong
@@ -58,7 +58,7 @@ its state or its cause changes.
 
 exit codes:
   0  done
-  1  the bridge refused, or did not answer: there is no fault, say
+  1  the bridge refused (there is no fault, for example) or did not answer
 {NO_BRIDGE}"""
 _EXIT_RELOAD = f"""\
 exit codes:
@@ -82,7 +82,7 @@ exit codes:
   1  they have not come within the time
 {NO_BRIDGE}"""
 _EXIT_FIGURES = f"""\
-The figures are the bridge's own, {{where}}.
+The bridge's own figures, {{where}}.
 
 exit codes:
   0  the figures are printed
@@ -95,7 +95,7 @@ _EXIT_HZ = _EXIT_FIGURES.format(
 _EXIT_BW = _EXIT_FIGURES.format(where="of payload before compression, as for hz")
 _EXIT_INFO = f"""\
 exit codes:
-  0  it is printed, even if it has a fault
+  0  printed, even if the topic or service has a fault
   1  the bridge did not answer
 {NO_BRIDGE}"""
 _ADD = f"""\
@@ -194,7 +194,7 @@ def add_remote_commands(
 
 
 def _add_looking(remote: Callable[..., argparse.ArgumentParser], complete: Complete) -> None:
-    """Add the commands that print what happens, for as long as somebody wants to see it."""
+    """Add the commands that print what happens, until they are interrupted."""
     events = remote("events", "print what a running bridge has reported")
     events.add_argument("--follow", action="store_true", help="go on with what it reports from now on")
     report = remote("report", "print what happened in the last hours, even of a bridge that has ended")
@@ -207,15 +207,15 @@ def _add_looking(remote: Callable[..., argparse.ArgumentParser], complete: Compl
     _echo_arguments(echo, complete)
     for name, summary, more in (
         ("hz", "print a topic's rate, once a second", _EXIT_HZ),
-        ("bw", "print a topic's bytes a second and the size of its messages", _EXIT_BW),
+        ("bw", "print a topic's bandwidth and message size, once a second", _EXIT_BW),
     ):
         _figures_arguments(remote(name, summary, more, about_topic=True), complete)
-    route_arguments(remote("info", "print all about one topic or service", _EXIT_INFO, about_topic=True), complete)
+    route_arguments(remote("info", "print all details of one topic or service", _EXIT_INFO, about_topic=True), complete)
 
 
 def _ack_arguments(ack: argparse.ArgumentParser, complete: Complete) -> None:
     route_arguments(ack, complete, metavar="TOPIC|LINK")
-    ack.add_argument("--undo", action="store_true", help="have it count again")
+    ack.add_argument("--undo", action="store_true", help="take the acknowledgement back")
 
 
 def _wait_arguments(wait: argparse.ArgumentParser, complete: Complete) -> None:

@@ -22,11 +22,11 @@ if TYPE_CHECKING:
     from rsb_bridge.model.snapshot import Event, LinkSnapshot, PatternSnapshot, RefusedClient, RouteSnapshot, Snapshot
 
 _SHOWN_IN_STATUS = 8
-_TOLD_AGAIN_AFTER = 60.0
-"""s after which a status line repeats a cause that has not changed."""
-_Told: TypeAlias = tuple[str, ...]
-_Item: TypeAlias = tuple[_Told, str, str, str]
-"""What it is about, its state and cause, the whole text, and the text without the cause; an empty one is left out."""
+_REPEATED_AFTER = 60.0
+"""s after which a status line repeats an unchanged cause."""
+_Subject: TypeAlias = tuple[str, ...]
+_Item: TypeAlias = tuple[_Subject, str, str, str]
+"""Subject, state and cause, text, and text without the cause (left out if empty)."""
 _COUNTED: dict[Kind, str] = {
     "topic": "{} topic",
     "service": "{} service",
@@ -52,10 +52,10 @@ def text_status(snapshot: Snapshot) -> str:
 
 
 class StatusLines:
-    """Status lines in a row, for people: they give a cause when it begins or changes, and then once a minute."""
+    """Successive status lines for people: they give a cause when it begins or changes, and then once a minute."""
 
     def __init__(self) -> None:
-        self._told: dict[_Told, tuple[str, float]] = {}
+        self._printed: dict[_Subject, tuple[str, float]] = {}
 
     def text(self, snapshot: Snapshot) -> str:
         """Return the next line, as `text_status` describes it."""
@@ -64,7 +64,7 @@ class StatusLines:
         parts = [
             *_counts(snapshot),
             f"RX {received:.1f} kB/s TX {sent:.1f} kB/s",
-            *self._news(
+            *self._new_texts(
                 snapshot.time,
                 [
                     (("link", link.name), f"{link.state} {link.cause}", f"{link.name} {link_fault(link)}",
@@ -84,17 +84,17 @@ class StatusLines:
         ]  # fmt: skip
         return f"{clock(snapshot.time)} status  {' | '.join(parts)}"
 
-    def _news(self, now: float, *groups: list[_Item]) -> list[str]:
-        """Return what to print of each group, in whole where it is new or was last told a minute ago."""
-        told, self._told = self._told, {}
+    def _new_texts(self, now: float, *groups: list[_Item]) -> list[str]:
+        """Return the texts to print: with the cause where it is new or was printed a minute ago, else without."""
+        printed, self._printed = self._printed, {}
         parts: list[str] = []
         for group in groups:
             texts = []
             for number, (key, how, text, brief) in enumerate(group):
-                before, at = told.get(key, ("", 0.0))
-                is_known = before == how and 0 <= now - at < _TOLD_AGAIN_AFTER
-                if number < _SHOWN_IN_STATUS or is_known:  # else it had no room in the line
-                    self._told[key] = (how, at if is_known else now)
+                before, at = printed.get(key, ("", 0.0))
+                is_known = before == how and 0 <= now - at < _REPEATED_AFTER
+                if number < _SHOWN_IN_STATUS or is_known:  # otherwise the line had no room for it
+                    self._printed[key] = (how, at if is_known else now)
                 texts.append(brief if is_known else text)
             parts += _some([text for text in texts if text])
         return parts
@@ -158,25 +158,25 @@ def _of_kinds(routes: Sequence[RouteSnapshot]) -> str:
 
 def faults_first(routes: Sequence[RouteSnapshot]) -> list[RouteSnapshot]:
     """The line has room for some topics only, and faults must be among them."""
-    return sorted(routes, key=lambda route: (_comes_late(route), route.state.rank))
+    return sorted(routes, key=lambda route: (_comes_last(route), route.state.rank))
 
 
-def _comes_late(route: RouteSnapshot) -> bool:
-    """Whether a route comes after all faults: it has none, or an acknowledged one."""
+def _comes_last(route: RouteSnapshot) -> bool:
+    """Whether a route is listed after all faults: it has none, or an acknowledged one."""
     return route.acknowledged is not None or route.state.severity == 0
 
 
-def known_by(of: RouteSnapshot | LinkSnapshot | PatternSnapshot) -> str:
-    """Say who has acknowledged a fault, or nothing."""
+def acknowledged_by(of: RouteSnapshot | LinkSnapshot | PatternSnapshot) -> str:
+    """Return a note on the operator who has acknowledged a fault, or an empty string."""
     return "" if of.acknowledged is None else f" [acknowledged by {of.acknowledged.by}, {clock(of.acknowledged.at)}]"
 
 
 def rate_text(route: RouteSnapshot, *, why: bool = True) -> str:
-    """Say in a few words how a topic is: its rate, or why it has none; of what is called, its calls.
+    """Format a topic's rate, or the reason why it has none, or a service's calls.
 
     Args:
         route: the topic's.
-        why: give the reason; else only the state.
+        why: whether to give the reason besides the state.
     """
     arrow = "→" if route.outgoing else "←"
     armed = f" ARMED ({route.arming.by}):" if route.arming is not None and route.arming.armed else ""
@@ -273,7 +273,7 @@ def links_of(snapshot: Snapshot) -> dict[str, object]:
 
 
 def _full(full: Fullness) -> dict[str, object]:
-    """How full a link is one way."""
+    """Return the rates of a full link in one direction as data."""
     return {"carried": round(full.carried), "asked": round(full.asked), "topics": full.topics}
 
 

@@ -219,7 +219,7 @@ def chosen_route(engine: RemoteEngine, arguments: Namespace) -> RouteSnapshot:
 
 
 def other_side(engine: RemoteEngine, route: RouteSnapshot) -> str:
-    """Name the side that a route leads to: a client's link has the client's own name."""
+    """Return the name of a route's other side: a client's link has the client's own name."""
     return "the server" if engine.bridge.role == "client" else route.link
 
 

@@ -59,7 +59,7 @@ def count(text: str) -> int:
 
 
 def window_seconds(text: str) -> int:
-    """Parse a span that the engine remembers second by second.
+    """Parse a time span for which the engine keeps counts of each second.
 
     Raises:
         argparse.ArgumentTypeError: it is not a whole number from 1 to 120.

@@ -78,7 +78,7 @@ def _flows(engine: RemoteEngine, topic: str) -> bool:
 
 def _carries(route: RouteSnapshot) -> bool:
     if route.spec.kind == "topic":
-        # What the far side has kept of a latched topic was delivered by an earlier process, perhaps.
+        # An earlier process may have delivered the messages that the far side keeps of a latched topic.
         return route.state.flows and (route.ledger.delivered > 0 or _has_passed(route, "published"))
     return _has_passed(route, "offered")
 

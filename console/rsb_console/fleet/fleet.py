@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import msgspec
 
 from rsb_bridge.model.names import natural_order
-from rsb_bridge.model.robot_summary import RobotState, RobotSummary, told_once
+from rsb_bridge.model.robot_summary import RobotState, RobotSummary, drop_repeated_faults
 from rsb_bridge.model.text import join_first
 from rsb_console.fleet.memory import Remembered
 
@@ -52,7 +52,7 @@ class Robot(NamedTuple):
 
     @property
     def is_server(self) -> bool:
-        """Whether it is a server's own bridge, as on a control PC: it is shown, and no robot."""
+        """Whether it is a server's own bridge, for example on a control PC: it has a row, but is no robot."""
         return self.summary.role == "server"
 
     @property
@@ -113,7 +113,7 @@ class Fleet:
         present = [self._with_memory(source, summary) for summary in source.robots()]
         names = {summary.name for summary in present}
         gone = [_gone(each) for each in self._memory.of(source.name) if each.name not in names]
-        told = told_once([*present, *gone])
+        told = drop_repeated_faults([*present, *gone])
         return [Robot(source, summary, gone=number >= len(present)) for number, summary in enumerate(told)]
 
     def _with_memory(self, source: FleetSource, summary: RobotSummary) -> RobotSummary:

@@ -26,12 +26,12 @@ _LOOK_EVERY = 0.5
 
 
 class Bridged(NamedTuple):
-    """A topic that a robot has.
+    """A topic of a robot.
 
     Attributes:
         robot: its name.
         route: the topic's.
-        session: of the bridge that was asked.
+        session: of the robot's bridge.
     """
 
     robot: str
@@ -40,7 +40,7 @@ class Bridged(NamedTuple):
 
 
 def bridged_by(robot: Robot) -> list[Bridged]:
-    """Ask a robot for its topics, services and the like; may take some seconds.
+    """Ask a robot for its topics, services, actions and parameters. It may take some seconds.
 
     Raises:
         EngineError: it does not answer.

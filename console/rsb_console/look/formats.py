@@ -117,11 +117,11 @@ def retry(number: int, seconds: float | None) -> str:
 
 
 def next_attempt(link: LinkSnapshot, now: float | None = None) -> str:
-    """Format when a link is tried again, or when its client asks whether it may come back.
+    """Format the time until a link is tried again, or until its client asks again.
 
     Args:
         link: that link.
-        now: s, to have the seconds change at the same moment as in `age_since`, or None.
+        now: s, so that the seconds change together with `age_since`, or None.
     """
     seconds = link.retry_in
     if seconds and now is not None:
@@ -145,9 +145,9 @@ def qos_parts(qos: Qos, *, depth_known: bool = True) -> list[str]:
     """Format a QoS as pieces of a list: ``reliable,`` ``volatile,`` ``last 10``.
 
     Args:
-        qos: to format. A depth of 0 means that the bridge chooses it: from the topic's rate, or on a latched topic from
-            what its publishers keep.
-        depth_known: False leaves out history and depth.
+        qos: to format. A depth of 0 means that the bridge chooses it: by the topic's rate, or by the depth of a latched
+            topic's publishers.
+        depth_known: whether to include history and depth.
     """
     parts = [qos.reliability.replace("_", " "), qos.durability.replace("_", " ")]
     if depth_known:

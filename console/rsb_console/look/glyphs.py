@@ -35,8 +35,8 @@ STATE_WORD = {state: state.upper() for state in State} | {
     State.WAITING: "WAIT",
 }
 ARMED, ARMED_WORD = "◆", "ARMED"
-KNOWN, KNOWN_WORD = "a", "ack"
-"""Of a fault that an operator has acknowledged."""
+KNOWN, ACK_WORD = "a", "ack"
+"""Mark of an acknowledged fault."""
 OUT, IN = "→", "←"
 DONE, FAILED, UNKNOWN, UNDER_WAY = "✓", "✗", "·", "▸"
 BARS = " ▁▂▃▄▅▆▇█"

@@ -15,19 +15,19 @@ if TYPE_CHECKING:
     from rsb_bridge.model.snapshot import Snapshot
 
 RINGS_EVERY = 10.0
-"""s from one ring to the next, at the least."""
+"""s between two rings, at least."""
 
 
 class Bell:
-    """Follows the faults of the engine that the console shows. Faults that are there already do not ring.
+    """Rings when a fault of the shown engine begins. Earlier faults do not ring.
 
     Args:
         ring: rings once.
-        is_on: whether it rings.
+        is_on: whether it rings at first.
         clock: gives s on a clock that nobody sets.
 
     Attributes:
-        is_on: as given; may be changed.
+        is_on: whether it rings now.
     """
 
     def __init__(self, ring: Callable[[], None], *, is_on: bool, clock: Callable[[], float] = time.monotonic) -> None:
@@ -39,7 +39,7 @@ class Bell:
         self._watch: FaultWatch | None = None
 
     def look(self, engine: EngineApi | None, snapshot: Snapshot) -> None:
-        """Look for new faults; to be called at each refresh. It costs nothing while the bell is off."""
+        """Look for new faults. Called at each refresh; costs nothing while the bell is off."""
         now = self._clock()
         if engine is None or not self.is_on or not snapshot.running:
             self._watch = None

@@ -56,7 +56,7 @@ def _last_event(engine: EngineApi) -> int:
 
 
 def _name_here(engine: EngineApi, key: str, name: str) -> str:
-    """The name of a new route on this side; as it was given, while the route is not seen yet."""
+    """Return the name of a new route on this side, or the given name while the route is not seen yet."""
     found = find_entry(engine.snapshot(), key)
     return name if found is None else found.topic
 
@@ -91,7 +91,7 @@ class BridgeOperations:
             self._console.changes.add(change)
 
     async def acknowledge(self) -> None:
-        """Acknowledge the fault of the topic under the cursor, or have it count again."""
+        """Acknowledge the fault of the topic under the cursor, or take that back."""
         engine, route = self._console.engine, self._selected()
         if engine is not None and route is not None:
             await self._console.command(engine.acknowledge(route.key, route.acknowledged is None))
@@ -187,7 +187,7 @@ class BridgeOperations:
             self._console.changes.add(change)
 
     async def undo(self) -> None:
-        """Take back the last change of this console, after a question that says what this does."""
+        """Undo the last change of this console, after a question that shows the effect."""
         from rsb_console.screens.undo import UndoScreen  # noqa: PLC0415 -- keeps the start short
 
         engine, changes = self._console.engine, self._console.changes

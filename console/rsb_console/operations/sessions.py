@@ -32,11 +32,11 @@ class SessionOperations:
         self._reload = reload
 
     async def confirm_end(self, title: str, yes: str) -> bool:
-        """Whether the session may end: asks while a bridge is shown, or changes are not saved.
+        """Return whether the session may end. Asks first if a bridge is shown or changes are not saved.
 
         Args:
             title: of the question.
-            yes: the label of the button that ends it.
+            yes: the label of the button that ends the session.
         """
         from rsb_console.screens.confirm import ConfirmScreen  # noqa: PLC0415 -- keeps the start short
         from rsb_console.session.saving import file_of, unsaved  # noqa: PLC0415 -- keeps the start short

@@ -1,4 +1,4 @@
-"""The field of a change for several robots: topic, keys and values are picked from what the robots have, or typed."""
+"""The field for a change of several robots: operators type the topic, keys and values, or pick what the robots have."""
 
 from __future__ import annotations
 
@@ -24,17 +24,17 @@ if TYPE_CHECKING:
     from rsb_console.widgets.form import Spec
 
 _NAME, _COUNT, _RATE, _TYPE = (18, 40), 16, 14, 20
-"""Cells of a topic's columns; the name is as wide as the others allow, within bounds."""
+"""Cells of a topic's columns; the name gets the rest of the line, within bounds."""
 _KEY, _VALUES = 16, 26
 """Cells of a key, and of its present values."""
 _CHECKED = 5
-"""Different entries that a value is checked for as it is typed; the plan checks all."""
+"""Most entries against which a value is checked while it is typed; the plan checks all."""
 _FIXED = ("topic", "direction", "kind")
 """Fields whose change makes another topic of it."""
 
 
 class Typed(NamedTuple):
-    """A change as far as it is typed.
+    """An incomplete change, split at its last word.
 
     Attributes:
         head: the words before the last one.
@@ -52,7 +52,7 @@ class Typed(NamedTuple):
 
     @property
     def topic(self) -> str:
-        """The topic, or an empty string while that is still looked for."""
+        """The topic, or an empty string while it is still being typed."""
         return next((word for word in self.head if word.startswith("/")), "")
 
     @property
@@ -63,7 +63,7 @@ class Typed(NamedTuple):
 
 
 def change_of(text: str) -> tuple[str, list[str]] | None:
-    """The topic and its ``KEY=VALUE`` pairs of a whole change, or None if something is missing."""
+    """Return the topic and the ``KEY=VALUE`` pairs of a whole change, or None if it is incomplete."""
     words = text.split()
     topics = [word for word in words if word.startswith("/")]
     keys = [word for word in words if "=" in word and not word.startswith("/")]
@@ -72,17 +72,17 @@ def change_of(text: str) -> tuple[str, list[str]] | None:
 
 
 class ChangeField(PickField):
-    """A line such as ``/camera max_rate=5``, above a list of topics, keys or values to continue it with."""
+    """A line such as ``/camera max_rate=5`` above a list of topics, keys or values that can follow."""
 
     def __init__(self, spec: Spec) -> None:
         super().__init__(spec, is_literal=self._is_whole)
         self._bridged: dict[str, list[Bridged]] = {}
         self._waiting = True
 
-    # -- what the robots have -----------------------------------------------------------------------------------------
+    # -- the robots' entries ------------------------------------------------------------------------------------------
 
-    def know(self, bridged: Sequence[Bridged], *, waiting: bool) -> None:
-        """Offer what the robots have.
+    def set_bridged(self, bridged: Sequence[Bridged], *, waiting: bool) -> None:
+        """Offer the robots' entries.
 
         Args:
             bridged: all entries so far.
@@ -95,7 +95,7 @@ class ChangeField(PickField):
         self.offer()
 
     def offer(self) -> None:
-        """List what can follow on the text."""
+        """List the suggestions for the next word."""
         typed = self.typed
         if not typed.topic:
             self.suggest(list(self._topics()), lambda _: self._no_topic(typed))
@@ -107,11 +107,11 @@ class ChangeField(PickField):
 
     @property
     def typed(self) -> Typed:
-        """The change as far as it is typed."""
+        """The text, split at its last word."""
         return Typed.of(self.control.value)
 
     def filter_text(self) -> str:
-        """The end of the text narrows the list: the rest is settled."""
+        """The word that narrows the list."""
         typed = self.typed
         if not typed.topic:
             return super().filter_text()
@@ -148,7 +148,7 @@ class ChangeField(PickField):
         return ""
 
     def _is_whole(self, text: str) -> bool:
-        """Whether enter is to take the text; a value that can be picked is picked first."""
+        """Whether enter takes the text; otherwise it picks a suggestion."""
         typed = self.typed
         is_open = typed.last == f"{typed.key}=" and bool(typed.key) and bool(list(self._values(typed)))
         return change_of(text) is not None and not is_open
@@ -199,7 +199,7 @@ class ChangeField(PickField):
             yield Suggestion(f"value {text}", text, partial(_value_line, text, label))
 
     def _about(self, typed: Typed) -> str:
-        """The meaning of a key, and its present values."""
+        """Return the meaning of a key and its present values."""
         entries = self._entries(typed)
         if not entries:
             return self._no_topic(typed)
@@ -209,7 +209,7 @@ class ChangeField(PickField):
         return f"{'' if spec is None else spec.help} Now: {_now(entries, field, spec)}.".strip()
 
     def _specs(self, entries: Sequence[Bridged]) -> dict[str, Spec]:
-        """The fields of the form of a topic, by their names."""
+        """Return the fields of a topic's form by their names."""
         first = entries[0]
         ends = Ends(first.session.role == "server", first.route.link, use_name=False)
         kind = first.route.spec.kind
@@ -217,7 +217,7 @@ class ChangeField(PickField):
 
 
 def _now(entries: Sequence[Bridged], field: str, spec: Spec | None) -> str:
-    """The present values of a field, the most frequent first: ``30 on 2, none on 1``."""
+    """Format the present values of a field, the most frequent first: ``30 on 2, none on 1``."""
     values = Counter(_value(each, field, spec) for each in entries)
     if len(values) == 1:
         return next(iter(values))

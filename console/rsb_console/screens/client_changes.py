@@ -1,4 +1,4 @@
-"""A server's clients that this console has added or removed, and how that is taken back."""
+"""Undoes adding and removing a server's clients on this console."""
 
 from __future__ import annotations
 
@@ -73,9 +73,9 @@ class ClientAdded(_ClientChange):
         current = None if self.console.engine is None else _client(self.console.engine.session, name)
         in_file = _client_in(self.path, name)
         if current is None or in_file is None:
-            raise CannotUndoError(f"client {name}: removed since: nothing is taken back")
+            raise CannotUndoError(f"client {name}: removed since; nothing to undo")
         if msgspec.structs.replace(current, topics=self.running.topics) != self.running or in_file != self.listed:
-            raise CannotUndoError(f"client {name}: changed since: remove it in the links (c) if that is wanted")
+            raise CannotUndoError(f"client {name}: changed since: to remove it, open the links (c)")
 
         async def act(engine: EngineApi) -> None:
             self._change_file(lambda: clients.remove_client(self.path, name))
@@ -85,7 +85,7 @@ class ClientAdded(_ClientChange):
 
         lines = (
             f"removes {name} from the bridge and from {self.path.name}",
-            "Its link is closed at once, and it is let in no more. Its key file stays.",
+            "Its link closes at once, and it cannot connect again. Its key file stays.",
         )
         return Undo(f"Undo the addition: remove the client {name}?", lines, "Remove", True, act)
 
@@ -104,7 +104,7 @@ class ClientRemoved(_ClientChange):
     def undo(self, now: Snapshot, events: Sequence[Event]) -> Undo:
         name = self.listed.name
         if self._is_running(name) or _client_in(self.path, name) is not None:
-            raise CannotUndoError(f"client {name}: added again since: nothing is taken back")
+            raise CannotUndoError(f"client {name}: added again since; nothing to undo")
         if self.key_at is not None and not self.key_at.exists():
             raise CannotUndoError(
                 f"client {name}: its key file {self.key_at} is gone: add the client again in the links (c)"
@@ -119,7 +119,7 @@ class ClientRemoved(_ClientChange):
         key = "" if self.key_at is None else f", with the key in {self.key_at.name}"
         lines = (
             f"adds {name} to the bridge and to {self.path.name} again{key}",
-            "It may connect again, and its topics cross. Nothing is armed by this.",
+            "It may connect again, and its topics cross. This arms nothing.",
         )
         return Undo(f"Undo the removal of the client {name}?", lines, "Add again", True, act)
 

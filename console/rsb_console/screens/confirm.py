@@ -1,4 +1,4 @@
-"""Questions: before something that cannot be taken back, and offers."""
+"""Questions before an action that cannot be undone, and offers."""
 
 from __future__ import annotations
 
@@ -32,9 +32,9 @@ class ConfirmScreen(ModalScreen[bool]):
     A message for which the screen has no room scrolls; the buttons stay in sight.
 
     Args:
-        title: what is about to happen: ``Remove /scan?``.
-        message: what that means.
-        yes: the label of the button that does it: ``Remove``.
+        title: the action: ``Remove /scan?``.
+        message: its effect.
+        yes: the label of its button: ``Remove``.
     """
 
     BINDINGS: ClassVar = [
@@ -95,7 +95,7 @@ class ConfirmScreen(ModalScreen[bool]):
 
 
 class OfferScreen(ConfirmScreen):
-    """A question whose Yes loses nothing, so that the focus is on it."""
+    """A question with the focus on Yes, as Yes loses nothing."""
 
     AUTO_FOCUS = "#yes"
     VARIANT = "primary"

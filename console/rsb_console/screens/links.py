@@ -13,10 +13,10 @@ from textual.screen import ModalScreen
 from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.verdict import LinkCause
 from rsb_console.look import formats
-from rsb_console.look.glyphs import KNOWN_WORD, STATE_SIGN, STATE_WORD
+from rsb_console.look.glyphs import ACK_WORD, STATE_SIGN, STATE_WORD
 from rsb_console.terminal.input_queue import DIALOG
 from rsb_console.widgets.columns import state_order
-from rsb_console.widgets.detail_parts import known_by
+from rsb_console.widgets.detail_parts import acknowledged_by
 from rsb_console.widgets.dialog import Dialog
 from rsb_console.widgets.faults import link_fault
 from rsb_console.widgets.lines import Line, LiveLines, fit
@@ -75,7 +75,7 @@ class LinksTable(SelectableList):
             ("▌" if self.is_cursor(index) else " ", "key"),
             (f"{STATE_SIGN[state]} {STATE_WORD[state]:<6}", state.value)
             if link.acknowledged is None
-            else (f"{KNOWN_WORD} {STATE_WORD[state]:<4}", "dim"),
+            else (f"{ACK_WORD} {STATE_WORD[state]:<4}", "dim"),
             *name,
             (f"{formats.clock(self._now.time - link.since):>9}", "dim"),
             (figures, ""),
@@ -117,7 +117,7 @@ def _detail(link: LinkSnapshot, width: int, *, server: bool) -> Iterator[Line]:
         for number, line in enumerate(textwrap.wrap(fault, max(20, width - LABEL))):
             yield (_label("" if number else "why"), (line, "stale" if link.warning else link.state.value))
     if link.acknowledged is not None:
-        yield (_label("known"), (known_by(link.acknowledged), "dim"))
+        yield (_label("known"), (acknowledged_by(link.acknowledged), "dim"))
     domain = "" if link.peer_domain is None else f"domain {link.peer_domain}"
     version = f"  rsb-console {link.peer_version}" if link.peer_version else ""
     yield (_label("peer"), (link.peer, ""), (f"  {domain}{version}", "dim"))
@@ -235,7 +235,7 @@ class LinksScreen(ModalScreen[None]):
 
     @work
     async def action_acknowledge(self) -> None:
-        """Acknowledge the fault of the link under the cursor, or have it count again."""
+        """Acknowledge the fault of the link under the cursor, or take that back."""
         link, engine = self.table.selected, self.console.engine
         if link is not None and engine is not None and not self.console.readonly:
             await self.console.command(engine.acknowledge("", link.acknowledged is None, link=link.name))

@@ -102,7 +102,7 @@ class RolloutScreen(ModalScreen[None]):
         )
 
     def on_mount(self) -> None:
-        """Ask the robots what they have, to pick from."""
+        """Ask the robots for their topics."""
         self._change.offer()
         self._ask()
 
@@ -117,7 +117,7 @@ class RolloutScreen(ModalScreen[None]):
                 silent.append(robot.summary.name)
             if self._gone.is_set():
                 return
-            self._change.know(found, waiting=number < len(self._robots))
+            self._change.set_bridged(found, waiting=number < len(self._robots))
             asked = f"asked {number} of {len(self._robots)} robots" if number < len(self._robots) else ""
             not_reached = f"no answer from {join_first(silent, _NAMED)}" if silent else ""
             self._change.note.set_text("; ".join(filter(None, (asked, not_reached))))
@@ -140,7 +140,7 @@ class RolloutScreen(ModalScreen[None]):
 
     @on(Field.Changed)
     def _typed(self, event: Field.Changed) -> None:
-        """Offer what can follow, and say what is wrong with the values so far."""
+        """List suggestions, and show the first mistake in the values."""
         if not isinstance(event, PickField.Picked):
             event.stop()
             self._change.offer()

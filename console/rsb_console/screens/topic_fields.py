@@ -153,7 +153,7 @@ def _how(session: Session, kind: Kind, begun: str | None) -> Iterator[Spec]:
         yield Spec("expected_rate", "Expected rate", "Hz, shown beside the real rate. Empty: learned.", blank="learned")
         yield Spec("stale_after", "Stale after", "Seconds without a message before a warning; 0: never.", blank=after)
         late = f"{session.late_after:g} s"
-        yield Spec("late_after", "Late after", "Seconds that a message may take; 0: any time.", blank=late)
+        yield Spec("late_after", "Late after", "Seconds that a message may take, or 0 for no limit.", blank=late)
         worth = "zstd is worth it for maps and clouds, and on slow links."
     else:
         yield Spec("max_rate", "Max rate", "Calls a second; those beyond it are refused. Empty: no limit.", blank="all")

@@ -1,4 +1,4 @@
-"""The question before a change is taken back: what will be done, and what that means."""
+"""The question before an undo, with its effect."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ if TYPE_CHECKING:
 
 
 class UndoScreen(ConfirmScreen):
-    """Yes or No; the focus is on No where something is removed, or may cross that does not now.
+    """Yes or No. The focus is on No if the undo removes something, or lets messages cross that do not cross now.
 
     Args:
-        undo: what it would do.
+        undo: with its effect in words.
     """
 
     SHAPE = "-wide"
@@ -28,7 +28,7 @@ class UndoScreen(ConfirmScreen):
         self._careful = undo.careful
 
     def on_mount(self) -> None:
-        """Begin on the button that does it, where that is harmless."""
+        """Put the focus on Yes if the undo is harmless."""
         if not self._careful:
             self.query_one("#yes").focus()
 

@@ -110,6 +110,6 @@ class WelcomeScreen(ModalScreen[str]):
         self.action_choose()
 
     def action_select_recent(self, number: int) -> None:
-        """Put the cursor on a recent session. Enter starts it: one key must not start a bridge."""
+        """Put the cursor on a recent session. Enter starts it, as one key must not start a bridge."""
         if number <= len(self._recent):
             self.menu.move_to(self.menu.keys.index(str(self._recent[number - 1])))

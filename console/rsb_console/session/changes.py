@@ -1,4 +1,4 @@
-"""The last changes that this console's operator has made to the running bridge, and how each is taken back."""
+"""Undoes the last changes that this console's operator made to the running bridge."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 T = TypeVar("T")
 STEPS = 20
-"""Changes that are remembered; the oldest are forgotten first."""
+"""Most changes to remember; the oldest are forgotten first."""
 
 _BY_OPERATORS = frozenset(
     {
@@ -45,14 +45,14 @@ class CannotUndoError(Exception):
 
 
 class Undo(NamedTuple):
-    """The way to take back a change.
+    """One undo.
 
     Attributes:
         title: of the question.
         lines: the effect of the undo.
-        yes: the label of the button that does it.
+        yes: the label of its button.
         careful: whether the question's focus begins on No.
-        act: does it; raises an EngineError where the bridge refuses.
+        act: does it; raises an EngineError if the bridge refuses.
     """
 
     title: str
@@ -64,7 +64,7 @@ class Undo(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Change(ABC):
-    """One change of an operator's.
+    """One change by an operator.
 
     Attributes:
         link: the peer's name.
@@ -78,7 +78,7 @@ class Change(ABC):
 
     @abstractmethod
     def undo(self, now: Snapshot, events: Sequence[Event]) -> Undo:
-        """Say how it is taken back.
+        """Return the undo of the change.
 
         Args:
             now: the engine's present state.
@@ -89,7 +89,7 @@ class Change(ABC):
         """
 
     def _refuse(self, problem: str, events: Sequence[Event]) -> CannotUndoError:
-        """The error, with the operator of the last change if an event names one."""
+        """Return the error, with the operator of the last change if an event names one."""
         about = [
             event
             for event in events
@@ -97,17 +97,17 @@ class Change(ABC):
             and event.code in _BY_OPERATORS
             and (event.topic, event.link) == (self.topic, self.link)
         ]
-        by = f" by {about[-1].who}" if len(about) > 1 and about[-1].who else ""  # the first one is this change's own
-        return CannotUndoError(f"{self.topic}: {problem}{by}: your change is not taken back")
+        by = f" by {about[-1].who}" if len(about) > 1 and about[-1].who else ""  # the first is of this change itself
+        return CannotUndoError(f"{self.topic}: {problem}{by}; your change is not undone")
 
     def _entry(self, key: str, now: Snapshot, events: Sequence[Event]) -> RouteSnapshot:
         found = find_entry(now, key)
         if found is None:
-            raise self._refuse("it is not bridged any more, removed since", events)
+            raise self._refuse("removed since", events)
         return found
 
     def _unchanged(self, key: str, expected: Topic, now: Snapshot, events: Sequence[Event]) -> RouteSnapshot:
-        """The entry, which nobody has changed since."""
+        """Return the entry, unless somebody has changed it since."""
         found = self._entry(key, now, events)
         if differences := changes(expected, found.spec):
             raise self._refuse(f"changed since ({', '.join(differences)})", events)
@@ -174,7 +174,7 @@ class Edited(Change):
         if self.new.arm and self.old.arm is self.new.arm:
             lines.append(_DISARMED)
         if self.pattern:
-            lines.append(f"It stays an entry of its own: the pattern {self.pattern} does not manage it again.")
+            lines.append(f"It stays an entry of its own: the pattern {self.pattern} does not take it back.")
         return Undo(f"Undo the edit of {self.topic}?", tuple(lines), "Undo", bool(warnings), act)
 
 
@@ -199,7 +199,7 @@ class Removed(Change):
         if find_entry(now, self.key) is not None:
             raise self._refuse("it is bridged again", events)
         if all(link.name != self.link for link in now.links):
-            raise CannotUndoError(f"{self.topic}: {self.link} is no client any more: the topic is not added again")
+            raise CannotUndoError(f"{self.topic}: {self.link} was removed; the topic is not added again")
         excepted = list(self._excepted(now))
         if self.pattern and not any(pattern.topic == self.pattern for _, pattern in excepted):
             raise self._refuse(f"the pattern {self.pattern} that brought it was changed since", events)
@@ -216,7 +216,7 @@ class Removed(Change):
             back = msgspec.structs.replace(self.spec, paused=False)
         else:
             lines = [f"adds {described(self.spec)}"]
-            lines += [f"The pattern {pattern.topic} leaves it out no more." for _, pattern in excepted]
+            lines += [f"The pattern {pattern.topic} no longer leaves it out." for _, pattern in excepted]
             back = self.spec
         if self.spec.is_pattern and patterns_of(now, self.link):
             lines.append("It comes after the link's other patterns, which win where both match.")
@@ -229,7 +229,7 @@ class Removed(Change):
         return Undo(f"Undo the removal of {self.topic}?", tuple(lines), "Add again", True, act)
 
     def _excepted(self, now: Snapshot) -> Iterator[tuple[str, Topic]]:
-        """The patterns that the removal made an exception in, as they are without it."""
+        """Yield the patterns to which the removal added an exception, without that exception."""
         name, before = self.spec.topic, dict(self.patterns)
         for row in patterns_of(now, self.link, self.spec):
             if row.key in before and name in row.spec.excepts and name not in before[row.key].excepts:
@@ -258,7 +258,7 @@ class Paused(Change):
             raise self._refuse(f"it was {'resumed' if self.paused else 'paused'} since", events)
         if self.mixed:
             raise CannotUndoError(
-                f"{self.topic}: some of its topics were paused before and some not: resume them singly"
+                f"{self.topic}: some of its topics were paused before and some not: resume them one by one"
             )
 
         async def act(engine: EngineApi) -> None:
@@ -271,7 +271,7 @@ class Paused(Change):
         return Undo(f"Undo the resuming of {self.topic}?", ("paused false → true", means), "Pause", False, act)
 
 
-_DISARMED = "It is not armed by this: A arms it."
+_DISARMED = "It stays disarmed until you arm it (A)."
 
 
 class Changes:
@@ -285,7 +285,7 @@ class Changes:
 
     @property
     def last(self) -> Change | None:
-        """The newest of them, or None."""
+        """The newest change, or None."""
         return self._changes[-1] if self._changes else None
 
     def add(self, change: Change) -> None:
@@ -293,7 +293,7 @@ class Changes:
         self._changes.append(change)
 
     def drop(self, change: Change) -> None:
-        """Forget a change: it is taken back, or cannot be."""
+        """Forget a change that is undone or cannot be."""
         if change in self._changes:
             self._changes.remove(change)
 
@@ -303,12 +303,12 @@ class Changes:
 
 
 def find_entry(now: Snapshot, key: str) -> RouteSnapshot | None:
-    """The route or the pattern of a key, or None."""
+    """Return the route or the pattern of a key, or None."""
     return next((each for each in (*now.routes, *pattern_rows(now)) if each.key == key), None)
 
 
 def patterns_of(now: Snapshot, link: str, like: Topic | None = None) -> list[PatternRow]:
-    """The patterns of a link; with `like`, only patterns of its kind and direction."""
+    """Return the patterns of a link; if `like` is given, only of its kind and direction."""
     return [
         row
         for row in pattern_rows(now)
@@ -317,16 +317,16 @@ def patterns_of(now: Snapshot, link: str, like: Topic | None = None) -> list[Pat
 
 
 def named_by_client(topic: Topic, now: Snapshot, link: str) -> Topic:
-    """A topic that an operator has named, with the client's name for it."""
+    """Return an operator's topic under the client's name for it."""
     name = client_topic(topic.topic, link) if _prefixed(topic, now, link) else None
     return topic if name is None else msgspec.structs.replace(topic, topic=name)
 
 
 def named_here(topic: Topic, now: Snapshot, link: str) -> Topic:
-    """A topic with the client's name for it, as a command of this side has to name it."""
+    """Return a topic under the name that a command of this side needs, from the client's name for it."""
     if not _prefixed(topic, now, link) or client_topic(topic.topic, link) is None:
         return topic
-    return msgspec.structs.replace(topic, topic=server_topic(topic.topic, link))  # else its own name is taken for that
+    return msgspec.structs.replace(topic, topic=server_topic(topic.topic, link))  # the command expects this side's name
 
 
 def _prefixed(topic: Topic, now: Snapshot, link: str) -> bool:
@@ -340,7 +340,7 @@ def _claims(pattern: Topic, topic: Topic) -> bool:
 
 
 def _warnings(new: Topic, old: Topic) -> Iterator[str]:
-    """Name the messages that an undo would let cross, and that are held back now."""
+    """Warn of messages that are held back now and would cross after the undo."""
     if new.arm and not old.arm:
         yield "This drops arm: true: it crosses without being armed."
     elif new.arm and (old.deadman_seconds or float("inf")) > (new.deadman_seconds or float("inf")):
@@ -350,7 +350,7 @@ def _warnings(new: Topic, old: Topic) -> Iterator[str]:
 
 
 async def _command(command: Callable[..., Future[T]], *arguments: object) -> None:
-    """Give the engine a command that takes back a change."""
+    """Run an engine's command as an undo."""
     with undoing():
         future = command(*arguments)
     await asyncio.wrap_future(future)

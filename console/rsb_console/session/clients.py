@@ -206,7 +206,7 @@ def handed_out(file: SessionFile) -> list[Changed]:
 
 
 def split_address(address: str) -> tuple[str, int | None]:
-    """Split an address that may have a port behind it, as ``10.0.0.20:49152`` or ``[::1]:49152``.
+    """Split an address with or without a port, such as ``10.0.0.20:49152`` or ``[::1]:49152``.
 
     Returns:
         The address alone, and the port or None.
@@ -218,14 +218,14 @@ def split_address(address: str) -> tuple[str, int | None]:
 
 
 def check_address(name: str, address: str) -> None:
-    """Check what `--address` says, before anything is written.
+    """Check the value of `--address` before anything is written.
 
     Args:
         name: the client's.
         address: of the server, as the client reaches it, or empty.
 
     Raises:
-        ClientError: no client can connect to that.
+        ClientError: no client can connect to that address.
     """
     if not address:
         return

@@ -78,7 +78,7 @@ class InputQueue:
         return True
 
     def insert(self, inputs: Iterable[Message]) -> None:
-        """Have `inputs` handled before all input that waits."""
+        """Handle `inputs` before all waiting input."""
         self._waiting.extendleft(reversed([*inputs]))
         self._begin()
 

@@ -21,15 +21,15 @@ if TYPE_CHECKING:
     from textual import events
 
 _SAME_WORD = 1.0
-"""s after which a typed letter begins another word."""
+"""s after which a typed letter begins a new word."""
 
 
 class Choice(Widget, can_focus=True):
-    """``◉ transmit   ○ receive``; where the options have no room beside each other, the chosen one only.
+    """A row such as ``◉ transmit   ○ receive``, or only the chosen option if the row is too narrow.
 
     Args:
         options: value and label of each; at least one.
-        value: the one that is chosen at first; empty: the first.
+        value: chosen at first, or empty for the first option.
 
     Attributes:
         input_guard: the form's.
@@ -51,11 +51,11 @@ class Choice(Widget, can_focus=True):
         """Enter was pressed."""
 
     class Mistyped(Message):
-        """A text was typed that no option begins with.
+        """The typed text is the beginning of no option.
 
         Attributes:
-            text: all of it.
-            choice: where.
+            text: the typed text.
+            choice: the widget.
         """
 
         def __init__(self, text: str, choice: Choice) -> None:

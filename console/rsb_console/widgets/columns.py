@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Generic, TypeVar
 from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.text import plural
 from rsb_console.look import formats
-from rsb_console.look.glyphs import ARMED, ARMED_WORD, IN, KNOWN, KNOWN_WORD, OUT, STATE_SIGN, STATE_WORD, sparkline
+from rsb_console.look.glyphs import ACK_WORD, ARMED, ARMED_WORD, IN, KNOWN, OUT, STATE_SIGN, STATE_WORD, sparkline
 from rsb_console.look.kinds import SHORT
 from rsb_console.look.patterns import PatternRow
 
@@ -58,7 +58,7 @@ class Column(Generic[R]):
 
 
 def state_order(state: State, *, acknowledged: bool) -> float:
-    """The place of a state, the worst first; acknowledged faults come after all others."""
+    """Return the rank of a state, the worst first; acknowledged faults come after all others."""
     return State.WAITING.rank - 0.5 if acknowledged else state.rank
 
 
@@ -68,7 +68,7 @@ def _by_state(route: RouteSnapshot) -> tuple[float, int, str]:
 
 def _state(route: RouteSnapshot) -> str:
     if route.acknowledged is not None:
-        return f"{KNOWN_WORD} {STATE_WORD[route.state]}"
+        return f"{ACK_WORD} {STATE_WORD[route.state]}"
     return f"{_sign(route)} {ARMED_WORD if is_armed(route) and route.state is State.OK else STATE_WORD[route.state]}"
 
 

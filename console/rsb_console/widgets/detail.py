@@ -113,7 +113,7 @@ def _topic_lines(route: RouteSnapshot, peer: str, width: int) -> Iterator[Line]:
 
 
 def _ledger(ledger: Ledger, limit: float | None) -> Iterator[Line]:
-    """The ledger. The share delivered leaves out what is throttled (by a limit, in Hz), unknown or in flight."""
+    """Return the ledger. The delivered share leaves out throttled, unknown and in-flight messages."""
     due = ledger.offered - ledger.throttled - ledger.unknown - ledger.in_flight
     rows = [
         ("offered", ledger.offered, "", ""),

@@ -48,14 +48,14 @@ def heading(route: RouteSnapshot, last: str, width: int) -> Iterator[Line]:
         yield ((f" {ARMED} {ARMED_WORD}{left} ", "armed"),)
         yield from wrapped(f"{arming.by}, {_until(arming)}", width, "")
     if route.acknowledged is not None:
-        yield from wrapped(known_by(route.acknowledged), width, "dim")
+        yield from wrapped(acknowledged_by(route.acknowledged), width, "dim")
     failed = next((stage.detail for stage in route.stages if not stage.done), "")
     if route.reason and route.reason != failed:
         yield from wrapped(route.reason, width, look)
 
 
-def known_by(record: Acknowledgement) -> str:
-    """Say who has acknowledged a fault, and when."""
+def acknowledged_by(record: Acknowledgement) -> str:
+    """Return a note on the operator who has acknowledged a fault, and the time."""
     return f"acknowledged by {record.by} at {formats.time_of_day(record.at)}, until it changes"
 
 
@@ -67,7 +67,7 @@ def _until(arming: ArmingSnapshot) -> str:
 
 
 def carrier_of(route: RouteSnapshot) -> str:
-    """Return the transport, with its port or channel where it has one: a Zenoh network has none."""
+    """Return the transport with its port or channel; Zenoh has neither."""
     if not route.port:
         return route.transport.upper()
     return f"{route.transport.upper()} {'channel' if route.transport == 'bluetooth' else 'port'} {route.port}"

@@ -23,16 +23,16 @@ if TYPE_CHECKING:
 _NAMED = 3
 _OWN_NAME = "\0"
 _DURATION = re.compile(r"\b\d+ (?:s|min|h)\b")
-"""How long something has lasted, which differs by a moment between topics that failed together."""
+"""Durations, which differ a little between topics that failed together."""
 _KEEPS_HEIGHT = 10.0
-"""s that a fault keeps the lines that it has needed, as a figure with a digit more or less changes where it wraps."""
+"""s for which a fault keeps its number of lines, as a figure with one more digit may wrap differently."""
 _SHOWN_WHILE_WAITING = (Cause.TYPE_UNKNOWN, Cause.SIMILAR_NAME)
 """Causes for which a waiting topic is shown here. One that merely has no publisher yet is not."""
 
 
 @dataclass(frozen=True, slots=True)
 class Fault:
-    """What is wrong with a link or a topic.
+    """One fault of a link or a topic.
 
     Attributes:
         sign: of its state.
@@ -40,9 +40,9 @@ class Fault:
         robot: whose topic it is, where there are several robots; or empty.
         name: the link's, or the topic's.
         cause: in words.
-        of_link: it is a link's.
-        others: names of those that have the same cause, but for their names and for how long.
-        measured: the cause has figures that change all the time, so that no other one has the same for long.
+        of_link: whether it is a link's.
+        others: names of others with the same cause, apart from names and durations.
+        measured: whether the cause has figures that change all the time, so that no other fault shares it for long.
     """
 
     sign: str
@@ -56,7 +56,7 @@ class Fault:
 
     @property
     def key(self) -> tuple[str, str, str]:
-        """Identity of the fault, which stays when its words change."""
+        """Identity of the fault; stays when its words change."""
         return self.sign, self.robot, self.name
 
     @property
@@ -100,8 +100,8 @@ class FaultLines(LiveLines):
 
         Args:
             faults: the worst first.
-            most: lines that there is room for.
-            keys: that show what there is no room for.
+            most: lines that fit.
+            keys: that show the others.
             now: s, the time of the snapshot.
         """
         self._faults, self._most, self._keys, self._now = faults, most, keys, now
@@ -119,14 +119,14 @@ class FaultLines(LiveLines):
 
 
 class Heights:
-    """The lines that each fault takes, which stay as many while its figures change."""
+    """Numbers of lines of faults, which stay while their figures change."""
 
     def __init__(self) -> None:
         self._width = 0
         self._needed: dict[tuple[str, str, str], tuple[int, float]] = {}
 
     def look(self, faults: list[Fault], width: int, now: float) -> None:
-        """Note how many lines faults need.
+        """Record how many lines faults need.
 
         Args:
             faults: all that are shown.
@@ -141,14 +141,14 @@ class Heights:
             self._needed[fault.key] = (had, at) if had > needs and 0.0 <= now - at < _KEEPS_HEIGHT else (needs, now)
 
     def of(self, fault: Fault) -> int:
-        """Return how many lines a fault takes, or 0 if it has not been looked at."""
+        """Return how many lines a fault takes, or 0 if it is unknown."""
         return self._needed.get(fault.key, (0, 0.0))[0]
 
 
 def fault_lines(
     faults: list[Fault], width: int, most: int, keys: MoreKeys, heights: Heights | None = None
 ) -> list[Line]:
-    """As many faults as fit, each whole; the first one is cut if it takes too many lines by itself.
+    """Return the lines of as many whole faults as fit; the first one is cut if it is too long by itself.
 
     Args:
         faults: the worst first.

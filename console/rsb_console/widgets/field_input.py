@@ -61,7 +61,7 @@ class FieldInput(Input):
 
 
 def fields_of(pasted: str) -> Iterator[Message]:
-    """Split a pasted text into fields. A tab in it goes to the next field, as a typed one does."""
+    """Split a pasted text into fields. A tab in it goes to the next field, like the key."""
     for number, part in enumerate(pasted.split("\t")):
         if number:
             yield events.Key("tab", "\t")

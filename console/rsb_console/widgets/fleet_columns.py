@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from rsb_bridge.model.robot_summary import RobotState
 from rsb_console.look import formats
-from rsb_console.look.glyphs import KNOWN, KNOWN_WORD, sparkline
+from rsb_console.look.glyphs import ACK_WORD, KNOWN, sparkline
 from rsb_console.widgets.columns import HISTORY, WIDE, Column, filled
 
 if TYPE_CHECKING:
@@ -24,7 +24,7 @@ ROBOT_SIGN = {
     RobotState.OK: "●",
 }
 ROBOT_WORD = {state: state.upper() for state in RobotState} | {
-    RobotState.ACKNOWLEDGED: KNOWN_WORD,
+    RobotState.ACKNOWLEDGED: ACK_WORD,
     RobotState.OK: "ok",
     RobotState.WAITING: "WAIT",
 }
@@ -66,10 +66,10 @@ def is_there(row: Row) -> bool:
 
 
 def why(row: Row) -> str:
-    """Say what is wrong, and how many other faults are acknowledged."""
+    """Return the fault of a row, and how many others are acknowledged."""
     summary = row.robot.summary
     beside = summary.acknowledged if summary.state is not RobotState.ACKNOWLEDGED else 0
-    return f"{summary.why} (+{beside} {KNOWN_WORD})" if beside else summary.why
+    return f"{summary.why} (+{beside} {ACK_WORD})" if beside else summary.why
 
 
 def _since(row: Row) -> float:

@@ -66,7 +66,7 @@ class Notice(Static):
 
 
 class Field(Vertical):
-    """A label, an input or a choice, and what is wrong with it.
+    """A label, an input or a choice, and its problem.
 
     Attributes:
         spec: what it is.
@@ -114,8 +114,8 @@ class Field(Vertical):
     def _focus_sort_key(self) -> tuple[int, int]:
         """The order in which tab comes to it (Textual's).
 
-        Textual orders widgets by where they are drawn. A field that has just been shown is not drawn yet, and would
-        come before all others: what is typed fast would go to it.
+        Textual orders widgets by their place on the screen. A field that has just appeared has none yet and would come
+        before all others, so that fast typing would go to it.
         """
         return self.position, 0
 
@@ -212,7 +212,7 @@ class Form(VerticalScroll, can_focus=False):
         return not self._problems
 
     def empty_after(self, submitted: Field) -> Field | None:
-        """Return the next field that needs a value and was not come to yet, if there is no mistake but such ones."""
+        """Return the next untouched field that needs a value, or None if there are other mistakes."""
         wrong = [field for key, field in self.fields.items() if key in self._problems and field.display]
         if len(wrong) < len(self._problems) or submitted in wrong or any(each.touched or each.value for each in wrong):
             return None
@@ -227,7 +227,7 @@ class Form(VerticalScroll, can_focus=False):
 
     @on(Choice.Mistyped)
     def _mistyped(self, event: Choice.Mistyped) -> None:
-        """Pass a text that was typed when the form had just opened, at a choice, on to the first text field."""
+        """Pass a text that was typed at the first choice of a new form on to the first text field."""
         event.stop()
         controls = [field.control for field in self.fields.values() if field.display]
         first = next((each for each in controls if isinstance(each, FieldInput)), None)

@@ -24,7 +24,7 @@ class InputGuard:
         self._until = time.monotonic() + AT_MOST
 
     def cancel(self) -> None:
-        """Ignore nothing: what has been typed since `begin` is meant for where the focus goes."""
+        """Ignore no input: what the operator typed since `begin` is meant for the new focus."""
         self._until = 0.0
 
     def end(self) -> None:

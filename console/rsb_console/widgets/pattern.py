@@ -21,8 +21,8 @@ class _Term(NamedTuple):
     """One term of a filter.
 
     Attributes:
-        column: where to look, or an empty string for everywhere.
-        regex: what to look for.
+        column: to search, or an empty string for all columns.
+        regex: to search for.
         excludes: whether it must not match.
     """
 
@@ -35,8 +35,8 @@ class _Term(NamedTuple):
 class Pattern:
     """A filter: ``state:down robot1 !scan``. All terms must match; one with ``!`` must not.
 
-    Each term is a regular expression without spaces. It looks in one column if it begins with that column's name,
-    else in all of them. A term without text, such as a ``!`` that is just being typed, is ignored.
+    Each term is a regular expression without spaces. It searches one column if it begins with that column's name, and
+    otherwise all. A term without text, such as a single ``!``, is ignored.
 
     Attributes:
         text: as typed, without the slash.

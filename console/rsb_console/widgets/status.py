@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from rsb_bridge.model import health
 from rsb_bridge.model.snapshot import State
 from rsb_console.look import formats, kinds
-from rsb_console.look.glyphs import ARMED, ARMED_WORD, KNOWN_WORD, STATE_SIGN, STATE_WORD, sparkline
+from rsb_console.look.glyphs import ACK_WORD, ARMED, ARMED_WORD, STATE_SIGN, STATE_WORD, sparkline
 from rsb_console.widgets.lines import Line, LiveLines, fit, width_of
 
 if TYPE_CHECKING:
@@ -92,7 +92,7 @@ class StatusBar(LiveLines):
     def _sum(self, snapshot: Snapshot) -> list[Line]:
         topics = ((f" {kinds.counted(route.spec.kind for route in snapshot.routes)}", "strong"),)
         armed = armed_count(snapshot.routes)
-        known = known_count(snapshot.routes)
+        known = acknowledged_count(snapshot.routes)
         self._signs = (*topics, *armed, *state_counts(snapshot.routes, State), *known)
         drops = sum(route.ledger.dropped_total for route in snapshot.routes if route.calls is None)
         groups: list[Line] = [
@@ -114,13 +114,13 @@ class StatusBar(LiveLines):
 def state_counts(
     things: Iterable[RouteSnapshot | LinkSnapshot], states: Iterable[State], *, words: bool = False
 ) -> Line:
-    """Count what is in each of some states: ``✗1 ▲2``, or with words ``✗ 1 down  ▲ 2 stale``.
+    """Count the things in each of some states: ``✗1 ▲2``, or with words ``✗ 1 down  ▲ 2 stale``.
 
-    Faults that are acknowledged are not counted.
+    Acknowledged faults do not count.
 
     Args:
         things: topics, or links.
-        states: those that are counted, in this order.
+        states: to count, in this order.
         words: name each state.
     """
     counts = health.state_counts(things)
@@ -149,10 +149,10 @@ def armed_count(routes: Iterable[RouteSnapshot]) -> Line:
     return (("  ", ""), (f" {ARMED} {len(armed)} {ARMED_WORD}{until} ", "armed")) if armed else ()
 
 
-def known_count(things: Iterable[RouteSnapshot | LinkSnapshot]) -> Line:
-    """Count the faults that an operator has acknowledged: ``ack 1``."""
+def acknowledged_count(things: Iterable[RouteSnapshot | LinkSnapshot]) -> Line:
+    """Count the acknowledged faults: ``ack 1``."""
     count = sum(thing.acknowledged is not None for thing in things)
-    return ((f"  {KNOWN_WORD} {count}", "dim"),) if count else ()
+    return ((f"  {ACK_WORD} {count}", "dim"),) if count else ()
 
 
 def warning_count(links: Iterable[LinkSnapshot]) -> Line:

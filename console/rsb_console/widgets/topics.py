@@ -6,7 +6,7 @@ import textwrap
 from typing import TYPE_CHECKING
 
 from rsb_bridge.model.snapshot import State
-from rsb_console.look.glyphs import KNOWN_WORD, STATE_WORD
+from rsb_console.look.glyphs import ACK_WORD, STATE_WORD
 from rsb_console.look.kinds import SHORT
 from rsb_console.look.patterns import pattern_rows
 from rsb_console.widgets.columns import HISTORY_COLUMN, SIGN, STATE, TOPIC, is_armed, layout, via
@@ -82,7 +82,7 @@ class TopicsTable(SelectableList):
                 "kind": f"{route.spec.kind} {SHORT[route.spec.kind]}",
                 "topic": f"{route.topic} {route.pattern}" if route.pattern else route.topic,
                 "robot": route.link,
-                "state": f"{STATE_WORD[route.state]}{f' {KNOWN_WORD}' if route.acknowledged is not None else ''}",
+                "state": f"{STATE_WORD[route.state]}{f' {ACK_WORD}' if route.acknowledged is not None else ''}",
                 "via": f"{via(route)} {route.port or ''}",
                 "type": route.type_name,
                 "why": route.reason if route.calls is None else f"{route.reason} {route.calls.last_failure}",

@@ -48,7 +48,7 @@ _FILES = (
     "connect_certificate",
 )
 _RETRY = {"period_init_ms": 500, "period_max_ms": 4000, "period_increase_factor": 2}
-_ROUTER_REMEDY = "is it running, and does no firewall drop it?"
+_ROUTER_REMEDY = "check that it runs, and firewalls"
 
 
 class Network:
@@ -103,7 +103,7 @@ class Network:
 
     @property
     def problem(self) -> str:
-        """The name of the router that is lost, with the remedy, or an empty string."""
+        """The lost router and the remedy, or an empty string."""
         return f"{self.place}: {ROUTER_LOST}: {_ROUTER_REMEDY}" if self._cut_off else ""
 
     async def endpoint(self, service: str, label: str, watched: Sequence[str]) -> Endpoint:
@@ -232,7 +232,7 @@ class Network:
             return
         if any(each.zid != gone for each in session.info.transports()):  # the one that is gone may still be listed
             return
-        self._cut_off = not self.settings.listen  # to a side that listens others may still come
+        self._cut_off = not self.settings.listen  # other peers can still reach a side that listens
         with self._lock:
             endpoints = list(self._endpoints)
         for endpoint in endpoints:
