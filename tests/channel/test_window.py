@@ -168,6 +168,26 @@ def test_what_waits_in_the_other_direction_takes_no_room(behind: float, rate: fl
     assert path.sent - sent >= 0.99 * 20 * rate * size
 
 
+@pytest.mark.parametrize("delay", [0.5, 1.0, 1.5])
+@pytest.mark.parametrize(("rate", "size"), [(20, 130), (25, 1000), (100, 1000)])
+def test_a_path_that_takes_longer_without_being_full_carries_as_much(delay: float, rate: float, size: int) -> None:
+    """After roaming, or behind somebody else's data: less in transit would not make it faster."""
+    path = Path(1e6, 0.01)
+    path.run(5.0, rate, size)
+    path.delay = delay
+    path.run(10.0 + 30.0 * delay, rate, size)
+    sent = path.sent
+    path.run(20.0, rate, size)
+    assert path.sent - sent >= 0.98 * 20 * rate * size
+    path.delay = 0.01
+    path.run(10.0, rate, size)
+    path.speed = rate * size / 3
+    path.run(20.0, rate, size)
+    path.ages.clear()
+    path.run(20.0, rate, size)
+    assert max(path.ages) < 2.0 + 2 * LEAST / path.speed, "that it took longer before is forgotten"
+
+
 def test_what_waits_in_its_own_direction_still_counts() -> None:
     path = Path(5_000)
     path.behind = 1.0

@@ -78,7 +78,7 @@ def test_messages_that_are_held_on_the_way_are_late_on_both_sides(
         Topic("/scan", "transmit", protocol=protocol), server_ip="127.0.0.1", server_port=holding.port
     )
     eventually(lambda: linked(client) and linked(server), what="linked")
-    with Talking(out, 3, 100):  # so few that the window of a stream takes them all
+    with Talking(out, 1, 100):  # so few that the window of a stream takes them all
         both_say((client, server), "/scan", State.OK, Cause.NONE, 15)
         holding.held = 3.0
         both_say((client, server), "/scan", State.LATE, Cause.LATE, 15)

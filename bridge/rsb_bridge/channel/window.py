@@ -36,6 +36,10 @@ _FARTHEST = 2.0
 """Longest round trip (s) of a path without a queue; more counts as waiting."""
 _LONGEST_BACK = 5.0
 """s; a peer that claims more gains nothing by it."""
+_NOT_SHORTER = 0.75
+"""If data that is sent after the window has shrunk still takes this share of the time, something else is in the way."""
+_LONGEST_OTHER = 2.0
+"""s on the path that are accepted as somebody else's: more may be queues of this link's other topics."""
 _SILENT = 2.0
 """s without a receipt after which the path has stalled: a receiver acknowledges the last bytes within a second."""
 _MEASURED_OVER = 1.0
@@ -58,6 +62,7 @@ class Window:
 
     __slots__ = (
         "_acknowledged",
+        "_before_shrinking",
         "_last_mark",
         "_last_mark_at",
         "_marks",
@@ -82,7 +87,8 @@ class Window:
         self._marks: deque[tuple[int, float]] = deque()  # how many bytes were sent when (s)
         self._last_mark, self._last_mark_at = sent, float("-inf")
         self._receipts: deque[tuple[int, float]] = deque(maxlen=_MOST_RECEIPTS)
-        self._shortest = _FARTHEST  # s, the shortest round trip so far
+        self._shortest = _FARTHEST  # s, the shortest round trip so far, less what receipts took to come back
+        self._before_shrinking: tuple[int, float] | None = None  # bytes sent until then, and s that data took
 
     def wrote(self, before: int, now: float) -> None:
         """Record that data is written at `now` (s), after `before` bytes."""
@@ -115,7 +121,9 @@ class Window:
         while marks and marks[0][0] < acknowledged:
             written_at = marks.popleft()[1]
         if written_at is not None:
-            self._shortest = min(self._shortest, max(0.0, now - written_at))
+            took = max(0.0, now - written_at - self._credit)
+            self._shortest = min(self._shortest, took)
+            self._accept_delay(took, acknowledged)
             if acknowledged < sent and (not marks or marks[0][0] > acknowledged):
                 marks.appendleft((acknowledged, written_at))
         self._acknowledged = acknowledged
@@ -123,6 +131,8 @@ class Window:
         waits = self._waits(now)
         if waits > _LATE * self.patience:
             self.slow = True
+            if self._before_shrinking is None:
+                self._before_shrinking = sent, self._age(now) - self._credit
             self.size = max(LEAST, int(rate * _AIM * self.patience), min(self.size, (sent - acknowledged) // 2))
         elif waits < _FRESH:
             self.slow = self.slow and limited
@@ -131,6 +141,20 @@ class Window:
         elif limited:
             self.slow = True
         self.limit = acknowledged + self.size
+
+    def _accept_delay(self, took: float, acknowledged: int) -> None:
+        """Take a delay for the path's own if it stays although less is in transit: as after roaming, or behind others."""
+        if self._before_shrinking is None or acknowledged <= self._before_shrinking[0]:
+            return
+        _, before = self._before_shrinking
+        self._before_shrinking = None
+        if took >= _NOT_SHORTER * before:
+            self._shortest = max(self._shortest, min(took, _LONGEST_OTHER))
+
+    @property
+    def _credit(self) -> float:
+        """The s that receipts take to come back, as far as they are believed."""
+        return min(self.back, _LONGEST_BACK)
 
     def check(self, sent: int, now: float) -> None:
         """Close the window while the path is stalled. Called once a second."""
@@ -149,7 +173,7 @@ class Window:
 
     def _waits(self, now: float) -> float:
         """Return how long (s) the oldest unacknowledged byte has waited, beyond the way there and back."""
-        return self._age(now) - max(self._shortest, min(self.back, _LONGEST_BACK))
+        return self._age(now) - self._shortest - self._credit
 
     def _age(self, now: float) -> float:
         """Return the age (s) of the oldest unacknowledged byte, or 0 if all are acknowledged."""
