@@ -29,6 +29,8 @@ if TYPE_CHECKING:
 
 _HOUR = 120.0
 """s for which what outlives an interruption is kept here, so that its end can be waited for."""
+_SETTLED = 60.0
+"""s after which no server that was killed is seen any more, and every goal has been answered or given up."""
 SIDES = ("server", "client")
 
 
@@ -234,6 +236,46 @@ def test_a_server_that_does_not_answer_leaves_nothing_behind(play: Play) -> None
     lived(play, court, live())
 
 
+@pytest.mark.parametrize("provider", SIDES)
+def test_a_goal_that_is_asked_about_again_in_vain_leaves_nothing_behind(provider: str, play: Play) -> None:
+    """The call waits for the answer to the call before the cut, which the server never sends."""
+    court = Court(provider, timeout=20.0)
+
+    async def live() -> None:
+        goal = court.errand.send(Plan(after=None))
+        assert goal is not None
+        await until(lambda: goal.arrived, 5.0)
+        with court.cut():
+            await asyncio.sleep(10.0)
+        await until(lambda: all(half.calls.expired for half in halves_of(court.world, court.errand)), 45.0)
+        await court.goal(runs=1.0)  # the server says that it has no other goals
+        assert goal.arrived == 1
+
+    lived(play, court, live())
+
+
+@pytest.mark.parametrize("provider", SIDES)
+def test_a_server_that_is_replaced_unseen_leaves_nothing_behind(provider: str, play: Play) -> None:
+    """Others see the server that was killed until after the next one is there: at no time is there none."""
+    court = Court(provider, timeout=100.0)
+
+    async def live() -> None:
+        goal = court.errand.send(Plan(after=None))
+        assert goal is not None
+        await until(lambda: goal.arrived, 5.0)
+        court.errand.vanish(killed=True)
+        court.errand.appear()
+        await asyncio.sleep(1.0)
+        court.errand.vanish()  # it may have got the call, too, as it was there when the bridge looked next
+        await asyncio.sleep(1.0)
+        court.errand.appear()
+        await until(lambda: not court.errand.dead_is_seen, 60.0)
+        await until(lambda: all(half.calls.lost for half in halves_of(court.world, court.errand)), 5.0)
+        await court.goal(runs=1.0)  # the server says that it has no other goals
+
+    lived(play, court, live())
+
+
 @pytest.mark.parametrize("seed", range(1, 7))
 def test_nothing_is_left_over_after_a_course_of_faults(seed: int, play: Play) -> None:
     """Links drop, bridges and servers are killed, at either end, while goals are sent, and cancelled, all the time."""
@@ -257,5 +299,11 @@ def test_nothing_is_left_over_after_a_course_of_faults(seed: int, play: Play) ->
                 await random.choice(courses)()
                 await asyncio.sleep(random.uniform(0.0, 25.0))
         assert errand.answered > 10
+        errand.rest()
+        await until(lambda: not errand.goes_on, 250.0)
+        await asyncio.sleep(_SETTLED)
+        # A goal whose call was given up counts as running until the server's next status message. A server that has
+        # replaced another unseen publishes none before its first goal.
+        await court.goal(runs=1.0)
 
-    lived(play, court, live(), 900.0)
+    lived(play, court, live(), 1000.0)

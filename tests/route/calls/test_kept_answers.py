@@ -27,7 +27,7 @@ def interrupted_after_asking(question: Question) -> KeptAnswers:
     answers = KeptAnswers()
     assert answers.take(question, 1, again=False) is Do.ASK
     answers.asked(question, 7, SERVERS, 1)
-    answers.is_over(1)
+    answers.is_over(1, 100.0)
     answers.interrupted(100.0)
     return answers
 
@@ -149,7 +149,7 @@ def test_nothing_is_kept_of_calls_that_are_over() -> None:
     """One that waited, and one that asked: no answer comes to it in time."""
     answers = interrupted_after_asking(asks(SEND_GOAL))
     assert answers.take(asks(SEND_GOAL), 2, again=True) is Do.WAIT
-    answers.is_over(2)
+    answers.is_over(2, 105.0)
     assert answers.answered(SEND_GOAL, 7, goal_response(True), 110.0, linked=True) == (asks(SEND_GOAL), [])
     answers = KeptAnswers()
     for lane in (SEND_GOAL, CANCEL_GOAL, GET_RESULT):
@@ -158,6 +158,24 @@ def test_nothing_is_kept_of_calls_that_are_over() -> None:
     answers.expire(100.0 + SENT_KEPT)
     assert [asks(lane) in answers for lane in (SEND_GOAL, CANCEL_GOAL, GET_RESULT)] == [False, False, True]
     assert not answers._by_number.keys() - {(GET_RESULT, 7)}
+
+
+@pytest.mark.parametrize("lane", [SEND_GOAL, CANCEL_GOAL])
+def test_a_question_that_calls_asked_about_again_in_vain_is_forgotten(lane: int) -> None:
+    """The server that was asked may be gone, and another one in its place: its answer never comes."""
+    answers = interrupted_after_asking(asks(lane))
+    assert answers.take(asks(lane), 2, again=True) is Do.WAIT
+    assert answers.take(asks(lane), 3, again=True) is Do.WAIT
+    answers.is_over(2, 130.0)
+    answers.expire(130.0 + SENT_KEPT)
+    assert asks(lane) in answers, "a call waits for it"
+    answers.is_over(3, 200.0)
+    answers.expire(200.0 + SENT_KEPT - 1)
+    assert asks(lane) in answers
+    answers.expire(200.0 + SENT_KEPT)
+    assert asks(lane) not in answers
+    assert not answers.under_way
+    assert not answers._by_number
 
 
 def test_those_with_answers_are_forgotten_first(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -192,16 +192,22 @@ class KeptAnswers:
             self._forget_one()
         return question, calls
 
-    def is_over(self, call: int) -> None:
+    def is_over(self, call: int, now: float) -> None:
         """A call waits no more."""
         if (question := self._waiting.pop(call, None)) is not None:
             self._kept[question].calls.remove(call)
+            self._forget_soon(question, now)
 
     def gave_up(self, lane: int, number: int, now: float) -> None:
-        """The call that asked the server has no answer in time, and is over: so is what is kept of it, soon."""
-        question = self._by_number.get((lane, number))
-        if question is not None and lane != GET_RESULT and not self._kept[question].calls:
-            self._kept[question].until = now + SENT_KEPT
+        """The call that asked the server is over without an answer."""
+        if (question := self._by_number.get((lane, number))) is not None:
+            self._forget_soon(question, now)
+
+    def _forget_soon(self, question: Question, now: float) -> None:
+        """Keep for a while what has no answer and no call waits for. Results are kept: a goal may take days."""
+        kept = self._kept[question]
+        if question.lane != GET_RESULT and kept.answer is None and not kept.calls:
+            kept.until = now + SENT_KEPT
 
     def results_awaited(self) -> list[tuple[bytes, list[int]]]:
         """Goals for whose results calls wait, and these calls."""

@@ -178,11 +178,16 @@ class ProvidingAction(ProvidingRoute):
 
     def _is_over(self, peers: int) -> None:
         super()._is_over(peers)
-        self._answers.is_over(peers)
+        self._answers.is_over(peers, self.context.now())
 
     def _is_orphan(self, call: PeersCall) -> bool:
         """Whether nobody can answer it: whoever serves the action next is asked for results."""
         return call.lane != GET_RESULT and super()._is_orphan(call)
+
+    def _give_up(self, peers: int, why: Refused) -> None:
+        if (call := self._under_way.get(peers)) is not None:
+            self._answers.gave_up(call.lane, call.number, self.context.now())
+        super()._give_up(peers, why)
 
     def _expired(self, number: int, call: PeersCall) -> None:
         self._answers.gave_up(call.lane, call.number, self.context.now())
