@@ -119,7 +119,7 @@ def _link_parts(link: LinkSnapshot) -> Iterator[str]:
     if link.rtt is not None:
         yield f"rtt {formats.span(link.rtt)}"
     if fault := link.reason or link.warning:
-        yield fault
+        yield fault.removeprefix(f"{link.peer}: ") if link.peer else fault
 
 
 def _ends(route: RouteSnapshot) -> Iterator[str]:

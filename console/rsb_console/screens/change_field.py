@@ -217,11 +217,9 @@ class ChangeField(PickField):
 
 
 def _now(entries: Sequence[Bridged], field: str, spec: Spec | None) -> str:
-    """Format the present values of a field and the robots that have each, the most frequent first: ``30 on 2, none on 1``.
-
-    A robot may have a topic several times.
-    """
-    values = Counter(value for _, value in {(each.robot, _value(each, field, spec)): None for each in entries})
+    """Format the present values of a field, with their robots, the most frequent first: ``30 on 2, none on 1``."""
+    distinct = dict.fromkeys((each.robot, _value(each, field, spec)) for each in entries)  # a robot may have several
+    values = Counter(value for _, value in distinct)
     if len(values) == 1:
         return next(iter(values))
     return join_first([f"{value} on {count}" for value, count in values.most_common()], 3)
