@@ -55,7 +55,8 @@ def test_those_of_one_cause_are_told_of_together_each_robots_apart() -> None:
         for n in range(5)
     ]
     one, other, link = said(*unheard, links=links, role="server")
-    assert link.endswith("not seen yet (also robot3)")
+    assert link.startswith("◌ robot2: ")
+    assert link.endswith(" (also robot3)")
     assert one == (
         "◇ robot1: /robot1/0: nobody subscribes to /robot1/0 (also /robot1/1, /robot1/2, /robot1/3 and 1 more)"
     )

@@ -254,7 +254,7 @@ def link_fault(link: LinkSnapshot, *, server: bool) -> str:
     if link.peer:
         return f"missing since {since}, last seen at {link.peer}: {link.reason}"
     return (
-        f"not connected yet (since {since})"
+        f"not connected yet, since {since}"
         if link.cause == LinkCause.NOT_YET
         else f"missing since {since}, not seen yet"
     )
