@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import json
+import re
 import threading
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
@@ -18,7 +19,7 @@ from tests.support.waiting import eventually
 
 from rsb_bridge.model.calls import CallsSnapshot
 from rsb_bridge.model.session import Topic
-from rsb_bridge.model.snapshot import RouteSnapshot, State
+from rsb_bridge.model.snapshot import Ledger, RouteSnapshot, State
 from rsb_console.command import figures
 from rsb_console.command.arguments import parser_and_commands
 from rsb_console.command.figures import Window
@@ -210,6 +211,45 @@ def test_info_of_a_topic(ran: Any, engine: Running) -> None:
     assert found["publisher_qos"]["reliability"] == "best_effort"
     assert found["subscriber_qos"] is None
     assert found["link_status"]["state"] == "ok"
+
+
+def test_the_ledger_of_info_adds_up(ran: Any, engine: Running) -> None:
+    ledger = Ledger(offered=806, delivered=791, in_flight=6, unknown=9, missed_while_down=40)
+    engine.now = replace(engine.now, routes=(replace(SCAN, ledger=ledger),))
+    engine.step = 0
+    lines = ran("info", "/scan").out.splitlines()
+    (equation,) = (line for line in lines if line.startswith("Ledger:"))
+    offered, parts = equation.split("=")
+    counts = [int(number) for number in re.findall(r"\d+", parts)]
+    assert [int(number) for number in re.findall(r"\d+", offered)] == [sum(counts)] == [806]
+    assert 9 in counts
+    assert 40 not in counts, "missed messages were never offered"
+    assert any(re.search(r"\b40\b", line) for line in lines), "the estimate has a line of its own"
+
+
+class Dropping(Running):
+    """An engine whose link delivers 2 of the 10 messages a second that it is given."""
+
+    def _more(self, before: RouteSnapshot) -> RouteSnapshot:
+        more, was = super()._more(before), before.ledger
+        dropped = {"queue full": was.dropped.get("queue full", 0) + 8}
+        return replace(more, ledger=replace(more.ledger, delivered=was.delivered + 2, dropped=dropped))
+
+
+@pytest.mark.parametrize("name", ["hz", "bw", "info"])
+def test_what_a_full_link_delivers_stands_beside_what_it_is_given(
+    ran: Any, machine: Machine, monkeypatch: pytest.MonkeyPatch, name: str
+) -> None:
+    monkeypatch.setenv("XDG_RUNTIME_DIR", machine.environ["XDG_RUNTIME_DIR"])
+    monkeypatch.setattr(figures, "_EVERY", 0.05)
+    machine.serve(Dropping(msgspec.structs.replace(SESSION, topics=(SCAN.spec,)), routes=(SCAN,)))
+    people = ran(name, "/scan", *(() if name == "info" else ("--count", "3")))
+    assert people.code == 0
+    found = re.findall(r"delivered: (\S+) Hz, dropped: (\S+) Hz", people.out)
+    assert found[-1] == ("2.0", "8.0")
+    if name != "info":
+        last = objects(ran(name, "/scan", "--count", "3", "--json"))[-1]
+        assert (last["delivered_rate"], last["dropped_rate"]) == (2.0, 8.0)
 
 
 def test_info_of_a_service(ran: Any, engine: Running) -> None:

@@ -11,13 +11,14 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 from tests.command.test_remote import Ran
-from tests.console.scripted import NOW, REMEMBERED, ScriptedEngine
+from tests.console.scripted import LINK, NOW, REMEMBERED, ScriptedEngine
 from tests.history.world import World
 
 from rsb_bridge.history import event_file, history_file
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.history import Gap, Track
 from rsb_bridge.model.snapshot import Event, Level, State
+from rsb_console.command.reports import where_and_why
 from rsb_console.session.history import csv_report, did, length, parse_span, percent, text_report
 
 if TYPE_CHECKING:
@@ -203,3 +204,18 @@ def test_a_quiet_night_is_short() -> None:
     ]
     gap = replace(fine, gaps=(Gap(NOW - 1800, 900.0),))
     assert "The bridge ran for 45 min of it (75.0 %); nothing is known of" in "\n".join(text_report(gap))
+
+
+@pytest.mark.parametrize(
+    ("reason", "times"),
+    [
+        ("10.0.0.20:49152: Connection refused", 1),
+        ("10.0.0.20:49152 answers as HTTP", 1),
+        ("the peer is silent", 1),
+        ("", 1),
+    ],
+)
+def test_a_link_names_its_peer_once(reason: str, times: int) -> None:
+    said = where_and_why(replace(LINK, state=State.DOWN, reason=reason, peer="10.0.0.20:49152"))
+    assert said.count("10.0.0.20:49152") == times
+    assert reason.removeprefix("10.0.0.20:49152: ") in said

@@ -11,7 +11,7 @@ from textual.pilot import Pilot
 from rsb_bridge.model.snapshot import LinkSnapshot, RefusedClient, RouteSnapshot, Snapshot, State
 from rsb_bridge.model.verdict import Cause, Verdict
 from rsb_bridge.route.verdict import no_publisher
-from rsb_console.widgets.faults import Heights, MoreKeys, fault_lines, faults_of
+from rsb_console.widgets.faults import Heights, MoreKeys, fault_lines, faults_of, link_fault
 
 QOS = "/camera offers best effort, but this topic asks for reliable: its messages are not received; set qos: auto"
 TYPO = route("/w_tpyo", State.WAITING, cause="similar_name", reason=no_publisher("/w_tpyo", 3, "/w_typo"))
@@ -55,7 +55,8 @@ def test_those_of_one_cause_are_told_of_together_each_robots_apart() -> None:
         for n in range(5)
     ]
     one, other, link = said(*unheard, links=links, role="server")
-    assert link.endswith("not seen yet (also robot3)")
+    assert link.startswith("◌ robot2: ")
+    assert link.endswith(" (also robot3)")
     assert one == (
         "◇ robot1: /robot1/0: nobody subscribes to /robot1/0 (also /robot1/1, /robot1/2, /robot1/3 and 1 more)"
     )
@@ -178,3 +179,9 @@ def test_a_client_that_is_refused_is_on_the_first_screen() -> None:
 
     app = scripted_app(make_engine=lambda session, base: ScriptedEngine(session, base, (route("/fine"),)))
     drive(app, steps, (80, 24))
+
+
+@pytest.mark.parametrize(("cause", "missing"), [("not_yet", False), ("lost", True)])
+def test_a_robot_that_was_never_there_is_not_missing(cause: str, missing: bool) -> None:
+    never = replace(LINK, name="robot2", state=State.DOWN, cause=cause, reason="", peer="", since=NOW)
+    assert ("missing" in link_fault(never, server=True)) is missing

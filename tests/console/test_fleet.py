@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import asyncio
 import os
+import re
 import shutil
 import sys
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
+import msgspec
 import pytest
 from tests.console.driving import NARROW, NOWHERE, WIDE, shown, text, until
-from tests.console.scripted import NOW, ScriptedEngine
+from tests.console.scripted import NOW, SESSION, ScriptedEngine
 from tests.console.tmux import Tmux
 from tests.support.fleet import ScriptedSource, ServerEngine, fleet_of, robot, topics
 from textual.pilot import Pilot
@@ -20,8 +22,11 @@ from textual.widgets import Input
 from rsb_bridge.model.robot_summary import Battery, Loss, RobotState
 from rsb_bridge.model.session import Topic
 from rsb_console.actions.registry import FLEET_ACTIONS, Group
+from rsb_console.fleet.rolling import Bridged
 from rsb_console.fleet.servers import ServerFleet
 from rsb_console.fleet_app import FleetApp, RobotApp
+from rsb_console.screens.change_field import _key_line
+from rsb_console.screens.change_field import _now as present_values
 from rsb_console.screens.rollout import Phase, RolloutScreen
 from rsb_console.widgets.fleet import FleetView
 
@@ -491,6 +496,72 @@ def test_a_change_that_makes_it_worse_is_put_back(monkeypatch: pytest.MonkeyPatc
         await bed.press("u")
         await bed.shown("put back on robot1")
         assert [each[2].max_rate for each in bed.source.engines["robot1"].commands] == [5.0, 30.0]  # type: ignore[attr-defined]
+
+    bed.run(steps)
+
+
+@pytest.mark.parametrize("marked", [("control",), ("control", "robot1")])
+def test_servers_are_left_out_of_an_edit(marked: tuple[str, ...]) -> None:
+    """A server has each robot's topic, so that an edit could not tell which to change."""
+    bed = Bed(robot("robot1"), robot("control", role="server"))
+
+    async def steps(bed: Bed) -> None:
+        await bed.until(lambda: len(bed.app.main.table.rows) == 2, "both rows")
+        rows = bed.app.main.table.rows
+        bed.view.marked.update(key for key, row in rows.items() if row.robot.summary.name in marked)
+        await bed.press("e")
+        if "robot1" in marked:
+            await bed.until(lambda: isinstance(bed.app.screen, RolloutScreen), "the dialog")
+            assert [each.summary.name for each in rollout(bed)._robots] == ["robot1"]
+        else:
+            await bed.until(lambda: bed.app._notifications, "a notice")
+            assert bed.app.screen is bed.app.main
+
+    bed.run(steps)
+
+
+def test_values_count_robots() -> None:
+    """A robot may have a topic twice; the most frequent value comes first and is never cut."""
+    spec = Topic("/camera", "transmit", max_rate=30.0)
+    with_two = [Bridged("robot1", route, SESSION) for route in topics("robot1", spec, spec)]
+    others = [
+        Bridged(name, topics(name, msgspec.structs.replace(spec, max_rate=None))[0], SESSION)
+        for name in ("robot2", "robot3")
+    ]
+    now = present_values([*with_two, *others], "max_rate", None)
+    assert re.findall(r"(\w+) on (\d+)", now) == [("none", "2"), ("30", "1")]
+    long = "zenoh on 8, the QoS of its publishers on 1"
+    ((_, _), (_, _), (shown, _), *_) = _key_line("qos", long, "", 80)
+    assert long.startswith(shown.rstrip("…"))
+    assert shown.startswith("zenoh on 8")
+
+
+def test_a_change_that_is_put_back_is_shown_the_other_way_round(monkeypatch: pytest.MonkeyPatch) -> None:
+    bed = with_cameras("robot1", "robot2")
+
+    async def steps(bed: Bed) -> None:
+        screen = await planned(bed, "/camera max_rate=5")
+        await bed.until(lambda: screen.phase is Phase.ASKING, "a question")
+        tell = screen._tell
+
+        def worse(step: Step, what: str) -> None:
+            tell(step, what)
+            if what == "settling":
+                bed.source.put(step.name, state=RobotState.FAULT, why="refused")
+
+        monkeypatch.setattr(screen, "_tell", worse)
+        await bed.press("y")
+        await bed.until(lambda: screen.phase is Phase.ENDED and screen.outcome is not None, "the end")
+        await bed.press("u")
+        await bed.until(lambda: screen.phase is Phase.ENDED and screen.outcome is None, "the undo")
+        first, _ = screen.steps
+        assert screen._put_back == {first.robot.key}
+        assert screen._marks[first.robot.key] == "done"
+        rates = [
+            re.search(r"max_rate (\S+) → (\S+)", "".join(part for part, _ in screen._line(each)))
+            for each in screen.steps
+        ]
+        assert [each and [float(rate) for rate in each.groups()] for each in rates] == [[5, 30], [30, 5]]
 
     bed.run(steps)
 

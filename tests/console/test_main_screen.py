@@ -439,3 +439,20 @@ def test_a_refused_command_is_said_in_words() -> None:
         await shown(pilot, "there is no route any more")
 
     drive(app, steps)
+
+
+@pytest.mark.parametrize("temporary", [False, True])
+def test_a_running_demo_is_not_replaced_by_itself(temporary: bool) -> None:
+    app = scripted_app(temporary=temporary)
+
+    async def steps(pilot: Pilot[None]) -> None:
+        await shown(pilot, "/robot2/scan")
+        await pilot.press("f4")
+        await until(pilot, lambda: isinstance(app.screen, ConfirmScreen), "the question")
+        assert isinstance(app.screen, ConfirmScreen)
+        assert ("instead" in app.screen._title) is not temporary
+        assert app.screen._yes == ("Start again" if temporary else "Run")
+        await pilot.press("n")
+        assert app.engine is not None
+
+    drive(app, steps)

@@ -87,6 +87,8 @@ def test_a_digit_chooses_a_recent_session_and_enter_starts_it(folder: Path) -> N
         await shown(pilot, "1  nav2")
         assert isinstance(app.screen, WelcomeScreen)
         assert app.screen.menu.keys[-2:] == [str(folder / "nav2.yaml"), "quit"]
+        await pilot.press("5")
+        await until(pilot, lambda: app._notifications, "a notice: there is no fifth")
         await pilot.press("1")
         assert app.screen.menu.cursor_key == str(folder / "nav2.yaml")
         await pilot.pause(0.1)

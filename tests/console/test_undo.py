@@ -83,6 +83,7 @@ def test_nothing_to_undo() -> None:
         await pilot.press("u")
         await shown(pilot, "nothing to undo")
         assert engine.commands == []
+        assert not app.changes.dropped
 
     on_scan(steps)
 
@@ -102,7 +103,7 @@ def test_a_removed_topic_comes_back_with_all_its_fields(size: tuple[int, int]) -
         await until(pilot, lambda: engine.undone, "an undo")
         assert engine.undone == [("add", SCAN, "robot1")]
         await pilot.press("u")
-        await shown(pilot, "nothing to undo")
+        await shown(pilot, "nothing more to undo")
 
     on_scan(steps, size)
 
@@ -204,7 +205,7 @@ def test_what_somebody_else_has_changed_since_is_left_alone() -> None:
         await refused(app, pilot, "anna on pts/3")
         assert engine.undone == []
         await pilot.press("u")
-        await shown(pilot, "nothing to undo")
+        await shown(pilot, "nothing more to undo")
 
     on_scan(steps)
 
@@ -345,4 +346,4 @@ def test_in_a_terminal(tmp_path: Path) -> None:
         tmux.wait_for("/scan")
         tmux.wait_for("/cmd_vel")
         tmux("send-keys", "u")
-        tmux.wait_for("nothing to undo")
+        tmux.wait_for("nothing more to undo")

@@ -6,6 +6,7 @@ import json
 import socket
 import threading
 from typing import TYPE_CHECKING
+from unittest.mock import MagicMock
 
 import pytest
 from tests.support.bridge import happened, link, linked, now
@@ -13,10 +14,12 @@ from tests.support.waiting import eventually, holds
 
 from rsb_bridge.config.keys import fingerprint, read_key
 from rsb_bridge.link import server_link
+from rsb_bridge.link.link import Link
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.session import Client
 from rsb_bridge.model.snapshot import Level, State
 from rsb_bridge.model.verdict import LinkCause
+from rsb_bridge.transport.streams import CLOSED_BY_PEER
 from rsb_bridge.wire.connection import ClientConnection
 from rsb_bridge.wire.events import Refused
 from rsb_bridge.wire.messages import Hello
@@ -172,3 +175,22 @@ def test_a_client_takes_the_name_of_one_that_is_silent(bridge: Bridge) -> None:
     ended = eventually(lambda: happened(server, EventCode.LINK_REPLACED) or happened(server, EventCode.LINK_LOST))
     assert ended.level is Level.WARNING
     eventually(lambda: not linked(first))
+
+
+@pytest.mark.parametrize(
+    ("reason", "code", "cause", "remedy"),
+    [
+        (CLOSED_BY_PEER, EventCode.LINK_LOST, LinkCause.LOST, True),
+        ("Connection reset by peer", EventCode.LINK_LOST, LinkCause.LOST, False),
+        ("the server stops", EventCode.LINK_CLOSED, LinkCause.CLOSED, False),
+        (CLOSED_BY_PEER, EventCode.LINK_CLOSED, LinkCause.CLOSED, False),
+    ],
+)
+def test_only_without_a_goodbye_is_there_a_remedy(reason: str, code: EventCode, cause: LinkCause, remedy: bool) -> None:
+    """The kernel of a killed process closes its connection in order."""
+    broken = MagicMock(_is_silent=False)
+    broken.transport.problem = ""
+    Link.lost(broken, reason, code)
+    found, said = broken.status.down.call_args.args
+    assert found == cause
+    assert (said != reason) is remedy

@@ -86,6 +86,8 @@ def test_another_program_at_the_servers_port(answer: bytes, bridge: Bridge) -> N
         eventually(lambda: link(client).cause == LinkCause.NOT_A_BRIDGE)
         assert caused(client, LinkCause.NOT_A_BRIDGE)
         assert recognise(answer) in link(client).reason
+        (event,) = [each for each in client.events() if each.cause == LinkCause.NOT_A_BRIDGE][:1]
+        assert event.text.count(f":{bridge.port}") == 1, "the address stands there once"
     server = bridge.server()
     client.retry().result(60)
     eventually(lambda: linked(server))

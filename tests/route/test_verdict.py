@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from typing import Any
 
 import pytest
@@ -421,3 +422,23 @@ def test_nodes_in_a_sentence() -> None:
     assert named(["/b", "/a", "/a"]) == "/a and /b"
     assert named(["/a", "/b", "/c"]) == "/a, /b and /c"
     assert named([f"/{n}" for n in range(9)]) == "/0, /1, /2 and 6 more"
+
+
+@pytest.mark.parametrize(
+    ("nodes", "verb", "count"),
+    [
+        (["/a"], " has ", None),
+        (["/a", "/a"], " has ", "2"),
+        (["/a", "/b"], " have ", None),
+        (["/a", "/a", "/b"], " have ", "3"),
+    ],
+)
+def test_the_verb_agrees_with_the_names(nodes: list[str], verb: str, count: str | None) -> None:
+    """One process may have several publishers, or several nodes one name."""
+    endpoints = [endpoint(node)._replace(gid=bytes([number])) for number, node in enumerate(nodes)]
+    found = verdict_on(SENDER, endpoints=endpoints, stopped_since=NOW - 3, stale_since=NOW - 3, expected_rate=10.0)
+    assert (found.state, found.cause) == (State.STOPPED, Cause.PUBLISHER_SILENT)
+    who = found.text.partition(": ")[2]
+    assert verb in who
+    counts = re.findall(r"\((\d+) ", who)
+    assert counts == ([] if count is None else [count])

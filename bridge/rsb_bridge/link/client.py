@@ -189,8 +189,9 @@ class ClientLink(Link):
         self.status.down(failure.cause, failure.reason)
         code = EventCode.LINK_REFUSED if failure.refused else EventCode.LINK_UNREACHABLE
         reason = failure.reason.removeprefix(f"{self.address}: ")
+        peer = "the server" if reason.startswith(f"{self.address} ") else self.peer_at
         level = Level.DEBUG if repeated else Level.WARNING if expected else Level.ERROR
-        self.log(level, code, f"no link with {self.peer_at}: {reason}; trying again", link_status=True)
+        self.log(level, code, f"no link with {peer}: {reason}; trying again", link_status=True)
 
     async def _pause(self) -> None:
         """Wait until the next attempt is due, or an operator asks for one."""

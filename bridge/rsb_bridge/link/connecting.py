@@ -130,7 +130,8 @@ class ConnectAttempt(StreamHandler):
                         return answer
         if self._heard:
             return Failure(_not_a_bridge(self._address, ""), LinkCause.NOT_A_BRIDGE)
-        text = f"{self._address} accepts, but does not answer: check there that rsb-console runs and does not hang"
+        remedy = "check there that rsb-console runs and does not hang (ss -lntp there)"
+        text = f"{self._address} accepts, but does not answer: {remedy}"
         return Failure(text, LinkCause.NO_ANSWER)
 
     @property

@@ -30,6 +30,7 @@ from rsb_bridge.model.verdict import LinkCause
 from rsb_bridge.route.pause import Revisions
 from rsb_bridge.route.peer_budget import PeerBudget
 from rsb_bridge.tasks import Tasks
+from rsb_bridge.transport.streams import CLOSED_BY_PEER
 from rsb_bridge.transport.transport import StreamTransport
 from rsb_bridge.wire.benchmark import BenchAnswer, BenchAsk
 from rsb_bridge.wire.following import Follow, Followed
@@ -56,6 +57,7 @@ if TYPE_CHECKING:
     from rsb_bridge.wire.messages import ControlMessage, Hello, Propose, Welcome
     from rsb_bridge.wire.sealing import Role, SessionKeys
 
+_NO_GOODBYE = "the other side ended without a goodbye: look whether its process or machine has died"
 _CAUSES = {EventCode.LINK_LOST: LinkCause.LOST, EventCode.LINK_SHUT_DOWN: LinkCause.SHUT_DOWN}
 """Why a link is down, by how it ended; any other is closed."""
 
@@ -271,6 +273,8 @@ class Link(ABC):
             cause, reason = LinkCause.ROUTER_LOST, self.transport.problem
         elif cause is LinkCause.LOST and self._is_silent:
             cause = LinkCause.SILENT
+        elif cause is LinkCause.LOST and reason == CLOSED_BY_PEER:
+            reason = _NO_GOODBYE
         self.status.down(cause, reason)
         self.status.since = self.context.wall()
         self.table.disconnected(reason)

@@ -219,9 +219,10 @@ def _publishers_qos(facts: Facts) -> Verdict | None:
     if not others:
         return None
     offer, asked = zip(*clashes(others[0].qos, facts.qos), strict=True)
+    whose = "its" if len({each.node for each in others}) == 1 else "their"
     text = (
         f"{_plural(others, 'offers', 'offer')} {', '.join(offer)}, but this topic asks for {', '.join(asked)}: "
-        f"{'its' if len(others) == 1 else 'their'} messages are not received; set qos: auto for this topic"
+        f"{whose} messages are not received; set qos: auto for this topic"
     )
     all_of_them = len(others) == len(ours)
     return Verdict(State.DOWN if all_of_them else State.UNHEARD, Cause.QOS_INCOMPATIBLE, text)
@@ -327,8 +328,9 @@ def _subscribers(facts: Facts) -> Verdict | None:
         if found := clashes(facts.qos, each.qos):
             alike = [other for other in facts.endpoints if clashes(facts.qos, other.qos) == found]
             offer, asked = zip(*found, strict=True)
+            who = _plural(alike, "asks", "ask", "subscriptions")
             text = (
-                f"{_plural(alike, 'asks', 'ask')} for {', '.join(asked)}, but {facts.topic} is published with "
+                f"{who} for {', '.join(asked)}, but {facts.topic} is published with "
                 f"{', '.join(offer)}: change the QoS of the subscription, or of the publishers and this topic"
             )
             return Verdict(State.UNHEARD, Cause.QOS_INCOMPATIBLE, text)
@@ -337,8 +339,18 @@ def _subscribers(facts: Facts) -> Verdict | None:
     return None
 
 
-def _plural(endpoints: Collection[Endpoint], one: str, several: str) -> str:
-    return f"{named(each.node for each in endpoints)} {one if len(endpoints) == 1 else several}"
+def _plural(endpoints: Collection[Endpoint], one: str, several: str, what: str = "publishers") -> str:
+    """Name the nodes, with a verb for their number; count the endpoints if some nodes have several.
+
+    Args:
+        endpoints: the nodes' endpoints.
+        one: the verb for one node.
+        several: the verb for several nodes.
+        what: the plural of the endpoints' kind.
+    """
+    nodes = {each.node for each in endpoints}
+    count = "" if len(endpoints) == len(nodes) else f" ({len(endpoints)} {what})"
+    return f"{named(nodes)}{count} {one if len(nodes) == 1 else several}"
 
 
 _RULES: tuple[Callable[[Facts], Verdict | None], ...] = (

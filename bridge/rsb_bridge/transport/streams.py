@@ -18,6 +18,8 @@ if TYPE_CHECKING:
 Address: TypeAlias = tuple[Any, ...]
 """As the socket module has it: host and port (TCP and UDP over IPv6: with flow and scope behind them)."""
 
+CLOSED_BY_PEER = "closed by the other side"
+"""The reason where a stream ended in order, which also happens when the other process is killed."""
 BATCH_BYTES = 256 * 1024
 """As much as is worth one call, where the link is not slow."""
 
@@ -186,7 +188,7 @@ class Stream(asyncio.Protocol):
         self.handler.writable()
 
     def eof_received(self) -> None:
-        self._reason = self._reason or "closed by the other side"
+        self._reason = self._reason or CLOSED_BY_PEER
 
     def connection_lost(self, error: Exception | None) -> None:
         self._transport = None

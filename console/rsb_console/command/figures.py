@@ -27,7 +27,7 @@ _EVERY = 1.0
 _LOOK_EVERY = 0.05
 _SHORTEST = 0.9
 """The least s over which figures are taken; a snapshot may be a little early."""
-_LEDGER_FROM = 5.0
+_LEDGER_FROM = 1.9
 """The least s for the ledger's rates: the other side reports its counts once a second."""
 _RENEWED_WITHIN = 10.0
 """s within which a working bridge has a newer snapshot."""
@@ -41,10 +41,11 @@ class Figures:
         route: its newest snapshot.
         time: s since the epoch, of that snapshot.
         seconds: s over which the figures are taken.
-        messages: that this bridge sent over the link, or published.
+        messages: that this bridge gave to the link's queue, or published.
         size: bytes of their payload.
         offered: messages that the sending bridge took from ROS, as far as this side knows.
         delivered: messages that the receiving bridge published, as far as this side knows.
+        dropped: messages that were dropped for any cause, as far as this side knows.
         each_second: messages in each of the last seconds of the window, oldest first.
     """
 
@@ -55,12 +56,24 @@ class Figures:
     size: int
     offered: int
     delivered: int
+    dropped: int
     each_second: tuple[int, ...]
 
     @property
     def rate(self) -> float:
         """Hz."""
         return self.messages / self.seconds
+
+    @property
+    def crossing(self) -> str:
+        """The rates at which messages were delivered and dropped, or an empty string if they are not known yet.
+
+        The other side reports its counts once a second, so that a shorter time would say nothing.
+        """
+        if self.seconds < _LEDGER_FROM:
+            return ""
+        text = f"delivered: {formats.hertz(self.delivered / self.seconds)} Hz"
+        return f"{text}, dropped: {formats.hertz(self.dropped / self.seconds)} Hz" if self.dropped else text
 
 
 class Window:
@@ -101,6 +114,7 @@ class Window:
             size=route.bytes_total - first.bytes_total,
             offered=route.ledger.offered - first.ledger.offered,
             delivered=route.ledger.delivered - first.ledger.delivered,
+            dropped=max(0, route.ledger.dropped_total - first.ledger.dropped_total),
             each_second=route.history[-self._seconds :],
         )
 
@@ -163,6 +177,22 @@ def print_figures(command: FiguresCommand, arguments: Namespace) -> int:
         return OK if messages else FAILURE
 
 
+def measured(engine: RemoteEngine, route: RouteSnapshot, seconds: float) -> Figures | None:
+    """Take figures of a topic over some seconds, or None if its bridge has no newer snapshots of it."""
+    window, ends = Window(round(seconds) + 1), time.monotonic() + seconds + 1
+    began = moment = engine.snapshot().time
+    found = window.add(moment, route)
+    while moment - began < seconds and time.monotonic() < ends:
+        time.sleep(_LOOK_EVERY)
+        now = engine.snapshot()
+        route_now = next((each for each in now.routes if (each.link, each.key) == (route.link, route.key)), None)
+        if route_now is None:
+            return None
+        if now.time > moment:
+            moment, found = now.time, window.add(now.time, route_now)
+    return found
+
+
 def _newer(engine: RemoteEngine, moment: float, due: float) -> Snapshot:
     """Wait until `due`, and for a snapshot newer than `moment` (s since the epoch)."""
     time.sleep(max(0.0, due - time.monotonic()))
@@ -183,7 +213,7 @@ def _find(engine: RemoteEngine, now: Snapshot, before: RouteSnapshot) -> RouteSn
 
 def _where(route: RouteSnapshot, other: str) -> str:
     if route.outgoing:
-        return f"{route.topic} → {other}: counted where this bridge sends it over the link, after max_rate"
+        return f"{route.topic} → {other}: counted where this bridge gives it to the link's queue, after max_rate"
     return f"{route.topic} ← {other}: counted where this bridge publishes it, after it came over the link"
 
 
@@ -215,7 +245,8 @@ def _state(route: RouteSnapshot) -> Iterator[str]:
 def _hz_lines(figures: Figures) -> Iterator[str]:
     route = figures.route
     if figures.messages:
-        yield f"average rate: {figures.rate:.3f} Hz over {figures.seconds:.0f} s"
+        crossing = f"; {figures.crossing}" if figures.crossing else ""
+        yield f"average rate: {figures.rate:.3f} Hz over {figures.seconds:.0f} s{crossing}"
     else:
         last = "yet" if route.age is None else f"for {formats.age(route.age)}"
         yield f"no message {last}"
@@ -225,8 +256,7 @@ def _hz_lines(figures: Figures) -> Iterator[str]:
     if route.expected_rate is not None:
         yield f"\t{'expected' if route.spec.expected_rate else 'usual'}: {formats.expected(route.expected_rate)} Hz"
     if figures.seconds >= _LEDGER_FROM:
-        taken, arrived = figures.offered / figures.seconds, figures.delivered / figures.seconds
-        yield f"\ttaken from ROS by the sending bridge: {taken:.1f} Hz, published by the other: {arrived:.1f} Hz"
+        yield f"\ttaken from ROS by the sending bridge: {figures.offered / figures.seconds:.1f} Hz"
     yield from _state(route)
 
 
@@ -242,6 +272,7 @@ def _hz_values(figures: Figures) -> dict[str, object]:
         },
         "offered_rate": round(figures.offered / figures.seconds, 3),
         "delivered_rate": round(figures.delivered / figures.seconds, 3),
+        "dropped_rate": round(figures.dropped / figures.seconds, 3),
         "expected_rate": route.spec.expected_rate,
         "usual_rate": None if route.spec.expected_rate else route.expected_rate,
         "max_rate": route.max_rate,
@@ -258,7 +289,8 @@ def _mean_size(route: RouteSnapshot) -> float | None:
 
 def _bw_lines(figures: Figures) -> Iterator[str]:
     rate = formats.byte_rate(figures.size / figures.seconds)
-    yield f"{rate} from {figures.messages} messages over {figures.seconds:.0f} s, before compression"
+    crossing = f"; {figures.crossing}" if figures.crossing else ""
+    yield f"{rate} from {figures.messages} messages over {figures.seconds:.0f} s, before compression{crossing}"
     if figures.messages:
         mean = formats.byte_count(round(figures.size / figures.messages))
         overall = _mean_size(figures.route)
@@ -271,6 +303,8 @@ def _bw_values(figures: Figures) -> dict[str, object]:
     overall = _mean_size(figures.route)
     return {
         "bytes_per_second": round(figures.size / figures.seconds, 1),
+        "delivered_rate": round(figures.delivered / figures.seconds, 3),
+        "dropped_rate": round(figures.dropped / figures.seconds, 3),
         "bytes": figures.size,
         "mean_size": round(figures.size / figures.messages, 1) if figures.messages else None,
         "mean_size_overall": None if overall is None else round(overall, 1),

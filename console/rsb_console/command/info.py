@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 import msgspec
 
+from rsb_console.command.figures import measured
 from rsb_console.command.reports import clock, json_line, links_of, route_of
 from rsb_console.command.shell import OK, print_line
 from rsb_console.command.target import attached, chosen_route, other_side
@@ -17,6 +18,10 @@ if TYPE_CHECKING:
 
     from rsb_bridge.model.qos import Qos
     from rsb_bridge.model.snapshot import LinkSnapshot, RouteSnapshot
+    from rsb_console.command.figures import Figures
+
+_MEASURED = 3.0
+"""s over which the delivered rate is taken; the other side reports its counts once a second."""
 
 
 def print_info(arguments: Namespace) -> int:
@@ -29,9 +34,15 @@ def print_info(arguments: Namespace) -> int:
             of_links = links_of(now)
             print_line(json_line({"ok": True, **_values(route), "link_status": of_links.get(route.link)}))
         else:
-            for line in _lines(route, link, other_side(engine, route)):
+            figures = measured(engine, route, _MEASURED) if _loses(route) else None
+            for line in _lines(route, link, other_side(engine, route), figures):
                 print_line(line)
     return OK
+
+
+def _loses(route: RouteSnapshot) -> bool:
+    """Whether fewer messages arrive than are sent, so that the rate alone would mislead."""
+    return route.calls is None and route.outgoing and route.rate > 0 and route.ledger.dropped_total > 0
 
 
 def _values(route: RouteSnapshot) -> dict[str, object]:
@@ -62,7 +73,7 @@ def _qos_values(qos: Qos | None) -> object:
     return None if qos is None else msgspec.structs.asdict(qos)
 
 
-def _lines(route: RouteSnapshot, link: LinkSnapshot | None, other: str) -> Iterator[str]:
+def _lines(route: RouteSnapshot, link: LinkSnapshot | None, other: str, figures: Figures | None) -> Iterator[str]:
     is_topic = route.calls is None
     yield f"{'Topic' if is_topic else route.spec.kind.capitalize()}: {route.topic}"
     yield f"Type: {route.type_name or 'not known yet'}"
@@ -78,7 +89,7 @@ def _lines(route: RouteSnapshot, link: LinkSnapshot | None, other: str) -> Itera
     if link is not None:
         yield f"Link: {', '.join(_link_parts(link))}"
     yield from _ends(route) if is_topic else _provider(route)
-    yield f"Rate: {_rate(route)}"
+    yield f"Rate: {_rate(route, figures)}"
     yield f"Bytes: {formats.byte_rate(route.bytes_per_second)}, {formats.byte_count(route.bytes_total)} in all"
     if (latency := _latency(route)) is not None:
         yield latency
@@ -108,7 +119,7 @@ def _link_parts(link: LinkSnapshot) -> Iterator[str]:
     if link.rtt is not None:
         yield f"rtt {formats.span(link.rtt)}"
     if fault := link.reason or link.warning:
-        yield fault
+        yield fault.removeprefix(f"{link.peer}: ") if link.peer else fault
 
 
 def _ends(route: RouteSnapshot) -> Iterator[str]:
@@ -133,11 +144,13 @@ def _provider(route: RouteSnapshot) -> Iterator[str]:
     yield f"{provider}: {', '.join(route.subscribers) or 'none known'}"
 
 
-def _rate(route: RouteSnapshot) -> str:
+def _rate(route: RouteSnapshot, figures: Figures | None) -> str:
     if route.calls is not None:
         return f"{formats.hertz(route.rate)} calls/s"
-    where = "sent" if route.outgoing else "published here"
+    where = "given to the link's queue" if route.outgoing else "published here"
     text = f"{formats.hertz(route.rate)} Hz {where}"
+    if figures is not None and figures.crossing:
+        text += f", {figures.crossing}"
     if route.expected_rate is not None:
         text += f", {'expected' if route.spec.expected_rate else 'usual'}: {formats.expected(route.expected_rate)} Hz"
     return text if route.age is None else f"{text}, the last message {formats.age(route.age)} ago"
@@ -167,8 +180,13 @@ def _ledger(route: RouteSnapshot) -> Iterator[str]:
         ledger = route.ledger
         yield (
             f"Ledger: {ledger.offered} offered = {ledger.delivered} delivered + {ledger.throttled} throttled"
-            f" + {ledger.dropped_total} dropped + {ledger.expired} expired + {ledger.in_flight} in flight"
+            f" + {ledger.dropped_total} dropped + {ledger.expired} expired + {ledger.unknown} unknown"
+            f" + {ledger.in_flight} in flight"
         )
+        if ledger.unknown:
+            yield f"  {ledger.unknown} unknown: sent to a bridge that ended before it reported whether they arrived"
+        if ledger.missed_while_down:
+            yield f"  about {ledger.missed_while_down} more were published while the topic was down (an estimate)"
         if ledger.lost_in_dds:
             yield f"  {ledger.lost_in_dds} more were lost in DDS before the bridge could take them"
         dropped = ledger.dropped

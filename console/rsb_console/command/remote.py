@@ -37,7 +37,7 @@ from rsb_console.command.reports import (
     status_of,
     text_event,
     topics_of_link_that_is_down,
-    why_down,
+    where_and_why,
 )
 from rsb_console.command.shell import FAILURE, NOT_RUNNING, OK, print_error, print_line
 from rsb_console.command.target import (
@@ -137,8 +137,7 @@ def _status_of(engine: RemoteEngine) -> tuple[list[str], list[str], dict[str, ob
         f"  {_in_short(now, faults, known, waits)}",
     ]
     for link in now.links:
-        where, fault = link.peer and f" {link.peer}", why_down(link) or link.warning
-        lines.append(f"  link {link.name} {link.state.upper()}{where}{fault and f': {fault}'}{acknowledged_by(link)}")
+        lines.append(f"  link {link.name} {link.state.upper()}{where_and_why(link)}{acknowledged_by(link)}")
         if waits_for_link := topics_of_link_that_is_down(now, link):
             lines.append(f"    {waits_for_link}")
     lines += [f"  {refused_text(client)}" for client in now.refused]

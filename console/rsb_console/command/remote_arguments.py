@@ -90,7 +90,7 @@ exit codes:
 {NO_BRIDGE}
   130  interrupted by Ctrl-C"""
 _EXIT_HZ = _EXIT_FIGURES.format(
-    where="counted where it sends messages over the link, or\npublishes the messages of the other side"
+    where="counted where it gives messages to the link's queue, or\npublishes the messages of the other side"
 )
 _EXIT_BW = _EXIT_FIGURES.format(where="of payload before compression, as for hz")
 _EXIT_INFO = f"""\

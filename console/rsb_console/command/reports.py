@@ -120,6 +120,16 @@ def why_down(link: LinkSnapshot) -> str:
     return link.reason
 
 
+def where_and_why(link: LinkSnapshot) -> str:
+    """Format a link's peer and fault, each after its separator, with the peer's address only once."""
+    fault = why_down(link) or link.warning
+    if link.peer and fault.startswith(f"{link.peer} "):
+        return f": {fault}"
+    where = f" {link.peer}" if link.peer else ""
+    fault = fault.removeprefix(f"{link.peer}: ") if link.peer else fault
+    return f"{where}: {fault}" if fault else where
+
+
 def of_links_that_are_up(snapshot: Snapshot) -> list[RouteSnapshot]:
     """What is wrong with a link is said once, and not of each of its topics."""
     down = {link.name for link in snapshot.links if link.state is not State.OK}

@@ -111,7 +111,7 @@ def chosen_bridge(arguments: Namespace) -> RunningBridge:
         paths = "".join(f"\n  --control {bridge.path}  {bridge}" for bridge in chosen)
         raise UsageError(f"several bridges of one name run here; say which:{paths}")
     if len(chosen) > 1:
-        raise UsageError(f"several bridges run here; say which:{running}")
+        raise UsageError(f"several bridges run here; say which with --bridge NAME:{running}")
     return _answering(chosen[0])
 
 

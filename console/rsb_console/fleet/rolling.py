@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, NamedTuple
 
 from rsb_bridge.api import EngineError
@@ -78,6 +78,13 @@ class Step:
     def name(self) -> str:
         """The robot's."""
         return self.robot.summary.name
+
+    @property
+    def reversed(self) -> Step:
+        """The step that puts back what was before."""
+        if self.old is None or self.new is None:
+            return self
+        return replace(self, old=self.new, new=self.old, changes=tuple(changes(self.new, self.old)))
 
     def back(self, keys: Sequence[str]) -> list[str]:
         """The ``KEY=VALUE`` that undo those of the change."""

@@ -195,7 +195,8 @@ class BridgeOperations:
         if engine is None or self._undoing:
             return
         if change is None:
-            self._console.notify("nothing to undo: nothing was changed on this console", timeout=4)
+            unchanged = "nothing to undo: nothing was changed on this console"
+            self._console.notify("nothing more to undo" if changes.dropped else unchanged, timeout=4)
             return
         self._undoing = True
         try:

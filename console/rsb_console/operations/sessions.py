@@ -18,6 +18,8 @@ if TYPE_CHECKING:
     from rsb_bridge.model.session import Session
     from rsb_console.console import Console
 
+_ANOTHER_DEMO = "This robot and its bridges end; a new robot starts, with the topics that a demo begins with."
+
 
 class SessionOperations:
     """Methods named after their actions, each run as a worker; a new one cancels the one before.
@@ -31,12 +33,13 @@ class SessionOperations:
         self._console = console
         self._reload = reload
 
-    async def confirm_end(self, title: str, yes: str) -> bool:
+    async def confirm_end(self, title: str, yes: str, effect: str = "") -> bool:
         """Return whether the session may end. Asks first if a bridge is shown or changes are not saved.
 
         Args:
             title: of the question.
             yes: the label of the button that ends the session.
+            effect: the effect on the bridge, if it does not just stop, or an empty string.
         """
         from rsb_console.screens.confirm import ConfirmScreen  # noqa: PLC0415 -- keeps the start short
         from rsb_console.session.saving import file_of, unsaved  # noqa: PLC0415 -- keeps the start short
@@ -44,6 +47,8 @@ class SessionOperations:
         engine, saved, path, reasons = self._console.engine, self._console.saved, self._console.path, []
         if self._console.attached_to:
             reasons.append(f"The bridge {self._console.attached_to} goes on; only this console leaves it.")
+        elif effect:
+            reasons.append(effect)
         elif self._console.linked:
             reasons.append("The bridge stops: no topic crosses any more.")
         elif self._console.snapshot().running:
@@ -146,7 +151,12 @@ class SessionOperations:
         """Run the demo: a simulated robot on this machine."""
         from rsb_console.session.demo import running_demo  # noqa: PLC0415 -- keeps the start short
 
-        if not await self.confirm_end("Run the demo instead?", "Run"):
+        runs = self._console.temporary and self._console.engine is not None
+        if runs and self._console.snapshot().running:
+            agreed = await self.confirm_end("The demo runs already. Start it again?", "Start again", _ANOTHER_DEMO)
+        else:
+            agreed = await self.confirm_end("Run the demo instead?", "Run")
+        if not agreed:
             return
         self._console.notify("the simulated robot starts …", timeout=3)
         resources = contextlib.ExitStack()

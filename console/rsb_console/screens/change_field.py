@@ -14,7 +14,7 @@ from rsb_console.screens.topic_fields import fields_by_kind
 from rsb_console.session.draft import SWITCHES, Ends, values_of
 from rsb_console.session.typed_topic import TypedError, typed_topic
 from rsb_console.widgets.field_input import FieldInput
-from rsb_console.widgets.lines import Line, fit_middle
+from rsb_console.widgets.lines import Line, clip, fit_middle
 from rsb_console.widgets.picker import PickField, Suggestion
 
 if TYPE_CHECKING:
@@ -217,8 +217,9 @@ class ChangeField(PickField):
 
 
 def _now(entries: Sequence[Bridged], field: str, spec: Spec | None) -> str:
-    """Format the present values of a field, the most frequent first: ``30 on 2, none on 1``."""
-    values = Counter(_value(each, field, spec) for each in entries)
+    """Format the present values of a field, with their robots, the most frequent first: ``30 on 2, none on 1``."""
+    distinct = dict.fromkeys((each.robot, _value(each, field, spec)) for each in entries)  # a robot may have several
+    values = Counter(value for _, value in distinct)
     if len(values) == 1:
         return next(iter(values))
     return join_first([f"{value} on {count}" for value, count in values.most_common()], 3)
@@ -239,6 +240,8 @@ def _topic_line(topic: str, count: str, rate: str, about: str, width: int) -> Li
 
 
 def _key_line(key: str, now: str, about: str, _width: int) -> Line:
+    if cell_len(now) >= _VALUES:
+        now = f"{clip(now, _VALUES - 2).rstrip(', ')}…"  # the most frequent values come first
     return (*_column(key, _KEY, "strong"), *_column(now, _VALUES, ""), (about, "dim"))
 
 

@@ -185,11 +185,16 @@ class FleetScreen(Screen[None]):
 
     @work(group=DIALOG)
     async def action_edit_marked(self) -> None:
-        """Edit a topic of the marked robots, or of the one under the cursor."""
+        """Edit a topic of the marked robots, or of the one under the cursor; servers are left out."""
         from rsb_console.screens.rollout import RolloutScreen  # noqa: PLC0415 -- seldom needed
 
-        if robots := [robot for robot in self.table.meant if not robot.gone]:
+        known = [robot for robot in self.table.meant if not robot.gone]
+        if robots := [robot for robot in known if not robot.is_server]:
             await self.console.ask(RolloutScreen(self.console, self.fleet, robots))
+        elif known:
+            names = join_first([robot.summary.name for robot in known], _NAMED)
+            text = f"{names} {'is a server' if len(known) == 1 else 'are servers'}: mark the robots to edit instead"
+            self.notify(text, markup=False, timeout=6)
         else:
             self.notify("these robots are only remembered: there is nothing to edit", timeout=4)
 

@@ -85,6 +85,7 @@ class RolloutScreen(ModalScreen[None]):
         self.steps: list[Step] = []
         self._rollout: Rollout | None = None
         self._marks: dict[str, str] = {}
+        self._put_back: set[str] = set()
         self._below: list[str] = []
         self._gone = threading.Event()
         self._lines = ScrolledLines(id="rollout")
@@ -173,7 +174,7 @@ class RolloutScreen(ModalScreen[None]):
     async def _plan(self, rollout: Rollout) -> None:
         self._enter(Phase.PLANNING)
         self.steps = await asyncio.to_thread(rollout.plan)
-        self._marks, self._below = {}, []
+        self._marks, self._put_back, self._below = {}, set(), []
         if any(step.new is not None for step in self.steps):
             self.set_focus(self._lines)
             self._enter(Phase.ASKING)
@@ -204,6 +205,11 @@ class RolloutScreen(ModalScreen[None]):
         self._enter(Phase.RUNNING)
         failed = await asyncio.to_thread(self._rollout.undo, self.outcome, self._tell)
         names = join_first([step.name for step in self.outcome.changed], _NAMED)
+        not_back = {step.robot.key for step, _ in failed}
+        for step in self.outcome.changed:
+            key = step.robot.key
+            self._marks[key] = "failed" if key in not_back else "done"
+        self._put_back = {step.robot.key for step in self.outcome.changed} - not_back
         self._below = [f"{step.name}: not put back: {why}" for step, why in failed] or [f"put back on {names}"]
         self.outcome = None
         self._enter(Phase.ENDED)
@@ -251,7 +257,7 @@ class RolloutScreen(ModalScreen[None]):
         sign, look = {
             "": (" ", ""), "done": (DONE, "ok"), "failed": (FAILED, "down"),
         }.get(mark, (UNDER_WAY, "waiting"))  # fmt: skip
-        text = said(step)
+        text = said(step.reversed if step.robot.key in self._put_back else step)
         doing = f"  {mark} …" if mark and look == "waiting" and self.phase is Phase.RUNNING else ""
         of_text = "stale" if step.problem else "" if step.new is not None else "dim"
         return ((f"{sign} ", look), (f"{step.name:<14} ", "strong"), (text, of_text), (doing, "waiting"))

@@ -113,3 +113,5 @@ class WelcomeScreen(ModalScreen[str]):
         """Put the cursor on a recent session. Enter starts it, as one key must not start a bridge."""
         if number <= len(self._recent):
             self.menu.move_to(self.menu.keys.index(str(self._recent[number - 1])))
+        else:
+            self.notify(f"no recent session has the number {number}", timeout=3)

@@ -279,6 +279,8 @@ class Changes:
 
     def __init__(self) -> None:
         self._changes: deque[Change] = deque(maxlen=STEPS)
+        self.dropped = False
+        """Whether a change of this bridge was here before."""
 
     def __len__(self) -> int:
         return len(self._changes)
@@ -296,10 +298,12 @@ class Changes:
         """Forget a change that is undone or cannot be."""
         if change in self._changes:
             self._changes.remove(change)
+            self.dropped = True
 
     def clear(self) -> None:
         """Forget all of them: another bridge is shown."""
         self._changes.clear()
+        self.dropped = False
 
 
 def find_entry(now: Snapshot, key: str) -> RouteSnapshot | None:

@@ -251,5 +251,10 @@ def link_fault(link: LinkSnapshot, *, server: bool) -> str:
         return link.warning
     if not server or link.cause not in (LinkCause.LOST, LinkCause.SILENT, LinkCause.CLOSED, LinkCause.NOT_YET):
         return link.reason
-    seen = f"last seen at {link.peer}: {link.reason}" if link.peer else "not seen yet"
-    return f"missing since {since}, {seen}"
+    if link.peer:
+        return f"missing since {since}, last seen at {link.peer}: {link.reason}"
+    return (
+        f"not connected yet, since {since}"
+        if link.cause == LinkCause.NOT_YET
+        else f"missing since {since}, not seen yet"
+    )
