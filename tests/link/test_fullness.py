@@ -6,6 +6,7 @@ import pytest
 
 from rsb_bridge.link.fullness import Asked, LinkFullness
 from rsb_bridge.model.codes import EventCode
+from rsb_bridge.model.fullness import rates_text
 from rsb_bridge.wire.records import FullRecord
 
 CAMERA, SCAN = Asked("/camera", "/robot1/camera", 40e3), Asked("/scan", "/robot1/scan", 8e3)
@@ -60,3 +61,24 @@ def test_what_the_peer_says_is_brought_within_sense() -> None:
     assert bed.fullness.warning("robot1")
     bed.fullness.disconnected()
     assert bed.fullness.warning("robot1") == ""
+
+
+@pytest.mark.parametrize("asked", [15e3, 10.4e3, 1e3, 950.0, 1.04e6])
+def test_a_link_that_carries_what_is_asked_is_not_full(asked: float) -> None:
+    fullness = LinkFullness(lambda level, code, text: None)
+    carried = [0.33 * asked] * 8 + [2.0 * asked] * 2 + [asked] * 4
+    seen = []
+    for each in carried:
+        fullness.tick([Asked("/camera", "/camera", asked)], each, full=each < asked, peer="the server")
+        seen.append(fullness.out)
+        if fullness.out is not None:
+            part, _, whole = fullness.out.share.split()[1:4]
+            assert float(part) < float(whole)
+            assert fullness.out.carried < 0.95 * fullness.out.asked
+    assert seen[7] is not None
+    assert seen[11] is None, "four ticks after it has room"
+
+
+def test_a_smaller_figure_has_a_smaller_text() -> None:
+    assert [rates_text(14.9e3, 15e3), rates_text(15e3, 15e3)] == ["14 of 15 kB/s", "15 of 15 kB/s"]
+    assert rates_text(25e3, 48e3) == "25 of 48 kB/s"

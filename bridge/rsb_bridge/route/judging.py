@@ -65,6 +65,7 @@ def facts_of(route: TopicRoute) -> Facts:
         yielded=route.yielding.shown(),
         late=route.late(),
         full=route.peer.full_out if route.outgoing else route.peer.full_in,
+        shown_cause=route.judged.shown_cause,
     )
 
 
