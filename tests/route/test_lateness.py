@@ -79,9 +79,16 @@ def test_0_accepts_any_delay() -> None:
 
 
 def test_what_is_usual_is_learned_only_in_good_times() -> None:
-    watch = watched(0.003, 0.003, 12.0, 12.0)
+    watch = watched(*[0.003] * 6, 0.4, 0.8, 12.0, 12.0)
     assert watch.seconds == 12.0
     assert watch.usual == pytest.approx(0.003)
+
+
+def test_no_delay_of_a_full_link_is_usual() -> None:
+    watch = LateWatch()
+    for second in range(60):
+        watch.tick(0.4, 0.0, 1.0, float(second), 0.4, learns=second < 4 or second > 50)
+        assert watch.usual is None or second > 55
 
 
 def test_how_long_ago_the_oldest_unreported_message_was_sent() -> None:

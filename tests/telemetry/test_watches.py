@@ -75,6 +75,18 @@ def test_a_faster_rate_is_learned_at_once_and_a_slower_one_after_ten_minutes() -
     assert learned([20] * 21, usual).rate == pytest.approx(20, rel=0.02)
 
 
+@pytest.mark.parametrize("known", [0, 30])
+def test_trouble_teaches_no_rate(known: int) -> None:
+    """A full link carries 2 of 7 Hz for eleven minutes, and is noticed to be full after 5 s."""
+    usual = learned([7] * known)
+    learned([2] * 5, usual)
+    for _ in range(660):
+        usual.now += 1.0
+        usual.usual.skip(usual.now)
+    assert usual.rate == (pytest.approx(7) if known else None)
+    assert learned([7] * 20, usual).rate == pytest.approx(7)
+
+
 @given(st.lists(st.integers(0, 1000), max_size=300))
 def test_whatever_comes_the_rate_is_one_that_was_there(counts: list[int]) -> None:
     usual = learned(counts)

@@ -290,7 +290,7 @@ class IncomingRoute(TopicRoute):
             self.lateness.reset()
         else:
             recent = self.latency.recent
-            self.lateness.tick(recent, uncertainty, self.late_after, now, recent)
+            self.lateness.tick(recent, uncertainty, self.late_after, now, recent, learns=self.learns)
 
     @property
     def _held_back(self) -> bool:

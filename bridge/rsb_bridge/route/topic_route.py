@@ -5,12 +5,13 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from rsb_bridge.model.snapshot import State
+from rsb_bridge.model.verdict import Cause
 from rsb_bridge.route.lateness import Late, LateWatch
 from rsb_bridge.route.peeking import PeekSlot
 from rsb_bridge.route.route import Route
 from rsb_bridge.route.silence import Silence
 from rsb_bridge.route.snapshots import snapshot_of_topic
-from rsb_bridge.route.verdict import Facts, judge
+from rsb_bridge.route.verdict import LOSS_CAUSES, Facts, judge
 from rsb_bridge.route.yielding import Yielding
 from rsb_bridge.telemetry.meters import LatencyMeter
 
@@ -23,6 +24,8 @@ if TYPE_CHECKING:
     from rsb_bridge.route.peer import Owner
     from rsb_bridge.wire.messages import Propose
     from rsb_bridge.wire.records import ReceivedReport, SentReport
+
+_UNUSUAL = frozenset({Cause.LATE, Cause.THINNED, *LOSS_CAUSES})
 
 
 class TopicRoute(Route):
@@ -104,6 +107,15 @@ class TopicRoute(Route):
             return None
         full = self.peer.full_out if self.outgoing else self.peer.full_in
         return Late(watch.seconds, watch.usual, self._held_up_where(), full, watch.since)
+
+    @property
+    def learns(self) -> bool:
+        """Whether neither the link is full in this direction nor messages are late, lost or thinned.
+
+        A slow publisher is no obstacle: a lower rate becomes the usual one after some time.
+        """
+        full = self.peer.full_out if self.outgoing else self.peer.full_in
+        return full is None and self.lateness.since is None and self.judged.shown_cause not in _UNUSUAL
 
     def _held_up_where(self) -> str:
         """Return the place where messages are held up, or an empty string if this half does not know it."""

@@ -293,7 +293,7 @@ _LOSSES: dict[str, tuple[Cause, str]] = {
 }
 
 
-_LOSS_CAUSES = frozenset({Cause.LOSSY, *(cause for cause, _ in _LOSSES.values())})
+LOSS_CAUSES = frozenset({Cause.LOSSY, *(cause for cause, _ in _LOSSES.values())})
 
 
 def _thinned(facts: Facts) -> Verdict | None:
@@ -315,7 +315,7 @@ def _lossy(facts: Facts) -> Verdict | None:
         why = f"the link is full ({facts.full.share}): set max_rate, compression: zstd or priority"
         cause = Cause.QUEUE_FULL
     if loss.recovering:
-        if facts.shown_cause not in _LOSS_CAUSES:
+        if facts.shown_cause not in LOSS_CAUSES:
             return None  # a fault that nobody was shown needs no end
         return Verdict(State.SLOW, cause, f"recovering after {LASTING}: most messages arrive again", loss.since)
     if loss.lost >= loss.of:

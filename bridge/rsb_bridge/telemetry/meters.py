@@ -118,14 +118,22 @@ class RateMeter:
         self.bytes += size
         self.last = now
 
-    def tick(self, now: float) -> None:
-        """Add what has come since the last tick to the history, as the seconds that it took, at `now` (s)."""
+    def tick(self, now: float, *, learns: bool = True) -> None:
+        """Add what has come since the last tick to the history, as the seconds that it took.
+
+        Args:
+            now: s.
+            learns: whether the usual rate is learned from it.
+        """
         elapsed = now - self._ticked
         if elapsed < _SHORTEST_TICK:
             return
         self._ticked = now
         messages, self._at_tick = self.count - self._at_tick, self.count
-        self._usual.add(messages, self.last, now)
+        if learns:
+            self._usual.add(messages, self.last, now)
+        else:
+            self._usual.skip(now)
         if not messages and self._quiet >= HISTORY == len(self.history):
             self._smoothed.add(0.0, now)
             return  # one quiet second more makes no difference
