@@ -122,7 +122,8 @@ class Acknowledgements:
         if known is None or (known.state, known.cause) != (faulty.state, _cause(faulty)):
             return None
         if not isinstance(faulty, PatternSnapshot):
-            lasting, elapsed = now - faulty.since, self._clock.steady() - known.at
+            since = faulty.fault_since if isinstance(faulty, LinkSnapshot) else faulty.since
+            lasting, elapsed = now - since, self._clock.steady() - known.at
             if lasting + _TOLERANCE < elapsed:  # it was over meanwhile, and began again
                 return None
         self._known[_key(faulty)] = known
