@@ -68,3 +68,22 @@ def test_a_route_learns_nothing_while_its_link_is_full_or_it_is_in_trouble(make_
         assert not route.learns
         route.judged.announce(Verdict(State.SLOW, Cause.SLOW, "the publisher is slow"), 2.0)
         assert route.learns
+
+
+def test_the_sending_side_knows_of_messages_before_its_own_start(make_context: Callable[..., Context]) -> None:
+    """A client that was killed begins with nothing; the server has had messages of the one before."""
+    proposal = Propose(route=1, topic="/scan", remote_topic="/scan", from_client=True)
+    sender = OutgoingRoute(make_context(), FakePeer(), Topic("/scan", "transmit"), proposal, proposed_here=True)
+    receiver = IncomingRoute(make_context(), FakePeer(), Topic("/scan", "receive"), proposal, proposed_here=True)
+    for route in (sender, receiver):
+        route.open(1)
+        route.on_accepted()
+    assert not sender.facts().came_before
+    receiver.meter.last = receiver.opened_at - 46.0
+    report = receiver.news()
+    assert report is not None
+    sender.reported(report)
+    assert sender.facts().came_before
+    assert receiver.facts().came_before
+    sender.count(1, 10)
+    assert not sender.facts().came_before

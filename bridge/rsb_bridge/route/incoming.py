@@ -369,6 +369,7 @@ class IncomingRoute(TopicRoute):
             jitter=self.latency.jitter,
             verdict=record_of(self.verdict()),
             nodes=node_names(self.endpoints),
+            came_before=self.came_before,
         )
 
     def facts(self) -> Facts:

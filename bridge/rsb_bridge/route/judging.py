@@ -60,7 +60,7 @@ def facts_of(route: TopicRoute) -> Facts:
         qos=route.qos if known else None,
         flowing=route.flowing,
         came=route.came,
-        came_before=route.meter.last is not None and not route.came,
+        came_before=route.came_before,
         stale_since=_stale_since(route),
         yielded=route.yielding.shown(),
         late=route.late(),

@@ -423,6 +423,12 @@ class OutgoingRoute(TopicRoute):
         """Whether silence counts and there is no usual rate; `Health` judges topics with one."""
         return super().silence_counts and (self.silence.own or self.meter.usual_rate is None)
 
+    @property
+    def came_before(self) -> bool:
+        """Whether either side knows of messages in an earlier opening, and none came in this one."""
+        there = self._report is not None and self._report.came_before
+        return super().came_before or (there and not self.came)
+
     def end_qos(self) -> tuple[Qos | None, Qos | None]:
         return self._resolver.publisher_qos, self._report.subscriber_qos if self._report else None
 

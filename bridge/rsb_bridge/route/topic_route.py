@@ -25,6 +25,8 @@ if TYPE_CHECKING:
     from rsb_bridge.wire.messages import Propose
     from rsb_bridge.wire.records import ReceivedReport, SentReport
 
+_LATENCY_TICKS = 10
+"""Seconds of messages that the shown latency is of."""
 _UNUSUAL = frozenset({Cause.LATE, Cause.THINNED, *LOSS_CAUSES})
 
 
@@ -43,7 +45,7 @@ class TopicRoute(Route):
     def __init__(self, context: Context, peer: Owner, spec: Topic, proposal: Propose, *, proposed_here: bool) -> None:
         super().__init__(context, peer, spec, proposal, proposed_here=proposed_here)
         self.qos: Qos | None = None
-        self.latency = LatencyMeter()
+        self.latency = LatencyMeter(_LATENCY_TICKS)
         self.silence = Silence(self.log, context.now())
         self.lateness = LateWatch()
         self._flows_since = context.now()
@@ -156,6 +158,11 @@ class TopicRoute(Route):
     def came(self) -> bool:
         """Whether messages came in this opening, or the receiving side keeps some of a latched topic."""
         return (self.meter.last is not None and self.meter.last >= self.opened_at) or self.has_kept
+
+    @property
+    def came_before(self) -> bool:
+        """Whether messages came in an earlier opening, and none in this one."""
+        return self.meter.last is not None and not self.came
 
     @property
     def has_kept(self) -> bool:
