@@ -54,7 +54,9 @@ def test_snapshots_take_the_last_tick_s_verdict_until_somebody_changes_the_route
     assert len(judged) == 5
 
 
-def test_a_route_learns_nothing_while_its_link_is_full_or_it_is_in_trouble(make_context: Callable[..., Context]) -> None:
+def test_a_route_learns_nothing_while_its_link_is_full_or_it_is_in_trouble(
+    make_context: Callable[..., Context],
+) -> None:
     proposal = Propose(route=1, topic="/scan", remote_topic="/scan", from_client=True)
     for half, topic in ((OutgoingRoute, Topic("/scan", "transmit")), (IncomingRoute, Topic("/scan", "receive"))):
         peer = FakePeer()
