@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import msgspec
 import pytest
 from tests.command.test_remote import Ran
-from tests.console.scripted import NOW, SESSION, ScriptedEngine, route
+from tests.console.scripted import LINK, NOW, SESSION, ScriptedEngine, route
 from tests.support.bridge import carries, linked
 from tests.support.domain import text
 from tests.support.waiting import eventually
@@ -20,9 +20,11 @@ from tests.support.waiting import eventually
 from rsb_bridge.model.calls import CallsSnapshot
 from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import Ledger, RouteSnapshot, State
+from rsb_bridge.model.verdict import LinkCause
 from rsb_console.command import figures
 from rsb_console.command.arguments import parser_and_commands
 from rsb_console.command.figures import Window
+from rsb_console.command.reports import link_word, links_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -280,3 +282,15 @@ def test_at_a_bridge_that_runs(
     assert found["type"] == "std_msgs/msg/String"
     assert found["publishers"] == ["/stock"]
     assert found["transport"] == "tcp"
+
+
+@pytest.mark.parametrize(
+    ("cause", "word"), [(LinkCause.NONE, "OK"), (LinkCause.FULL, "FULL"), (LinkCause.NAME_TAKEN, "WARN")]
+)
+def test_a_link_with_a_warning_is_not_ok_in_words(cause: LinkCause, word: str) -> None:
+    link = replace(LINK, cause=cause, warning="something" if cause else "", warning_since=NOW - 5 if cause else None)
+    snapshot = replace(ScriptedEngine().snapshot(), links=(link,))
+    found: Any = links_of(snapshot)["robot1"]
+    assert link_word(link) == word
+    assert found["state"] == "ok"
+    assert found["since"] == (NOW - 5 if cause else LINK.since)

@@ -2,11 +2,25 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+from typing import TYPE_CHECKING
+
 import pytest
 
 from rsb_bridge.link.fullness import Asked, LinkFullness
+from rsb_bridge.link.roles import ClientRole
 from rsb_bridge.model.codes import EventCode
+from rsb_bridge.model.fullness import rates_text
+from rsb_bridge.model.verdict import LinkCause
+from rsb_bridge.wire.messages import Duplicate
 from rsb_bridge.wire.records import FullRecord
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from tests.support.virtual_time import VirtualLoop
+
+    from rsb_bridge.context import Context
 
 CAMERA, SCAN = Asked("/camera", "/robot1/camera", 40e3), Asked("/scan", "/robot1/scan", 8e3)
 ALL = 48e3
@@ -60,3 +74,43 @@ def test_what_the_peer_says_is_brought_within_sense() -> None:
     assert bed.fullness.warning("robot1")
     bed.fullness.disconnected()
     assert bed.fullness.warning("robot1") == ""
+
+
+@pytest.mark.parametrize("asked", [15e3, 10.4e3, 1e3, 950.0, 1.04e6])
+def test_a_link_that_carries_what_is_asked_is_not_full(asked: float) -> None:
+    fullness = LinkFullness(lambda level, code, text: None)
+    carried = [0.33 * asked] * 8 + [2.0 * asked] * 2 + [asked] * 4
+    seen = []
+    for each in carried:
+        fullness.tick([Asked("/camera", "/camera", asked)], each, full=each < asked, peer="the server")
+        seen.append(fullness.out)
+        if fullness.out is not None:
+            part, _, whole = fullness.out.share.split()[1:4]
+            assert float(part) < float(whole)
+            assert fullness.out.carried < 0.95 * fullness.out.asked
+    assert seen[7] is not None
+    assert seen[11] is None, "four ticks after it has room"
+
+
+def test_a_smaller_figure_has_a_smaller_text() -> None:
+    assert [rates_text(14.9e3, 15e3), rates_text(15e3, 15e3)] == ["14 of 15 kB/s", "15 of 15 kB/s"]
+    assert rates_text(25e3, 48e3) == "25 of 48 kB/s"
+
+
+def test_a_warning_begins_when_the_link_becomes_full(loop: VirtualLoop, make_context: Callable[..., Context]) -> None:
+    link = ClientRole(make_context(), {"robot1": ()}).links()[0]
+    link.control = SimpleNamespace()  # type: ignore[assignment]
+    link.status.up(link.context.wall())
+    up = link.context.wall()
+    loop.jump(100.0)
+    assert (link.snapshot().warning_since, link.snapshot().fault_since) == (None, up)
+    for carried in (5e3, 6e3, 7e3):
+        link.fullness.take_record(FullRecord(carried, 15e3), "the server")
+        assert link.snapshot().fault_since == pytest.approx(up + 100.0)
+        loop.jump(10.0)
+    link.on_duplicate(Duplicate("10.0.0.9", "spare"))
+    assert link.cause is LinkCause.NAME_TAKEN
+    assert link.snapshot().fault_since == pytest.approx(up + 130.0)
+    link.on_duplicate(Duplicate())
+    link.fullness.take_record(FullRecord(), "the server")
+    assert link.snapshot().fault_since == up

@@ -6,9 +6,12 @@ from typing import TYPE_CHECKING
 
 from tests.support.offline import FakePeer
 
+from rsb_bridge.model.fullness import Fullness
 from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import State
+from rsb_bridge.model.verdict import Cause, Verdict
 from rsb_bridge.route import topic_route as module
+from rsb_bridge.route.incoming import IncomingRoute
 from rsb_bridge.route.outgoing import OutgoingRoute
 from rsb_bridge.route.verdict import judge
 from rsb_bridge.wire.messages import Propose
@@ -19,7 +22,6 @@ if TYPE_CHECKING:
     import pytest
 
     from rsb_bridge.context import Context
-    from rsb_bridge.model.verdict import Verdict
     from rsb_bridge.route.verdict import Facts
 
 
@@ -50,3 +52,40 @@ def test_snapshots_take_the_last_tick_s_verdict_until_somebody_changes_the_route
     assert len(judged) == 4
     route.tick()
     assert len(judged) == 5
+
+
+def test_a_route_learns_nothing_while_its_link_is_full_or_it_is_in_trouble(
+    make_context: Callable[..., Context],
+) -> None:
+    proposal = Propose(route=1, topic="/scan", remote_topic="/scan", from_client=True)
+    for half, topic in ((OutgoingRoute, Topic("/scan", "transmit")), (IncomingRoute, Topic("/scan", "receive"))):
+        peer = FakePeer()
+        route = half(make_context(), peer, topic, proposal, proposed_here=True)
+        assert route.learns
+        peer.full_out = peer.full_in = Fullness(5e3, 15e3)
+        assert not route.learns
+        peer.full_out = peer.full_in = None
+        assert route.learns
+        route.judged.announce(Verdict(State.SLOW, Cause.QUEUE_FULL, "lost"), 1.0)
+        assert not route.learns
+        route.judged.announce(Verdict(State.SLOW, Cause.SLOW, "the publisher is slow"), 2.0)
+        assert route.learns
+
+
+def test_the_sending_side_knows_of_messages_before_its_own_start(make_context: Callable[..., Context]) -> None:
+    """A client that was killed begins with nothing; the server has had messages of the one before."""
+    proposal = Propose(route=1, topic="/scan", remote_topic="/scan", from_client=True)
+    sender = OutgoingRoute(make_context(), FakePeer(), Topic("/scan", "transmit"), proposal, proposed_here=True)
+    receiver = IncomingRoute(make_context(), FakePeer(), Topic("/scan", "receive"), proposal, proposed_here=True)
+    for route in (sender, receiver):
+        route.open(1)
+        route.on_accepted()
+    assert not sender.facts().came_before
+    receiver.meter.last = receiver.opened_at - 46.0
+    report = receiver.news()
+    assert report is not None
+    sender.reported(report)
+    assert sender.facts().came_before
+    assert receiver.facts().came_before
+    sender.count(1, 10)
+    assert not sender.facts().came_before

@@ -79,9 +79,16 @@ def test_0_accepts_any_delay() -> None:
 
 
 def test_what_is_usual_is_learned_only_in_good_times() -> None:
-    watch = watched(0.003, 0.003, 12.0, 12.0)
+    watch = watched(*[0.003] * 6, 0.4, 0.8, 12.0, 12.0)
     assert watch.seconds == 12.0
     assert watch.usual == pytest.approx(0.003)
+
+
+def test_no_delay_of_a_full_link_is_usual() -> None:
+    watch = LateWatch()
+    for second in range(60):
+        watch.tick(0.4, 0.0, 1.0, float(second), 0.4, learns=second < 4 or second > 50)
+        assert watch.usual is None or second > 55
 
 
 def test_how_long_ago_the_oldest_unreported_message_was_sent() -> None:
@@ -172,3 +179,34 @@ def test_figures() -> None:
         "1.1 of 3.0 MB/s",
         "1 of 400 B/s",
     ]
+
+
+def test_the_shown_latency_is_of_the_last_ten_seconds() -> None:
+    """A jam of 15 s: nothing comes, then messages that are 2 s old, then again the usual ones."""
+    meter = LatencyMeter(10)
+
+    def ticks(count: int, *transits: float) -> tuple[float | None, float | None]:
+        for _ in range(count):
+            for transit in transits:
+                meter.add(transit)
+            meter.tick()
+        return meter.p50, meter.p99
+
+    assert ticks(400, 0.01, 0.01) == (0.01, 0.01)
+    assert ticks(15) == (None, None)
+    assert meter.jitter is not None
+    assert ticks(5, 2.0) == (2.0, 2.0)
+    assert ticks(6, 0.01) == (0.01, 2.0)
+    assert ticks(5, 0.01) == (0.01, 0.01)
+    assert ticks(3, *[0.01] * 5000) == (0.01, 0.01)
+    assert ticks(11) == (None, None)
+
+
+def test_figures_of_the_other_side_stay() -> None:
+    meter = LatencyMeter(10)
+    meter.told(0.01, 0.02, 0.0)
+    for _ in range(20):
+        meter.tick()
+    assert (meter.p50, meter.p99) == (0.01, 0.02)
+    meter.told(None, None, 0.0)
+    assert meter.p50 is None

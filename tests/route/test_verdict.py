@@ -345,7 +345,7 @@ def silence_is_explained(said: set[Verdict]) -> bool:
 
 def test_a_slow_topic_that_recovers_is_not_said_to_lose_messages() -> None:
     """The rate is fine again, and the watch waits before it says so."""
-    slow = {"slow_since": NOW - 8.0, "expected_rate": 20.0}
+    slow = {"slow_since": NOW - 8.0, "expected_rate": 20.0, "shown_cause": Cause.SLOW}
     losing = verdict_on(SENDER, rate=10.0, lost_in_dds=80, **slow).text
     for rate in (17.1, 20.0, 20.3, 40.0):
         verdict = verdict_on(SENDER, rate=rate, **slow)
@@ -442,3 +442,15 @@ def test_the_verb_agrees_with_the_names(nodes: list[str], verb: str, count: str 
     assert verb in who
     counts = re.findall(r"\((\d+) ", who)
     assert counts == ([] if count is None else [count])
+
+
+@pytest.mark.parametrize("facts", [{"loss": Loss(2, 83, "queue full", 0.0, recovering=True)}, {"slow_since": 0.0}])
+def test_what_recovers_begins_no_new_fault(facts: dict[str, Any]) -> None:
+    """When a link has room again, a late topic's losses are over too, though the last ones were a moment ago."""
+    facts |= {"rate": 19.0, "expected_rate": 20.0}
+    assert verdict_on(SENDER, **facts) == FINE
+    assert verdict_on(SENDER, **facts, shown_cause=Cause.LATE) == FINE
+    cause = Cause.SLOW if "slow_since" in facts else Cause.QUEUE_FULL
+    verdict = verdict_on(SENDER, **facts, shown_cause=cause)
+    assert (verdict.state, verdict.cause) == (State.SLOW, cause)
+    assert "%" not in verdict.text

@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from unittest.mock import Mock
 
 import pytest
-from tests.console.scripted import LINK, route
+from tests.console.scripted import LINK, ScriptedEngine, route
 
 from rsb_bridge.model.clock import Clock
+from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.health import link_needs_attention, route_needs_attention
 from rsb_bridge.model.snapshot import LinkSnapshot, RouteSnapshot, Snapshot, State
 from rsb_bridge.telemetry.acknowledgements import Acknowledgements, find_faulty
+from rsb_bridge.telemetry.event_log import EventLog
+from rsb_bridge.telemetry.snapshots import SnapshotPublisher
 
 NOW = 1_700_000_000.0
 
@@ -37,7 +41,8 @@ class Table:
 
     def __init__(self) -> None:
         self.clock = Hand()
-        self.known = Acknowledgements(self.clock)
+        self.ended: list[object] = []
+        self.known = Acknowledgements(self.clock, self.ended.append)
 
     def mark(self, *routes: RouteSnapshot, link: LinkSnapshot = LINK) -> list[bool]:
         """Whether the link is marked, and whether each route is."""
@@ -132,3 +137,40 @@ def test_there_has_to_be_a_fault_and_to_undo_an_acknowledgement(table: Table) ->
         table.known.remove(MAP)
     table.known.remove(SCAN)
     assert table.mark(SCAN) == [False, False]
+
+
+def test_a_killed_publisher_is_one_fault_when_ros_notices_it(table: Table) -> None:
+    table.clock.moved = 20.0
+    gone = replace(SCAN, cause="publisher_gone", since=NOW + 20)
+    assert table.mark(gone) == [False, True]
+    table.clock.moved = 40.0
+    assert table.mark(gone) == [False, True]
+    assert table.ended == []
+    assert table.mark(replace(gone, cause="no_publisher")) == [False, False]
+    assert len(table.ended) == 1
+
+
+def test_an_acknowledgement_that_ends_is_told_once_and_only_if_a_fault_is_left(table: Table) -> None:
+    table.mark(replace(SCAN, state=State.OK, cause=""))
+    assert table.ended == []
+    table.known.add(SCAN, "anna")
+    other = replace(SCAN, state=State.SLOW, cause="slow")
+    for _ in range(5):
+        table.mark(other)
+    assert table.ended == [other]
+
+
+def test_the_end_of_an_acknowledgement_is_an_event() -> None:
+    clock = Hand()
+    events = EventLog(clock)
+    shown = [SCAN]
+    link = Mock(routes={"scan": Mock(snapshot=lambda: shown[0])}, snapshot=lambda: LINK)
+    bridge = Mock(links=lambda: [link], refused=lambda: ())
+    publisher = SnapshotPublisher(ScriptedEngine().snapshot(), events, clock)
+    publisher.acknowledged.add(SCAN, "anna")
+    publisher.refresh_now(bridge)
+    shown[0] = replace(SCAN, state=State.SLOW, cause="slow")
+    publisher.refresh_now(bridge)
+    publisher.refresh_now(bridge)
+    (event,) = events.after(0)
+    assert (event.code, event.topic, event.link) == (EventCode.OPERATOR_ACKNOWLEDGEMENT_ENDED, SCAN.topic, SCAN.link)

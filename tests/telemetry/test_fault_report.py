@@ -51,12 +51,18 @@ def test_a_route() -> None:
 
 
 def test_a_link_and_its_warning() -> None:
-    link = replace(LINK, cause=LinkCause.NAME_TAKEN, warning="a second robot1")
+    link = replace(LINK, cause=LinkCause.NAME_TAKEN, warning="a second robot1", warning_since=NOW - 7)
     found = report(FaultChange(ChangeKind.CHANGED, link, before=("down", "lost")))
     names = ("event", "what", "name", "state", "cause", "text", "previous_state", "previous_cause")
     assert [found[name] for name in names] == [
         "changed", "link", "robot1", "ok", "name_taken", "a second robot1", "down", "lost",
     ]  # fmt: skip
+
+
+def test_the_fault_of_a_link_that_is_up_begins_with_its_warning() -> None:
+    full = replace(LINK, cause=LinkCause.FULL, warning="link full", warning_since=NOW - 7)
+    assert report(FaultChange(ChangeKind.BEGUN, full))["since"] == NOW - 7
+    assert report(FaultChange(ChangeKind.OVER, LINK))["since"] == LINK.since
 
 
 def test_what_was_removed() -> None:

@@ -75,6 +75,18 @@ def test_a_faster_rate_is_learned_at_once_and_a_slower_one_after_ten_minutes() -
     assert learned([20] * 21, usual).rate == pytest.approx(20, rel=0.02)
 
 
+@pytest.mark.parametrize("known", [0, 30])
+def test_trouble_teaches_no_rate(known: int) -> None:
+    """A full link carries 2 of 7 Hz for eleven minutes, and is noticed to be full after 5 s."""
+    usual = learned([7] * known)
+    learned([2] * 5, usual)
+    for _ in range(660):
+        usual.now += 1.0
+        usual.usual.skip(usual.now)
+    assert usual.rate == (pytest.approx(7) if known else None)
+    assert learned([7] * 20, usual).rate == pytest.approx(7)
+
+
 @given(st.lists(st.integers(0, 1000), max_size=300))
 def test_whatever_comes_the_rate_is_one_that_was_there(counts: list[int]) -> None:
     usual = learned(counts)
@@ -239,3 +251,37 @@ def test_silence_means_something_after_messages_at_a_rhythm(gaps: list[float], r
             meter.add(1, 100, due.pop(0))
         meter.tick(now)
     assert meter.regular is regular
+
+
+def test_a_topic_recovers_soon_after_the_last_loss() -> None:
+    watch, state = LossWatch(), [0, 0, 0]
+    lossy(watch, [(5, 2)] * 20, state)
+    assert watch.loss is not None
+    lossy(watch, [(7, 0)] * 3, state)
+    assert watch.loss is not None
+    assert watch.loss.recovering
+    lossy(watch, [(7, 0)] * 3, state)
+    assert watch.loss is None
+    lossy(watch, [(7, 0)] * 3 + [(6, 1)] + [(7, 0)] * 5, state)
+    assert watch.loss is None, "earlier losses do not count again"
+
+
+def test_below_the_bound_a_topic_recovers_even_if_some_messages_are_lost_for_good() -> None:
+    watch, state = LossWatch(), [0, 0, 0]
+    lossy(watch, [(90, 10)] * 10, state)
+    seen = []
+    for _ in range(25):
+        lossy(watch, [(97, 3)], state)
+        seen.append("none" if watch.loss is None else "recovering" if watch.loss.recovering else "lossy")
+    assert seen[-1] == "none"
+    assert sorted(seen, key=["lossy", "recovering", "none"].index) == seen
+
+
+def test_a_rare_loss_of_a_slow_topic_is_no_recovery_in_between() -> None:
+    watch, state = LossWatch(), [0, 0, 0]
+    lossy(watch, [(0, 1), (1, 0), (1, 0), (1, 0), (1, 0)] * 4, state)
+    lossy(watch, [(0, 1)] * 3, state)
+    assert watch.loss is not None
+    lossy(watch, [(1, 0)] * 4, state)
+    assert watch.loss is not None
+    assert not watch.loss.recovering

@@ -16,12 +16,14 @@ from rsb_bridge.wire.records import FullRecord
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection
 
-_BEGINS, _ENDS = 4, 6
+_BEGINS, _ENDS = 4, 4
 """Ticks that have to agree before a link counts as full, or as no longer full."""
 _WINDOW = 3
 """Ticks over which the arriving bytes are averaged: fewer than `_BEGINS`, so that a stall is no full link."""
 _MORE = 1.15
 """A full link is asked for more than so many times the arriving bytes."""
+_ALL = 0.95
+"""Share of the asked bytes: a link that carries that much is not full, however short a time it does."""
 _FAR_LESS = 0.6
 """Share of the asked bytes: if less arrives on average, the link is full even if the last tick brought more."""
 _AFTER_STALL = 6
@@ -93,7 +95,8 @@ class LinkFullness:
         over = full and carried > 0.0 and not self._stalled and asked > _MORE * carried and too_little
         was = self.out is not None
         self._other = self._other + 1 if over != was else 0
-        if self._other >= (_ENDS if was else _BEGINS):
+        carries_all = was and self._carried >= _ALL * self._asked
+        if carries_all or self._other >= (_ENDS if was else _BEGINS):
             self._other = 0
             was = not was
             if was:

@@ -101,6 +101,7 @@ class Link(ABC):
         self.connections = 0
         self.linked_at = 0.0
         self.budget = PeerBudget(context.now())
+        self._warned: tuple[LinkCause, float] = (LinkCause.NONE, 0.0)
         self.revisions = Revisions()
         self.duplicates = DuplicateClients(name)
         self.neighbourhood = Neighbourhood(context, self.send)
@@ -268,6 +269,7 @@ class Link(ABC):
         """The control connection is over."""
         self.keepalive.stop()
         self.control = self.keys = None
+        self._warned = LinkCause.NONE, 0.0
         cause = _CAUSES.get(code, LinkCause.CLOSED)
         if cause is LinkCause.LOST and self.transport.problem:
             cause, reason = LinkCause.ROUTER_LOST, self.transport.problem
@@ -405,6 +407,7 @@ class Link(ABC):
             return
         measures = self.bench.is_measuring
         self.contention.tick(self.keepalive, self.features, self.connections, self._peer_name, measures=measures)
+        self.warning_since()  # notice the beginning even if nobody looks
         self.send(self.keepalive.tick())
         self.channels.tick(self.routes.values())
         for report in reports(self.routes.values(), self.fullness.next_record()):
@@ -427,6 +430,13 @@ class Link(ABC):
             return ""
         taken = self.duplicates.warning(self.context.now(), self.context.wall())
         return "; ".join(filter(None, (taken, self.fullness.warning(self._peer_name))))
+
+    def warning_since(self) -> float | None:
+        """Return s since the epoch, when the present warning began, or None without one. Called once a second."""
+        cause = self.cause if self.warning else LinkCause.NONE
+        if cause != self._warned[0]:
+            self._warned = cause, self.context.wall()
+        return self._warned[1] if cause else None
 
     @property
     def cause(self) -> LinkCause:

@@ -41,6 +41,7 @@ def snapshot_of(link: Link) -> LinkSnapshot:
         use_name=link.use_name,
         cause=link.cause,
         warning=link.warning,
+        warning_since=link.warning_since(),
         capacity_out=link.contention.sending.capacity,
         capacity_in=link.contention.receiving.capacity,
         full_out=link.full_out,

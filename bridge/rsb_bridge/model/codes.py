@@ -46,6 +46,8 @@ class EventCode(StrEnum):
     OPERATOR_ACKNOWLEDGED = "operator.acknowledged"
     """An operator acknowledged a fault of a topic or a link."""
     OPERATOR_ACKNOWLEDGEMENT_UNDONE = "operator.acknowledgement_undone"
+    OPERATOR_ACKNOWLEDGEMENT_ENDED = "operator.acknowledgement_ended"
+    """An acknowledgement ended, because the fault became another one."""
     OPERATOR_ARMED = "operator.armed"
     """An operator of either side armed a topic."""
     OPERATOR_DISARMED = "operator.disarmed"

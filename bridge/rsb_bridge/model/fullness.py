@@ -41,6 +41,13 @@ def rates_text(part: float, whole: float) -> str:
     """Format two rates: ``1.1 of 3.0 MB/s``, ``25 of 48 kB/s``."""
     for unit, name in ((1e6, "MB/s"), (1e3, "kB/s")):
         if whole >= unit:
-            digits = 1 if whole < 9.95 * unit else 0
-            return f"{part / unit:.{digits}f} of {whole / unit:.{digits}f} {name}"
-    return f"{part:.0f} of {whole:.0f} B/s"
+            return f"{_less_text(part / unit, whole / unit, 1 if whole < 9.95 * unit else 0)} {name}"
+    return f"{_less_text(part, whole, 0)} B/s"
+
+
+def _less_text(part: float, whole: float, digits: int) -> str:
+    """Format two figures. If `part` is less, its text is too."""
+    texts = f"{part:.{digits}f}", f"{whole:.{digits}f}"
+    if part < whole and texts[0] == texts[1]:
+        return f"{max(0.0, float(texts[1]) - 10.0**-digits):.{digits}f} of {texts[1]}"
+    return " of ".join(texts)

@@ -382,7 +382,7 @@ def _state(
     if stopped := [route for route in wrong if not route.state.flows]:
         return RobotState.FAULT, *_worst(stopped, len(wrong), called)
     if warned := [link for link in links if link_needs_attention(link)]:
-        return RobotState.WARN, _and_more(warned[0].warning, len(warned) + len(wrong)), warned[0].since
+        return RobotState.WARN, _and_more(warned[0].warning, len(warned) + len(wrong)), warned[0].fault_since
     if wrong:
         return RobotState.WARN, *_worst(wrong, len(wrong), called)
     if partial := [(pattern, link) for link in links for pattern in link.patterns if pattern_needs_attention(pattern)]:
@@ -404,7 +404,7 @@ def _acknowledged_faults(
     """Yield the acknowledged faults, each with its beginning: of links first, then of the worst routes."""
     for link in links:
         if link.acknowledged is not None and link_is_wrong(link):
-            yield link.reason or link.warning, link.since
+            yield link.reason or link.warning, link.fault_since
         for pattern in link.patterns:
             if pattern.acknowledged is not None and pattern_is_wrong(pattern):
                 yield f"{pattern.spec.topic}: {pattern.reason}", link.since

@@ -358,6 +358,7 @@ class LinkSnapshot:
         patterns: of this side's session, in its order.
         full_out: the rates from here, or None if the link is not full.
         full_in: the rates to here, as the peer reports them, or None if the link is not full.
+        warning_since: s since the epoch, when `warning` or its cause began, or None without a warning.
         acknowledged: the acknowledgement of its fault, or None.
     """
 
@@ -389,7 +390,13 @@ class LinkSnapshot:
     patterns: tuple[PatternSnapshot, ...] = ()
     full_out: Fullness | None = None
     full_in: Fullness | None = None
+    warning_since: float | None = None
     acknowledged: Acknowledgement | None = None
+
+    @property
+    def fault_since(self) -> float:
+        """S since the epoch, when its fault began; without one, when its state began."""
+        return self.since if self.warning_since is None else self.warning_since
 
 
 @dataclass(frozen=True, slots=True)

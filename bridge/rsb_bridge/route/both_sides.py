@@ -89,6 +89,11 @@ class BothSides:
         text = f"{self._peer_name}: {verdict.text}" if verdict.text else ""
         return Shown(replace(verdict, text=text), from_peer=True)
 
+    @property
+    def shown_cause(self) -> str:
+        """The cause that was shown last, or an empty string."""
+        return "" if self._shows is None else self._shows[1]
+
     def announce(self, own: Verdict, now: float) -> Announcement | None:
         """Once a second: what to log, if anything."""
         verdict = self.shown(own).verdict

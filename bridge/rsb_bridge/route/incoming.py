@@ -290,7 +290,7 @@ class IncomingRoute(TopicRoute):
             self.lateness.reset()
         else:
             recent = self.latency.recent
-            self.lateness.tick(recent, uncertainty, self.late_after, now, recent)
+            self.lateness.tick(recent, uncertainty, self.late_after, now, recent, learns=self.learns)
 
     @property
     def _held_back(self) -> bool:
@@ -369,6 +369,7 @@ class IncomingRoute(TopicRoute):
             jitter=self.latency.jitter,
             verdict=record_of(self.verdict()),
             nodes=node_names(self.endpoints),
+            came_before=self.came_before,
         )
 
     def facts(self) -> Facts:

@@ -60,11 +60,12 @@ def facts_of(route: TopicRoute) -> Facts:
         qos=route.qos if known else None,
         flowing=route.flowing,
         came=route.came,
-        came_before=route.meter.last is not None and not route.came,
+        came_before=route.came_before,
         stale_since=_stale_since(route),
         yielded=route.yielding.shown(),
         late=route.late(),
         full=route.peer.full_out if route.outgoing else route.peer.full_in,
+        shown_cause=route.judged.shown_cause,
     )
 
 

@@ -32,6 +32,8 @@ _REPORTED_EVERY = 1.0
 _MOST_MARKS = 600
 _USUAL = 0.1
 """Weight of a new delay in the usual one."""
+_USUAL_AFTER = 5
+"""Delays in time that have to follow one before it is learned: trouble begins a little earlier than it is noticed."""
 
 WAY, QUEUE = "way", "queue"
 """Where messages are held up: on the way, or in the sender's own queue."""
@@ -68,6 +70,7 @@ class LateWatch:
         self.since: float | None = None
         self.seconds = 0.0
         self.usual: float | None = None
+        self._good: deque[float] = deque()  # delays to learn from
         self._other = 0
         self._first = 0.0
         self._seen_at: float | None = None
@@ -82,6 +85,7 @@ class LateWatch:
         measured: float | None = None,
         *,
         own: float = 0.0,
+        learns: bool = True,
     ) -> None:
         """Take a delay.
 
@@ -91,6 +95,7 @@ class LateWatch:
             bound: s that a message may take, or 0 for no limit.
             now: s.
             measured: s that messages take, from which the usual delay is learned, or None without a figure.
+            learns: whether the link and the topic are as usual.
             own: the part of `delay` that this side knows without the other one's clock, which may just have been set.
         """
         if not bound:
@@ -107,8 +112,13 @@ class LateWatch:
         over = delay - uncertainty > (_OVER * bound if late else bound)
         if over and abs(delay - self.seconds) > _SAME * self.seconds:
             self.seconds = delay
-        if not over and not late and measured is not None:
-            self.usual = measured if self.usual is None else self.usual + _USUAL * (measured - self.usual)
+        if over or late or not learns:
+            self._good.clear()
+        elif measured is not None:
+            self._good.append(measured)
+            if len(self._good) > _USUAL_AFTER:
+                good = self._good.popleft()
+                self.usual = good if self.usual is None else self.usual + _USUAL * (good - self.usual)
         if over == late:
             self._other = 0
             return
@@ -124,6 +134,7 @@ class LateWatch:
         """Start again, but keep the usual delay."""
         self.since = None
         self.seconds = 0.0
+        self._good.clear()
         self._other = 0
         self._seen_at = None
 

@@ -310,7 +310,7 @@ class OutgoingRoute(TopicRoute):
             unreported = min(unreported, self.peer.ping_wait)
         own = max(self._sending.waits(now), delay_of_sender(unreported, self.peer.report_delay))
         self.delay = max(own, (measured or 0.0) - (self.peer.clock_uncertainty or 0.0))
-        self.lateness.tick(self.delay, 0.0, self.late_after, now, measured, own=own)
+        self.lateness.tick(self.delay, 0.0, self.late_after, now, measured, own=own, learns=self.learns)
 
     @property
     def _message_and_report(self) -> float:
@@ -422,6 +422,12 @@ class OutgoingRoute(TopicRoute):
     def silence_counts(self) -> bool:
         """Whether silence counts and there is no usual rate; `Health` judges topics with one."""
         return super().silence_counts and (self.silence.own or self.meter.usual_rate is None)
+
+    @property
+    def came_before(self) -> bool:
+        """Whether either side knows of messages in an earlier opening, and none came in this one."""
+        there = self._report is not None and self._report.came_before
+        return super().came_before or (there and not self.came)
 
     def end_qos(self) -> tuple[Qos | None, Qos | None]:
         return self._resolver.publisher_qos, self._report.subscriber_qos if self._report else None

@@ -336,13 +336,18 @@ class Route:
     def tick(self) -> None:
         """Once a second: histories, and what has turned for the worse."""
         now = self.context.now()
-        self.meter.tick(now)
+        self.meter.tick(now, learns=self.learns)
         if self.flowing:  # that both sides accept it says little: what it is refused for may be found out later
             self._backoff.reset()
         self._verdict = None
         verdict = self.verdict()
         if said := self.judged.announce(verdict, now):
             self.log(said.level, said.code, said.text, **self._about(said, now))
+
+    @property
+    def learns(self) -> bool:
+        """Whether its rate and delays are as usual now, so that the usual ones are learned from them."""
+        return True
 
     def count(self, messages: int, size: int) -> None:
         """Note that messages, or calls, passed."""

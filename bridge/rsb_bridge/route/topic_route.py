@@ -5,12 +5,13 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from rsb_bridge.model.snapshot import State
+from rsb_bridge.model.verdict import Cause
 from rsb_bridge.route.lateness import Late, LateWatch
 from rsb_bridge.route.peeking import PeekSlot
 from rsb_bridge.route.route import Route
 from rsb_bridge.route.silence import Silence
 from rsb_bridge.route.snapshots import snapshot_of_topic
-from rsb_bridge.route.verdict import Facts, judge
+from rsb_bridge.route.verdict import LOSS_CAUSES, Facts, judge
 from rsb_bridge.route.yielding import Yielding
 from rsb_bridge.telemetry.meters import LatencyMeter
 
@@ -23,6 +24,10 @@ if TYPE_CHECKING:
     from rsb_bridge.route.peer import Owner
     from rsb_bridge.wire.messages import Propose
     from rsb_bridge.wire.records import ReceivedReport, SentReport
+
+_LATENCY_TICKS = 10
+"""Seconds of messages that the shown latency is of."""
+_UNUSUAL = frozenset({Cause.LATE, Cause.THINNED, *LOSS_CAUSES})
 
 
 class TopicRoute(Route):
@@ -40,7 +45,7 @@ class TopicRoute(Route):
     def __init__(self, context: Context, peer: Owner, spec: Topic, proposal: Propose, *, proposed_here: bool) -> None:
         super().__init__(context, peer, spec, proposal, proposed_here=proposed_here)
         self.qos: Qos | None = None
-        self.latency = LatencyMeter()
+        self.latency = LatencyMeter(_LATENCY_TICKS)
         self.silence = Silence(self.log, context.now())
         self.lateness = LateWatch()
         self._flows_since = context.now()
@@ -105,6 +110,15 @@ class TopicRoute(Route):
         full = self.peer.full_out if self.outgoing else self.peer.full_in
         return Late(watch.seconds, watch.usual, self._held_up_where(), full, watch.since)
 
+    @property
+    def learns(self) -> bool:
+        """Whether neither the link is full in this direction nor messages are late, lost or thinned.
+
+        A slow publisher is no obstacle: a lower rate becomes the usual one after some time.
+        """
+        full = self.peer.full_out if self.outgoing else self.peer.full_in
+        return full is None and self.lateness.since is None and self.judged.shown_cause not in _UNUSUAL
+
     def _held_up_where(self) -> str:
         """Return the place where messages are held up, or an empty string if this half does not know it."""
         return ""
@@ -144,6 +158,11 @@ class TopicRoute(Route):
     def came(self) -> bool:
         """Whether messages came in this opening, or the receiving side keeps some of a latched topic."""
         return (self.meter.last is not None and self.meter.last >= self.opened_at) or self.has_kept
+
+    @property
+    def came_before(self) -> bool:
+        """Whether messages came in an earlier opening, and none in this one."""
+        return self.meter.last is not None and not self.came
 
     @property
     def has_kept(self) -> bool:

@@ -73,6 +73,7 @@ class Facts(NamedTuple):
         yielded: the share that it leaves to topics with a higher priority, or None.
         late: the lateness of its messages, or None if they are on time.
         full: the rates of the link if it is full, or None.
+        shown_cause: the cause that was shown last, or empty.
     """
 
     sends: bool
@@ -111,6 +112,7 @@ class Facts(NamedTuple):
     yielded: Yielded | None = None
     late: Late | None = None
     full: Fullness | None = None
+    shown_cause: str = ""
 
     @property
     def crowded_out(self) -> str:
@@ -268,6 +270,8 @@ def _slow(facts: Facts) -> Verdict | None:
         return None
     rates = f"{_steady_figure(facts.rate)} Hz of {facts.expected_rate:.3g} expected"
     if facts.rate >= FAST_ABOVE * facts.expected_rate:  # the watch waits before it ends the fault
+        if facts.shown_cause != Cause.SLOW:
+            return None  # a fault that nobody was shown needs no end
         return Verdict(State.SLOW, Cause.SLOW, f"recovering after {LASTING}: {rates}", facts.slow_since)
     text = f"{rates}, for {LASTING}"
     if facts.lost_in_dds > (facts.expected_rate - facts.rate) * LATELY / 2:  # it is the greater part of what is missing
@@ -290,6 +294,9 @@ _LOSSES: dict[str, tuple[Cause, str]] = {
 }
 
 
+LOSS_CAUSES = frozenset({Cause.LOSSY, *(cause for cause, _ in _LOSSES.values())})
+
+
 def _thinned(facts: Facts) -> Verdict | None:
     return verdict_of(facts.yielded) if facts.yielded is not None else None
 
@@ -308,6 +315,10 @@ def _lossy(facts: Facts) -> Verdict | None:
     if facts.full is not None and cause in (Cause.LOSSY, Cause.QUEUE_FULL):
         why = f"the link is full ({facts.full.share}): set max_rate, compression: zstd or priority"
         cause = Cause.QUEUE_FULL
+    if loss.recovering:
+        if facts.shown_cause not in LOSS_CAUSES:
+            return None  # a fault that nobody was shown needs no end
+        return Verdict(State.SLOW, cause, f"recovering after {LASTING}: most messages arrive again", loss.since)
     if loss.lost >= loss.of:
         text = f"none of the last {loss.of:,} messages arrived"
         return Verdict(State.DOWN, cause, f"{text}, for {LASTING}: {why}", loss.since)

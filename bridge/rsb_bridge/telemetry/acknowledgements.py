@@ -1,23 +1,26 @@
-"""Acknowledged faults, each until its state or its cause changes."""
+"""Acknowledged faults, each until it becomes another one or is over."""
 
 from __future__ import annotations
 
 import dataclasses
-from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias, TypeVar
 
 from rsb_bridge.model.snapshot import Acknowledgement, LinkSnapshot, PatternSnapshot, RouteSnapshot, State
 from rsb_bridge.model.verdict import Cause
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Callable, Iterable
 
     from rsb_bridge.model.clock import Clock
     from rsb_bridge.model.snapshot import Snapshot
 
 _TOLERANCE = 2.0
 """s by which the beginning of a state may be wrong, because the wall clock is adjusted."""
+_ONE_FAULT = frozenset({Cause.PUBLISHER_SILENT, Cause.PUBLISHER_GONE})
+"""Causes of one fault: DDS lists a publisher for up to 20 s after its process was killed."""
 _NO_FAULT = frozenset({State.OK, State.PAUSED, State.DISARMED})
 
+AnyFaulty: TypeAlias = RouteSnapshot | LinkSnapshot | PatternSnapshot
 Faulty = TypeVar("Faulty", RouteSnapshot, LinkSnapshot, PatternSnapshot)
 
 
@@ -42,15 +45,17 @@ class Acknowledgements:
 
     Args:
         clock: the wall clock.
+        ended: called with each link, route or pattern whose acknowledgement ends because its fault became another one.
     """
 
-    def __init__(self, clock: Clock) -> None:
+    def __init__(self, clock: Clock, ended: Callable[[AnyFaulty], None] = lambda _: None) -> None:
         self._clock = clock
+        self._ended = ended
         self._known: dict[tuple[str, str], _AcknowledgedFault] = {}
         self._marked: dict[tuple[str, str], tuple[Any, Any]] = {}
         """The newest marked snapshots, each with its original, so that an unchanged one stays the same object."""
 
-    def add(self, faulty: RouteSnapshot | LinkSnapshot | PatternSnapshot, by: str) -> None:
+    def add(self, faulty: AnyFaulty, by: str) -> None:
         """Acknowledge a fault.
 
         Raises:
@@ -61,7 +66,7 @@ class Acknowledgements:
         record = Acknowledgement(by, self._clock.time_ns() / 1e9)
         self._known[_key(faulty)] = _AcknowledgedFault(faulty.state, _cause(faulty), record, self._clock.steady())
 
-    def remove(self, faulty: RouteSnapshot | LinkSnapshot | PatternSnapshot) -> None:
+    def remove(self, faulty: AnyFaulty) -> None:
         """Take an acknowledgement back.
 
         Raises:
@@ -114,16 +119,24 @@ class Acknowledgements:
 
     def _keep(
         self,
-        faulty: RouteSnapshot | LinkSnapshot | PatternSnapshot,
+        faulty: AnyFaulty,
         before: dict[tuple[str, str], _AcknowledgedFault],
         now: float,
     ) -> Acknowledgement | None:
         known = before.get(_key(faulty))
-        if known is None or (known.state, known.cause) != (faulty.state, _cause(faulty)):
+        if known is None:
             return None
-        if not isinstance(faulty, PatternSnapshot):
-            lasting, elapsed = now - faulty.since, self._clock.steady() - known.at
+        if not _same_fault(known, faulty):
+            if has_fault(faulty):
+                self._ended(faulty)
+            return None
+        if known.cause != _cause(faulty):
+            known = known._replace(cause=_cause(faulty), at=self._clock.steady())
+        elif not isinstance(faulty, PatternSnapshot):
+            since = faulty.fault_since if isinstance(faulty, LinkSnapshot) else faulty.since
+            lasting, elapsed = now - since, self._clock.steady() - known.at
             if lasting + _TOLERANCE < elapsed:  # it was over meanwhile, and began again
+                self._ended(faulty)
                 return None
         self._known[_key(faulty)] = known
         return known.record
@@ -150,12 +163,17 @@ class Acknowledgements:
         return marked_now
 
 
-def has_fault(faulty: RouteSnapshot | LinkSnapshot | PatternSnapshot) -> bool:
+def _same_fault(known: _AcknowledgedFault, faulty: AnyFaulty) -> bool:
+    causes = {known.cause, _cause(faulty)}
+    return known.state is faulty.state and (len(causes) == 1 or causes <= _ONE_FAULT)
+
+
+def has_fault(faulty: AnyFaulty) -> bool:
     """Whether it has a fault, or waits, so that it can be acknowledged."""
     return faulty.state not in _NO_FAULT or (isinstance(faulty, LinkSnapshot) and bool(faulty.warning))
 
 
-def find_faulty(snapshot: Snapshot, key: str, link: str) -> RouteSnapshot | LinkSnapshot | PatternSnapshot:
+def find_faulty(snapshot: Snapshot, key: str, link: str) -> AnyFaulty:
     """Return the link, route or pattern that an operator names.
 
     Args:
@@ -180,15 +198,15 @@ def find_faulty(snapshot: Snapshot, key: str, link: str) -> RouteSnapshot | Link
     raise ValueError(f"the route {key!r} was removed")
 
 
-def _key(faulty: RouteSnapshot | LinkSnapshot | PatternSnapshot) -> tuple[str, str]:
+def _key(faulty: AnyFaulty) -> tuple[str, str]:
     return ("link", faulty.name) if isinstance(faulty, LinkSnapshot) else ("route", faulty.key)
 
 
-def _cause(faulty: RouteSnapshot | LinkSnapshot | PatternSnapshot) -> str:
+def _cause(faulty: AnyFaulty) -> str:
     return "" if isinstance(faulty, PatternSnapshot) else faulty.cause
 
 
-def _name(faulty: RouteSnapshot | LinkSnapshot | PatternSnapshot) -> str:
+def _name(faulty: AnyFaulty) -> str:
     if isinstance(faulty, LinkSnapshot):
         return faulty.name
     return faulty.topic if isinstance(faulty, RouteSnapshot) else faulty.spec.topic

@@ -41,17 +41,17 @@ def fault_report(change: FaultChange, *, time: float, bridge: str, role: str, on
     }
     if isinstance(subject, LinkSnapshot):
         content |= {"what": "link", "kind": "link", "name": _text(subject.name), "link": _text(subject.name)}
-        text, from_peer = subject.reason or subject.warning, False
+        text, from_peer, since = subject.reason or subject.warning, False, subject.fault_since
     else:
         content |= {"what": "route", "kind": subject.spec.kind, "name": _text(subject.topic)}
         content |= {"link": _text(subject.link), "outgoing": subject.outgoing}
-        text, from_peer = subject.reason, subject.from_peer
+        text, from_peer, since = subject.reason, subject.from_peer, subject.since
     state, cause = (REMOVED, "") if change.removed else (str(subject.state), subject.cause)
     content |= {
         "state": _text(state),
         "cause": _text(cause),
         "text": "" if change.removed else _text(text, REASON_LENGTH),
-        "since": round(time if change.removed else subject.since, 3),
+        "since": round(time if change.removed else since, 3),
         "from_peer": from_peer,
         "previous_state": _text(change.before[0]),
         "previous_cause": _text(change.before[1]),

@@ -118,14 +118,22 @@ class RateMeter:
         self.bytes += size
         self.last = now
 
-    def tick(self, now: float) -> None:
-        """Add what has come since the last tick to the history, as the seconds that it took, at `now` (s)."""
+    def tick(self, now: float, *, learns: bool = True) -> None:
+        """Add what has come since the last tick to the history, as the seconds that it took.
+
+        Args:
+            now: s.
+            learns: whether the usual rate is learned from it.
+        """
         elapsed = now - self._ticked
         if elapsed < _SHORTEST_TICK:
             return
         self._ticked = now
         messages, self._at_tick = self.count - self._at_tick, self.count
-        self._usual.add(messages, self.last, now)
+        if learns:
+            self._usual.add(messages, self.last, now)
+        else:
+            self._usual.skip(now)
         if not messages and self._quiet >= HISTORY == len(self.history):
             self._smoothed.add(0.0, now)
             return  # one quiet second more makes no difference
@@ -160,6 +168,9 @@ class RateMeter:
 class LatencyMeter:
     """One-way latency of a route and its jitter (RFC 3550 section 6.4.1), in seconds.
 
+    Args:
+        ticks: for which a sample counts, or 0 if it counts until enough others have come.
+
     Attributes:
         p50: of the last samples, or None without a figure.
         p99: of the last samples, or None without a figure.
@@ -167,10 +178,12 @@ class LatencyMeter:
         recent: median of the samples between the last two ticks, or None without one.
     """
 
-    __slots__ = ("_fresh", "_samples", "_transit", "jitter", "p50", "p99", "recent")
+    __slots__ = ("_counts", "_fresh", "_samples", "_ticks", "_transit", "jitter", "p50", "p99", "recent")
 
-    def __init__(self) -> None:
+    def __init__(self, ticks: int = 0) -> None:
         self._samples: deque[float] = deque(maxlen=_LATENCIES)
+        self._ticks = ticks
+        self._counts: deque[int] = deque()  # samples in each of the last ticks
         self._transit: float | None = None
         self._fresh = 0  # samples since the last tick
         self.recent: float | None = None
@@ -185,6 +198,7 @@ class LatencyMeter:
         """
         if not _EARLIEST < transit < _LATEST:
             self._samples.clear()
+            self._counts.clear()
             self._transit = self.p50 = self.p99 = self.jitter = None
             self._fresh = 0
             return
@@ -204,13 +218,28 @@ class LatencyMeter:
     def tick(self) -> None:
         """Work out the percentiles over the last samples."""
         fresh, self._fresh, self.recent = self._fresh, 0, None
+        outdated = self._drop_outdated(fresh)
         if fresh:
-            samples = [*self._samples]
-            newest = sorted(samples[-fresh:])
+            newest = sorted([*self._samples][-fresh:])
             self.recent = newest[len(newest) // 2]
-            ordered = sorted(samples)
+        if outdated and not self._samples:
+            self.p50 = self.p99 = None
+        elif fresh or outdated:
+            ordered = sorted(self._samples)
             self.p50 = ordered[len(ordered) // 2]
             self.p99 = ordered[min(len(ordered) - 1, len(ordered) * 99 // 100)]
+
+    def _drop_outdated(self, fresh: int) -> bool:
+        """Drop the samples that no longer count, and return whether there were any."""
+        if not self._ticks:
+            return False
+        self._counts.append(fresh)
+        if len(self._counts) > self._ticks:
+            self._counts.popleft()
+        before, count = len(self._samples), sum(self._counts)
+        while len(self._samples) > count:
+            self._samples.popleft()
+        return len(self._samples) < before
 
 
 class ClockOffset:

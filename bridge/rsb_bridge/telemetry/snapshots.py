@@ -8,6 +8,8 @@ import math
 from collections import deque
 from typing import TYPE_CHECKING, Protocol
 
+from rsb_bridge.model.codes import EventCode
+from rsb_bridge.model.snapshot import Level, LinkSnapshot, PatternSnapshot, RouteSnapshot
 from rsb_bridge.tasks import in_slices
 from rsb_bridge.telemetry.acknowledgements import Acknowledgements
 
@@ -15,7 +17,8 @@ if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from rsb_bridge.model.clock import Clock
-    from rsb_bridge.model.snapshot import LinkSnapshot, RefusedClient, RouteSnapshot, Snapshot
+    from rsb_bridge.model.snapshot import RefusedClient, Snapshot
+    from rsb_bridge.telemetry.acknowledgements import AnyFaulty
     from rsb_bridge.telemetry.event_log import EventLog
 
 _AT_ONCE, _REFRESHES = 128, 4
@@ -73,7 +76,7 @@ class SnapshotPublisher:
 
     def __init__(self, blank: Snapshot, events: EventLog, clock: Clock) -> None:
         self.latest = blank
-        self.acknowledged = Acknowledgements(clock)
+        self.acknowledged = Acknowledgements(clock, self._acknowledgement_ended)
         self._events = events
         self._clock = clock
         self._routes: dict[ShownRoute, RouteSnapshot] = {}
@@ -81,6 +84,18 @@ class SnapshotPublisher:
         self._looks = 0
         self._looks_at: deque[tuple[float, int]] = deque()
         self._turn = 0
+
+    def _acknowledgement_ended(self, faulty: AnyFaulty) -> None:
+        """Add an event: the fault counts again."""
+        text = f"acknowledgement ended, the fault is now {faulty.state.upper()}"
+        if isinstance(faulty, LinkSnapshot):
+            link, topic = faulty.name, ""
+        else:
+            link, topic = faulty.link, faulty.topic if isinstance(faulty, RouteSnapshot) else faulty.spec.topic
+        cause = "" if isinstance(faulty, PatternSnapshot) else faulty.cause
+        text += f" ({cause})" if cause else ""
+        code = EventCode.OPERATOR_ACKNOWLEDGEMENT_ENDED
+        self._events.add(Level.INFO, code, f"{topic}: {text}" if topic else text, link=link, topic=topic)
 
     def look(self) -> Snapshot:
         """The newest snapshot; called on any thread."""

@@ -71,6 +71,16 @@ class UsualRate:
         self._learn(last - previous)
         self.regular = self.rate is not None or self._regular_rate(_RHYTHM_SAMPLES, _RHYTHM_STEADY) is not None
 
+    def skip(self, now: float) -> None:
+        """Learn nothing from what came since the last call, at `now` (s), and keep the rate.
+
+        The samples before are dropped: trouble begins a little earlier than it is noticed.
+        """
+        self._ticked = now
+        self._last = None
+        self._samples.clear()
+        self._lower_for = 0.0
+
     def _longest_gap(self) -> float:
         return _LONGEST_GAP if self.rate is None else max(_QUIET, _QUIET_PERIODS / self.rate)
 

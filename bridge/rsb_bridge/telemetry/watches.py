@@ -23,6 +23,12 @@ _WINDOW = 10.0
 """s over which losses are counted."""
 _LOSSY_ABOVE, _WHOLE_BELOW, _LEAST_LOST = 0.05, 0.02, 3
 """Shares of the messages, and messages: from the one on a topic loses messages, below the other it no longer does."""
+_FEW_FOR = 10
+"""Ticks in a row with fewer losses than make a fault, after which a topic has recovered."""
+_LOSSLESS_TICKS, _RECOVERED_TICKS = 2, 4
+"""Ticks in which messages arrive and none is lost, after which a topic recovers, and after which it has recovered."""
+_EXPECTED_LOSSES = 3.0
+"""Losses that the arrived messages would have had at the share before, so that their absence is not chance."""
 _NO_LOSS = frozenset({"already published", "link lost", "would loop", "thinned"})
 """Causes of drops that are meant, or that the link's own state explains."""
 
@@ -110,12 +116,14 @@ class Loss:
         of: of so many whose end is known.
         cause: that most of them were dropped for, as in the ledger; ``expired``: parts of them did not come.
         since: s, when it began.
+        recovering: whether fewer are lost now than make a fault.
     """
 
     lost: int
     of: int
     cause: str
     since: float
+    recovering: bool = False
 
     @property
     def share(self) -> float:
@@ -130,10 +138,13 @@ class LossWatch:
         loss: the present one; None: there is none to speak of.
     """
 
-    __slots__ = ("_marks", "loss")
+    __slots__ = ("_few", "_lossless", "_marks", "_since_loss", "loss")
 
     def __init__(self) -> None:
         self.loss: Loss | None = None
+        self._few = 0  # ticks in a row with fewer losses than make a fault
+        self._lossless = 0  # ticks with messages since the last loss
+        self._since_loss = 0  # messages that have arrived since then
         self._marks: deque[tuple[float, int, Mapping[str, int]]] = deque()
 
     def tick(self, delivered: int, lost: Mapping[str, int], now: float) -> None:
@@ -150,6 +161,11 @@ class LossWatch:
         self._marks.append((now, delivered, lost))
         while len(self._marks) > 2 and now - self._marks[1][0] >= _WINDOW:
             self._marks.popleft()
+        self._count_since_loss()
+        if self.loss is not None and self._lossless >= _RECOVERED_TICKS and self._not_chance(self.loss):
+            self.reset()  # the losses in the window are of the fault that is over
+            self._marks.append((now, delivered, lost))
+            return
         _, delivered_before, lost_before = self._marks[0]
         new = Counter(
             {cause: gained for cause, count in lost.items() if (gained := count - lost_before.get(cause, 0)) > 0}
@@ -157,13 +173,35 @@ class LossWatch:
         total = new.total()
         settled = total + delivered - delivered_before
         share = total / settled if settled else 0.0
-        if share >= (_WHOLE_BELOW if self.loss else _LOSSY_ABOVE) and total >= (1 if self.loss else _LEAST_LOST):
+        self._few = self._few + 1 if share < _LOSSY_ABOVE else 0
+        if self._few >= _FEW_FOR:
+            self.loss = None
+        elif share >= (_WHOLE_BELOW if self.loss else _LOSSY_ABOVE) and total >= (1 if self.loss else _LEAST_LOST):
             ((cause, _),) = new.most_common(1)
-            self.loss = Loss(total, settled, cause, self.loss.since if self.loss else now)
+            recovering = self._few > 0
+            if self.loss is not None:
+                recovering |= self._lossless >= _LOSSLESS_TICKS and self._not_chance(self.loss)
+                cause = self.loss.cause if recovering else cause
+            self.loss = Loss(total, settled, cause, self.loss.since if self.loss else now, recovering)
         elif settled or now - self._marks[0][0] >= _WINDOW:
             self.loss = None
+
+    def _count_since_loss(self) -> None:
+        if len(self._marks) < 2:
+            return
+        (_, delivered_before, lost_before), (_, delivered, lost) = self._marks[-2], self._marks[-1]
+        if any(count > lost_before.get(cause, 0) for cause, count in lost.items()):
+            self._lossless = self._since_loss = 0
+        elif delivered > delivered_before:
+            self._lossless += 1
+            self._since_loss += delivered - delivered_before
+
+    def _not_chance(self, loss: Loss) -> bool:
+        """Whether so many messages have arrived since the last loss that the losses are probably over."""
+        return self._since_loss * max(loss.share, _LOSSY_ABOVE) >= _EXPECTED_LOSSES
 
     def reset(self) -> None:
         """Begin anew."""
         self.loss = None
+        self._few = self._lossless = self._since_loss = 0
         self._marks.clear()

@@ -103,6 +103,7 @@ class ReceivedReport(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=Tr
         jitter: s (RFC 3550, 6.4.1), or None without a figure.
         verdict: of the receiving side, or None.
         nodes: some of the nodes that subscribe to the topic.
+        came_before: whether messages came in an earlier incarnation, and none in this one.
     """
 
     route: RouteId
@@ -122,6 +123,7 @@ class ReceivedReport(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=Tr
     jitter: float | None = None
     verdict: VerdictRecord | None = None
     nodes: NodeNames = ()
+    came_before: bool = False
 
     def __post_init__(self) -> None:
         check_qos(self.subscriber_qos)

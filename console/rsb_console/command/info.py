@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import msgspec
 
 from rsb_console.command.figures import measured
-from rsb_console.command.reports import clock, json_line, links_of, route_of
+from rsb_console.command.reports import clock, json_line, link_word, links_of, route_of
 from rsb_console.command.shell import OK, print_line
 from rsb_console.command.target import attached, chosen_route, other_side
 from rsb_console.look import formats
@@ -115,7 +115,7 @@ def _carriers(route: RouteSnapshot) -> Iterator[str]:
 
 
 def _link_parts(link: LinkSnapshot) -> Iterator[str]:
-    yield f"{link.name} {link.state.upper()}{f' {link.peer}' if link.peer else ''}"
+    yield f"{link.name} {link_word(link)}{f' {link.peer}' if link.peer else ''}"
     if link.rtt is not None:
         yield f"rtt {formats.span(link.rtt)}"
     if fault := link.reason or link.warning:

@@ -26,6 +26,7 @@ from rsb_console.command.reports import (
     faults_first,
     json_event,
     json_line,
+    link_word,
     links_of,
     made_by,
     of_links_that_are_up,
@@ -137,7 +138,7 @@ def _status_of(engine: RemoteEngine) -> tuple[list[str], list[str], dict[str, ob
         f"  {_in_short(now, faults, known, waits)}",
     ]
     for link in now.links:
-        lines.append(f"  link {link.name} {link.state.upper()}{where_and_why(link)}{acknowledged_by(link)}")
+        lines.append(f"  link {link.name} {link_word(link)}{where_and_why(link)}{acknowledged_by(link)}")
         if waits_for_link := topics_of_link_that_is_down(now, link):
             lines.append(f"    {waits_for_link}")
     lines += [f"  {refused_text(client)}" for client in now.refused]

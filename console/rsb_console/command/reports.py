@@ -68,7 +68,7 @@ class StatusLines:
                 snapshot.time,
                 [
                     (("link", link.name), f"{link.state} {link.cause}", f"{link.name} {link_fault(link)}",
-                     f"{link.name} {link.state.upper()}")
+                     f"{link.name} {link_word(link)}")
                     for link in snapshot.links if link.reason or link.warning
                 ],
                 [
@@ -104,6 +104,13 @@ def _some(parts: list[str]) -> list[str]:
     """As many as there is room for in a line."""
     more = len(parts) - _SHOWN_IN_STATUS
     return [*parts[:_SHOWN_IN_STATUS], f"and {more} more"] if more > 0 else parts
+
+
+def link_word(link: LinkSnapshot) -> str:
+    """Return a link's state in one word, which is not OK while the link has a warning."""
+    if link.state is not State.OK or not link.warning:
+        return link.state.upper()
+    return "FULL" if link.cause == LinkCause.FULL else "WARN"
 
 
 def link_fault(link: LinkSnapshot) -> str:
@@ -267,7 +274,7 @@ def links_of(snapshot: Snapshot) -> dict[str, object]:
             "state": link.state,
             "cause": link.cause,
             "reason": link.reason or link.warning,
-            "since": round(link.since, 3),
+            "since": round(link.fault_since, 3),
             "full": {
                 way: _full(each) for way, each in (("out", link.full_out), ("in", link.full_in)) if each is not None
             },
