@@ -84,7 +84,10 @@ def test_a_topic_whose_publisher_goes_and_comes_back_on_both_sides(
         return told.about("/chat")[-1] == ("over", "ok")
 
     for told in (here, there):
-        eventually(lambda told=told: over(told))
+        try:
+            eventually(lambda told=told: over(told), 150)  # the command is run ten times a minute at most
+        except AssertionError:
+            raise AssertionError(f"it is not over: {told.all()}") from None
 
 
 def test_a_reload_of_the_file_names_another_command_and_none(bridge: Bridge, tmp_path: Path) -> None:

@@ -143,7 +143,7 @@ class Window:
         self.limit = acknowledged + self.size
 
     def _accept_delay(self, took: float, acknowledged: int) -> None:
-        """Take a delay for the path's own if it stays although less is in transit: as after roaming, or behind others."""
+        """Accept a delay as that of the path if it stays although less is in transit."""
         if self._before_shrinking is None or acknowledged <= self._before_shrinking[0]:
             return
         _, before = self._before_shrinking
