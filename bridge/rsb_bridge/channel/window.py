@@ -38,7 +38,7 @@ _LONGEST_BACK = 5.0
 """s; a peer that claims more gains nothing by it."""
 _NOT_SHORTER = 0.75
 """If data that is sent after the window has shrunk still takes this share of the time, something else is in the way."""
-_LONGEST_OTHER = 2.0
+_LONGEST_OTHER = 1.2
 """s on the path that are accepted as somebody else's: more may be queues of this link's other topics."""
 _SILENT = 2.0
 """s without a receipt after which the path has stalled: a receiver acknowledges the last bytes within a second."""
