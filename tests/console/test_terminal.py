@@ -184,7 +184,7 @@ def test_stopped_and_continued_it_draws_again_and_leaves_nothing_behind(pair: Pa
         while terminal.alive:  # what is typed while it takes the terminal is lost
             assert time.monotonic() < deadline + 10, "q is not heard"
             with contextlib.suppress(OSError):  # it has just gone
-                terminal.type("q")
+                terminal.type("qy")
             terminal.read(0.5)
         assert terminal.exit_code() == 0
         assert termios.tcgetattr(terminal.fd) == before
