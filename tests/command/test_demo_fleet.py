@@ -50,8 +50,7 @@ def test_each_engine_is_linked_and_has_a_line(program: tuple[str, ...], engines:
     done = subprocess.run(command, capture_output=True, text=True, timeout=WITHIN, check=False)
     assert done.returncode == 0, done.stderr
     rows = [line.split()[:2] for line in done.stdout.splitlines()[-len(engines) :]]
-    assert [name for name, _ in rows] == engines
-    assert {state for _, state in rows} <= {"ok", "warn", "fault"}, "linked; whether all flows is the machine's affair"
+    assert rows == [[name, "ok"] for name in engines]
     assert [*temporary.iterdir()] == []
 
 
