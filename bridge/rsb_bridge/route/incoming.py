@@ -343,7 +343,12 @@ class IncomingRoute(TopicRoute):
         some time for lost.
         """
         report = self._received_report()
-        if report == self._told_report and not (self._sender_ledger.in_flight and self.life.ready):
+        told = self._told_report
+        if told is not None and report.latency is None:  # no news: the sender forgets latencies by itself
+            told = msgspec.structs.replace(told, latency=None)
+            if report.latency_p50 is None:
+                told = msgspec.structs.replace(told, latency_p50=None, latency_p99=None)
+        if report == told and not (self._sender_ledger.in_flight and self.life.ready):
             return None
         self._told_report = report
         verdict = lasting(report.verdict, self.verdict(), self.context.now())
