@@ -188,19 +188,51 @@ def test_an_older_peer_finds_what_is_unknown_among_the_drops() -> None:
 def test_missed_messages_are_the_time_at_the_usual_rate_while_somebody_publishes() -> None:
     missed = MissedWhileDown()
     missed.lost(0.0)
-    missed.tick(10.0, published=True)
+    missed.tick(10.0, 500, published=True)
     assert missed.count == 0  # the rate is not known
     missed.rate = 20.0
     missed.lost(100.0)
-    missed.tick(101.0, published=True)
+    missed.tick(101.0, 500, published=True)
     missed.lost(101.0)
     assert (missed.count, missed.down) == (20, True)
-    missed.tick(151.0, published=False)  # paused, or nobody is there
-    missed.back(151.5, published=True)
-    assert (missed.count, missed.down) == (30, False)
-    missed.tick(200.0, published=True)
-    missed.back(200.0, published=True)
-    assert missed.count == 30
+    missed.tick(151.0, 500, published=False)  # paused, or nobody is there
+    missed.subscribed(151.5, 500)
+    missed.tick(152.0, 504, published=True)
+    assert (missed.count, missed.down) == (36, False)
+    missed.tick(200.0, 1500, published=True)
+    assert missed.count == 36
+
+
+def test_messages_are_missed_until_publishers_have_found_the_new_subscription() -> None:
+    missed = MissedWhileDown()
+    missed.rate = 20.0
+    missed.lost(0.0)
+    missed.tick(1.0, 7, published=True)
+    missed.subscribed(1.1, 7)
+    missed.tick(2.0, 7, published=True)
+    assert (missed.count, missed.down) == (40, True)
+    missed.tick(3.0, 10, published=True)  # three came in this second
+    assert (missed.count, missed.down) == (57, False)
+
+
+def test_nothing_is_missed_for_long_of_publishers_that_send_nothing() -> None:
+    missed = MissedWhileDown()
+    missed.rate = 20.0
+    missed.lost(0.0)
+    missed.subscribed(0.0, 7)
+    for second in range(1, 10):
+        missed.tick(float(second), 7, published=True)
+    assert (missed.count, missed.down) == (60, False)
+
+
+def test_a_burst_of_what_was_kept_is_no_negative_miss() -> None:
+    missed = MissedWhileDown()
+    missed.rate = 20.0
+    missed.lost(0.0)
+    missed.tick(2.0, 7, published=True)
+    missed.subscribed(2.1, 7)
+    missed.tick(3.0, 700, published=True)
+    assert missed.count == 40
 
 
 @pytest.fixture

@@ -5,9 +5,10 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import pytest
-from tests.route.test_sorter import SCAN, Graph, Peer, World
+from tests.route.test_sorter import FIRST, SCAN, Graph, Peer, World
 
 from rsb_bridge.link.proposals import proposal_of
+from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.session import Topic
 from rsb_bridge.route.outgoing import OutgoingRoute
 
@@ -56,15 +57,30 @@ def test_the_estimate_grows_while_the_route_is_down_and_stays_when_it_is_back(wo
     world.route.close("link lost")
     passes(world, 5)
     assert missed(world) == 100
-    world.wait(0.5)
     reopen(world)
+    world.wait(0.5)
+    world.comes(FIRST, *[b"x"] * 10)
+    world.wait(0.5)
+    world.route.tick()
     assert missed(world) == 110
     passes(world, 5)
     assert (missed(world), world.route._sent_report().missed_while_down) == (110, 110)
     world.route.close("link lost")
     passes(world, 1)
     assert missed(world) == 130
-    assert world.route.ledger().offered == 0
+
+
+def test_a_data_connection_that_breaks_before_the_link_does_refuses_nothing(world: World) -> None:
+    world.route.channel_lost("Broken pipe")
+    world.route.close("link lost")
+    passes(world, 5)
+    assert missed(world) == 100
+
+
+def test_nothing_is_missed_of_a_topic_that_is_refused(world: World) -> None:
+    world.route.refuse(EventCode.ROUTE_REFUSED, "not allowed")
+    passes(world, 5)
+    assert missed(world) == 0
 
 
 def test_nothing_is_missed_of_a_topic_that_nobody_publishes(world: World) -> None:

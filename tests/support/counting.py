@@ -6,6 +6,7 @@ and answers each line of its input with what it has counted so far.
 
 from __future__ import annotations
 
+import itertools
 import json
 import os
 import select
@@ -39,12 +40,14 @@ class Count(NamedTuple):
         published: by the publisher.
         received: different messages that the listener got.
         doubled: messages that it got more than once.
+        gaps: runs of messages that it did not get, by length, the longest first.
         ledger: of the sending side, as ``status --json`` has it.
     """
 
     published: int
     received: int
     doubled: int
+    gaps: list[int]
     ledger: dict[str, Any]
 
     @property
@@ -238,7 +241,7 @@ class CountedBridge:
             return (heard, topic) if time.monotonic() - since > _QUIET else None
 
         heard, topic = eventually(quiet, within=30, what=f"a settled ledger; the last was {last}")
-        return Count(published, heard["heard"], heard["doubled"], topic)
+        return Count(published, heard["heard"], heard["doubled"], self.listener.ask("gaps"), topic)
 
 
 def _publish(domain_id: int, topic: str, depth: int) -> None:
@@ -286,8 +289,14 @@ def _listen(domain_id: int, topic: str, depth: int) -> None:
         heard.update(words)
         newest = max(newest, *map(int, words)) if words else newest
         if select.select([sys.stdin], [], [], 0.001)[0]:
-            if not sys.stdin.readline():
+            line = sys.stdin.readline()
+            if not line:
                 return
+            if line.startswith("gaps"):
+                numbers = sorted(map(int, heard))
+                lengths = [after - before - 1 for before, after in itertools.pairwise([-1, *numbers])]
+                _say(json.dumps(sorted(filter(None, lengths), reverse=True)))
+                continue
             _say(json.dumps({"heard": len(heard), "doubled": doubled, "newest": newest, "matched": listener.matched}))
 
 

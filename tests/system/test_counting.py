@@ -21,7 +21,9 @@ if TYPE_CHECKING:
 
 RATE = 400.0
 _TOLERANCE = int(1.5 * RATE)
-"""Messages: DDS brings none to a listener that has not found the new publisher yet, and a link is not lost at once."""
+"""Messages: a link is not lost at once, and a starved publisher does not keep its rate."""
+_OUTAGES = 3
+"""The beginning, a cut, and a kill."""
 
 
 @pytest.fixture(scope="module")
@@ -37,8 +39,10 @@ def check(count: Count) -> None:
     assert ledger["offered"] == ledger["delivered"] + count.ended + ledger["unknown"] + ledger["in_flight"], count
     assert (ledger["in_flight"], count.doubled) == (0, 0), count
     assert count.received <= ledger["delivered"] + ledger["unknown"], f"what arrived is said to be lost: {count}"
+    # DDS brings a new publisher's messages only to listeners that have found it: such an outage ends later
+    outages = sum(count.gaps[:_OUTAGES])
     known = count.received + count.ended + ledger["lost_in_dds"] + count.never_taken
-    assert 0 <= count.published - known <= ledger["unknown"] + _TOLERANCE, count
+    assert 0 <= count.published - known <= ledger["unknown"] + max(0, outages - count.never_taken), count
     assert abs(ledger["missed_while_down"] - count.never_taken) <= _TOLERANCE, count
 
 

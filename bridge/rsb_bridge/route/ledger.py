@@ -16,6 +16,8 @@ if TYPE_CHECKING:
     from rsb_bridge.wire.records import ReceivedReport, SentReport
 
 _OVERDUE_AFTER = 2.0
+_FOUND_WITHIN = 3.0
+"""s within which publishers find a new subscription; who has sent nothing by then sends nothing now."""
 _MOST_CAUSES = 31
 """Causes of drops with a count of their own; a report has room for one more, `UNKNOWN` (PROTOCOL.md, 3)."""
 _OTHER = "other"
@@ -282,7 +284,8 @@ class RouteLedger:
 class MissedWhileDown:
     """Estimates the messages that were published while a route was down: its downtime at the usual rate.
 
-    Time counts from `lost` to `back`, as long as somebody publishes.
+    Time counts from `lost` until a message comes again, as long as somebody publishes: publishers have to find a new
+    subscription first, which takes seconds on a busy machine.
 
     Attributes:
         rate: Hz, the usual rate of the topic, or None if it has none.
@@ -292,6 +295,7 @@ class MissedWhileDown:
         self.rate: float | None = None
         self._messages = 0.0
         self._since: float | None = None
+        self._subscribed: tuple[float, int] | None = None
 
     @property
     def count(self) -> int:
@@ -300,25 +304,39 @@ class MissedWhileDown:
 
     @property
     def down(self) -> bool:
-        """Whether the route is down, so that time counts."""
+        """Whether time counts."""
         return self._since is not None
 
     def lost(self, now: float) -> None:
         """Count from `now` (s) on, if there is a usual rate. May be called twice."""
+        self._subscribed = None
         if self._since is None and self.rate:
             self._since = now
 
-    def tick(self, now: float, *, published: bool) -> None:
-        """Count the time until `now` (s), if somebody publishes."""
+    def subscribed(self, now: float, offered: int) -> None:
+        """The route is subscribed again at `now` (s), with `offered` messages before."""
         if self._since is not None:
-            if published:
-                self._messages += max(0.0, now - self._since) * (self.rate or 0.0)
-            self._since = now
+            self._subscribed = (now, offered)
 
-    def back(self, now: float, *, published: bool) -> None:
-        """Stop counting at `now` (s)."""
-        self.tick(now, published=published)
-        self._since = None
+    def tick(self, now: float, offered: int, *, published: bool) -> None:
+        """Count the time until `now` (s), if somebody publishes, without the messages that were taken meanwhile.
+
+        Args:
+            now: s.
+            offered: messages taken from ROS since the route was made.
+            published: whether somebody publishes.
+        """
+        if self._since is None:
+            return
+        taken = 0
+        elapsed, self._since = max(0.0, now - self._since), now
+        if self._subscribed is not None:
+            since, before = self._subscribed
+            taken = offered - before
+            if taken or now - since >= _FOUND_WITHIN:
+                self._since = self._subscribed = None
+        if published:
+            self._messages += max(0.0, elapsed * (self.rate or 0.0) - taken)
 
 
 def reported_ledger(report: SentReport) -> Ledger | None:

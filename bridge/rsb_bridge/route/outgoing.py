@@ -183,7 +183,7 @@ class OutgoingRoute(TopicRoute):
         except RosError as error:
             self.request_reopen(EventCode.ROUTE_SUBSCRIBE_FAILED, str(error), Level.ERROR)
             return
-        self._ledger.missed.back(self.context.now(), published=self._is_published)
+        self._ledger.missed.subscribed(self.context.now(), self._ledger.offered)
         self.silence.rearm(self.context.now())
         self.log(Level.INFO, EventCode.ROUTE_CONNECTED, f"→ {self.transport.name} connected ({self.type_name})")
 
@@ -279,7 +279,7 @@ class OutgoingRoute(TopicRoute):
         """Learn the rate at which messages cross, or estimate how many are missed now."""
         missed = self._ledger.missed
         if missed.down:
-            missed.tick(now, published=self._is_published)
+            missed.tick(now, self._ledger.offered, published=self._is_published)
         elif self.flowing:
             usual = None if latched else self.meter.usual_rate
             rate, limit = usual or self.spec.expected_rate, self.limit.rate
@@ -288,7 +288,7 @@ class OutgoingRoute(TopicRoute):
     @property
     def _is_published(self) -> bool:
         """Whether somebody publishes the topic, and neither side has paused or refused it."""
-        if self.paused or self.refusal:
+        if self.paused or self._refused:
             return False
         own = self.context.announcements.own_publishers(self.topic, besides=self.peer.name)
         return bool(own or self.context.ros.publishers(self.topic))
