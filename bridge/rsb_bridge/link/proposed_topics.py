@@ -97,8 +97,8 @@ class ProposedTopics:
         The route goes on if only limits differ, else there is a new one.
 
         Raises:
-            LinkError: the topic has a mistake, there is such a route, or its proposer is too old for the change; the old
-                route stays.
+            LinkError: the topic has a mistake, there is such a route, or its proposer is too old for the change; the
+                old route stays.
         """
         table, proposal = self._table, self._proposal(topic)
         if _can_amend(route, proposal):
