@@ -154,6 +154,7 @@ def test_an_older_bridge_that_has_no_counts_gives_no_wrong_figures(
     (found,) = objects(done)
     assert found["ok"] is False
     assert "update" in found["error"]
+    assert ran("ack", "/scan").code == 1
     (found,) = objects(ran("info", "/scan", "--json"))
     assert found["messages_total"] is None
     assert found["bytes_total"] is not None
