@@ -11,7 +11,7 @@ import msgspec
 from rsb_bridge.api import EngineError, InvalidRequestError
 from rsb_bridge.control import protocol
 from rsb_bridge.control.commands import CHANGING, ArmTopic, Bench
-from rsb_bridge.control.features import FEATURES, known_features, with_unknown_kept, without_unknown
+from rsb_bridge.control.features import FEATURES, known_features, knows_all, with_unknown_kept, without_unknown
 from rsb_bridge.control.performing import perform
 from rsb_bridge.control.protocol import ProtocolError
 from rsb_bridge.control.states import EncodedRoutes, Sender
@@ -234,11 +234,13 @@ class Console:
             self._tasks.spawn(self._answer(request))
 
     async def _answer(self, request: protocol.Request) -> None:
-        engine = self._engine
+        engine, command = self._engine, request.command
+        if not knows_all(self._features):
+            command = with_unknown_kept(command, self._features, engine.snapshot(), engine.session)
         try:
             with acting(self._operator), undoing(request.undo), on_console(self):
                 answer = await perform(
-                    with_unknown_kept(request.command, self._features, engine.snapshot(), engine.session),
+                    command,
                     engine,
                     step=lambda text: self._step(request.id, text),
                     stop_process=self._served.stop_process,

@@ -7,6 +7,7 @@ the bridge does not know, and a bridge leaves out what the console does not know
 
 from __future__ import annotations
 
+import functools
 from typing import TYPE_CHECKING, Any, Final, TypeVar, cast
 
 import msgspec
@@ -51,7 +52,7 @@ V = TypeVar("V")
 
 
 def known_features(named: Iterable[str]) -> frozenset[str]:
-    """Return those of the other side's features that this version knows, too."""
+    """Return the features of the other side that this version knows."""
     return _ALL.intersection(named)
 
 
@@ -110,8 +111,6 @@ def with_unknown_kept(command: Command, features: frozenset[str], snapshot: Snap
         snapshot: the newest.
         session: the present one.
     """
-    if knows_all(features):
-        return command
     if isinstance(command, EditTopic) and (before := _spec(snapshot, command.key)) is not None:
         return msgspec.structs.replace(command, topic=_kept(command.topic, before, features))
     if isinstance(command, ChangeClient):
@@ -131,10 +130,11 @@ def _is(one: object, other: object) -> bool:
     return one is other
 
 
-def _new_fields(kind: type) -> list[tuple[str, str, Any]]:
+@functools.cache  # the types of all commands and sessions: a few dozen
+def _new_fields(kind: type) -> tuple[tuple[str, str, Any], ...]:
     """Return the fields that belong to a feature, each with the feature and the field's default."""
     defaults = {each.name: each.default for each in msgspec.structs.fields(kind)}
-    return [(name, feature, defaults[name]) for name, feature in FIELDS.get(kind, {}).items()]
+    return tuple([(name, feature, defaults[name]) for name, feature in FIELDS.get(kind, {}).items()])
 
 
 def _features_of(value: object) -> Iterator[str]:
@@ -152,7 +152,7 @@ def _features_of(value: object) -> Iterator[str]:
 
 
 def _spec(snapshot: Snapshot, key: str) -> Topic | None:
-    """Return the entry of a route or a pattern, or None if there is none with that key."""
+    """Return the entry of a route or a pattern, or None if the key is unknown."""
     patterns = [pattern for link in snapshot.links for pattern in link.patterns]
     entries = [(route.key, route.spec) for route in snapshot.routes] + [(each.key, each.spec) for each in patterns]
     return next((spec for known, spec in entries if known == key), None)

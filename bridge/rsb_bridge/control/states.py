@@ -44,13 +44,13 @@ class EncodedRoutes:
 
 
 class Sender:
-    """What one console has been told.
+    """The state that one console has received, and the differences from it.
 
     Args:
-        features: of the console; what belongs to others is left out.
+        features: of the console; fields of other features are left out.
 
     Attributes:
-        sent: the snapshot that it was told last; None: none yet.
+        sent: the newest snapshot that was sent, or None if none was.
     """
 
     def __init__(self, features: frozenset[str] = frozenset(FEATURES)) -> None:
