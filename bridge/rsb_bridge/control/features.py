@@ -90,12 +90,13 @@ def without_unknown(value: V, features: frozenset[str]) -> V:
         return value if all(map(_is, parts, value)) else cast("V", parts)
     if not isinstance(value, (Session, Client, Topic)):
         return value
+    kind: type = type(value)
     changes = {
         name: default
-        for name, feature, default in _new_fields(type(value))
+        for name, feature, default in _new_fields(kind)
         if feature not in features and getattr(value, name) != default
     }
-    for name in _PARTS.get(type(value), ()):
+    for name in _PARTS.get(kind, ()):
         part = getattr(value, name)
         if (shortened := without_unknown(part, features)) is not part:
             changes[name] = shortened
