@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 RUNS_FOR = 10.0
 """s after which a command is killed, with everything that it has started."""
 WAITING = 16
-"""Changes of different links and routes that wait for their command; later ones are counted as merged."""
+"""Changes of different links, routes and patterns that wait for their command; later ones are counted as merged."""
 EVERY = 1.0
 """s between two starts of the command, at least."""
 STARTS, STARTS_WITHIN = 10, 60.0
@@ -85,7 +85,7 @@ class FaultHook:
 
 
 class WaitingChanges:
-    """Changes that wait for their command: the newest of each link and route, the longest waiting first."""
+    """Changes that wait for their command: the newest of each link, route and pattern, the longest waiting first."""
 
     def __init__(self) -> None:
         self._waiting: dict[tuple[str, str], FaultChange] = {}
@@ -95,7 +95,7 @@ class WaitingChanges:
         return len(self._waiting)
 
     def add(self, change: FaultChange) -> None:
-        """Add a change. It replaces an earlier one of its link or route; if the queue is full, it is only counted."""
+        """Add a change. It replaces an earlier one of the same subject; if the queue is full, it is only counted."""
         earlier = self._waiting.get(change.key)
         if earlier is None and len(self._waiting) >= WAITING:
             self._merged += 1

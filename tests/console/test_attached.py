@@ -18,7 +18,7 @@ from tests.support.waiting import eventually
 from textual.pilot import Pilot
 
 from rsb_bridge.config.session_file import save
-from rsb_bridge.control import bridges
+from rsb_bridge.control import bridges, console
 from rsb_bridge.model.session import Topic
 from rsb_console.actions.registry import Group
 from rsb_console.app import ConsoleApp
@@ -59,6 +59,25 @@ def test_it_shows_what_the_engine_shows_and_does_what_the_operator_wants(
     drive(app, steps)
     app.stop()
     assert bridges.ask(machine.folder / "robot1.sock").info is not None
+
+
+def test_what_an_older_bridge_cannot_do_is_told_and_the_console_stays_attached(
+    machine: Machine, engine: ScriptedEngine, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(console, "FEATURES", ())
+    app = attached_app(machine)
+
+    async def steps(pilot: Pilot[None]) -> None:
+        await shown(pilot, "/robot2/scan")
+        await pilot.press("i")
+        await until(pilot, lambda: any("update" in each.message for each in app._notifications), "what to do")
+        await pilot.press("p")
+        await until(pilot, lambda: engine.commands == [("pause", "/robot2/scan", True)], "paused there")
+        assert app.engine is not None
+        assert not app.engine.unreachable
+
+    drive(app, steps)
+    app.stop()
 
 
 def test_the_quit_dialog_says_that_the_bridge_goes_on(machine: Machine, engine: ScriptedEngine) -> None:

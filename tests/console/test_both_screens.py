@@ -1,6 +1,7 @@
 """A row for each cause that keeps a topic from being heard: what both screens and both JSON streams say of it.
 
 One pair of consoles, in real terminals, bridges a topic for each row; real nodes publish and subscribe as the row says.
+A relay between the two sides holds the messages of one topic.
 """
 
 from __future__ import annotations
@@ -13,13 +14,17 @@ import sys
 from functools import partial
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+import msgspec
 import pytest
 from tests.console.live import Pair, running
 from tests.console.nodes import Spec, encoded
 from tests.console.side import Side, every_so_often
+from tests.support.holding_relay import HoldingRelay
 from tests.support.log_lines import check_lines
+from tests.support.ports import free_port
 from tests.support.waiting import eventually
 
+from rsb_bridge.config.session_file import save
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import State
@@ -50,6 +55,7 @@ class Row(NamedTuple):
         comes: the node that starts last, when all is fine.
         leaves: the node that goes first, after all was fine: a subscriber ends, a publisher hangs. (DDS lists one that
             was killed for 20 s, and a busy machine takes longer to ask both sides; `tests.engine.test_verdicts` kills.)
+        held: s that each message waits on its way, after all was fine.
     """
 
     name: str
@@ -63,6 +69,7 @@ class Row(NamedTuple):
     logged: bool = True
     comes: str = ""
     leaves: str = ""
+    held: float = 0.0
 
 
 ROWS = (
@@ -180,7 +187,20 @@ ROWS = (
         "robot1: nothing for … Hz expected: /mortal has stopped publishing, or died",
         leaves="mortal",
     ),
+    Row(
+        "messages that take too long",
+        Topic("/chat", "transmit", port=free_port()),
+        (Spec("talker", "/chat", 1),),
+        (Spec("listener", "/chat"),),
+        State.LATE,
+        Cause.LATE,
+        "",
+        "",
+        held=3.0,
+    ),
 )
+_RELAYED = "127.0.0.2"
+"""Where the client finds the server: relays listen there."""
 _FINE_FOR = 100
 """Messages, in 5 s."""
 _RATE_IS_KNOWN = re.compile(r" [\d.]+/\d")  # a busy machine publishes less often than it is told to
@@ -195,6 +215,9 @@ class World:
 
     def __init__(self, folder: Path, domains: tuple[int, int], nodes: contextlib.ExitStack) -> None:
         pair = Pair(folder, *(row.topic for row in ROWS), domains=domains, stale_after=120.0)
+        ports = {pair.client.server_port, *(row.topic.port for row in ROWS if row.topic.port is not None)}
+        self._relays = {port: nodes.enter_context(HoldingRelay(port, host=_RELAYED, port=port)) for port in ports}
+        save(msgspec.structs.replace(pair.client, server_ip=_RELAYED), pair.client_path)
         self._starts: dict[str, Callable[[], subprocess.Popen[bytes]]] = {}
         for domain, specs in zip(domains, ([row.robot for row in ROWS], [row.pc for row in ROWS]), strict=True):
             flat = [spec for each in specs for spec in each]
@@ -255,6 +278,10 @@ class World:
             self._starts[row.comes]()
         if row.leaves:
             self._end(row, fine)
+        if row.held:
+            assert row.topic.port is not None
+            self.routes(fine)
+            self._relays[row.topic.port].held = row.held
 
     def _end(self, row: Row, fine: Row) -> None:
         before = self.routes(fine)

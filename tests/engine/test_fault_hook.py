@@ -20,14 +20,13 @@ from rsb_bridge.fault_hook import EVERY, OUTPUT, STARTS, STARTS_WITHIN, WAITING,
 from rsb_bridge.model.clock import Clock
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.fault_watch import LASTS, ChangeKind, FaultChange
-from rsb_bridge.model.snapshot import Level, Snapshot, State
+from rsb_bridge.model.snapshot import Level, RouteSnapshot, Snapshot, State
 from rsb_bridge.telemetry.event_log import EventLog
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from rsb_bridge.context import Context
-    from rsb_bridge.model.snapshot import RouteSnapshot
 
 SLOW = route("/scan", State.SLOW, cause="slow")
 STOPPED = route("/scan", State.STOPPED, cause="publisher_silent")
@@ -279,6 +278,7 @@ def test_of_one_topic_the_newest_change_waits() -> None:
     waiting.add(changed(0, ChangeKind.CHANGED, cause="slow"))
     assert len(waiting) == 2
     change, merged = waiting.take()
+    assert isinstance(change.subject, RouteSnapshot)
     assert (change.kind, change.subject.cause, merged) == (ChangeKind.BEGUN, "slow", 1), "its begin was not told"
     waiting.add(changed(1, ChangeKind.OVER))
     change, merged = waiting.take()

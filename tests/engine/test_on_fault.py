@@ -7,15 +7,18 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 from tests.engine.test_reloading import Edited
-from tests.support.bridge import carries, find, linked
+from tests.support.bridge import carries, find, link, linked, route
 from tests.support.domain import text
 from tests.support.operators import ANNA, BOB, Reachable
+from tests.support.rogue import Rogue
 from tests.support.waiting import eventually
 
 from rsb_bridge.api import EngineError
+from rsb_bridge.config.keys import read_key
 from rsb_bridge.model.codes import EventCode
-from rsb_bridge.model.session import Topic
+from rsb_bridge.model.session import Client, Topic
 from rsb_bridge.model.snapshot import State
+from rsb_bridge.model.verdict import Cause
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -88,6 +91,40 @@ def test_a_topic_whose_publisher_goes_and_comes_back_on_both_sides(
             eventually(lambda told=told: over(told), 150)  # the command is run ten times a minute at most
         except AssertionError:
             raise AssertionError(f"it is not over: {told.all()}") from None
+
+
+def test_a_pattern_that_the_other_side_cannot_follow_and_its_end(bridge: Bridge, tmp_path: Path) -> None:
+    told = Told(tmp_path)
+    pattern = Topic("/ch*", "transmit")
+    robot = Client("robot1", key_file=bridge.key_file, topics=(pattern,))
+    server = bridge.server(key_file=None, clients=(robot,), on_fault=str(told.program))
+    with Rogue(bridge.port, read_key(bridge.folder / bridge.key_file).secret, features=()):  # an older client
+        eventually(lambda: told.about(pattern.topic) == [("begun", State.DOWN)])
+        found = told.all()[-1]
+        assert (found["what"], found["kind"], found["link"], found["outgoing"]) == ("pattern", "topic", "robot1", False)
+        server.remove_topic(link(server).patterns[0].key).result(60)
+        eventually(lambda: told.about(pattern.topic)[1:] == [("over", "removed")])
+
+
+def test_a_topic_of_a_pattern_whose_publisher_goes(bridge: Bridge, robot: Domain, pc: Domain, tmp_path: Path) -> None:
+    """Both sides report it: the one that has the pattern, and the one that has only what the other side proposes."""
+    here, there = Told(tmp_path, "here"), Told(tmp_path, "there")
+    server = bridge.server(on_fault=str(there.program))
+    client = bridge.client(Topic("/ch*", "transmit"), on_fault=str(here.program))
+    chat, out = pc.listener("/chat"), robot.publisher("/chat")
+    eventually(lambda: linked(client) and linked(server) and chat.matched)
+    carries([out], server, ["/chat"])
+
+    def has_a_rate() -> bool:
+        out.publish(text("hello"))
+        return route(client, "/chat").expected_rate is not None
+
+    eventually(has_a_rate)
+    assert route(client, "/chat").pattern
+    out.destroy()
+    for told in (here, there):
+        eventually(lambda told=told: told.about("/chat")[:1] == [("begun", State.STOPPED)])
+        assert told.all()[-1]["cause"] in (Cause.PUBLISHER_GONE, Cause.PUBLISHER_SILENT)
 
 
 def test_a_reload_of_the_file_names_another_command_and_none(bridge: Bridge, tmp_path: Path) -> None:

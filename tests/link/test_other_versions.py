@@ -10,11 +10,14 @@ from tests.support.bridge import happened, linked, route
 from tests.support.rogue import Rogue
 from tests.support.waiting import eventually
 
+from rsb_bridge.api import EngineError
 from rsb_bridge.config.keys import read_key
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.lanes import FEATURE
+from rsb_bridge.model.limits import LATE_AFTER_FEATURE
 from rsb_bridge.model.session import Client, Kind, Topic
 from rsb_bridge.model.snapshot import State
+from rsb_bridge.wire.amending import Amend
 from rsb_bridge.wire.messages import Accept, Ping, Pong, Propose, Provide, Refuse
 from rsb_bridge.wire.questions import ListTopics, TopicList
 
@@ -110,3 +113,24 @@ def test_an_older_client_is_told_of_topics_only(bridge: Bridge, pc: Domain) -> N
         assert "/status" in {each.topic for each in topics}
         assert {each.kind for each in topics} == {"topic"}
         assert ("/reset", "service") in {(each.topic, each.kind) for each in older.wait_for(TopicList).topics}
+
+
+@pytest.mark.parametrize("features", [(), (LATE_AFTER_FEATURE,)])
+def test_a_limit_that_an_older_client_would_ignore_is_refused_in_words(
+    bridge: Bridge, features: tuple[str, ...]
+) -> None:
+    server = bridge.server()
+    with rogue(bridge, features=features) as client:
+        client.say(Propose(route=1, topic="/scan", remote_topic="/scan", from_client=True))
+        assert isinstance(client.wait_for(Accept, Refuse), Accept)
+        found = route(server, "/scan")
+        late = msgspec.structs.replace(found.spec, late_after=2.0)
+        if features:
+            server.edit_topic(found.key, late).result(60)
+            assert client.wait_for(Amend).late_after == 2.0
+        else:
+            with pytest.raises(EngineError, match="update"):
+                server.edit_topic(found.key, late).result(60)
+            assert happened(server, EventCode.OPERATOR_EDITED) is None
+            server.edit_topic(found.key, msgspec.structs.replace(found.spec, max_rate=5.0)).result(60)
+            assert client.wait_for(Amend).max_rate == 5.0

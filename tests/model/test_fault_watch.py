@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Any
 from tests.console.scripted import LINK, NOW, route
 
 from rsb_bridge.model.fault_watch import LASTS, ChangeKind, FaultWatch
-from rsb_bridge.model.snapshot import Snapshot, State
+from rsb_bridge.model.session import Topic
+from rsb_bridge.model.snapshot import PatternSnapshot, Snapshot, State
 from rsb_bridge.model.verdict import Cause, LinkCause
 
 if TYPE_CHECKING:
@@ -114,6 +115,30 @@ def test_what_is_removed_is_over() -> None:
     (change,) = watched.sees(seconds=5)
     assert (change.kind, change.removed, change.before) == (ChangeKind.OVER, True, ("slow", "slow"))
     assert watched.sees(SLOW, seconds=1) == []
+
+
+def test_a_pattern_of_which_a_part_is_not_bridged_is_at_fault() -> None:
+    watched = Watched()
+    fine = PatternSnapshot(
+        "robot1 pattern", "robot1", Topic("/c/*", "transmit"), State.OK, "", here=True, source="/c/*"
+    )
+    partly = replace(fine, state=State.DOWN, reason="1 not bridged")
+    key = ("pattern", fine.key)
+    well, wrong, gone = (replace(LINK, patterns=each) for each in ((fine,), (partly,), ()))
+    assert watched.sees(link=well, seconds=5) == []
+    (begun,) = watched.sees(link=wrong, seconds=5)
+    assert kinds([begun]) == [(ChangeKind.BEGUN, key, State.DOWN, ("ok", ""))]
+    assert begun.seen == NOW + 6
+    assert kinds(watched.sees(link=replace(DOWN, patterns=(fine,)), seconds=9)) == [
+        (ChangeKind.BEGUN, ("link", "robot1"), State.DOWN, ("ok", ""))
+    ]
+    assert watched.watch.ongoing == 2, "how the pattern is now is not known"
+    over = watched.sees(link=well, seconds=5)
+    assert {change.key for change in over} == {key, ("link", "robot1")}
+    assert {change.kind for change in over} == {ChangeKind.OVER}
+    watched.sees(link=wrong, seconds=5)
+    (removed,) = watched.sees(link=gone, seconds=5)
+    assert (removed.kind, removed.removed, watched.watch.ongoing) == (ChangeKind.OVER, True, 0)
 
 
 def test_nothing_is_kept_of_what_has_gone() -> None:

@@ -49,3 +49,15 @@ def test_a_topic_that_recovers_is_not_said_to_be_thinned_to_what_it_wants() -> N
     for figures in filter(None, said.values()):
         rate, wanted = (round(each) for each in figures)
         assert rate < wanted
+
+
+def test_messages_that_the_transport_does_not_carry_ask_nothing_of_the_link() -> None:
+    yielding = Yielding(0.0)
+    for second in range(5):
+        kept = yielding.keep([RawMessage(b"", second * 10**9, b"gid", 1)] * 2, second + 0.9)
+        yielding.left_out(len(kept))
+        assert yielding.look(second + 1.0).bytes_per_second == 0.0
+    yielding.keep([RawMessage(b"", 6 * 10**9, b"gid", 1)], 5.9)
+    yielding.packed(1, 940)
+    traffic = yielding.look(6.0)
+    assert 0.0 < traffic.bytes_per_second <= traffic.size

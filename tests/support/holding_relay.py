@@ -21,22 +21,24 @@ class HoldingRelay:
     """Relays one port. A context manager; it runs on a thread of its own.
 
     Args:
-        target_port: where everything goes.
+        target_port: where everything goes, on `HOST`.
+        host: to listen on.
+        port: likewise, or 0 for a free one.
 
     Attributes:
-        port: to connect to, on `HOST`.
+        port: to connect to.
         held: s that everything waits; may be set at any time.
     """
 
     HOST = "127.0.0.1"
 
-    def __init__(self, target_port: int) -> None:
+    def __init__(self, target_port: int, *, host: str = HOST, port: int = 0) -> None:
         self.held = 0.0
         self._target = self.HOST, target_port
-        self._listener = socket.create_server((self.HOST, 0))
+        self._listener = socket.create_server((host, port))
         self.port: int = self._listener.getsockname()[1]
         self._near = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-        self._near.bind((self.HOST, self.port))
+        self._near.bind((host, self.port))
         self._far: dict[tuple[str, int], socket.socket] = {}
         self._sockets = [self._listener, self._near]
         self._selector = selectors.DefaultSelector()
@@ -74,7 +76,11 @@ class HoldingRelay:
 
     def _accept(self) -> None:
         near, _ = self._listener.accept()
-        far = socket.create_connection(self._target)
+        try:
+            far = socket.create_connection(self._target)
+        except OSError:
+            near.close()
+            return
         for source, sink in ((near, far), (far, near)):
             source.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
             self._sockets.append(source)

@@ -9,7 +9,8 @@ from typing import Any
 from tests.console.scripted import LINK, NOW, route
 
 from rsb_bridge.model.fault_watch import ChangeKind, FaultChange
-from rsb_bridge.model.snapshot import State
+from rsb_bridge.model.session import Topic
+from rsb_bridge.model.snapshot import PatternSnapshot, State
 from rsb_bridge.model.verdict import Cause, LinkCause
 from rsb_bridge.telemetry.fault_report import fault_report
 
@@ -63,6 +64,16 @@ def test_the_fault_of_a_link_that_is_up_begins_with_its_warning() -> None:
     full = replace(LINK, cause=LinkCause.FULL, warning="link full", warning_since=NOW - 7)
     assert report(FaultChange(ChangeKind.BEGUN, full))["since"] == NOW - 7
     assert report(FaultChange(ChangeKind.OVER, LINK))["since"] == LINK.since
+
+
+def test_a_pattern() -> None:
+    spec = Topic("/c/*", "transmit")
+    partly = PatternSnapshot("key", "robot1", spec, State.DOWN, "1 not bridged", here=True, source="/c/*")
+    found = report(FaultChange(ChangeKind.BEGUN, partly, before=("ok", ""), seen=NOW - 3))
+    names = ("what", "kind", "name", "link", "outgoing", "state", "cause", "text", "since", "from_peer")
+    assert [found[name] for name in names] == [
+        "pattern", "topic", "/c/*", "robot1", True, "down", "", "1 not bridged", NOW - 3, False,
+    ]  # fmt: skip
 
 
 def test_what_was_removed() -> None:

@@ -16,6 +16,7 @@ from rsb_bridge.api import EngineApi, EngineError
 from rsb_bridge.control import commands, protocol, requests
 from rsb_bridge.control.arming import RemoteArming
 from rsb_bridge.control.cleaning import Doubted
+from rsb_bridge.control.features import FEATURES, known_features, missing_feature, older_bridge_text
 from rsb_bridge.control.folders import ControlError, NotServedError
 from rsb_bridge.control.protocol import ProtocolError
 from rsb_bridge.control.requests import Requests
@@ -64,6 +65,7 @@ class RemoteEngine(EngineApi):
         bridge: who serves it, from `start` on.
         read_only: whether the bridge refuses what would change anything, from `start` on.
         same_machine: whether the files that the bridge names are this machine's.
+        features: of the bridge, as in `rsb_bridge.control.features`, from `start` on.
     """
 
     def __init__(self, where: Path | Way, *, read_only: bool = False, clock: Clock | None = None) -> None:
@@ -73,6 +75,7 @@ class RemoteEngine(EngineApi):
         self._doubted = None if self.same_machine else Doubted(time.monotonic())
         self._wants_read_only = read_only
         self.bridge: BridgeInfo
+        self.features: frozenset[str] = frozenset()
         self._log = EventLog(clock or Clock())
         self._clock = clock or Clock()
         self._shown: Snapshot
@@ -228,6 +231,11 @@ class RemoteEngine(EngineApi):
         """End the bridge's process, as SIGTERM does; done when it has understood."""
         return self._request(commands.Stop(), requests.as_nothing)
 
+    def lacks(self, feature: str) -> EngineError:
+        """Return the error for a feature that the bridge lacks, with the remedy."""
+        program = self.bridge.program
+        return EngineError(older_bridge_text(self.bridge.name, feature, "" if program == __version__ else program))
+
     def _request(
         self, command: Command, convert: Callable[[object], T], step: Callable[[str], None] | None = None
     ) -> Future[T]:
@@ -294,7 +302,7 @@ class RemoteEngine(EngineApi):
         connection = await self._way.open(ANSWERS_WITHIN)
         try:
             self._connection = connection
-            self._send(protocol.Hello(protocol.VERSION, __version__, self._wants_read_only))
+            self._send(protocol.Hello(protocol.VERSION, __version__, self._wants_read_only, FEATURES))
             frames = protocol.frames_to_console()
             complete = False
             while True:
@@ -316,6 +324,7 @@ class RemoteEngine(EngineApi):
         match message:
             case protocol.Welcome():
                 self.read_only = message.read_only
+                self.features = known_features(message.features)
                 self._welcome(message.bridge)
             case protocol.State():
                 if self._receiver is None:
@@ -398,6 +407,9 @@ class RemoteEngine(EngineApi):
     ) -> None:
         if self._connection is None:
             answered.set_exception(EngineError(f"not attached: {self._lost}"))
+            return
+        if feature := missing_feature(command, self.features):  # the bridge would end the connection
+            answered.set_exception(self.lacks(feature))
             return
         request = self._requests.new(command, answered, step, undo=undo)
         if (size := len(protocol.encode(request))) > protocol.TO_BRIDGE_LIMIT:  # the bridge would end the connection

@@ -11,6 +11,7 @@ import msgspec
 from rsb_bridge.api import EngineError, InvalidRequestError
 from rsb_bridge.control import protocol
 from rsb_bridge.control.commands import CHANGING, ArmTopic, Bench
+from rsb_bridge.control.features import FEATURES, known_features, knows_all, with_unknown_kept, without_unknown
 from rsb_bridge.control.performing import perform
 from rsb_bridge.control.protocol import ProtocolError
 from rsb_bridge.control.states import EncodedRoutes, Sender
@@ -117,6 +118,7 @@ class Console:
         self._connection = connection
         self._frames = protocol.frames_to_bridge()
         self._loop = asyncio.get_running_loop()
+        self._features: frozenset[str] = frozenset()
         self._sender = Sender()
         self._sending = asyncio.Lock()
         self._looking = False
@@ -209,7 +211,17 @@ class Console:
         only_looks = self._connection.only_looks
         self._may_not = only_looks or ("attached read-only" if hello.read_only else "")
         self._refused = (*CHANGING, Bench) if only_looks else CHANGING  # a measurement takes what a link carries
-        self.send(protocol.Welcome(info, bool(self._may_not)))
+        self._features = known_features(hello.features)
+        self._sender = Sender(self._features)
+        if info.file is not None and self._hides_fields:
+            info = msgspec.structs.replace(info, file=None)  # the console would save it without the hidden fields
+        self.send(protocol.Welcome(info, bool(self._may_not), FEATURES))
+
+    @property
+    def _hides_fields(self) -> bool:
+        """Whether the session has fields that the console, which is older, does not know."""
+        session = self._engine.session
+        return without_unknown(session, self._features) is not session
 
     def _request(self, request: protocol.Request) -> None:
         if self._may_not and isinstance(request.command, self._refused):
@@ -222,11 +234,14 @@ class Console:
             self._tasks.spawn(self._answer(request))
 
     async def _answer(self, request: protocol.Request) -> None:
+        engine, command = self._engine, request.command
+        if not knows_all(self._features):
+            command = with_unknown_kept(command, self._features, engine.snapshot(), engine.session)
         try:
             with acting(self._operator), undoing(request.undo), on_console(self):
                 answer = await perform(
-                    request.command,
-                    self._engine,
+                    command,
+                    engine,
                     step=lambda text: self._step(request.id, text),
                     stop_process=self._served.stop_process,
                 )

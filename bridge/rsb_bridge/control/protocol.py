@@ -3,7 +3,10 @@
 A frame is four bytes of length, big-endian, and a message in MessagePack. The types below and those of the model are
 the definition: msgspec reads and writes them by their type hints.
 
-`Hello`, `Welcome` and `Refused` keep their fields in every version, so that two versions can tell each other apart.
+`Hello`, `Welcome` and `Refused` keep their fields in every version, so that two versions can tell each other apart. New
+fields of messages are optional, and an older side ignores them; but it ends the connection if it gets a message or a
+command that it does not know, or a field of a session that it does not know. So these are sent only to a side that
+names the feature (`rsb_bridge.control.features`).
 """
 
 from __future__ import annotations
@@ -68,11 +71,13 @@ class Hello(_Message, frozen=True, tag="hello"):
         version: of this protocol.
         program: the version of rsb-console.
         read_only: the bridge is to refuse what would change anything.
+        features: of the console, as in `rsb_bridge.control.features`.
     """
 
     version: int
     program: str
     read_only: bool = False
+    features: tuple[str, ...] = ()
 
 
 class BridgeInfo(msgspec.Struct, frozen=True, omit_defaults=True):
@@ -109,10 +114,12 @@ class Welcome(_Message, frozen=True, tag="welcome"):
     Attributes:
         bridge: who answers.
         read_only: commands are refused here.
+        features: of the bridge, as in `rsb_bridge.control.features`.
     """
 
     bridge: BridgeInfo
     read_only: bool = False
+    features: tuple[str, ...] = ()
 
 
 class Refused(_Message, frozen=True, tag="refused"):

@@ -9,7 +9,9 @@ from msgspec import UNSET
 
 from rsb_bridge import __version__
 from rsb_bridge.link.errors import LinkError
+from rsb_bridge.model import priority
 from rsb_bridge.model.lanes import LANES
+from rsb_bridge.model.limits import LATE_AFTER_FEATURE
 from rsb_bridge.model.names import server_topic
 from rsb_bridge.model.priority import RANKS, priority_of
 from rsb_bridge.model.profiles import PLAIN, compression_of
@@ -18,6 +20,8 @@ from rsb_bridge.wire.amending import Amend
 from rsb_bridge.wire.messages import Propose
 
 if TYPE_CHECKING:
+    from collections.abc import Container
+
     from rsb_bridge.model.profiles import LinkProfile
     from rsb_bridge.model.session import Kind
     from rsb_bridge.transport.transport import Transport
@@ -105,6 +109,8 @@ def kind_of(proposal: Propose) -> Kind:
 
 
 _OF_AN_OPENING = {"route": 1, "paused": False, "pause_revision": 0, "who": "", "edited": False}
+_FEATURES = {"late_after": LATE_AFTER_FEATURE, "priority": priority.FEATURE}
+"""The features of limits; an older side ignores those that it does not know."""
 _AMENDABLE = {"max_rate": 0.0, "expected_rate": 0.0, "stale_after": None, "late_after": None, "priority": 0}
 
 
@@ -112,6 +118,14 @@ def same_route(one: Propose, other: Propose) -> bool:
     """Whether two proposals differ in nothing but their ids, a pause, and what can change in an open route."""
     nothing = _OF_AN_OPENING | _AMENDABLE
     return msgspec.structs.replace(one, **nothing) == msgspec.structs.replace(other, **nothing)
+
+
+def unsupported_change(old: Propose, new: Propose, features: Container[str]) -> str:
+    """Return why a proposer with these features would not take part of a change, or an empty string if it would."""
+    for name, feature in _FEATURES.items():
+        if getattr(old, name) != getattr(new, name) and feature not in features:
+            return f"the other side's rsb-console is too old for {name}: update it"
+    return ""
 
 
 def amended(proposal: Propose, limits: Propose | Amend) -> Propose:

@@ -97,10 +97,13 @@ class ProposedTopics:
         The route goes on if only limits differ, else there is a new one.
 
         Raises:
-            LinkError: the topic has a mistake, or there is such a route; the old one stays.
+            LinkError: the topic has a mistake, there is such a route, or its proposer is too old for the change; the
+                old route stays.
         """
         table, proposal = self._table, self._proposal(topic)
         if _can_amend(route, proposal):
+            if not route.proposed_here and (problem := table.unsupported_change(route, proposal)):
+                raise LinkError(problem)
             route.pattern = ""
             table.amend(route, topic, proposal)
             return route

@@ -12,7 +12,7 @@ from rsb_bridge.link.errors import LinkError
 from rsb_bridge.link.halves import HalfMessage, half_of, hand_over, unsupported
 from rsb_bridge.link.pausing import Pausing
 from rsb_bridge.link.peer_operators import PeerOperators, acting_operator
-from rsb_bridge.link.proposals import amended, amended_topic, amendment, same_route, topic_of
+from rsb_bridge.link.proposals import amended, amended_topic, amendment, same_route, topic_of, unsupported_change
 from rsb_bridge.link.reporting import take_report
 from rsb_bridge.link.route_ids import RouteIds
 from rsb_bridge.model.codes import EventCode
@@ -183,6 +183,10 @@ class RouteTable:
             self._owner.send(amendment(changed, route.id, acting_operator()))
         if spec.paused != route.paused:
             self.pause(route, paused=spec.paused)
+
+    def unsupported_change(self, route: Route, proposal: Propose) -> str:
+        """Return why the peer, which proposes the route, is too old for other limits, or an empty string."""
+        return unsupported_change(route.proposal, proposal, self._owner.features)
 
     def _amended(self, message: Amend) -> None:
         """The peer has changed the limits of a route, or asks for that."""

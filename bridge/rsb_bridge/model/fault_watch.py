@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeAlias
 
-from rsb_bridge.model.health import link_is_wrong, route_is_wrong
-from rsb_bridge.model.snapshot import LinkSnapshot, RouteSnapshot, State
+from rsb_bridge.model.health import link_is_wrong, pattern_is_wrong, route_is_wrong
+from rsb_bridge.model.snapshot import LinkSnapshot, PatternSnapshot, RouteSnapshot, State
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -17,6 +17,7 @@ if TYPE_CHECKING:
 LASTS = 2.0
 """s for which a fault lasts before it is reported, and is gone before its end is reported."""
 
+Faulty: TypeAlias = LinkSnapshot | RouteSnapshot | PatternSnapshot
 _Key = tuple[str, str]
 _Kind = tuple[str, str]
 """State and cause."""
@@ -33,40 +34,44 @@ class ChangeKind(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class FaultChange:
-    """A change of one link's or route's fault.
+    """A change of the fault of a link, a route or a pattern.
 
     Attributes:
         kind: of the change.
-        subject: the newest snapshot of the link or the route.
-        removed: whether the link or the route was removed.
+        subject: the newest snapshot of the link, the route or the pattern.
+        removed: whether it was removed.
         before: the state and the cause of the last report; of a fault that has begun, the earlier ones, or empty.
+        seen: s since the epoch, the first snapshot with the reported state and cause.
     """
 
     kind: ChangeKind
-    subject: LinkSnapshot | RouteSnapshot
+    subject: Faulty
     removed: bool = False
     before: _Kind = ("", "")
+    seen: float = 0.0
 
     @property
     def key(self) -> _Key:
-        """Identifies the link or the route."""
+        """Identifies the link, the route or the pattern."""
         return _key(self.subject)
 
 
 @dataclass(slots=True)
 class _Watched:
-    """A link or a route with a fault, past or present.
+    """A link, a route or a pattern with a fault, past or present.
 
     Attributes:
         subject: its newest snapshot.
         since: s, when the fault began; once it is reported, when `next` began.
+        seen: the same in s since the epoch.
         reported: the state and cause of the last report, or None before the first.
         next: the state and cause to report next, or None for the fault's end; used after the first report.
         before: the state before the fault began.
     """
 
-    subject: LinkSnapshot | RouteSnapshot
+    subject: Faulty
     since: float
+    seen: float
     before: _Kind
     reported: _Kind | None = None
     next: _Kind | None = None
@@ -75,7 +80,7 @@ class _Watched:
 class FaultWatch:
     """Follows the faults of one bridge. It reads no clock: the caller passes the time in.
 
-    While a link is not up, its routes' faults neither begin nor end: the link's own fault explains them.
+    While a link is not up, faults of its routes and patterns neither begin nor end: the link's own fault explains them.
 
     Args:
         lasts: s, as `LASTS`.
@@ -94,43 +99,37 @@ class FaultWatch:
     def assume(self, snapshot: Snapshot, now: float) -> None:
         """Treat the faults of a snapshot at `now` (s) as reported already."""
         down = _names_of_down(snapshot)
-        links = [link for link in snapshot.links if link_is_wrong(link)]
-        routes = [route for route in snapshot.routes if route.link not in down and route_is_wrong(route)]
-        wrong: tuple[LinkSnapshot | RouteSnapshot, ...] = (*links, *routes)
-        for subject in wrong:
-            kind = _kind(subject)
-            self._watched[_key(subject)] = _Watched(subject, now, ("", ""), kind, kind)
+        for subject in _subjects(snapshot):
+            if _is_wrong(subject) and (isinstance(subject, LinkSnapshot) or subject.link not in down):
+                kind = _kind(subject)
+                self._watched[_key(subject)] = _Watched(subject, now, snapshot.time, ("", ""), kind, kind)
 
     def look(self, snapshot: Snapshot, now: float) -> list[FaultChange]:
         """Return the changes to report since the snapshots before, at `now` (s on a monotonic clock)."""
         found = [*self._changes(snapshot, now)]
-        subjects: tuple[LinkSnapshot | RouteSnapshot, ...] = (*snapshot.links, *snapshot.routes)
-        self._well = {_key(each): _kind(each) for each in subjects if _key(each) not in self._watched}
+        self._well = {_key(each): _kind(each) for each in _subjects(snapshot) if _key(each) not in self._watched}
         return found
 
     def _changes(self, snapshot: Snapshot, now: float) -> Iterator[FaultChange]:
         down = _names_of_down(snapshot)
         seen: set[_Key] = set()
-        for link in snapshot.links:
-            seen.add(_key(link))
-            yield from self._look_at(link, now, is_wrong=link_is_wrong(link))
-        for route in snapshot.routes:
-            seen.add(_key(route))
-            if route.link in down:
-                self._suspend(route)
+        for subject in _subjects(snapshot):
+            seen.add(_key(subject))
+            if not isinstance(subject, LinkSnapshot) and subject.link in down:
+                self._suspend(subject)
             else:
-                yield from self._look_at(route, now, is_wrong=route_is_wrong(route))
+                yield from self._look_at(subject, now, snapshot.time, is_wrong=_is_wrong(subject))
         for key in [key for key in self._watched if key not in seen]:
-            yield from self._look_at(self._watched[key].subject, now, is_wrong=False, removed=True)
+            yield from self._look_at(self._watched[key].subject, now, snapshot.time, is_wrong=False, removed=True)
 
     def _look_at(
-        self, subject: LinkSnapshot | RouteSnapshot, now: float, *, is_wrong: bool, removed: bool = False
+        self, subject: Faulty, now: float, time: float, *, is_wrong: bool, removed: bool = False
     ) -> Iterator[FaultChange]:
         key = _key(subject)
         watched = self._watched.get(key)
         if watched is None:
             if is_wrong:
-                self._watched[key] = _Watched(subject, now, self._well.get(key, ("", "")))
+                self._watched[key] = _Watched(subject, now, time, self._well.get(key, ("", "")))
             return
         watched.subject = subject
         kind = _kind(subject) if is_wrong else None
@@ -139,26 +138,26 @@ class FaultWatch:
                 del self._watched[key]
             elif now - watched.since >= self._lasts:
                 watched.reported = watched.next = kind
-                yield FaultChange(ChangeKind.BEGUN, subject, before=watched.before)
+                yield FaultChange(ChangeKind.BEGUN, subject, before=watched.before, seen=watched.seen)
             return
         if kind != watched.next:
-            watched.next, watched.since = kind, now
+            watched.next, watched.since, watched.seen = kind, now, time
         if kind == watched.reported or now - watched.since < self._lasts:
             return
         before, watched.reported = watched.reported, kind
         if kind is None:
             del self._watched[key]
-            yield FaultChange(ChangeKind.OVER, subject, removed, before)
+            yield FaultChange(ChangeKind.OVER, subject, removed, before, watched.seen)
         else:
-            yield FaultChange(ChangeKind.CHANGED, subject, before=before)
+            yield FaultChange(ChangeKind.CHANGED, subject, before=before, seen=watched.seen)
 
-    def _suspend(self, route: RouteSnapshot) -> None:
-        """Restart the time for which a route's fault has lasted or been gone."""
-        watched = self._watched.get(_key(route))
+    def _suspend(self, subject: RouteSnapshot | PatternSnapshot) -> None:
+        """Restart the time for which a fault has lasted or been gone."""
+        watched = self._watched.get(_key(subject))
         if watched is None:
             return
         if watched.reported is None:
-            del self._watched[_key(route)]
+            del self._watched[_key(subject)]
         else:
             watched.next = watched.reported
 
@@ -167,9 +166,25 @@ def _names_of_down(snapshot: Snapshot) -> set[str]:
     return {link.name for link in snapshot.links if link.state is not State.OK}
 
 
-def _key(subject: LinkSnapshot | RouteSnapshot) -> _Key:
-    return ("link", subject.name) if isinstance(subject, LinkSnapshot) else ("route", subject.key)
+def _subjects(snapshot: Snapshot) -> Iterator[Faulty]:
+    """Yield all links, all routes and all patterns."""
+    yield from snapshot.links
+    yield from snapshot.routes
+    for link in snapshot.links:
+        yield from link.patterns
 
 
-def _kind(subject: LinkSnapshot | RouteSnapshot) -> _Kind:
-    return str(subject.state), subject.cause
+def _is_wrong(subject: Faulty) -> bool:
+    if isinstance(subject, LinkSnapshot):
+        return link_is_wrong(subject)
+    return route_is_wrong(subject) if isinstance(subject, RouteSnapshot) else pattern_is_wrong(subject)
+
+
+def _key(subject: Faulty) -> _Key:
+    if isinstance(subject, LinkSnapshot):
+        return "link", subject.name
+    return "route" if isinstance(subject, RouteSnapshot) else "pattern", subject.key
+
+
+def _kind(subject: Faulty) -> _Kind:
+    return str(subject.state), "" if isinstance(subject, PatternSnapshot) else subject.cause

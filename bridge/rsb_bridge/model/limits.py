@@ -63,6 +63,8 @@ STALE_AFTER = Range(0.1, 1e6)
 """s: the engine looks at a route every quarter of a second at most; the longest is eleven days."""
 LATE_AFTER = Range(0.05, 1e6)
 """s; a smaller bound would be within the uncertainty of the other side's clock."""
+LATE_AFTER_FEATURE = "late_after"
+"""The feature by which a side takes `late_after` of a proposal or a change."""
 DEADMAN_TIME = Range(2, 86_400)
 """s: the other side is told of keys once a second; the longest is a day."""
 CALL_TIME = Range(0.1, 86_400)

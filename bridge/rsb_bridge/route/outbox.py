@@ -69,9 +69,15 @@ class Outbox:
         channel.send(messages)
         return True
 
+    def fitting(self, messages: Sequence[Message], size: int) -> Sequence[Message]:
+        """Return the messages that the transport carries, and drop the others. All together have `size` bytes."""
+        if size <= self._largest:
+            return messages
+        return [message for message in messages if self._fits(len(message[0]))]
+
     def add(self, messages: Sequence[Message], now: float, publisher: bytes, limits: QueueLimits) -> None:
         """Have messages of one publisher wait, at `now` (s), within the limits."""
-        self._queue.add([message for message in messages if self._fits(len(message[0]))], now, publisher)
+        self._queue.add(messages, now, publisher)
         self._ledger.drop("queue full", self._queue.trim(limits, now, publisher))
 
     def flush(self, channel: SendingChannel) -> None:

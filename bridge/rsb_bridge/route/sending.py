@@ -168,6 +168,12 @@ class Sending:
         if messages and channel is not None:
             size = sum([len(message[0]) for message in messages])
             self._route.count(len(messages), size)
+            fitting = self._outbox.fitting(messages, size)
+            if len(fitting) < len(messages):
+                yielding.left_out(len(messages) - len(fitting))
+                messages, size = fitting, sum([len(message[0]) for message in fitting])
+            if not messages:
+                return
             yielding.packed(len(messages), size)
             holds, now = yielding.holds, self._context.now()
             if not holds and self._outbox.pass_on(messages, size, channel):

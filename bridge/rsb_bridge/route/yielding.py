@@ -173,6 +173,10 @@ class Yielding:
         """So many messages of a latched topic go, which never are thinned."""
         self._offered += messages
 
+    def left_out(self, messages: int) -> None:
+        """Count so many messages less: the transport does not carry them."""
+        self._offered -= messages
+
     def packed(self, messages: int, size: int) -> None:
         """So many messages go, of so many bytes together."""
         self._messages += messages

@@ -6,7 +6,7 @@ import json
 from typing import TYPE_CHECKING
 
 from rsb_bridge.model.limits import REASON_LENGTH, TEXT_LENGTH
-from rsb_bridge.model.snapshot import LinkSnapshot
+from rsb_bridge.model.snapshot import LinkSnapshot, PatternSnapshot
 from rsb_bridge.model.text import encodable, sanitize_text
 
 if TYPE_CHECKING:
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 VERSION = 1
 """Grows when a field is removed or changes its meaning; a new field does not change it."""
 REMOVED = "removed"
-"""State of a link or a route that was removed."""
+"""State of a link, a route or a pattern that was removed."""
 
 
 def fault_report(change: FaultChange, *, time: float, bridge: str, role: str, ongoing: int, merged: int) -> bytes:
@@ -42,11 +42,17 @@ def fault_report(change: FaultChange, *, time: float, bridge: str, role: str, on
     if isinstance(subject, LinkSnapshot):
         content |= {"what": "link", "kind": "link", "name": _text(subject.name), "link": _text(subject.name)}
         text, from_peer, since = subject.reason or subject.warning, False, subject.fault_since
+    elif isinstance(subject, PatternSnapshot):
+        sends = (subject.spec.direction == "transmit") == (role == "client")
+        content |= {"what": "pattern", "kind": subject.spec.kind, "name": _text(subject.spec.topic)}
+        content |= {"link": _text(subject.link), "outgoing": sends}
+        text, from_peer, since = subject.reason, False, change.seen
     else:
         content |= {"what": "route", "kind": subject.spec.kind, "name": _text(subject.topic)}
         content |= {"link": _text(subject.link), "outgoing": subject.outgoing}
         text, from_peer, since = subject.reason, subject.from_peer, subject.since
-    state, cause = (REMOVED, "") if change.removed else (str(subject.state), subject.cause)
+    cause = "" if isinstance(subject, PatternSnapshot) else subject.cause
+    state, cause = (REMOVED, "") if change.removed else (str(subject.state), cause)
     content |= {
         "state": _text(state),
         "cause": _text(cause),

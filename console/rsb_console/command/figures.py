@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from rsb_bridge.api import EngineError
+from rsb_bridge.control.features import TOTALS
 from rsb_bridge.model.snapshot import State
 from rsb_console.command.reports import json_line
 from rsb_console.command.shell import FAILURE, OK, print_line
@@ -147,9 +148,11 @@ def print_figures(command: FiguresCommand, arguments: Namespace) -> int:
 
     Raises:
         UsageError: the arguments fit no topic, or several.
-        EngineError: the bridge has ended, or no longer bridges the topic.
+        EngineError: the bridge has ended, no longer bridges the topic, or is older.
     """
     with attached(arguments, read_only=True) as engine:
+        if TOTALS not in engine.features:
+            raise engine.lacks(TOTALS)
         route = chosen_route(engine, arguments)
         if not arguments.json:
             print_line(_where(route, other_side(engine, route)))
@@ -161,8 +164,6 @@ def print_figures(command: FiguresCommand, arguments: Namespace) -> int:
         while (arguments.count is None or printed < arguments.count) and (ends is None or due <= ends):
             now = _newer(engine, moment, due)
             moment, route = now.time, _find(engine, now, route)
-            if route.bytes_total and not route.messages_total:
-                raise EngineError(f"{engine.bridge.name} runs an older rsb-console without these counts: update it")
             figures = window.add(moment, route)
             due = max(due + _EVERY, time.monotonic())
             if figures is None:

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 import msgspec
 
+from rsb_bridge.control.features import TOTALS
 from rsb_console.command.figures import measured
 from rsb_console.command.reports import clock, json_line, link_word, links_of, route_of
 from rsb_console.command.shell import OK, print_line
@@ -32,7 +33,10 @@ def print_info(arguments: Namespace) -> int:
         link = next((each for each in now.links if each.name == route.link), None)
         if arguments.json:
             of_links = links_of(now)
-            print_line(json_line({"ok": True, **_values(route), "link_status": of_links.get(route.link)}))
+            values = _values(route)
+            if TOTALS not in engine.features:
+                values["messages_total"] = None
+            print_line(json_line({"ok": True, **values, "link_status": of_links.get(route.link)}))
         else:
             figures = measured(engine, route, _MEASURED) if _loses(route) else None
             for line in _lines(route, link, other_side(engine, route), figures):
