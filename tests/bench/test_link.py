@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 from typing import TYPE_CHECKING, Any
 
 import msgspec
@@ -126,8 +127,14 @@ def test_one_way_does_not_close_a_loop_with_the_other(pair: Callable[..., Pair])
             assert (found.sent, found.received) == (40, 40), (transport, direction)
 
 
-def test_a_run_whose_topic_is_opened_anew_has_no_figures(pair: Callable[..., Pair]) -> None:
-    """As where the link is lost, and back soon: the other side has counted from 0 since."""
+@pytest.mark.parametrize("first_heard", ["the proposal", "the run"])
+def test_a_run_whose_topic_is_opened_anew_has_no_figures(
+    first_heard: str, pair: Callable[..., Pair], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As where the link is lost, and back soon: the other side has counted from 0 since.
+
+    The run may go on before the other side has heard of the new opening.
+    """
     both = pair(to_client=LEAVE)
     both.run(both.client)
     running = both.client.bench(Order("run", "", "tcp", "transmit", 2500, 50.0, 100))
@@ -138,6 +145,13 @@ def test_a_run_whose_topic_is_opened_anew_has_no_figures(pair: Callable[..., Pai
         source = synthetic_of(bridge.context.ros).sources[route.local_topic, link.name]  # type: ignore[union-attr]
         if not source.busy or source.sent < 20:
             return False
+        if first_heard == "the run":
+
+            async def wait_for_run(_: object) -> None:
+                while not running.done():  # noqa: ASYNC110 -- a thread's state
+                    await asyncio.sleep(0.01)
+
+            monkeypatch.setattr(link, "prepare_port", wait_for_run)
         link.table.propose(route)
         return True
 
@@ -256,7 +270,7 @@ def test_the_peer_orders_no_runs_on_a_topic_that_is_not_its_own(pair: Callable[.
     async def ask(bridge: Bridge) -> BenchAnswer:
         (link,) = bridge.links()
         (route,) = link.routes.values()
-        return await link.bench._ask(route, size=100, rate=10.0, count=5)
+        return await link.bench._ask(route, route.id, size=100, rate=10.0, count=5)
 
     with pytest.raises(LinkError):
         both.server._command(ask).result(WITHIN)

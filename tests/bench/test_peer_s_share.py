@@ -128,7 +128,7 @@ def test_a_peer_whose_count_goes_on_growing_is_not_waited_for_for_ever(monkeypat
     async def sleep(seconds: float) -> None:
         here.time += seconds
 
-    async def ask(_: Route, **__: Any) -> BenchAnswer:
+    async def ask(*_: object, **__: Any) -> BenchAnswer:
         nonlocal received
         received += 1
         assert here.time < 60.0
@@ -137,4 +137,4 @@ def test_a_peer_whose_count_goes_on_growing_is_not_waited_for_for_ever(monkeypat
     monkeypatch.setattr(asyncio, "sleep", sleep)
     monkeypatch.setattr(here.bench, "_ask", ask)
     order = Order("run", PEER, "tcp", "transmit", 100, 100_000.0, 1_000_000)
-    assert asyncio.run(here.bench._settled_there(cast("Route", None), order)).received == received
+    assert asyncio.run(here.bench._settled_there(cast("Route", None), 1, order)).received == received

@@ -7,6 +7,7 @@ import shutil
 import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import pytest
@@ -15,7 +16,10 @@ from tests.console.tmux import Tmux
 from tests.support.locks import alone
 from tests.support.waiting import eventually
 
+from rsb_bridge.model.robot_summary import RobotState, RobotSummary
+from rsb_console.command import demo_fleet
 from rsb_console.command.arguments import parser_and_commands
+from rsb_console.fleet.fleet import Robot
 
 pytest.importorskip("rclpy", reason="needs ROS 2")
 
@@ -50,8 +54,36 @@ def test_each_engine_is_linked_and_has_a_line(program: tuple[str, ...], engines:
     done = subprocess.run(command, capture_output=True, text=True, timeout=WITHIN, check=False)
     assert done.returncode == 0, done.stderr
     rows = [line.split()[:2] for line in done.stdout.splitlines()[-len(engines) :]]
-    assert rows == [[name, "ok"] for name in engines]
+    assert rows == [[name, "ok"] for name in engines], done.stdout
     assert [*temporary.iterdir()] == []
+
+
+class Looks:
+    """A fleet that is another one at each look; the last one stays."""
+
+    def __init__(self, *looks: dict[str, RobotState]) -> None:
+        self._looks = [*looks]
+
+    def robots(self) -> list[Robot]:
+        look = self._looks.pop(0) if len(self._looks) > 1 else self._looks[0]
+        return [self._robot(name, state) for name, state in look.items()]
+
+    def _robot(self, name: str, state: RobotState) -> Robot:
+        seen = None if state is RobotState.WAITING else time.time() + 1.0
+        return Robot(None, RobotSummary(name=name, state=state, seen=seen))  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(("as_they_are", "expected"), [(False, RobotState.OK), (True, RobotState.FAULT)])
+def test_engines_that_a_busy_machine_holds_up_are_waited_for(
+    as_they_are: bool, expected: RobotState, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Until each has said how it is; and until it is well, unless something is meant to be wrong."""
+    monkeypatch.setattr(demo_fleet, "_LOOK_EVERY", 0.0)
+    ok, fault, waiting = RobotState.OK, RobotState.FAULT, RobotState.WAITING
+    looks: list[dict[str, RobotState]] = [{}, {"a": ok}, {"a": ok, "b": waiting}, {"a": ok, "b": fault}]
+    looks.append({"a": ok, "b": ok})
+    found = demo_fleet._heard(Looks(*looks), 2, lambda: as_they_are)  # type: ignore[arg-type]
+    assert [(robot.summary.name, robot.summary.state) for robot in found] == [("a", ok), ("b", expected)]
 
 
 @pytest.mark.skipif(shutil.which("tmux") is None, reason="needs tmux")

@@ -7,6 +7,7 @@ import select
 import socket
 import struct
 import threading
+import time
 from typing import TYPE_CHECKING, Self, TypeVar
 
 from rsb_bridge.model.lanes import FEATURE
@@ -152,10 +153,12 @@ class Rogue:
         return not _closed(stream)
 
     def drain_for(self, seconds: float) -> None:
-        """As `drain`, but no longer than that."""
-        self._control.settimeout(seconds)
-        self.drain()
-        self._control.settimeout(self._timeout)
+        """As `drain`, but no longer than that. Another thread may say something meanwhile."""
+        deadline = time.monotonic() + seconds
+        with contextlib.suppress(OSError):
+            while (left := deadline - time.monotonic()) > 0:
+                if select.select([self._control], [], [], left)[0] and not self._control.recv(CONTROL_LIMIT):
+                    return
 
     def probe(self) -> None:
         """Show the server the way for datagrams."""

@@ -1,7 +1,8 @@
 """A TCP tunnel that carries little, as ``ssh -L`` over a poor uplink does.
 
 It accepts whatever the kernel and its own buffers hold, and lets it out at its rate: a sender that watches only its own
-socket sees nothing of what waits.
+socket sees nothing of what waits. A tunnel saves nothing up: while nothing waits in it, or this process gets no
+processor, no bytes are earned that would cross faster later.
 """
 
 from __future__ import annotations
@@ -24,6 +25,8 @@ HELD = 256 * 1024
 _TURN = 512
 """Bytes of one connection that go out before another one's turn."""
 _TICK = 0.01
+_LONGEST_TURN = 0.1
+"""s from one turn of the relay's thread to the next; the rest of a longer one is a pause, in which nothing crosses."""
 _CHUNK = 16 * 1024
 
 
@@ -66,6 +69,7 @@ class SlowRelay:
         self._selector.register(self._listener, selectors.EVENT_READ)
         self._ways = {"there": _Way(fifo=fifo), "back": _Way(fifo=fifo)}
         self._pipes: list[_Pipe] = []
+        self._pauses: list[tuple[int, int]] = []  # ns since the epoch
         self._over = threading.Event()
         self._thread = threading.Thread(target=self._run, name="slow relay", daemon=True)
 
@@ -89,6 +93,10 @@ class SlowRelay:
         """Bytes that it holds on their way to the target; the kernel may hold more."""
         return sum(pipe.waiting for pipe in tuple(self._pipes) if pipe.way is self._ways["there"])
 
+    def paused(self, begin: int, end: int) -> float:
+        """How long (s) the relay stood still between two times (ns since the epoch), for want of a processor."""
+        return sum(max(0, min(end, until) - max(begin, since)) for since, until in tuple(self._pauses)) / 1e9
+
     def _run(self) -> None:
         before = time.monotonic()
         try:
@@ -99,8 +107,11 @@ class SlowRelay:
                     else:
                         self._read(key.data)
                 now = time.monotonic()
+                turn = min(now - before, _LONGEST_TURN)
+                if turn < now - before:
+                    self._pauses.append((time.time_ns() - int((now - before - turn) * 1e9), time.time_ns()))
                 for way in self._ways.values():
-                    way.earn(self.bytes_per_second * (now - before))
+                    way.earn(self.bytes_per_second * turn)
                     way.pour()
                 before = now
                 self._tidy()
@@ -202,7 +213,7 @@ class _Way:
         self._lines[line].append((pipe, data))
 
     def earn(self, size: float) -> None:
-        self.budget = self.budget + size if self._turns else min(self.budget + size, size)
+        self.budget += size
 
     def forget(self, pipe: _Pipe) -> None:
         for line, waiting in tuple(self._lines.items()):
@@ -227,6 +238,8 @@ class _Way:
                 self._turns.append(line)
             else:
                 del self._lines[line]
+        if not self._turns:
+            self.budget = 0.0
 
     def _send(self, pipe: _Pipe, data: bytes) -> int:
         try:

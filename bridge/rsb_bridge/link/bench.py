@@ -229,7 +229,7 @@ class LinkBench:
     async def _run(self, order: Order) -> Outcome:
         route = await self._opened(order)
         sends, opening = route.outgoing, route.id
-        theirs = await self._ask(route, reset=True)
+        theirs = await self._ask(route, opening, reset=True)
         if 0 < theirs.max_rate < order.rate:
             raise LinkError(f"{REFUSED}: it allows {theirs.max_rate:g} messages a second to a benchmark")
         ours = self.usage()
@@ -241,7 +241,7 @@ class LinkBench:
                 raise LinkError("the run before is not over yet")
             source.start(order.size, order.rate, order.count)
             await self._until_idle(lambda: source.busy, order)
-            answer = await self._settled_there(route, order)
+            answer = await self._settled_there(route, opening, order)
             sent, rate, received = source.sent, source.rate, answer.received
             latencies = (answer.p50, answer.p99, answer.p999)
         else:
@@ -251,13 +251,11 @@ class LinkBench:
             drain.reset()
             self._own.add(drain)
             began = self._now()
-            await self._ask(route, size=order.size, rate=order.rate, count=order.count)
+            await self._ask(route, opening, size=order.size, rate=order.rate, count=order.count)
             await self._settled_here(drain, order)
-            answer = await self._ask(route)
+            answer = await self._ask(route, opening)
             sent, rate, received = answer.sent, answer.rate or answer.sent / (self._now() - began), drain.count
             latencies = drain.arrived.latencies
-        if route.id != opening:
-            raise LinkError("the topic was opened anew meanwhile, so that not all that came was counted")
         now = self.usage()
         mine = _between(ours, now)
         peers = _between(_usage_in(theirs), _usage_in(answer))
@@ -304,11 +302,17 @@ class LinkBench:
         source, drain = self._ends(route)
         return route.flowing and (source is not None if route.outgoing else drain is not None)
 
-    async def _ask(self, route: Route, **wanted: Any) -> BenchAnswer:
-        if route.refusal or not route.id:
-            raise LinkError(_why_not(route))
+    async def _ask(self, route: Route, opening: int, **wanted: Any) -> BenchAnswer:
+        """Ask the peer about a topic, in the opening in which the run began.
+
+        Raises:
+            LinkError: the peer refuses, or the topic was opened anew: the peer knows the old opening no more, and
+                perhaps the new one not yet.
+        """
+        _check_opening(route, opening)
         self._request += 1
-        answer = await self._questions.ask(self._request, BenchAsk(self._request, route.id, **wanted))
+        answer = await self._questions.ask(self._request, BenchAsk(self._request, opening, **wanted))
+        _check_opening(route, opening)
         if answer.problem:
             raise LinkError(f"{REFUSED}: {answer.problem}")
         return answer
@@ -318,12 +322,12 @@ class LinkBench:
         while busy() and self._now() < deadline:  # noqa: ASYNC110 -- a thread's state
             await asyncio.sleep(_LOOK_EVERY)
 
-    async def _settled_there(self, route: Route, order: Order) -> BenchAnswer:
-        answer, grown = await self._ask(route), self._now()
+    async def _settled_there(self, route: Route, opening: int, order: Order) -> BenchAnswer:
+        answer, grown = await self._ask(route, opening), self._now()
         deadline, interval = self._deadline(order), max(_QUIET, 2 / order.rate)
         while answer.received < order.count and self._now() < min(grown + interval, deadline):
             await asyncio.sleep(_LOOK_EVERY)
-            newer = await self._ask(route)
+            newer = await self._ask(route, opening)
             if newer.received > answer.received:
                 grown = self._now()
             answer = newer
@@ -356,6 +360,18 @@ class LinkBench:
             return None, None
         end = route.local_topic, self._link.name
         return self._synthetic.sources.get(end), self._synthetic.drains.get(end)
+
+
+def _check_opening(route: Route, opening: int) -> None:
+    """See that a topic is open as it was when the run began.
+
+    Raises:
+        LinkError: it is not.
+    """
+    if route.refusal or not route.id:
+        raise LinkError(_why_not(route))
+    if route.id != opening:
+        raise LinkError("the topic was opened anew meanwhile, so that not all that came was counted")
 
 
 def _why_not(route: Route) -> str:

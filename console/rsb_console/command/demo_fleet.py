@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from rsb_console.fleet.source import FleetSource
 
 GROUPS = ("hall", "yard")
-_OPEN_WITHIN, _SEEN_WITHIN = 60.0, 10.0
+_OPEN_WITHIN, _SEEN_WITHIN, _WELL_WITHIN = 60.0, 10.0, 60.0
 _AFTER = 5.0
 """s until the first trouble."""
 _AWAY, _THERE = 10.0, 20.0
@@ -127,8 +127,9 @@ def _headless(running: Simulated, signals: Signals, seconds: float | None) -> in
     _say(running)
     ends = None if seconds is None else time.monotonic() + seconds
     with seen(running) as shown:
-        trouble(running, lambda: bool(signals.caught) or (ends is not None and time.monotonic() >= ends))
-        _print_summary(_heard(shown))
+        troubled = trouble(running, lambda: bool(signals.caught) or (ends is not None and time.monotonic() >= ends))
+        engines = len(running.names) + (running.file is not None)
+        _print_summary(_heard(shown, engines, lambda: troubled or bool(signals.caught)))
     return HUNG_UP if signals.hung_up else OK
 
 
@@ -148,33 +149,52 @@ def _say(running: Simulated) -> None:
     sys.stdout.flush()
 
 
-def trouble(running: Simulated, over: Callable[[], bool]) -> None:
-    """Have something to see until it is over."""
+def trouble(running: Simulated, over: Callable[[], bool]) -> bool:
+    """Have something to see until it is over. Returns whether there was time for any."""
     faulty, restless = _troubled(running.names)
-    began = time.monotonic()
+    began, troubled = time.monotonic(), False
     due = [(began + _AFTER, faulty, ("mute", _FAULTY)), (began + _THERE, restless, ("stop",))]
     while not over():
         now = time.monotonic()
         for at, name, words in [each for each in due if each[0] <= now]:
             due.remove((at, name, words))
             running.tell(name, *words)
+            troubled = True
             match words:
                 case ("stop",):
                     due.append((now + _AWAY, name, ("start",)))
                 case ("start",):
                     due.append((now + _THERE, name, ("stop",)))
         time.sleep(_LOOK_EVERY)
+    return troubled
 
 
-def _heard(shown: Fleet) -> list[Robot]:
-    """The robots as they are now: each says so itself, once a second."""
+def _heard(shown: Fleet, engines: int, as_they_are: Callable[[], bool]) -> list[Robot]:
+    """Wait until each engine has said how it is; the robots as they are then.
+
+    A busy machine keeps robots from publishing, or from answering, for some seconds. So if nothing is meant to be
+    wrong, wait until nothing is.
+
+    Args:
+        shown: the fleet.
+        engines: how many there are.
+        as_they_are: whether something is meant to be wrong, or nobody waits for it to become well.
+    """
     asked = time.time()
-    while time.time() < asked + _SEEN_WITHIN:
+    while True:
         robots = shown.robots()
-        if all(robot.summary.state is RobotState.MISSING or (robot.summary.seen or 0.0) >= asked for robot in robots):
-            break
+        enough = as_they_are()
+        heard = len(robots) >= engines and all(_has_said(robot, asked) for robot in robots)
+        if heard and (enough or not any(robot.summary.state.is_wrong for robot in robots)):
+            return robots
+        if time.time() > asked + (_SEEN_WITHIN if enough else _WELL_WITHIN):
+            return robots
         time.sleep(_LOOK_EVERY)
-    return shown.robots()
+
+
+def _has_said(robot: Robot, since: float) -> bool:
+    """Whether a robot has said how it is since a time, or is not there."""
+    return robot.summary.state is RobotState.MISSING or (robot.summary.seen or 0.0) >= since
 
 
 def _print_summary(robots: Sequence[Robot]) -> None:
