@@ -144,7 +144,8 @@ class Contention:
             for each in asking
             if each.traffic.bytes_per_second > 0.0
         ]
-        self._fullness.tick(wanted, arrived + parts, full=full and not measures, peer=peer)
+        starts = all(each.route.starts for each in asking if each.traffic.bytes_per_second > 0.0)
+        self._fullness.tick(wanted, arrived + parts, full=full and not starts and not measures, peer=peer)
         received = sum(each.received_bytes for each in self._carriers())
         self.receiving.look(received - self._received, now, at, full=False)
         self._received = received

@@ -155,10 +155,14 @@ class LinkFullness:
 
 
 def _mean_reported(ticks: Collection[float]) -> float:
-    """Return the mean up to the last tick in which something arrived: the next report may only be late."""
-    reported = list(ticks)
-    while len(reported) > 1 and not reported[-1]:
-        reported.pop()
+    """Return the mean up to the last tick in which something arrived: the next report may only be late.
+
+    In the first tick more may have arrived, until a queue on the way filled up.
+    """
+    first, *others = ticks
+    while others and not others[-1]:
+        others.pop()
+    reported = [min(first, max(others)), *others] if others else [first]
     return sum(reported) / len(reported)
 
 

@@ -108,7 +108,7 @@ class Link(ABC):
         self._tasks = Tasks(context.loop, self.fail)
         self.keepalive = Keepalive(context, self.carriers)
         self.channels = DataChannels(
-            context.loop, self._log_udp, self.budget.unfinished, self.send, self._certain_way_back
+            context.loop, self._log_udp, self.budget.unfinished, self.send, self._certain_way_back, self._shortest_ping
         )
         self.table = RouteTable(context, self)
         self.fullness = LinkFullness(self._log_full)
@@ -480,6 +480,9 @@ class Link(ABC):
 
     def _certain_way_back(self) -> float:
         return max(0.0, self.report_delay - (self.clock_uncertainty or 0.0))
+
+    def _shortest_ping(self) -> float:
+        return 2 * (self.clock_uncertainty or 0.0)
 
     @property
     def ping_wait(self) -> float:

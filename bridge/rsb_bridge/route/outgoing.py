@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, ClassVar
 import msgspec
 
 from rsb_bridge.channel.datagram import DatagramSender
+from rsb_bridge.channel.receipts import WindowedSender
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.snapshot import Ledger, Level, Stage
 from rsb_bridge.ros.api import RawMessage, RosError
@@ -469,6 +470,11 @@ class OutgoingRoute(TopicRoute):
     def arrived_share(self) -> float | None:
         """The share of its datagrams that arrives, or None without datagrams or before the first receipt."""
         return self.channel.arrived_share if isinstance(self.channel, DatagramSender) else None
+
+    @property
+    def starts(self) -> bool:
+        """Whether its channel does not yet send as fast as it can, so that messages wait though the link has room."""
+        return isinstance(self.channel, WindowedSender) and self.channel.grows
 
     @property
     def messages_by_datagrams(self) -> float:
