@@ -14,7 +14,7 @@ import pytest
 from rsb_bridge.channel.data_keys import DataKeys
 from rsb_bridge.channel.datagram import DatagramSender, datagram_channel
 from rsb_bridge.channel.path_probe import PathProbe
-from rsb_bridge.channel.udp_channel import ClientUdpChannel, ServerUdpChannel, UdpDemultiplexer
+from rsb_bridge.channel.udp_channel import ClientUdpChannel, ServerUdpChannel, UdpChannel, UdpDemultiplexer
 from rsb_bridge.transport.streams import StreamHandler
 from rsb_bridge.transport.transport import Acceptor
 from rsb_bridge.transport.udp import Udp
@@ -137,6 +137,14 @@ async def settled(server: Server, client: ClientUdpChannel) -> ServerUdpChannel:
     there = server.channels[b"link one"]
     await until(lambda: there.ready)
     return there
+
+
+def _has(route: Route, messages: int) -> bool:
+    return len(route.arrived) >= messages
+
+
+def _heard_more(channel: ClientUdpChannel, before: int) -> bool:
+    return channel.received_bytes > before
 
 
 @contextmanager
@@ -301,6 +309,33 @@ def test_silence_is_named_with_its_port() -> None:
             await until(lambda: client.received_bytes > heard)
             client.tick()
             assert not client.trouble
+
+    asyncio.run(main())
+
+
+def test_a_full_link_that_loses_probes_is_not_silent() -> None:
+    """Messages arrive, and receipts for them come back: no firewall is in the way, and both sides go on sending."""
+
+    async def main() -> None:
+        async with serving() as server:
+            client, keys = server.connect(b"link one")
+            there = await settled(server, client)
+            up = Route(1, outgoing=False)
+            datagram_channel(there, up, server.keys[b"link one"])
+            sender = datagram_channel(client, Route(1, outgoing=True), keys)
+            assert isinstance(sender, DatagramSender)
+            for number in range(1, 4):
+                server.time += 5.0
+                heard = client.received_bytes
+                sender.send([(b"x" * 20_000, 0, 0)] * 200)
+                await until(partial(_has, up, 200 * number))
+                await until(partial(_heard_more, client, heard))
+                for end in (client, there):
+                    UdpChannel.tick(end)  # a client's own would probe
+                    assert not end.trouble
+            before = there.sent_bytes
+            there.send([b"on"])
+            assert there.sent_bytes > before
 
     asyncio.run(main())
 

@@ -19,6 +19,7 @@ class Path:
         speed: bytes/s that it carries; 0: it stalls.
         delay: s, each way.
         behind: s that receipts wait behind data that goes the other way.
+        credit: part of the receipts' way back that the sender is certain of.
         ages: s, of the messages when they arrived, on their way only.
         arrived: bytes.
         receipts: how many were sent.
@@ -28,6 +29,7 @@ class Path:
         self.time = 0.0
         self.speed, self.delay = speed, delay
         self.behind = 0.0
+        self.credit = 1.0
         self.ages: list[float] = []
         self.arrived = self.sent = self.receipts = 0
         self.window = Window(0)
@@ -81,7 +83,7 @@ class Path:
                 self.ages.append(self.time - first[2])
                 self._on_the_way.popleft()
         while self._back and self._back[0][0] <= self.time:
-            self.window.back = self.delay + self.behind
+            self.window.back = self.credit * (self.delay + self.behind)
             self.window.acknowledge(self._back.popleft()[1], self.sent, self.time)
             every = self.window.every
             if every >= 2 * self._asked or 2 * every <= self._asked:
@@ -186,6 +188,33 @@ def test_a_path_that_takes_longer_without_being_full_carries_as_much(delay: floa
     path.ages.clear()
     path.run(20.0, rate, size)
     assert max(path.ages) < 2.0 + 2 * LEAST / path.speed, "that it took longer before is forgotten"
+
+
+@pytest.mark.parametrize("delay", [0.5, 1.0, 1.5])
+@pytest.mark.parametrize("pinged_first", [True, False])
+def test_a_path_that_takes_seconds_from_the_beginning_on(delay: float, pinged_first: bool) -> None:
+    """Its pings tell how long it takes, and receipts cannot tell that apart from a queue: no clock says which way."""
+    path = Path(1e6, delay)
+    path.window = Window(0, 2 * delay if pinged_first else 0.0)
+    path.credit = 0.0
+    path.run(15.0, 20, 1000)
+    sent = path.sent
+    path.run(20.0, 20, 1000)
+    carries = path.sent - sent >= 0.98 * 20 * 20 * 1000
+    assert carries == (pinged_first or delay < 1.5)
+    assert not (pinged_first and path.window.slow)
+
+
+def test_a_slow_path_behind_long_pings_is_kept_short() -> None:
+    path = Path(5_000, 1.5)
+    path.window = Window(0, 3.0)
+    path.credit = 0.0
+    path.run(20.0, 14, 1000)
+    path.ages.clear()
+    before = path.arrived
+    path.run(30.0, 14, 1000)
+    assert max(path.ages) < 1.5 + 2.0
+    assert path.arrived - before > 0.9 * 30 * 5_000
 
 
 def test_what_waits_in_its_own_direction_still_counts() -> None:

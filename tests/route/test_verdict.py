@@ -9,13 +9,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from rsb_bridge.model.fullness import Fullness
 from rsb_bridge.model.limits import REASON_LENGTH
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.verdict import FINE, Cause, Verdict, about, worse
 from rsb_bridge.ros.api import Endpoint
 from rsb_bridge.route.both_sides import BothSides, lasting, record_of
-from rsb_bridge.route.verdict import Facts, judge, named
+from rsb_bridge.route.verdict import LOWER_MTU, USE_TCP, Facts, judge, named
 from rsb_bridge.route.yielding import Share, Yielded
 from rsb_bridge.telemetry.watches import Loss
 from rsb_bridge.wire.records import VerdictRecord
@@ -35,6 +36,9 @@ SENDER = Facts(
     sends=True, topic="/chat", domain_id=2, endpoints=[TALKER], type_name=STRING, qos=RELIABLE, flowing=True, came=True
 )
 RECEIVER = SENDER._replace(sends=False, topic="/robot1/chat", domain_id=3, endpoints=[endpoint("/rviz")])
+
+
+LOST, FULL = Loss(9, 10, "lost on the way", NOW - 2.0), Fullness(5e3, 14e3)
 
 
 def verdict_on(facts: Facts, **changes: Any) -> Verdict:
@@ -197,6 +201,9 @@ def test_a_route_that_flows_is_fine() -> None:
             Cause.LOSSY,
             ["none of the last 100 messages arrived", "protocol: tcp"],
         ),
+        (SENDER, {"loss": LOST, "full": FULL}, State.SLOW, Cause.QUEUE_FULL, [FULL.share]),
+        (SENDER, {"loss": LOST, "loss_of_full_link": True}, State.SLOW, Cause.QUEUE_FULL, []),
+        (SENDER, {"loss": LOST, "loss_unexplained": True}, State.SLOW, Cause.LOSSY, []),
         (
             SENDER,
             {"loss": Loss(9, 10, "too large", 0.0)},
@@ -442,6 +449,15 @@ def test_the_verb_agrees_with_the_names(nodes: list[str], verb: str, count: str 
     assert verb in who
     counts = re.findall(r"\((\d+) ", who)
     assert counts == ([] if count is None else [count])
+
+
+@pytest.mark.parametrize("datagrams", [1, 40])
+@pytest.mark.parametrize("known", [{"full": FULL}, {"loss_of_full_link": True}, {"loss_unexplained": True}])
+def test_no_remedy_makes_an_overload_worse(known: dict[str, Any], datagrams: int) -> None:
+    text = verdict_on(SENDER, loss=LOST, datagrams=datagrams, **known).text
+    assert USE_TCP not in text
+    assert LOWER_MTU not in text
+    assert USE_TCP in verdict_on(SENDER, loss=LOST, datagrams=datagrams).text
 
 
 @pytest.mark.parametrize("facts", [{"loss": Loss(2, 83, "queue full", 0.0, recovering=True)}, {"slow_since": 0.0}])

@@ -71,6 +71,7 @@ class FakePeer:
     report_delay = 0.0
     ping_wait = 0.0
     full_out: Fullness | None = None
+    fullness_undecided = False
     full_in: Fullness | None = None
     features: tuple[str, ...] = (FEATURE,)
     down_reason = ""

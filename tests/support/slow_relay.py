@@ -1,8 +1,8 @@
-"""A TCP tunnel that carries little, as ``ssh -L`` over a poor uplink does.
+"""A TCP tunnel that carries little, as ``ssh -L`` over a poor uplink does, or a router that carries UDP as well.
 
 It accepts whatever the kernel and its own buffers hold, and lets it out at its rate: a sender that watches only its own
-socket sees nothing of what waits. A tunnel saves nothing up: while nothing waits in it, or this process gets no
-processor, no bytes are earned that would cross faster later.
+socket sees nothing of what waits. Of datagrams it keeps a few, and drops those that find no room. A tunnel saves nothing
+up: while nothing waits in it, or this process gets no processor, no bytes are earned that would cross faster later.
 """
 
 from __future__ import annotations
@@ -14,13 +14,20 @@ import socket
 import threading
 import time
 from collections import deque
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
     from types import TracebackType
+    from typing import TypeAlias
+
+    _Sender: TypeAlias = "_Pipe | _Datagrams"
 
 HELD = 256 * 1024
 """Bytes of one connection and way that the relay itself holds, beside what the kernel keeps for it."""
+
+QUEUE = 16 * 1024
+"""Bytes of datagrams that it holds, each way."""
 
 _TURN = 512
 """Bytes of one connection that go out before another one's turn."""
@@ -67,6 +74,11 @@ class SlowRelay:
         self.port: int = self._listener.getsockname()[1]
         self._selector = selectors.DefaultSelector()
         self._selector.register(self._listener, selectors.EVENT_READ)
+        self._near = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self._near.bind((self.HOST, self.port))
+        self._near.setblocking(False)
+        self._selector.register(self._near, selectors.EVENT_READ, self._from_client)
+        self._flows: dict[tuple[str, int], _Flow] = {}
         self._ways = {"there": _Way(fifo=fifo), "back": _Way(fifo=fifo)}
         self._pipes: list[_Pipe] = []
         self._pauses: list[tuple[int, int]] = []  # ns since the epoch
@@ -104,8 +116,10 @@ class SlowRelay:
                 for key, _ in self._selector.select(_TICK):
                     if key.data is None:
                         self._accept()
-                    else:
+                    elif isinstance(key.data, _Pipe):
                         self._read(key.data)
+                    else:
+                        key.data()
                 now = time.monotonic()
                 turn = min(now - before, _LONGEST_TURN)
                 if turn < now - before:
@@ -120,6 +134,9 @@ class SlowRelay:
         finally:
             for pipe in self._pipes:
                 pipe.close()
+            for flow in self._flows.values():
+                flow.far.close()
+            self._near.close()
             self._listener.close()
             self._selector.close()
 
@@ -146,6 +163,22 @@ class SlowRelay:
         if pipe.ended or pipe.waiting >= self._held:
             self._selector.unregister(pipe.source)
             pipe.reading = False
+
+    def _from_client(self) -> None:
+        with contextlib.suppress(OSError):
+            while True:
+                data, address = self._near.recvfrom(_CHUNK)
+                (self._flows.get(address) or self._connect(address)).there.put(data)
+
+    def _connect(self, address: tuple[str, int]) -> _Flow:
+        far = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        far.connect(self._target)
+        far.setblocking(False)
+        there = _Datagrams(self._ways["there"], far.send)
+        back = _Datagrams(self._ways["back"], lambda data: self._near.sendto(data, address))
+        flow = self._flows[address] = _Flow(far, there, back)
+        self._selector.register(far, selectors.EVENT_READ, flow.from_server)
+        return flow
 
     def _tidy(self) -> None:
         """Read again where there is room, and end connections of which one way has ended and is empty."""
@@ -186,26 +219,67 @@ class _Pipe:
         self.waiting += len(data)
         self.way.put(self, data)
 
+    def send(self, data: bytes, most: int) -> int:
+        try:
+            return self.sink.send(data[:most])
+        except BlockingIOError:
+            return 0
+        except OSError:
+            self.ended = True
+            return len(data)  # it leads nowhere any more
+
     def close(self) -> None:
         with contextlib.suppress(OSError):
             self.source.close()
 
 
+class _Datagrams:
+    """One way of a client's datagrams, which go whole."""
+
+    def __init__(self, way: _Way, send: Callable[[bytes], int]) -> None:
+        self.way = way
+        self.waiting = 0
+        self._send = send
+
+    def put(self, data: bytes) -> None:
+        if self.waiting + len(data) <= QUEUE:
+            self.waiting += len(data)
+            self.way.put(self, data)
+
+    def send(self, data: bytes, most: int) -> int:
+        with contextlib.suppress(OSError):
+            self._send(data)
+        return len(data)
+
+
+class _Flow(NamedTuple):
+    """The datagrams of one client, both ways."""
+
+    far: socket.socket
+    there: _Datagrams
+    back: _Datagrams
+
+    def from_server(self) -> None:
+        with contextlib.suppress(OSError):
+            while True:
+                self.back.put(self.far.recv(_CHUNK))
+
+
 class _Way:
-    """What waits to go one way, of all connections."""
+    """What waits to go one way, of all connections and datagrams."""
 
     def __init__(self, *, fifo: bool) -> None:
         self.carried = 0
         self.budget = 0.0
         self._fifo = fifo
-        self._lines: dict[_Pipe | None, deque[tuple[_Pipe, bytes]]] = {}
-        self._turns: deque[_Pipe | None] = deque()
+        self._lines: dict[_Sender | None, deque[tuple[_Sender, bytes]]] = {}
+        self._turns: deque[_Sender | None] = deque()
 
     @property
     def queued(self) -> bool:
         return bool(self._turns)
 
-    def put(self, pipe: _Pipe, data: bytes) -> None:
+    def put(self, pipe: _Sender, data: bytes) -> None:
         line = None if self._fifo else pipe
         if line not in self._lines:
             self._lines[line] = deque()
@@ -215,7 +289,7 @@ class _Way:
     def earn(self, size: float) -> None:
         self.budget += size
 
-    def forget(self, pipe: _Pipe) -> None:
+    def forget(self, pipe: _Sender) -> None:
         for line, waiting in tuple(self._lines.items()):
             kept = deque(each for each in waiting if each[0] is not pipe)
             self._lines[line] = kept
@@ -224,13 +298,16 @@ class _Way:
                 self._turns.remove(line)
 
     def pour(self) -> None:
-        """Let out what the budget allows, the connections in turn."""
+        """Let out what the budget allows, the connections in turn; a datagram may go in advance of it."""
         blocked = 0
         while self.budget >= 1 and self._turns and blocked < len(self._turns):
             line = self._turns.popleft()
             waiting = self._lines[line]
             pipe, data = waiting.popleft()
-            sent = self._send(pipe, data[: min(_TURN, int(self.budget))])
+            sent = pipe.send(data, _TURN)
+            self.budget -= sent
+            pipe.waiting -= sent
+            self.carried += sent
             if sent < len(data):
                 waiting.appendleft((pipe, data[sent:]))
             blocked = 0 if sent else blocked + 1
@@ -240,19 +317,6 @@ class _Way:
                 del self._lines[line]
         if not self._turns:
             self.budget = 0.0
-
-    def _send(self, pipe: _Pipe, data: bytes) -> int:
-        try:
-            sent = pipe.sink.send(data)
-        except BlockingIOError:
-            return 0
-        except OSError:
-            pipe.ended = True
-            sent = len(data)  # it leads nowhere any more
-        self.budget -= sent
-        pipe.waiting -= sent
-        self.carried += sent
-        return sent
 
 
 def stamped(index: int, size: int) -> str:

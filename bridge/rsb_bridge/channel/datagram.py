@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+from collections import deque
 from typing import TYPE_CHECKING
 
 from rsb_bridge.channel.channel import Counts
@@ -22,6 +23,9 @@ if TYPE_CHECKING:
     from rsb_bridge.wire.framing import Message
     from rsb_bridge.wire.sealing import Buffer
 
+_RATE_OVER, _RATE_LASTS = 1.0, 2.5
+"""s between the receipts from which the rate of arrival is computed, and s for which it counts."""
+_MOST_RECEIPTS = 64
 _EXPIRE = 1.0
 """s without a fragment of it, after which an incomplete message is given up."""
 _RECEIPTS_PER_BUFFER = 4 * WINDOW
@@ -67,6 +71,7 @@ class DatagramSender(_DatagramChannel):
         self._timer: asyncio.TimerHandle | None = None
         self._largest = 0
         self._receipted = (-1, 0)  # the newest datagram of the last receipt, and how many had arrived
+        self._arrivals: deque[tuple[float, int]] = deque(maxlen=_MOST_RECEIPTS)  # when (s) how many had arrived
         udp_channel.add_sender(route.id, self)
 
     @property
@@ -106,12 +111,31 @@ class DatagramSender(_DatagramChannel):
             share = max(0.0, min((receipt.opened - opened) / (receipt.newest - newest), 1.0))
             self.arrived_share = share if self.arrived_share is None else (share + self.arrived_share) / 2
             self._receipted = receipt.newest, receipt.opened
+            self._note_arrivals(receipt.opened, self._loop.time())
         self._pacer.receipt(receipt.newest, receipt.opened, receipt.buffer, self._loop.time())
         if receipt.buffer < RECEIVE_BUFFER and self._largest > self._pacer.window:
             self.carrier.shortages[False] = BufferShortage(False, receipt.buffer, self._largest)
         if self._timer is not None:
             self._timer.cancel()
             self._go_on()
+
+    def _note_arrivals(self, opened: int, now: float) -> None:
+        arrivals = self._arrivals
+        while len(arrivals) > 1 and now - arrivals[1][0] >= _RATE_OVER:
+            arrivals.popleft()
+        if len(arrivals) < _MOST_RECEIPTS:
+            arrivals.append((now, opened))
+        else:
+            arrivals[-1] = now, opened
+
+    def arrival_rate(self) -> float:
+        """Return the datagrams/s that arrive by the last receipts, or 0 if there are none of late."""
+        if len(self._arrivals) < 2:
+            return 0.0
+        (began, before), (at, opened) = self._arrivals[0], self._arrivals[-1]
+        if at - began < _RATE_OVER or self._loop.time() - at > _RATE_LASTS:
+            return 0.0
+        return max(0.0, (opened - before) / (at - began))
 
     def _go_on(self) -> None:
         self._timer = None

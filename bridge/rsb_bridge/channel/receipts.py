@@ -45,6 +45,7 @@ class ReceiptBook:
         loop: tells the time and sets the timer.
         send: sends a control message.
         way_back: gives the s that a message of the peer takes to get here.
+        ping: gives the s of the connection's shortest ping, or 0 if it is unknown.
     """
 
     def __init__(
@@ -52,9 +53,11 @@ class ReceiptBook:
         loop: asyncio.AbstractEventLoop,
         send: Callable[[Receipts], None],
         way_back: Callable[[], float] = float,
+        ping: Callable[[], float] = float,
     ) -> None:
         self.now = loop.time
         self.way_back = way_back
+        self.ping = ping
         self._loop = loop
         self._send = send
         self._received: dict[int, int] = {}
@@ -125,7 +128,7 @@ class WindowedSender:
     def begin_window(self) -> None:
         """Create the window, if the peer sends receipts."""
         if self._book is not None:
-            self._window = Window(self.sent)
+            self._window = Window(self.sent, self._book.ping())
 
     def acknowledge(self, count: int) -> None:
         """Adapt the window to a receipt, and send from the queue."""
@@ -148,6 +151,11 @@ class WindowedSender:
         if window is not None and book is not None:
             window.back = book.way_back()
             window.check(self.sent, book.now())
+
+    @property
+    def grows(self) -> bool:
+        """Whether the window still grows, as nothing waits on the path: it is no measure of what the link carries."""
+        return self._window is not None and not self._window.slow
 
     @property
     def pace(self) -> Pace:

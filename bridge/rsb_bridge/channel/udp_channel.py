@@ -166,12 +166,13 @@ class UdpChannel:
             receiver = self._receivers.get(route_id)
             if receiver is not None:
                 if receiver.received(datagram, now):
-                    self.received_at = now
+                    self._heard_authentic(address, now)
                 touched[receiver] = None
             elif route_id == PROBE_ROUTE:
                 probe = self._probe.read(datagram, now)
                 if isinstance(probe, Receipt):
-                    self._receipted(probe, now)
+                    self._heard_authentic(address, now)
+                    self._receipted(probe)
                 elif probe is not None and self._probed(probe, address):
                     self._heard = self.received_at = now
             # else the route was closed while the datagram was under way, or the peer has nothing to say on it
@@ -180,8 +181,13 @@ class UdpChannel:
         if self.ready and not was_ready:
             self._on_ready()
 
-    def _receipted(self, receipt: Receipt, now: float) -> None:
+    def _heard_authentic(self, address: Address, now: float) -> None:
+        """Note a message or a receipt; from the peer's own address it counts as a probe, which a full link may lose."""
         self.received_at = now
+        if self._heard is not None and address == self._peer:
+            self._heard = now
+
+    def _receipted(self, receipt: Receipt) -> None:
         sender = self._senders.get(receipt.route)
         if sender is not None:
             sender.receipt(receipt)

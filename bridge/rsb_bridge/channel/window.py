@@ -29,11 +29,13 @@ FIRST_RECEIPT = 512
 
 _FRESH, _LATE, _AIM = 0.2, 0.8, 0.5
 """Ages (s) of the oldest unacknowledged byte, beyond the shortest round trip: the window grows below the first, and
-shrinks above the second to the bytes that cross in the third."""
+shrinks above the second to the bytes that cross in the third and in a ping."""
 _ROOM = 4.0
 """The window grows to the bytes that cross in so many seconds where nothing waits, so that receipts are rare."""
-_FARTHEST = 2.0
-"""Longest round trip (s) of a path without a queue; more counts as waiting."""
+_FARTHEST, _FARTHEST_PINGED = 2.0, 4.0
+"""Longest round trips (s) of a path without a queue: by itself, and if pings took as long; more counts as waiting."""
+_FIRST_LASTS = 0.8
+"""s that the first bytes may take; on a path whose pings take longer, more bytes take no longer than these."""
 _LONGEST_BACK = 5.0
 """s; a peer that claims more gains nothing by it."""
 _NOT_SHORTER = 0.75
@@ -67,6 +69,7 @@ class Window:
         "_last_mark_at",
         "_marks",
         "_origin",
+        "_ping",
         "_receipts",
         "_shortest",
         "back",
@@ -76,10 +79,16 @@ class Window:
         "slow",
     )
 
-    def __init__(self, sent: int) -> None:
-        """Begin on a stream that already carried `sent` bytes."""
-        self.size = FIRST
-        self.limit = sent + FIRST
+    def __init__(self, sent: int, ping: float = 0.0) -> None:
+        """Begin on a stream.
+
+        Args:
+            sent: bytes that it already carried.
+            ping: s of the shortest ping of the connection, or 0 if it is unknown.
+        """
+        ping = min(ping, _FARTHEST_PINGED)
+        self.size = int(FIRST * max(1.0, ping / _FIRST_LASTS))
+        self.limit = sent + self.size
         self.slow = False
         self.patience = 1.0
         self.back = 0.0
@@ -87,7 +96,8 @@ class Window:
         self._marks: deque[tuple[int, float]] = deque()  # how many bytes were sent when (s)
         self._last_mark, self._last_mark_at = sent, float("-inf")
         self._receipts: deque[tuple[int, float]] = deque(maxlen=_MOST_RECEIPTS)
-        self._shortest = _FARTHEST  # s, the shortest round trip so far, less what receipts took to come back
+        self._ping = ping
+        self._shortest = max(_FARTHEST, ping)  # s, the shortest round trip so far, less what receipts took to come back
         self._before_shrinking: tuple[int, float] | None = None  # bytes sent until then, and s that data took
 
     def wrote(self, before: int, now: float) -> None:
@@ -133,7 +143,8 @@ class Window:
             self.slow = True
             if self._before_shrinking is None:
                 self._before_shrinking = sent, self._age(now) - self._credit
-            self.size = max(LEAST, int(rate * _AIM * self.patience), min(self.size, (sent - acknowledged) // 2))
+            crosses = _AIM * self.patience + min(self._ping, self._shortest + self._credit)
+            self.size = max(LEAST, int(rate * crosses), min(self.size, (sent - acknowledged) // 2))
         elif waits < _FRESH:
             self.slow = self.slow and limited
             if limited or self.size < rate * _ROOM:

@@ -37,6 +37,9 @@ _HELD_UP = 0.2
 """s that two pings one after the other take longer than the shortest one: one alone may be the radio's."""
 _POOR, _MUCH = 0.35, 50e3
 """The share of datagrams that arrive, and bytes/s of a topic."""
+_LOSES, _QUEUES = 0.95, 0.2
+"""The share of datagrams that arrive, and s that they take longer than before, if they pass through a queue that
+overflows; a poor radio loses datagrams without holding up the others."""
 _DELAYED = 1.0
 """s of delay from which messages wait on the way."""
 _MORE = 1.1
@@ -59,10 +62,13 @@ class _Asking(NamedTuple):
     traffic: Traffic
 
 
-def _mostly_lost(asking: _Asking) -> bool:
-    """Whether a busy topic loses so many datagrams that the link is probably full, not poor."""
+def _overflows(asking: _Asking) -> bool:
+    """Whether a topic loses datagrams because the link is probably full, not poor."""
     share = asking.route.arrived_share
-    return share is not None and share < _POOR and asking.traffic.bytes_per_second >= _MUCH
+    if share is None:
+        return False
+    mostly_lost = share < _POOR and asking.traffic.bytes_per_second >= _MUCH
+    return mostly_lost or (share < _LOSES and asking.route.longer >= _QUEUES)
 
 
 class _Counts(NamedTuple):
@@ -127,18 +133,19 @@ class Contention:
             for route in self._routes()
             if isinstance(route, OutgoingRoute) and route.connected
         ]
-        arrived, full = self._looked(asking)
+        arrived, parts, full = self._looked(asking)
         asked = sum(each.traffic.bytes_per_second for each in asking)
         # Where all that is asked for arrives, pings are held up by somebody else's traffic.
         held_up = self._held_up(keepalive) and (self._divided is not None or asked > _MORE * self._crossed)
-        full = full or held_up or self._delayed(asking, asked) or any(map(_mostly_lost, asking))
+        full = full or held_up or self._delayed(asking, asked) or any(map(_overflows, asking))
         crossed = self._crossed = self.sending.look(arrived, now, at, full=full)
         wanted = [
             Asked(each.route.topic, each.route.remote_topic, each.traffic.bytes_per_second)
             for each in asking
             if each.traffic.bytes_per_second > 0.0
         ]
-        self._fullness.tick(wanted, max(arrived, self._datagrams(asking)), full=full and not measures, peer=peer)
+        starts = all(each.route.starts for each in asking if each.traffic.bytes_per_second > 0.0)
+        self._fullness.tick(wanted, arrived + parts, full=full and not starts and not measures, peer=peer)
         received = sum(each.received_bytes for each in self._carriers())
         self.receiving.look(received - self._received, now, at, full=False)
         self._received = received
@@ -160,9 +167,14 @@ class Contention:
             if isinstance(route, OutgoingRoute):
                 route.yielding.told(None, low=False, qos=route.qos, now=self._context.now())
 
-    def _looked(self, asking: Collection[_Asking]) -> tuple[float, bool]:
-        """How many bytes have arrived since the last look, and whether more waits to be sent all the time."""
-        full, arrived = False, 0.0
+    def _looked(self, asking: Collection[_Asking]) -> tuple[float, float, bool]:
+        """Count what has arrived since the last look.
+
+        Returns:
+            The bytes of messages, those of datagrams whose messages did not become whole, and whether more waits to be
+            sent all the time.
+        """
+        full, arrived, parts = False, 0.0, 0.0
         before, self._counts = self._counts, {}
         for route, traffic in asking:
             if not traffic.bytes_per_second:
@@ -171,18 +183,15 @@ class Contention:
             held = route.yielding.holds
             counts = self._counts[route] = _Counts(ledger.delivered, ledger.dropped.get("queue full", 0))
             last = before.get(route, counts)
-            arrived += max(0, counts.delivered - last.delivered) * traffic.size
+            whole = max(0, counts.delivered - last.delivered)
+            arrived += whole * traffic.size
+            parts += max(0.0, route.messages_by_datagrams - whole) * traffic.size
             full = full or (not held and (traffic.busy >= _BUSY or counts.queue_full > last.queue_full))
-        return arrived + self._calls(), full
+        return arrived + self._calls(), parts, full
 
     def _delayed(self, asking: Collection[_Asking], asked: float) -> bool:
         """Whether messages wait on the way, for example in a tunnel that accepts more than it carries."""
         return asked > _MORE * self._crossed and any(each.route.delay >= _DELAYED for each in asking)
-
-    def _datagrams(self, asking: Collection[_Asking]) -> float:
-        """Return the bytes/s of datagrams that arrive, also of messages of which other datagrams are lost."""
-        shares = [(each.traffic.bytes_per_second, each.route.arrived_share) for each in asking]
-        return sum(size * share for size, share in shares if share is not None)
 
     def _calls(self) -> float:
         """Bytes/s of calls, which go ahead of all topics."""

@@ -36,6 +36,7 @@ class DataChannels:
         unfinished: the budget for incomplete messages of the peer.
         send_receipts: sends receipts to the peer.
         way_back: gives the s that a message of the peer takes to get here.
+        ping: gives the s of the connection's shortest ping, or 0 if it is unknown.
 
     Attributes:
         book: for receipts of streams, or None without a link or if the peer does not support them.
@@ -52,6 +53,7 @@ class DataChannels:
         unfinished: Budget,
         send_receipts: Callable[[Receipts], None],
         way_back: Callable[[], float],
+        ping: Callable[[], float],
     ) -> None:
         self.book: ReceiptBook | None = None
         self.keys: DataKeys | None = None
@@ -61,11 +63,11 @@ class DataChannels:
         self._unfinished = unfinished
         self._loop = loop
         self._send_receipts = send_receipts
-        self._way_back = way_back
+        self._way_back, self._ping = way_back, ping
 
     def connected(self, keys: SessionKeys, role: Role, *, receipts: bool) -> None:
         """Begin a connection with its keys; `receipts` says whether both sides support them."""
-        self.book = ReceiptBook(self._loop, self._send_receipts, self._way_back) if receipts else None
+        self.book = ReceiptBook(self._loop, self._send_receipts, self._way_back, self._ping) if receipts else None
         self.keys = DataKeys(keys, role, self._unfinished)
         self.probe = PathProbe(self.keys)
 

@@ -28,8 +28,8 @@ _FAR_LESS = 0.6
 """Share of the asked bytes: if less arrives on average, the link is full even if the last tick brought more."""
 _AFTER_STALL = 6
 """Ticks after a stall in which the arriving bytes say nothing about the link's capacity."""
-_SMOOTH = 0.4
-"""Weight of the newest tick in the figures."""
+_SHOWN_OVER = 6
+"""Ticks over which the shown figure of the arriving bytes is averaged: a report may be a second late."""
 _NAMED = 3
 _FASTEST = 1e12
 
@@ -66,8 +66,8 @@ class LinkFullness:
         self._other = 0
         self._stalled = 0  # ticks for which the last stall explains the arriving bytes
         self._flowed = False
-        self._carried = self._asked = 0.0
         self._arrived: deque[float] = deque(maxlen=_WINDOW)
+        self._lately: deque[float] = deque(maxlen=_SHOWN_OVER)  # since it seems full
         self._sent = FullRecord()
         self._record = FullRecord()
 
@@ -83,8 +83,6 @@ class LinkFullness:
         asked = sum(each.bytes_per_second for each in topics)
         self._arrived.append(arrived)
         carried = sum(self._arrived) / len(self._arrived)
-        self._carried += _SMOOTH * (carried - self._carried)
-        self._asked += _SMOOTH * (asked - self._asked)
         # After a stall, one tick brings less than is asked for, and the next ones bring all of it.
         too_little = asked > _MORE * arrived or carried < _FAR_LESS * asked
         self._stalled = max(0, self._stalled - 1)
@@ -94,28 +92,34 @@ class LinkFullness:
             self._stalled = _AFTER_STALL
         over = full and carried > 0.0 and not self._stalled and asked > _MORE * carried and too_little
         was = self.out is not None
+        if not was and not self._other:
+            self._lately.clear()  # it carried what it was asked for
+        self._lately.append(arrived)
+        shown = _mean_reported(self._lately)
         self._other = self._other + 1 if over != was else 0
-        carries_all = was and self._carried >= _ALL * self._asked
+        carries_all = was and shown >= _ALL * asked
         if carries_all or self._other >= (_ENDS if was else _BEGINS):
             self._other = 0
             was = not was
-            if was:
-                self._carried, self._asked = carried, asked
-            else:
+            if not was:
                 self.out = None
                 self._log(Level.INFO, EventCode.LINK_ROOM, f"the link to {peer} is no longer full")
         if not was:
             self.out, self._record = None, FullRecord()
             return
         most = sorted(topics, key=lambda each: -each.bytes_per_second)[:_NAMED]
-        # Smoothing may delay one of the two; at least as much is asked for as arrives.
-        figures = min(self._carried, self._asked), self._asked
+        figures = min(shown, asked), asked  # the two are averaged over different times
         begins = self.out is None
         self.out = Fullness(*figures, tuple(each.topic for each in most))
         names = tuple(sanitize_text(each.remote_topic, TEXT_LENGTH) for each in most)
         self._record = FullRecord(round(figures[0]), round(figures[1]), names)
         if begins:
             self._log(Level.WARNING, EventCode.LINK_FULL, self.out.warning(f"to {peer}"))
+
+    @property
+    def undecided(self) -> bool:
+        """Whether the link from here may be full, which is being measured."""
+        return self.out is None and self._other > 0
 
     def next_record(self) -> FullRecord | None:
         """Return the record for the peer, or None if it has not changed since the last one."""
@@ -139,8 +143,8 @@ class LinkFullness:
         """Forget everything: the next connection may go another way."""
         self.out = self.into = None
         self._other = self._stalled = 0
-        self._carried = self._asked = 0.0
         self._arrived.clear()
+        self._lately.clear()
         self._sent = self._record = FullRecord()
 
     def warning(self, peer: str) -> str:
@@ -148,6 +152,18 @@ class LinkFullness:
         out = self.out.warning(f"to {peer}") if self.out is not None else ""
         into = self.into.warning(f"from {peer}") if self.into is not None else ""
         return "; ".join(filter(None, (out, into)))
+
+
+def _mean_reported(ticks: Collection[float]) -> float:
+    """Return the mean up to the last tick in which something arrived: the next report may only be late.
+
+    In the first tick more may have arrived, until a queue on the way filled up.
+    """
+    first, *others = ticks
+    while others and not others[-1]:
+        others.pop()
+    reported = [min(first, max(others)), *others] if others else [first]
+    return sum(reported) / len(reported)
 
 
 def _within(figure: float) -> float:

@@ -108,7 +108,7 @@ class Link(ABC):
         self._tasks = Tasks(context.loop, self.fail)
         self.keepalive = Keepalive(context, self.carriers)
         self.channels = DataChannels(
-            context.loop, self._log_udp, self.budget.unfinished, self.send, self._certain_way_back
+            context.loop, self._log_udp, self.budget.unfinished, self.send, self._certain_way_back, self._shortest_ping
         )
         self.table = RouteTable(context, self)
         self.fullness = LinkFullness(self._log_full)
@@ -345,6 +345,7 @@ class Link(ABC):
             case Report():
                 if message.full is not None:
                     self.fullness.take_record(message.full, self._peer_name)
+                    self._judge_again(outgoing=False)
                 self.table.handle(message)
             case Duplicate():
                 self.on_duplicate(message)
@@ -406,7 +407,10 @@ class Link(ABC):
         if self.control is None:
             return
         measures = self.bench.is_measuring
+        out = self.full_out
         self.contention.tick(self.keepalive, self.features, self.connections, self._peer_name, measures=measures)
+        if self.full_out != out:
+            self._judge_again(outgoing=True)
         self.warning_since()  # notice the beginning even if nobody looks
         self.send(self.keepalive.tick())
         self.channels.tick(self.routes.values())
@@ -414,6 +418,12 @@ class Link(ABC):
             self.send(report)
         self.table.tick()
         self.bench.tick()
+
+    def _judge_again(self, *, outgoing: bool) -> None:
+        """Judge the routes of one direction again: their link has become full or has room, so that both agree."""
+        for route in self.routes.values():
+            if route.outgoing == outgoing:
+                route.judge_again()
 
     def carriers(self) -> set[Carrier]:
         """All that carries bytes of the present connection."""
@@ -454,6 +464,11 @@ class Link(ABC):
         return self.fullness.out
 
     @property
+    def fullness_undecided(self) -> bool:
+        """Whether the link from here may be full, which is being measured."""
+        return self.fullness.undecided
+
+    @property
     def full_in(self) -> Fullness | None:
         """The rates to here, or None if the link is not full."""
         return self.fullness.into
@@ -465,6 +480,9 @@ class Link(ABC):
 
     def _certain_way_back(self) -> float:
         return max(0.0, self.report_delay - (self.clock_uncertainty or 0.0))
+
+    def _shortest_ping(self) -> float:
+        return 2 * (self.clock_uncertainty or 0.0)
 
     @property
     def ping_wait(self) -> float:

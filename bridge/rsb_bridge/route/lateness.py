@@ -48,6 +48,8 @@ class Late(NamedTuple):
         where: `WAY` or `QUEUE`, or empty if that is unknown.
         full: the rates of a full link, or None if the link is not full.
         since: s, when the lateness began.
+        was_full: whether the link was full since then, so that what waited still arrives.
+        undecided: whether it is not known yet if the link is full.
     """
 
     seconds: float
@@ -55,6 +57,8 @@ class Late(NamedTuple):
     where: str
     full: Fullness | None
     since: float
+    was_full: bool = False
+    undecided: bool = False
 
 
 class LateWatch:
@@ -189,8 +193,12 @@ def late_verdict(late: Late) -> Verdict:
 def _why(late: Late) -> str:
     if late.full is not None:
         return f"the link is full ({late.full.share}): set max_rate, compression: zstd or priority"
+    if late.was_full:
+        return "the link was full, and what waited still arrives"
     if late.where == QUEUE:
         return "messages wait in the sender's queue: set max_rate, compression: zstd or priority"
+    if late.undecided:
+        return "held up on the way"
     if late.where == WAY:
         return "held up on the way: check the network, tunnels and the receiver"
     return "held up on the way or by the sender: check the network and tunnels"

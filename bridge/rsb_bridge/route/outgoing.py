@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, ClassVar
 import msgspec
 
 from rsb_bridge.channel.datagram import DatagramSender
+from rsb_bridge.channel.receipts import WindowedSender
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.snapshot import Ledger, Level, Stage
 from rsb_bridge.ros.api import RawMessage, RosError
@@ -22,7 +23,7 @@ from rsb_bridge.route.resolving import MessageType, Resolver, qos_clash
 from rsb_bridge.route.sending import Sending
 from rsb_bridge.route.sorter import Sorter
 from rsb_bridge.route.stages import accepted_stage, link_stage
-from rsb_bridge.route.topic_route import TopicRoute
+from rsb_bridge.route.topic_route import MEASURED_FOR, TopicRoute
 from rsb_bridge.route.type_budget import TypeUse
 from rsb_bridge.route.verdict import no_subscriber
 from rsb_bridge.transport.transport import DatagramTransport
@@ -49,6 +50,8 @@ _LONGEST_DELAY = 3600.0
 """s; a longer delay is taken for a mistake."""
 _LONGEST_UNDER_WAY = 60.0
 """s; a message that is in transit for longer is lost."""
+_JITTERS = 2.0
+"""Times the jitter: that a message takes so much longer says nothing."""
 _LIMITED = "they are limited to what was sent"
 
 
@@ -57,6 +60,7 @@ class OutgoingRoute(TopicRoute):
 
     Attributes:
         delay: s that messages take at least; needs no clock of the other side.
+        longer: s that messages take beyond the shortest time of this opening and their jitter, as the receiver reports.
     """
 
     outgoing: ClassVar[bool] = True
@@ -77,8 +81,9 @@ class OutgoingRoute(TopicRoute):
         self._resolver = Resolver(context, proposal)
         self._health = Health()
         self._unreported = Unreported()
-        self.delay = 0.0
+        self.delay = self.longer = 0.0
         self._reported_delay: tuple[float, float] | None = None  # s, by the receiver; and when it reported it, s
+        self._shortest: float | None = None  # s, by the receiver
 
     # --- setting up
 
@@ -233,8 +238,8 @@ class OutgoingRoute(TopicRoute):
         """Begin a new opening."""
         super().open(route_id)
         self._unreported = Unreported()
-        self._reported_delay = None
-        self.delay = 0.0
+        self._reported_delay = self._shortest = None
+        self.delay = self.longer = 0.0
         self._sorter.clear()
         self._ledger.opened(route_id, self.peer.instance)
 
@@ -306,6 +311,8 @@ class OutgoingRoute(TopicRoute):
             and not self.yielding.holds
         ):
             measured = self._reported_delay[0]
+        else:
+            self.longer = 0.0
         if not self.transport.reliable:  # unreported datagrams may be lost, unless pings by a stream are held up, too
             unreported = min(unreported, self.peer.ping_wait)
         own = max(self._sending.waits(now), delay_of_sender(unreported, self.peer.report_delay))
@@ -374,6 +381,9 @@ class OutgoingRoute(TopicRoute):
             self.advance()
         if report.latency is not None and abs(report.latency) <= _LONGEST_DELAY:
             self._reported_delay = report.latency, self.context.now()
+            self._shortest = report.latency if self._shortest is None else min(self._shortest, report.latency)
+            # In a queue one message takes as long as the next; where they do not, the path is uneven, not full.
+            self.longer = max(0.0, report.latency - self._shortest - _JITTERS * max(0.0, report.jitter or 0.0))
         self.latency.told(report.latency_p50, report.latency_p99, report.jitter)
 
     def ledger(self) -> Ledger:
@@ -439,19 +449,40 @@ class OutgoingRoute(TopicRoute):
         unresolved = self._resolver.unresolved
         facts = facts_of(self)._replace(
             similar=self._resolver.similar,
-            breaking="" if self.peer.full_out is not None else self.losses.repeated,
+            breaking="" if self.peer.full_out is not None or self.peer.fullness_undecided else self.losses.repeated,
             subscribe_failed=self._failure,
             unresolved=(unresolved.cause, self._resolver.why()) if unresolved and self.accepted else None,
             left_out=self.notices.warning,
             rate=self.meter.rate,
             datagrams=self._datagrams(),
         )
-        return self._health.added_to(facts)
+        facts = self._health.added_to(facts)
+        loss = facts.loss
+        if loss is None or self.peer.full_out is not None:
+            return facts
+        new = self.context.now() - loss.since < MEASURED_FOR
+        return facts._replace(
+            loss_unexplained=new or self.peer.fullness_undecided,
+            loss_of_full_link=self.was_full_since(loss.since),
+        )
 
     @property
     def arrived_share(self) -> float | None:
         """The share of its datagrams that arrives, or None without datagrams or before the first receipt."""
         return self.channel.arrived_share if isinstance(self.channel, DatagramSender) else None
+
+    @property
+    def starts(self) -> bool:
+        """Whether its channel does not yet send as fast as it can, so that messages wait though the link has room."""
+        return isinstance(self.channel, WindowedSender) and self.channel.grows
+
+    @property
+    def messages_by_datagrams(self) -> float:
+        """Messages/s that arrive by the count of their datagrams, or 0 if each message is one datagram."""
+        datagrams = self._datagrams()
+        if datagrams < 2 or not isinstance(self.channel, DatagramSender):
+            return 0.0
+        return self.channel.arrival_rate() / datagrams
 
     def _datagrams(self) -> int:
         """How many datagrams one of its messages takes; 0: it goes by none."""

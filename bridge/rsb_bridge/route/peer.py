@@ -77,6 +77,11 @@ class Peer(Protocol):
         ...
 
     @property
+    def fullness_undecided(self) -> bool:
+        """Whether the link from here may be full, which is being measured."""
+        ...
+
+    @property
     def full_in(self) -> Fullness | None:
         """The rates to here, or None if the link is not full."""
         ...

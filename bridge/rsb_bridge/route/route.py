@@ -378,6 +378,10 @@ class Route:
             self._verdict = self._judge()
         return self._verdict
 
+    def judge_again(self) -> None:
+        """Make a new verdict when the next one is asked for."""
+        self._verdict = None
+
     def _about(self, said: Announcement, now: float) -> About:
         """What an event says of the verdict that is shown."""
         verdict, from_peer = self.judged.shown(self.verdict())

@@ -27,6 +27,10 @@ if TYPE_CHECKING:
 
 _LATENCY_TICKS = 10
 """Seconds of messages that the shown latency is of."""
+MEASURED_FOR = 6.0
+"""s of lateness or loss after which a full link has been noticed."""
+_DRAINS_FOR = 60.0
+"""s for which messages may be late or lost because their link was full."""
 _UNUSUAL = frozenset({Cause.LATE, Cause.THINNED, *LOSS_CAUSES})
 
 
@@ -49,6 +53,7 @@ class TopicRoute(Route):
         self.silence = Silence(self.log, context.now())
         self.lateness = LateWatch()
         self._flows_since = context.now()
+        self._full_at: float | None = None  # s, when the link was last full in this direction
         self.set_stale_after()
         self.peek_slot = PeekSlot()
         self.yielding = Yielding(context.now())
@@ -78,6 +83,7 @@ class TopicRoute(Route):
         """Begin a new opening on the present connection."""
         super().open(route_id)
         self._told_report = None
+        self._full_at = None
 
     def amend(self, spec: Topic, proposal: Propose) -> None:
         """Go on with other limits; counts, endpoints and what is under way stay."""
@@ -108,7 +114,13 @@ class TopicRoute(Route):
         if watch.since is None or not self.flowing:
             return None
         full = self.peer.full_out if self.outgoing else self.peer.full_in
-        return Late(watch.seconds, watch.usual, self._held_up_where(), full, watch.since)
+        was_full = self.was_full_since(watch.since)
+        undecided = self.outgoing and self.context.now() - watch.since < MEASURED_FOR
+        return Late(watch.seconds, watch.usual, self._held_up_where(), full, watch.since, was_full, undecided)
+
+    def was_full_since(self, since: float) -> bool:
+        """Whether the link was full at some time since `since` (s), and not long ago."""
+        return self._full_at is not None and self._full_at >= max(since, self.context.now() - _DRAINS_FOR)
 
     @property
     def learns(self) -> bool:
@@ -131,6 +143,8 @@ class TopicRoute(Route):
         """Once a second: histories, stale warnings, and what has turned for the worse."""
         self.latency.tick()
         self._tick_lateness(self.context.now())
+        if (self.peer.full_out if self.outgoing else self.peer.full_in) is not None:
+            self._full_at = self.context.now()
         super().tick()
         self.limit.set_profile_rate(self._profile_rate())
         if not self.flowing:

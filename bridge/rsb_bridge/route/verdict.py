@@ -25,6 +25,8 @@ if TYPE_CHECKING:
     from rsb_bridge.telemetry.watches import Loss
 
 LATELY = 10
+USE_TCP, LOWER_MTU = "use protocol: tcp", "lower the MTU"
+"""Remedies for messages that are lost on the way."""
 _NAMED = 3
 """Nodes that a sentence names."""
 
@@ -73,6 +75,8 @@ class Facts(NamedTuple):
         yielded: the share that it leaves to topics with a higher priority, or None.
         late: the lateness of its messages, or None if they are on time.
         full: the rates of the link if it is full, or None.
+        loss_unexplained: whether it is not known yet if `loss` is due to a full link.
+        loss_of_full_link: whether the link was full since `loss` began, and has room now.
         shown_cause: the cause that was shown last, or empty.
     """
 
@@ -112,6 +116,8 @@ class Facts(NamedTuple):
     yielded: Yielded | None = None
     late: Late | None = None
     full: Fullness | None = None
+    loss_unexplained: bool = False
+    loss_of_full_link: bool = False
     shown_cause: str = ""
 
     @property
@@ -301,20 +307,28 @@ def _thinned(facts: Facts) -> Verdict | None:
     return verdict_of(facts.yielded) if facts.yielded is not None else None
 
 
+def _remedy_for_loss(facts: Facts) -> str:
+    """Return what to do about lost datagrams, or nothing while the link may be full: then both remedies do harm."""
+    if facts.loss_unexplained:
+        return ""
+    if facts.datagrams > 1:
+        return (
+            f"; each takes {facts.datagrams} datagrams, and is lost if one of them is: {USE_TCP} or smaller messages; "
+            f"if none arrives, {LOWER_MTU} on both sides"
+        )
+    return f"; {USE_TCP}"
+
+
 def _lossy(facts: Facts) -> Verdict | None:
     loss = facts.loss
     if loss is None:
         return None
-    remedy = "use protocol: tcp"
-    if facts.datagrams > 1:
-        remedy = (
-            f"each takes {facts.datagrams} datagrams, and is lost if one of them is: use protocol: tcp or smaller "
-            "messages; if none arrives, lower the MTU on both sides"
-        )
-    cause, why = _LOSSES.get(loss.cause, (Cause.LOSSY, f"lost on the way; {remedy}"))
+    cause, why = _LOSSES.get(loss.cause, (Cause.LOSSY, f"lost on the way{_remedy_for_loss(facts)}"))
     if facts.full is not None and cause in (Cause.LOSSY, Cause.QUEUE_FULL):
         why = f"the link is full ({facts.full.share}): set max_rate, compression: zstd or priority"
         cause = Cause.QUEUE_FULL
+    elif facts.loss_of_full_link and cause is Cause.LOSSY:
+        cause, why = Cause.QUEUE_FULL, "the link was full"
     if loss.recovering:
         if facts.shown_cause not in LOSS_CAUSES:
             return None  # a fault that nobody was shown needs no end

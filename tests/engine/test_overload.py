@@ -1,0 +1,139 @@
+"""A link of 5 kB/s that is asked for more, from the first message on and until it has room again: each state and cause
+that either side shows, at what time."""
+
+from __future__ import annotations
+
+import time
+from typing import TYPE_CHECKING, NamedTuple
+
+import pytest
+from tests.engine.test_slow_tunnel import TUNNEL, Publishing, ages
+from tests.support import slow_relay
+from tests.support.bridge import carries, linked, outgoing
+from tests.support.domain import BEST_EFFORT
+from tests.support.holding_relay import HoldingRelay
+from tests.support.slow_relay import SlowRelay
+from tests.support.waiting import eventually
+
+from rsb_bridge.model.session import Topic
+from rsb_bridge.model.snapshot import State
+from rsb_bridge.model.verdict import Cause
+from rsb_bridge.route.topic_route import TopicRoute
+from rsb_bridge.route.verdict import LOWER_MTU, USE_TCP
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from tests.support.bridge import Bridge
+    from tests.support.domain import Domain
+
+    from rsb_bridge.engine import Engine
+    from rsb_bridge.model.fullness import Fullness
+    from rsb_bridge.model.session import Protocol
+
+_STARTS = {Cause.PUBLISHER_SILENT, Cause.NO_MESSAGE}
+_OVERLOADED = {Cause.LATE, Cause.LOSSY, Cause.QUEUE_FULL}
+_NOTICED_WITHIN, _FULL_WITHIN, _OVER_WITHIN = 5.0, 8.0, 12.0
+"""s. A full link is measured for 4 s, once messages are late or lost."""
+_CARRIED = 0.5 * TUNNEL, 1.2 * TUNNEL
+"""Bytes/s, of 4 s at first: in one of them a report may be late."""
+
+
+class Seen(NamedTuple):
+    """What a side shows at one moment."""
+
+    at: float
+    state: State
+    cause: str
+    text: str
+    full: Fullness | None
+
+
+def _look(engine: Engine, at: float) -> Seen:
+    assert engine._bridge is not None
+    (link,) = engine._bridge.links()
+    (route,) = [each for each in link.routes.values() if isinstance(each, TopicRoute)]
+    verdict = route.judged.shown(route.verdict()).verdict
+    return Seen(at, verdict.state, verdict.cause, verdict.text, link.full_out or link.full_in)
+
+
+def _record(engines: tuple[Engine, ...], seconds: float, until: Callable[[], bool]) -> list[list[Seen]]:
+    """Look at all sides ten times a second, and return what each showed."""
+    began, seen = time.monotonic(), [list[Seen]() for _ in engines]
+    while (at := time.monotonic() - began) < seconds and not until():
+        for engine, its in zip(engines, seen, strict=True):
+            its.append(_look(engine, at))
+        time.sleep(0.1)
+    return seen
+
+
+@pytest.mark.parametrize(
+    ("protocol", "queue", "rate"), [("tcp", 0, 14.0), ("tcp", 0, 100.0), ("udp", 16_384, 14.0), ("udp", 4_096, 100.0)]
+)
+def test_nothing_wrong_is_said_of_an_overload(
+    protocol: Protocol,
+    queue: int,
+    rate: float,
+    bridge: Bridge,
+    robot: Domain,
+    pc: Domain,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """With a queue of 3 s, datagrams are late, and with one of 0.8 s most are lost."""
+    monkeypatch.setattr(slow_relay, "QUEUE", queue)
+    out, _ = robot.publisher("/camera"), pc.listener("/camera", qos=BEST_EFFORT)
+    server = bridge.server()
+    with SlowRelay(bridge.port, 1e6) as relay:
+        client = bridge.client(Topic("/camera", "transmit", protocol=protocol), server_port=relay.port)
+        eventually(lambda: linked(client) and linked(server), what="linked")
+        carries([out], server, ["/camera"])
+        relay.bytes_per_second = TUNNEL
+        with Publishing(out, rate, 1000):
+            overload = _record((client, server), 12.0, lambda: False)
+        with Publishing(out, 2.0, 1000):
+            recovery = _record((client, server), _OVER_WITHIN, lambda: _is_over(client, server))
+            assert _is_over(client, server), (_look(client, 0.0), _look(server, 0.0))
+        relay.bytes_per_second = 1e7
+        bridge.close()
+    for seen in overload:
+        trouble = [each for each in seen if each.cause in _OVERLOADED]
+        assert {each.cause for each in seen} <= {Cause.NONE, *_STARTS, *_OVERLOADED}
+        assert trouble[0].at <= _NOTICED_WITHIN
+        assert all(each.cause in _OVERLOADED for each in seen if each.at > trouble[0].at), "it is ok no more"
+        full = [each for each in seen if each.full is not None]
+        assert full[0].at <= _FULL_WITHIN
+        assert {each.cause for each in seen if each.at > full[0].at + 2.0} <= {Cause.LATE, Cause.QUEUE_FULL}
+        for each in full:
+            assert each.full is not None
+            assert _CARRIED[0] <= each.full.carried <= _CARRIED[1]
+            assert 0.8 * rate * 1000 <= each.full.asked <= 1.25 * rate * 1000
+    for seen in recovery:
+        assert {each.cause for each in seen} <= {Cause.NONE, Cause.LATE, Cause.QUEUE_FULL}
+    texts = {each.text for seen in (*overload, *recovery) for each in seen}
+    assert not [text for text in texts if USE_TCP in text or LOWER_MTU in text]
+
+
+def test_a_path_that_takes_seconds_is_not_full(bridge: Bridge, robot: Domain, pc: Domain) -> None:
+    """Via a satellite and more, 1.5 s each way: 20 kB/s cross, and nothing is dropped while the window grows."""
+    out, there = robot.publisher("/camera"), pc.listener("/camera", qos=BEST_EFFORT)
+    server = bridge.server()
+    with HoldingRelay(bridge.port) as relay:
+        relay.held = 1.5
+        client = bridge.client(Topic("/camera", "transmit"), server_port=relay.port)
+        eventually(lambda: linked(client) and linked(server), 60, what="linked")
+        carries([out], server, ["/camera"])
+        with Publishing(out, 20.0, 1000) as publishing:
+            seen = _record((client, server), 20.0, lambda: False)
+            found = ages(there)
+            count, ledger = publishing.count, outgoing(client, "/camera").ledger()
+        relay.held = 0.0
+        bridge.close()
+    assert ledger.dropped == {}
+    assert len(found) > count - 20 * 5
+    assert max(found[-10:]) < 2.0
+    assert all(each.full is None for its in seen for each in its)
+
+
+def _is_over(*engines: Engine) -> bool:
+    seen = [_look(each, 0.0) for each in engines]
+    return all(each.state is State.OK and each.full is None for each in seen)
