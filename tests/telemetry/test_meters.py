@@ -104,6 +104,25 @@ def test_a_tick_right_after_another_makes_no_rate() -> None:
     assert meter.history[-1] == 10
 
 
+@pytest.mark.parametrize(("rate", "seconds"), [(2, 8), (1, 8), (0.2, 40)])
+def test_a_rate_falls_from_the_last_message_on_and_is_zero_in_the_end(rate: float, seconds: int) -> None:
+    """Before a usual rate is known: only silence says that it is over."""
+    meter = RateMeter(0.0)
+    for second in range(1, seconds + 1):
+        if second % max(1, round(1 / rate)) == 0:
+            meter.add(max(1, round(rate)), 10, float(second))
+        meter.tick(float(second))
+    assert meter.rate == pytest.approx(rate, rel=0.1)
+    assert meter.usual_rate is None
+    rates = []
+    for second in range(seconds + 1, seconds + 40):
+        meter.tick(float(second))
+        rates.append(meter.rate)
+    assert rates == sorted(rates, reverse=True)
+    assert rates[9] <= 0.1
+    assert rates[-1] == 0.0
+
+
 def test_a_rate_of_nothing_comes_to_zero() -> None:
     rate = Smoothed(0.0)
     rate.add(1e6, 1.0)

@@ -63,7 +63,8 @@ class RateMeter:
         count: messages.
         bytes: of them all.
         last: s, when the last one came; None: none yet.
-        rate: Hz, over the shortest of 3, 10 and 30 s that holds at least three messages.
+        rate: Hz, over the shortest of 3, 10 and 30 s that holds at least three messages, and never above one message in
+            the seconds since the last one.
         usual_rate: Hz, that it usually has (`rsb_bridge.telemetry.usual_rate`); None: not known yet, or it has none.
         history: messages in each of the last seconds, oldest first.
     """
@@ -151,7 +152,7 @@ class RateMeter:
             self.rate = self._rate()
 
     def _rate(self) -> float:
-        # Report 0 Hz once an expected message is missing, even if the longer windows still hold some.
+        """Return the rate, or 0 once an expected message is missing; a silent second makes it no higher."""
         missed = max(_WINDOWS[0], 3 / self.usual_rate) if self.usual_rate else _WINDOWS[-1]
         if self._quiet >= int(missed):
             return 0.0
@@ -162,7 +163,8 @@ class RateMeter:
             messages, seconds = count - count_before, end - begin
             if messages >= 3:
                 break
-        return messages / seconds if seconds else 0.0
+        rate = messages / seconds if seconds else 0.0
+        return min(rate, 1 / self._quiet) if self._quiet else rate
 
 
 class LatencyMeter:
