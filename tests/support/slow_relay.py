@@ -1,8 +1,9 @@
 """A TCP tunnel that carries little, as ``ssh -L`` over a poor uplink does, or a router that carries UDP as well.
 
 It accepts whatever the kernel and its own buffers hold, and lets it out at its rate: a sender that watches only its own
-socket sees nothing of what waits. Of datagrams it keeps a few, and drops those that find no room. A tunnel saves nothing
-up: while nothing waits in it, or this process gets no processor, no bytes are earned that would cross faster later.
+socket sees nothing of what waits. Of datagrams it keeps a few, and drops those that find no room. A tunnel saves
+nothing up: while nothing waits in it, or this process gets no processor, no bytes are earned that would cross faster
+later.
 """
 
 from __future__ import annotations
