@@ -317,7 +317,7 @@ class _Way:
             else:
                 del self._lines[line]
         if not self._turns:
-            self.budget = 0.0
+            self.budget = min(self.budget, 0.0)  # what a datagram took in advance is still owed
 
 
 def stamped(index: int, size: int) -> str:
