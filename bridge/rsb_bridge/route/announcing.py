@@ -10,6 +10,8 @@ from rsb_bridge.model.verdict import FINE, Cause, Verdict
 
 _LASTS = 3.0
 """s that a verdict must last."""
+_LOSS_LASTS = 7.0
+"""s that a loss on the way must last: before that, its remedy is not known (`MEASURED_FOR`)."""
 _WAITS = 10.0
 """s that a route must wait for the same: nodes that start beside the bridge have come by then."""
 _MENDABLE: dict[str, Level] = {
@@ -57,7 +59,7 @@ class Announcer:
         if (verdict.state, verdict.cause) != (self._candidate.state, self._candidate.cause):
             self._since = now
         self._candidate = verdict
-        if now - self._since < _LASTS:
+        if now - self._since < (_LOSS_LASTS if verdict.cause == Cause.LOSSY else _LASTS):
             return None
         if verdict.state is State.OK:
             self._heard = True
