@@ -45,9 +45,13 @@ class Path:
     def under_way(self) -> int:
         return self.sent - self.arrived
 
-    def run(self, seconds: float, rate: float, size: int) -> None:
-        """Offer messages of `size` bytes, `rate` a second; what the window does not take is dropped."""
-        until = self.time + seconds
+    def run(self, seconds: float, rate: float, size: int) -> int:
+        """Offer messages of `size` bytes, `rate` a second; what the window does not take is dropped.
+
+        Returns:
+            The bytes that it took.
+        """
+        until, before = self.time + seconds, self.sent
         while self.time < until:
             self.time += STEP
             self._offered += rate * STEP
@@ -62,6 +66,7 @@ class Path:
                     self._give()
                 self.window.check(self.sent, self.time)
             self.most_under_way = max(self.most_under_way, self.under_way)
+        return self.sent - before
 
     def _send(self, size: int) -> None:
         self.window.wrote(self.sent, self.time)
@@ -125,9 +130,7 @@ def test_ramp_up_takes_tens_of_milliseconds() -> None:
     """50 MB/s over a LAN; what was not taken by then waits in the queue, as here it does not."""
     path = Path(1e9)
     path.run(0.05, 20_000, 2500)
-    sent = path.sent
-    path.run(0.5, 20_000, 2500)
-    assert path.sent - sent >= 0.99 * 0.5 * 20_000 * 2500
+    assert path.run(0.5, 20_000, 2500) >= 0.99 * 0.5 * 20_000 * 2500
 
 
 def test_receipts_are_few() -> None:
@@ -151,9 +154,7 @@ def test_path_that_becomes_slow() -> None:
     assert max(path.ages[-50:]) < 1.3
     path.speed = 10e6
     path.run(3.0, 14, 1000)
-    sent = path.sent
-    path.run(5.0, 14, 1000)
-    assert path.sent - sent >= 69_000
+    assert path.run(5.0, 14, 1000) >= 69_000
     assert not path.window.slow
 
 
@@ -165,9 +166,7 @@ def test_what_waits_in_the_other_direction_takes_no_room(behind: float, rate: fl
     path.run(5.0, rate, size)
     path.behind = behind
     path.run(10.0, rate, size)
-    sent = path.sent
-    path.run(20.0, rate, size)
-    assert path.sent - sent >= 0.99 * 20 * rate * size
+    assert path.run(20.0, rate, size) >= 0.99 * 20 * rate * size
 
 
 @pytest.mark.parametrize("delay", [0.5, 1.0, 1.5])
@@ -178,9 +177,7 @@ def test_a_path_that_takes_longer_without_being_full_carries_as_much(delay: floa
     path.run(5.0, rate, size)
     path.delay = delay
     path.run(10.0 + 30.0 * delay, rate, size)
-    sent = path.sent
-    path.run(20.0, rate, size)
-    assert path.sent - sent >= 0.98 * 20 * rate * size
+    assert path.run(20.0, rate, size) >= 0.98 * 20 * rate * size
     path.delay = 0.01
     path.run(10.0, rate, size)
     path.speed = rate * size / 3
@@ -198,9 +195,7 @@ def test_a_path_that_takes_seconds_from_the_beginning_on(delay: float, pinged_fi
     path.window = Window(0, 2 * delay if pinged_first else 0.0)
     path.credit = 0.0
     path.run(15.0, 20, 1000)
-    sent = path.sent
-    path.run(20.0, 20, 1000)
-    carries = path.sent - sent >= 0.98 * 20 * 20 * 1000
+    carries = path.run(20.0, 20, 1000) >= 0.98 * 20 * 20 * 1000
     assert carries == (pinged_first or delay < 1.5)
     assert not (pinged_first and path.window.slow)
 
@@ -238,9 +233,7 @@ def test_stall() -> None:
     assert not path.window.moves(path.time)
     path.speed = 10e6
     path.run(1.0, 1000, 1000)
-    sent = path.sent
-    path.run(3.0, 1000, 1000)
-    assert path.sent - sent >= 2_990_000
+    assert path.run(3.0, 1000, 1000) >= 2_990_000
 
 
 def test_large_messages_go_whole() -> None:
