@@ -13,9 +13,9 @@ from typing import TYPE_CHECKING
 
 from rsb_bridge import __version__
 from rsb_bridge.control import folders, protocol
-from rsb_bridge.control.features import FEATURES
+from rsb_bridge.control.features import hello
 from rsb_bridge.control.folders import ControlError, Listener, NotServedError, TakenError
-from rsb_bridge.control.protocol import BridgeInfo, Hello, ProtocolError, Refused, Welcome
+from rsb_bridge.control.protocol import BridgeInfo, ProtocolError, Refused, Welcome
 from rsb_bridge.control.server import ControlServer
 from rsb_bridge.model.names import file_stem
 from rsb_bridge.model.text import encodable
@@ -87,7 +87,7 @@ def ask(path: Path) -> RunningBridge:
     with folders.connect(path, _ASKED_FOR) as connection:
         pid, _, _ = folders.peer_of(connection)
         try:
-            connection.sendall(protocol.encode(Hello(protocol.VERSION, __version__, read_only=True, features=FEATURES)))
+            connection.sendall(protocol.encode(hello(read_only=True)))
             frames = protocol.frames_to_console()
             while data := connection.recv(_READ_SIZE):
                 for message in frames.feed(data):

@@ -16,7 +16,7 @@ from rsb_bridge.api import EngineApi, EngineError
 from rsb_bridge.control import commands, protocol, requests
 from rsb_bridge.control.arming import RemoteArming
 from rsb_bridge.control.cleaning import Doubted
-from rsb_bridge.control.features import FEATURES, known_features, missing_feature, older_bridge_text
+from rsb_bridge.control.features import hello, known_features, missing_feature, older_bridge_text
 from rsb_bridge.control.folders import ControlError, NotServedError
 from rsb_bridge.control.protocol import ProtocolError
 from rsb_bridge.control.requests import Requests
@@ -302,7 +302,7 @@ class RemoteEngine(EngineApi):
         connection = await self._way.open(ANSWERS_WITHIN)
         try:
             self._connection = connection
-            self._send(protocol.Hello(protocol.VERSION, __version__, self._wants_read_only, FEATURES))
+            self._send(hello(read_only=self._wants_read_only))
             frames = protocol.frames_to_console()
             complete = False
             while True:

@@ -8,11 +8,14 @@ the bridge does not know, and a bridge leaves out what the console does not know
 from __future__ import annotations
 
 import functools
+import operator
 from typing import TYPE_CHECKING, Any, Final, TypeVar, cast
 
 import msgspec
 
+from rsb_bridge import __version__
 from rsb_bridge.control.commands import Acknowledge, ChangeClient, EditTopic
+from rsb_bridge.control.protocol import VERSION, Hello
 from rsb_bridge.model.session import Client, Session, Topic
 
 if TYPE_CHECKING:
@@ -51,6 +54,11 @@ _LACKS: Final = {
 V = TypeVar("V")
 
 
+def hello(*, read_only: bool) -> Hello:
+    """Return the greeting of a console of this version; `read_only` asks the bridge to refuse changes."""
+    return Hello(VERSION, __version__, read_only, FEATURES)
+
+
 def known_features(named: Iterable[str]) -> frozenset[str]:
     """Return the features of the other side that this version knows."""
     return _ALL.intersection(named)
@@ -87,7 +95,7 @@ def without_unknown(value: V, features: frozenset[str]) -> V:
         return value
     if isinstance(value, tuple):
         parts = tuple(without_unknown(each, features) for each in value)
-        return value if all(map(_is, parts, value)) else cast("V", parts)
+        return value if all(map(operator.is_, parts, value)) else cast("V", parts)
     if not isinstance(value, (Session, Client, Topic)):
         return value
     kind: type = type(value)
@@ -125,10 +133,6 @@ def with_unknown_kept(command: Command, features: frozenset[str], snapshot: Snap
 
 _PARTS: Final[dict[type, tuple[str, ...]]] = {Session: ("topics", "clients"), Client: ("topics",)}
 """The fields that hold topics and clients."""
-
-
-def _is(one: object, other: object) -> bool:
-    return one is other
 
 
 @functools.cache  # the types of all commands and sessions: a few dozen

@@ -6,9 +6,8 @@ import asyncio
 import contextlib
 from typing import TYPE_CHECKING
 
-from rsb_bridge import __version__
 from rsb_bridge.control import protocol
-from rsb_bridge.control.features import FEATURES
+from rsb_bridge.control.features import hello
 from rsb_bridge.control.folders import ControlError
 from rsb_bridge.control.protocol import ProtocolError
 from rsb_bridge.model.robot_summary import SUMMARY_BYTES
@@ -40,9 +39,7 @@ async def watch(way: Way, may_open: asyncio.Semaphore | None = None) -> AsyncGen
             connection = await way.open(ANSWERS_WITHIN)
         with contextlib.ExitStack() as leaving:
             leaving.callback(connection.abort)
-            connection.write(
-                protocol.encode(protocol.Hello(protocol.VERSION, __version__, read_only=True, features=FEATURES))
-            )
+            connection.write(protocol.encode(hello(read_only=True)))
             connection.write(protocol.encode(protocol.Watch()))
             frames = protocol.frames_to_console(protocol.TO_WATCHER_LIMIT)
             while True:

@@ -139,12 +139,9 @@ class Contention:
         held_up = self._held_up(keepalive) and (self._divided is not None or asked > _MORE * self._crossed)
         full = full or held_up or self._delayed(asking, asked) or any(map(_overflows, asking))
         crossed = self._crossed = self.sending.look(arrived, now, at, full=full)
-        wanted = [
-            Asked(each.route.topic, each.route.remote_topic, each.traffic.bytes_per_second)
-            for each in asking
-            if each.traffic.bytes_per_second > 0.0
-        ]
-        starts = all(each.route.starts for each in asking if each.traffic.bytes_per_second > 0.0)
+        busy = [(route, traffic.bytes_per_second) for route, traffic in asking if traffic.bytes_per_second > 0.0]
+        wanted = [Asked(route.topic, route.remote_topic, rate) for route, rate in busy]
+        starts = all(route.starts for route, _ in busy)
         self._fullness.tick(wanted, arrived + parts, full=full and not starts and not measures, peer=peer)
         received = sum(each.received_bytes for each in self._carriers())
         self.receiving.look(received - self._received, now, at, full=False)

@@ -187,4 +187,4 @@ def _key(subject: Faulty) -> _Key:
 
 
 def _kind(subject: Faulty) -> _Kind:
-    return str(subject.state), "" if isinstance(subject, PatternSnapshot) else subject.cause
+    return str(subject.state), subject.cause

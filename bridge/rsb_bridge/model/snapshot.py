@@ -325,6 +325,11 @@ class PatternSnapshot:
     beyond: int = 0
     acknowledged: Acknowledgement | None = None
 
+    @property
+    def cause(self) -> str:
+        """The cause of its fault: patterns have none yet."""
+        return ""
+
 
 @dataclass(frozen=True, slots=True)
 class LinkSnapshot:

@@ -54,6 +54,19 @@ _NO_HISTORY = HistoryHeader(bytes(PUBLISHER_ID_LENGTH), number=0, depth=AUTO_DEP
 """Of messages whose sender does not say whose they are: they count as one publisher's."""
 
 
+_LATENCIES = ("latency", "latency_p50", "latency_p99")
+
+
+def _without_outdated(
+    told: SentReport | ReceivedReport | None, report: ReceivedReport
+) -> SentReport | ReceivedReport | None:
+    """An earlier report, without latencies that are out of date now: these are no news, as the sender forgets them."""
+    if not isinstance(told, ReceivedReport):
+        return told
+    outdated = [name for name in _LATENCIES if getattr(report, name) is None and getattr(told, name) is not None]
+    return msgspec.structs.replace(told, **dict.fromkeys(outdated)) if outdated else told
+
+
 class _NotPublishedError(Exception):
     """A message that arrived is not published.
 
@@ -343,14 +356,9 @@ class IncomingRoute(TopicRoute):
         some time for lost.
         """
         report = self._received_report()
-        told = self._told_report
-        if told is not None and report.latency is None:  # no news: the sender forgets latencies by itself
-            told = msgspec.structs.replace(told, latency=None)
-            if report.latency_p50 is None:
-                told = msgspec.structs.replace(told, latency_p50=None, latency_p99=None)
-        if report == told and not (self._sender_ledger.in_flight and self.life.ready):
+        told, self._told_report = self._told_report, report
+        if report == _without_outdated(told, report) and not (self._sender_ledger.in_flight and self.life.ready):
             return None
-        self._told_report = report
         verdict = lasting(report.verdict, self.verdict(), self.context.now())
         return msgspec.structs.replace(report, verdict=verdict)
 

@@ -64,15 +64,14 @@ def facts_of(route: TopicRoute) -> Facts:
         stale_since=_stale_since(route),
         yielded=route.yielding.shown(),
         late=route.late(),
-        full=route.peer.full_out if route.outgoing else route.peer.full_in,
+        full=route.link_full,
         shown_cause=route.judged.shown_cause,
     )
 
 
 def _trouble(route: Route) -> str:
     """Return the reason why its channel does not get through; a stream that waits on a full link is none."""
-    full = route.peer.full_out if route.outgoing else route.peer.full_in
-    return "" if full is not None and route.transport.reliable else route.trouble()
+    return "" if route.link_full is not None and route.transport.reliable else route.trouble()
 
 
 def _first_missing(route: Route) -> str:

@@ -36,6 +36,7 @@ if TYPE_CHECKING:
 
     from rsb_bridge.channel.channel import DataChannel
     from rsb_bridge.context import Context
+    from rsb_bridge.model.fullness import Fullness
     from rsb_bridge.model.session import Topic
     from rsb_bridge.model.verdict import Verdict
     from rsb_bridge.ros.api import Endpoint
@@ -343,6 +344,11 @@ class Route:
         verdict = self.verdict()
         if said := self.judged.announce(verdict, now):
             self.log(said.level, said.code, said.text, **self._about(said, now))
+
+    @property
+    def link_full(self) -> Fullness | None:
+        """The rates of the link in the direction of this half, or None if it is not full."""
+        return self.peer.full_out if self.outgoing else self.peer.full_in
 
     @property
     def learns(self) -> bool:

@@ -113,10 +113,9 @@ class TopicRoute(Route):
         watch = self.lateness
         if watch.since is None or not self.flowing:
             return None
-        full = self.peer.full_out if self.outgoing else self.peer.full_in
-        was_full = self.was_full_since(watch.since)
+        where, was_full = self._held_up_where(), self.was_full_since(watch.since)
         undecided = self.outgoing and self.context.now() - watch.since < MEASURED_FOR
-        return Late(watch.seconds, watch.usual, self._held_up_where(), full, watch.since, was_full, undecided)
+        return Late(watch.seconds, watch.usual, where, self.link_full, watch.since, was_full, undecided)
 
     def was_full_since(self, since: float) -> bool:
         """Whether the link was full at some time since `since` (s), and not long ago."""
@@ -128,8 +127,7 @@ class TopicRoute(Route):
 
         A slow publisher is no obstacle: a lower rate becomes the usual one after some time.
         """
-        full = self.peer.full_out if self.outgoing else self.peer.full_in
-        return full is None and self.lateness.since is None and self.judged.shown_cause not in _UNUSUAL
+        return self.link_full is None and self.lateness.since is None and self.judged.shown_cause not in _UNUSUAL
 
     def _held_up_where(self) -> str:
         """Return the place where messages are held up, or an empty string if this half does not know it."""
@@ -143,7 +141,7 @@ class TopicRoute(Route):
         """Once a second: histories, stale warnings, and what has turned for the worse."""
         self.latency.tick()
         self._tick_lateness(self.context.now())
-        if (self.peer.full_out if self.outgoing else self.peer.full_in) is not None:
+        if self.link_full is not None:
             self._full_at = self.context.now()
         super().tick()
         self.limit.set_profile_rate(self._profile_rate())

@@ -64,7 +64,7 @@ class Acknowledgements:
         if not has_fault(faulty):
             raise ValueError(f"{_name(faulty)} has no fault to acknowledge")
         record = Acknowledgement(by, self._clock.time_ns() / 1e9)
-        self._known[_key(faulty)] = _AcknowledgedFault(faulty.state, _cause(faulty), record, self._clock.steady())
+        self._known[_key(faulty)] = _AcknowledgedFault(faulty.state, faulty.cause, record, self._clock.steady())
 
     def remove(self, faulty: AnyFaulty) -> None:
         """Take an acknowledgement back.
@@ -130,8 +130,8 @@ class Acknowledgements:
             if has_fault(faulty):
                 self._ended(faulty)
             return None
-        if known.cause != _cause(faulty):
-            known = known._replace(cause=_cause(faulty), at=self._clock.steady())
+        if known.cause != faulty.cause:
+            known = known._replace(cause=faulty.cause, at=self._clock.steady())
         elif not isinstance(faulty, PatternSnapshot):
             since = faulty.fault_since if isinstance(faulty, LinkSnapshot) else faulty.since
             lasting, elapsed = now - since, self._clock.steady() - known.at
@@ -164,7 +164,7 @@ class Acknowledgements:
 
 
 def _same_fault(known: _AcknowledgedFault, faulty: AnyFaulty) -> bool:
-    causes = {known.cause, _cause(faulty)}
+    causes = {known.cause, faulty.cause}
     return known.state is faulty.state and (len(causes) == 1 or causes <= _ONE_FAULT)
 
 
@@ -200,10 +200,6 @@ def find_faulty(snapshot: Snapshot, key: str, link: str) -> AnyFaulty:
 
 def _key(faulty: AnyFaulty) -> tuple[str, str]:
     return ("link", faulty.name) if isinstance(faulty, LinkSnapshot) else ("route", faulty.key)
-
-
-def _cause(faulty: AnyFaulty) -> str:
-    return "" if isinstance(faulty, PatternSnapshot) else faulty.cause
 
 
 def _name(faulty: AnyFaulty) -> str:

@@ -51,8 +51,7 @@ def fault_report(change: FaultChange, *, time: float, bridge: str, role: str, on
         content |= {"what": "route", "kind": subject.spec.kind, "name": _text(subject.topic)}
         content |= {"link": _text(subject.link), "outgoing": subject.outgoing}
         text, from_peer, since = subject.reason, subject.from_peer, subject.since
-    cause = "" if isinstance(subject, PatternSnapshot) else subject.cause
-    state, cause = (REMOVED, "") if change.removed else (str(subject.state), cause)
+    state, cause = (REMOVED, "") if change.removed else (str(subject.state), subject.cause)
     content |= {
         "state": _text(state),
         "cause": _text(cause),

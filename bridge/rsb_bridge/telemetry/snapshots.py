@@ -9,7 +9,7 @@ from collections import deque
 from typing import TYPE_CHECKING, Protocol
 
 from rsb_bridge.model.codes import EventCode
-from rsb_bridge.model.snapshot import Level, LinkSnapshot, PatternSnapshot, RouteSnapshot
+from rsb_bridge.model.snapshot import Level, LinkSnapshot, RouteSnapshot
 from rsb_bridge.tasks import in_slices
 from rsb_bridge.telemetry.acknowledgements import Acknowledgements
 
@@ -92,8 +92,7 @@ class SnapshotPublisher:
             link, topic = faulty.name, ""
         else:
             link, topic = faulty.link, faulty.topic if isinstance(faulty, RouteSnapshot) else faulty.spec.topic
-        cause = "" if isinstance(faulty, PatternSnapshot) else faulty.cause
-        text += f" ({cause})" if cause else ""
+        text += f" ({faulty.cause})" if faulty.cause else ""
         code = EventCode.OPERATOR_ACKNOWLEDGEMENT_ENDED
         self._events.add(Level.INFO, code, f"{topic}: {text}" if topic else text, link=link, topic=topic)
 

@@ -186,8 +186,7 @@ def measured(engine: RemoteEngine, route: RouteSnapshot, seconds: float) -> Figu
     while moment - began < seconds and time.monotonic() < ends:
         time.sleep(_LOOK_EVERY)
         now = engine.snapshot()
-        route_now = next((each for each in now.routes if (each.link, each.key) == (route.link, route.key)), None)
-        if route_now is None:
+        if (route_now := _same_route(now, route)) is None:
             return None
         if now.time > moment:
             moment, found = now.time, window.add(now.time, route_now)
@@ -206,10 +205,14 @@ def _newer(engine: RemoteEngine, moment: float, due: float) -> Snapshot:
 
 
 def _find(engine: RemoteEngine, now: Snapshot, before: RouteSnapshot) -> RouteSnapshot:
-    for route in now.routes:
-        if (route.link, route.key) == (before.link, before.key):
-            return route
-    raise EngineError(f"{engine.bridge.name} no longer bridges {before.topic}")
+    if (route := _same_route(now, before)) is None:
+        raise EngineError(f"{engine.bridge.name} no longer bridges {before.topic}")
+    return route
+
+
+def _same_route(now: Snapshot, before: RouteSnapshot) -> RouteSnapshot | None:
+    """Return a route as it is in a newer snapshot, or None if it was removed."""
+    return next((route for route in now.routes if (route.link, route.key) == (before.link, before.key)), None)
 
 
 def _where(route: RouteSnapshot, other: str) -> str:

@@ -8,7 +8,7 @@ import msgspec
 
 from rsb_bridge.control.features import TOTALS
 from rsb_console.command.figures import measured
-from rsb_console.command.reports import clock, json_line, link_word, links_of, route_of
+from rsb_console.command.reports import clock, json_line, link_word, links_of, route_of, without_peer
 from rsb_console.command.shell import OK, print_line
 from rsb_console.command.target import attached, chosen_route, other_side
 from rsb_console.look import formats
@@ -123,7 +123,7 @@ def _link_parts(link: LinkSnapshot) -> Iterator[str]:
     if link.rtt is not None:
         yield f"rtt {formats.span(link.rtt)}"
     if fault := link.reason or link.warning:
-        yield fault.removeprefix(f"{link.peer}: ") if link.peer else fault
+        yield without_peer(fault, link)
 
 
 def _ends(route: RouteSnapshot) -> Iterator[str]:

@@ -133,8 +133,12 @@ def where_and_why(link: LinkSnapshot) -> str:
     if link.peer and fault.startswith(f"{link.peer} "):
         return f": {fault}"
     where = f" {link.peer}" if link.peer else ""
-    fault = fault.removeprefix(f"{link.peer}: ") if link.peer else fault
-    return f"{where}: {fault}" if fault else where
+    return f"{where}: {without_peer(fault, link)}" if fault else where
+
+
+def without_peer(fault: str, link: LinkSnapshot) -> str:
+    """Return a link's fault without the peer's address before it, which stands beside it."""
+    return fault.removeprefix(f"{link.peer}: ") if link.peer else fault
 
 
 def of_links_that_are_up(snapshot: Snapshot) -> list[RouteSnapshot]:
