@@ -129,7 +129,7 @@ class DatagramSender(_DatagramChannel):
             arrivals[-1] = now, opened
 
     def arrival_rate(self) -> float:
-        """Return the datagrams/s that arrive by the last receipts, or 0 if there are none of late."""
+        """Return the datagrams/s that arrive by the last receipts, or 0 if they are too old."""
         if len(self._arrivals) < 2:
             return 0.0
         (began, before), (at, opened) = self._arrivals[0], self._arrivals[-1]

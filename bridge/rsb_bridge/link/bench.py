@@ -306,8 +306,8 @@ class LinkBench:
         """Ask the peer about a topic, in the opening in which the run began.
 
         Raises:
-            LinkError: the peer refuses, or the topic was opened anew: the peer knows the old opening no more, and
-                perhaps the new one not yet.
+            LinkError: the peer refuses, or the topic was opened again: the peer has forgotten the old opening, and
+                may not have heard of the new one.
         """
         _check_opening(route, opening)
         self._request += 1

@@ -168,8 +168,8 @@ class Contention:
         """Count what has arrived since the last look.
 
         Returns:
-            The bytes of messages, those of datagrams whose messages did not become whole, and whether more waits to be
-            sent all the time.
+            The bytes of messages, the bytes of datagrams of incomplete messages, and whether more waits to be sent all
+            the time.
         """
         full, arrived, parts = False, 0.0, 0.0
         before, self._counts = self._counts, {}

@@ -110,7 +110,7 @@ def kind_of(proposal: Propose) -> Kind:
 
 _OF_AN_OPENING = {"route": 1, "paused": False, "pause_revision": 0, "who": "", "edited": False}
 _FEATURES = {"late_after": LATE_AFTER_FEATURE, "priority": priority.FEATURE}
-"""The features of limits; an older side ignores those that it does not know."""
+"""The features of limits; an older side ignores unknown limits."""
 _AMENDABLE = {"max_rate": 0.0, "expected_rate": 0.0, "stale_after": None, "late_after": None, "priority": 0}
 
 

@@ -74,7 +74,7 @@ class UsualRate:
     def skip(self, now: float) -> None:
         """Learn nothing from what came since the last call, at `now` (s), and keep the rate.
 
-        The samples before are dropped: trouble begins a little earlier than it is noticed.
+        The samples before are dropped: trouble begins a little before it is noticed.
         """
         self._ticked = now
         self._last = None

@@ -170,7 +170,7 @@ def trouble(running: Simulated, over: Callable[[], bool]) -> bool:
 
 
 def _heard(shown: Fleet, engines: int, as_they_are: Callable[[], bool]) -> list[Robot]:
-    """Wait until each engine has said how it is; the robots as they are then.
+    """Wait until each engine has reported, and return the robots.
 
     A busy machine keeps robots from publishing, or from answering, for some seconds. So if nothing is meant to be
     wrong, wait until nothing is.
@@ -193,7 +193,7 @@ def _heard(shown: Fleet, engines: int, as_they_are: Callable[[], bool]) -> list[
 
 
 def _has_said(robot: Robot, since: float) -> bool:
-    """Whether a robot has said how it is since a time, or is not there."""
+    """Whether a robot has reported since a time (s since the epoch), or is missing."""
     return robot.summary.state is RobotState.MISSING or (robot.summary.seen or 0.0) >= since
 
 

@@ -137,7 +137,7 @@ def where_and_why(link: LinkSnapshot) -> str:
 
 
 def without_peer(fault: str, link: LinkSnapshot) -> str:
-    """Return a link's fault without the peer's address before it, which stands beside it."""
+    """Return a link's fault without the peer's address at its start, for lines that already show the address."""
     return fault.removeprefix(f"{link.peer}: ") if link.peer else fault
 
 

@@ -81,7 +81,7 @@ class Step:
 
     @property
     def reversed(self) -> Step:
-        """The step that puts back what was before."""
+        """The step that restores the earlier values."""
         if self.old is None or self.new is None:
             return self
         return replace(self, old=self.new, new=self.old, changes=tuple(changes(self.new, self.old)))
