@@ -43,10 +43,11 @@ class BridgeArming:
             await link.table.arming.arm(route, console())
 
     async def disarm(self, key: str) -> None:
-        """Disarm a topic, whoever armed it."""
+        """Disarm a topic, whoever armed it; returns once nothing that was sent before can be published any more."""
         with self._command():
             link, route = self._find(key)
             link.table.arming.disarm(route, Disarmed.OPERATOR)
+            await route.settling.wait()
 
     async def keep(self, *, pressed: bool) -> None:
         """The console that gives the command is there; `pressed`: its operator has pressed a key."""

@@ -9,6 +9,7 @@ from tests.simulation.ros import Domain, Reader, Writer
 from tests.simulation.services import Client, Server
 
 from rsb_bridge.ros.api import Endpoint, RosError
+from rsb_bridge.ros.turns import RosTurns
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Hashable
@@ -24,6 +25,7 @@ class Node:
     Attributes:
         instance_id: as a real node's.
         node_name: as a real node's.
+        turns: as a real node's; it has no thread.
         writers: what it publishes with.
         readers: what it subscribes with.
         servers_of_ours: what it serves with.
@@ -34,6 +36,7 @@ class Node:
 
     def __init__(self, domain: Domain, name: str, instance_id: str) -> None:
         self.instance_id = instance_id
+        self.turns = RosTurns()
         self.writers: dict[Writer, None] = {}
         self.readers: dict[Reader, None] = {}
         self.servers_of_ours: dict[Server, None] = {}

@@ -210,7 +210,6 @@ def test_empty_chunks_are_harmless() -> None:
     ("header", "words"),
     [
         (struct.pack(">BBIQ", 0, 0, ROUTE, 0), "type 0"),
-        (struct.pack(">BBIQ", DATA, 8, ROUTE, 0), "flags 8"),
         (struct.pack(">BBIQ", DATA, 0, ROUTE + 2, 0), "route 9 on the stream of route 7"),
     ],
 )

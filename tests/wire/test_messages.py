@@ -16,6 +16,7 @@ from rsb_bridge.wire.by_hand import ByHand
 from rsb_bridge.wire.codec import decode, decode_hello, decode_welcome, encode
 from rsb_bridge.wire.following import Follow, Followed, FoundName, NamePattern
 from rsb_bridge.wire.framing import ProtocolError
+from rsb_bridge.wire.lease import Lease, Settled
 from rsb_bridge.wire.messages import (
     Accept,
     Close,
@@ -150,6 +151,8 @@ EXAMPLES = [
     TypeText(route=1, text=b"\x28\xb5\x2f\xfd"),
     BenchAsk(request=1, route=3, reset=True, size=2500, rate=100.0, count=50),
     BenchAnswer(request=1, problem="no", sent=5, rate=9.5, received=4, p50=-0.001, cpu=1.5, memory=7, max_rate=10.0),
+    Lease(number=7, echo=2**32 - 1),
+    Settled(route=3),
     Receipts(received=((1, 4096), (3, 0)), every=((2, 512),)),
     Duplicate(address="10.0.0.9", host="spare", others=2),
     Shutdown(reason="stopped"),

@@ -6,6 +6,7 @@ import asyncio
 from typing import TYPE_CHECKING
 
 from rsb_bridge.link.errors import LinkError
+from rsb_bridge.link.lease import LinkLease
 from rsb_bridge.link.peer_operators import acting_operator
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.snapshot import Level
@@ -19,9 +20,11 @@ if TYPE_CHECKING:
     from rsb_bridge.context import Context
     from rsb_bridge.link.peer_operators import PeerOperators
     from rsb_bridge.model.session import Topic
+    from rsb_bridge.route.lease import Standstill
     from rsb_bridge.route.peer import Peer
     from rsb_bridge.route.route import Route
     from rsb_bridge.wire.arming import ArmingMessage
+    from rsb_bridge.wire.lease import Settled
 
 _AT_ONCE, _A_SECOND = 20.0, 1 / 30
 """Armings by one link's peer: each is in the log, so more than people need are refused."""
@@ -53,6 +56,9 @@ class LinkArming:
         self._propose = propose
         self._budget = TokenBucket(_AT_ONCE, _A_SECOND, context.now())
         self._demands: dict[tuple[bool, str], float] = {}
+        self.lease = LinkLease(
+            context, peer, lambda: any(route.arming.held for route in routes()), self._disarm_as_it_stood_still
+        )
 
     # --- which routes have to be armed
 
@@ -79,6 +85,7 @@ class LinkArming:
         proposal, own = route.proposal, self._demands.get(_local(route))
         route.arming.opened(required=proposal.arm, deadman=proposal.deadman)
         route.arming.demand(required=own is not None, deadman=own or 0.0)
+        route.arming.lease = self.lease.state
 
     # --- operators of this side
 
@@ -93,11 +100,12 @@ class LinkArming:
             raise LinkError(f"{topic} cannot be armed: {why_not}")
         answered = asyncio.Event()
         who = acting_operator()
+        self.lease.hold()
         arming.ask(who, console, self._context.now(), answered.set)
         self._peer.send(Arm(route.id, who))
         await answered.wait()
         if not (arming.armed and arming.console == console):
-            raise LinkError(f"{topic} is not armed: {f'{arming.by} armed it' if arming.armed else SAID[arming.why]}")
+            raise LinkError(f"{topic} is not armed: {f'{arming.by} armed it' if arming.armed else arming.reason}")
 
     def _why_not(self, route: Route) -> str:
         arming = route.arming
@@ -107,27 +115,33 @@ class LinkArming:
             return route.refusal or "it is being set up"
         if not arming.required:
             return "it need not be; its topic has no arm: true in either session"
+        if not self.lease.supported:
+            return SAID[Disarmed.PEER_TOO_OLD]
         if route.paused:
             return "it is paused; resume it first"
         if arming.held:
             return f"{arming.by} has armed it already"
         return "it is being set up anew; try again in a moment" if arming.spent else ""
 
-    def disarm(self, route: Route, why: Disarmed) -> None:
+    def disarm(self, route: Route, why: Disarmed, reason: str = "") -> None:
         """Disarm a route on both sides; nothing happens where it is not armed."""
         if not route.arming.held:
             return
         who = acting_operator() if why is Disarmed.OPERATOR else ""
         self._peer.send(Disarm(route.id, why, who))
+        self._ended(route, why, reason)
         if why is Disarmed.OPERATOR:
-            self._disarmed_by(route, who)
-        self._ended(route, why)
+            route.settling.then(lambda: self._disarmed_by(route, who))
 
-    def _ended(self, route: Route, why: Disarmed) -> None:
+    def _ended(self, route: Route, why: Disarmed, reason: str = "") -> None:
         """It is disarmed: have it opened under another id, so that it can be armed again."""
-        route.disarm(why)
+        route.disarm(why, reason)
         if route.proposed_here:
             self._propose(route)
+
+    def _disarm_as_it_stood_still(self, where: Standstill) -> None:
+        for route in self._routes():
+            self.disarm(route, Disarmed.LEASE, where.value)
 
     # --- consoles of this side
 
@@ -159,21 +173,29 @@ class LinkArming:
 
     # --- the other side
 
+    def settled(self, message: Settled) -> None:
+        """The peer publishes nothing of an opening any more that was disarmed."""
+        for route in self._routes():
+            route.settling.answered(message.route)
+
     def handle(self, route: Route, message: ArmingMessage) -> None:
         """Do what the peer says of an open route."""
         match message:
             case Arm():
                 self._armed_there(route, self._peer_operators.says(message.who))
             case Armed():
-                if route.arming.agreed(self._context.now()):
+                if route.arming.asked and self.lease.state.slow:
+                    self.disarm(route, Disarmed.LINK_SLOW)
+                elif route.arming.agreed(self._context.now()):
                     self._armed_by(route, route.arming.by)
                     route.armed()
             case Disarm():
                 if route.arming.held:
-                    why = _reason(message.cause)
+                    route_id, why = route.id, _reason(message.cause)
                     if why is Disarmed.OPERATOR:
                         self._disarmed_by(route, self._peer_operators.says(message.who), from_peer=True)
                     self._ended(route, why)
+                    route.settling.answered(route_id)
 
     def _armed_there(self, route: Route, who: str) -> None:
         """An operator there arms it, or has pressed a key."""
@@ -186,9 +208,12 @@ class LinkArming:
             return  # of two operators who arm it at once, the client's does
         if not self._budget.take(1, now):
             self._refuse(route, Disarmed.TOO_OFTEN)
+        elif not self.lease.supported:
+            self._refuse(route, Disarmed.PEER_TOO_OLD)
         elif route.paused:
             self._refuse(route, Disarmed.PAUSED)
         else:
+            self.lease.hold()
             arming.take(who, now)
             self._peer.send(Armed(route.id))
             self._armed_by(route, who, from_peer=True)

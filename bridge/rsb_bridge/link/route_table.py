@@ -26,6 +26,7 @@ from rsb_bridge.transport.transport import ListenError
 from rsb_bridge.wire.amending import Amend, Limit, Pause
 from rsb_bridge.wire.arming import Arm, Armed, ArmingMessage, Disarm
 from rsb_bridge.wire.by_hand import ByHand
+from rsb_bridge.wire.lease import Lease, LeaseMessage, Settled
 from rsb_bridge.wire.messages import Accept, Close, Describe, Propose, Provide, Publishers, Ready, Refuse, Report
 
 if TYPE_CHECKING:
@@ -36,7 +37,7 @@ if TYPE_CHECKING:
     from rsb_bridge.wire.fields import RefuseCode
 
 _AboutOpenRoute: TypeAlias = Accept | Refuse | HalfMessage | Close | Limit | Pause | ByHand | ArmingMessage
-RouteMessage: TypeAlias = Propose | Amend | Report | _AboutOpenRoute
+RouteMessage: TypeAlias = Propose | Amend | Report | LeaseMessage | _AboutOpenRoute
 """The control messages that are about routes."""
 
 
@@ -82,6 +83,7 @@ class RouteTable:
         self._refused.clear()
         for route in self.routes.values():
             route.close(reason)
+        self.arming.lease.stop()
 
     def destroy(self) -> None:
         """End all routes for good."""
@@ -264,10 +266,16 @@ class RouteTable:
                 self._removed(message)
             case Amend():
                 self._amended(message)
+            case Lease():
+                self.arming.lease.handle(message)
+            case Settled():
+                self.arming.settled(message)
             case _:
                 route = self.ids.open_route(message.route)
                 if route is not None:  # else it was closed here while the message was under way
                     self._about_route(route, message)
+                if isinstance(message, Disarm) and self.arming.lease.supported:
+                    self._owner.send(Settled(message.route))
 
     def _proposed(self, proposal: Propose) -> None:
         if not self.ids.take_of_peer(proposal.route):

@@ -32,6 +32,8 @@ class State(StrEnum):
     """Messages cross, but a publisher or a subscriber that should have a part in it has none, or nobody subscribes."""
     WAITING = "waiting"
     """Nothing is known to be wrong; no message has come yet."""
+    DISARMING = "disarming"
+    """It was disarmed, and the other side may still publish what was sent before, for a second at most."""
     PAUSED = "paused"
     DISARMED = "disarmed"
     """It has to be armed by an operator before anything crosses."""

@@ -22,6 +22,8 @@ class Cause(StrEnum):
     PAUSED = "paused"
     DISARMED = "disarmed"
     """It has to be armed by an operator before anything crosses."""
+    DISARMING = "disarming"
+    """It was disarmed; what was sent before may still be published, for a second at most."""
     NO_PATH = "no_path"
     """Its transport does not get through, though the link is up."""
     SUBSCRIBE_FAILED = "subscribe_failed"

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, NamedTuple, Protocol
 if TYPE_CHECKING:
     from rsb_bridge.model.fields import Fields
     from rsb_bridge.model.qos import Qos
+    from rsb_bridge.ros.turns import RosTurns
 
 
 class RosError(Exception):
@@ -25,12 +26,14 @@ class RawMessage(NamedTuple):
         stamp: ns since the epoch on this machine's clock, when DDS received it.
         gid: its publisher's.
         number: among its publisher's messages, from 1; 0: the middleware does not number them.
+        lease: the number that says how old it can be (`rsb_bridge.route.lease`), or 0 without one.
     """
 
     payload: bytes
     stamp: int
     gid: bytes = b""
     number: int = 0
+    lease: int = 0
 
 
 class Endpoint(NamedTuple):
@@ -107,11 +110,13 @@ class Request(NamedTuple):
         payload: the serialized request (CDR with its 4-byte encapsulation header).
         caller: whose call it is, and which of its calls: opaque, for `ServiceServer.answer`.
         stamp: ns since the epoch on this machine's clock, when it was taken.
+        lease: the number that says how old it can be (`rsb_bridge.route.lease`), or 0 without one.
     """
 
     payload: bytes
     caller: bytes
     stamp: int
+    lease: int = 0
 
 
 class Response(NamedTuple):
@@ -184,10 +189,12 @@ class RosInterface(Protocol):
     Attributes:
         instance_id: random, new each time: our node's name ends with it.
         node_name: our node's, without the ``/`` before it.
+        turns: of the thread that drains subscriptions.
     """
 
     instance_id: str
     node_name: str
+    turns: RosTurns
 
     def start(self) -> None:
         """Join the domain and start the thread that drains subscriptions.

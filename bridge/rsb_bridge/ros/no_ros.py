@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from rsb_bridge.ros.api import RosError
+from rsb_bridge.ros.turns import RosTurns
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Hashable
@@ -29,6 +30,7 @@ class NoRos:
 
     instance_id = "0123abcd"
     node_name = "rsb_robot1_0123abcd"
+    turns = RosTurns()
 
     def start(self) -> None:
         pass

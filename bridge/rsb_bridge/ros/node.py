@@ -15,6 +15,7 @@ from rsb_bridge.ros.api import RawMessage, RosError
 from rsb_bridge.ros.drain import ClientDrain, Drain, ServerDrain
 from rsb_bridge.ros.heap import large_blocks_kept
 from rsb_bridge.ros.middleware import check_middleware
+from rsb_bridge.ros.turns import LONGEST_WAIT, RosTurns
 from rsb_bridge.ros.typesupport import hash_of, installed_class, installed_service, service_hash_of
 
 if TYPE_CHECKING:
@@ -61,6 +62,7 @@ class RosNode:
         self.instance_id = secrets.token_hex(4)
         self._domain_id = domain_id
         self.node_name = f"rsb_{re.sub(r'[^A-Za-z0-9_]', '_', name)[:64]}_{self.instance_id}"
+        self.turns = RosTurns(self._wake)
         self._lock = threading.Lock()
         self._asking = threading.Lock()
         """Held by whoever asks another node something: the domain is not left meanwhile."""
@@ -287,6 +289,11 @@ class RosNode:
                 if self._participant is not None:
                     self._participant.wake()
 
+    def _wake(self) -> None:
+        with self._lock:
+            if self._participant is not None:
+                self._participant.wake()
+
     def _run(self, participant: Participant) -> None:
         with large_blocks_kept():
             self._serve(participant)
@@ -294,6 +301,7 @@ class RosNode:
     def _serve(self, participant: Participant) -> None:
         drains: dict[int, Drain[Any]] = {}
         endpoints: tuple[Incoming, ...] = ()
+        turns = self.turns
         try:
             while self._participant is participant:
                 while self._retired:
@@ -301,7 +309,9 @@ class RosNode:
                 if drains is not self._drains:
                     drains = self._drains
                     endpoints = tuple(each.endpoint for each in drains.values())
-                ready = participant.wait(endpoints)
+                ready = participant.wait(endpoints, LONGEST_WAIT if turns.watched else None)
+                if turns.watched:
+                    turns.turned()
                 for address in ready.addresses:
                     if self._participant is participant:
                         drains[address].deliver()

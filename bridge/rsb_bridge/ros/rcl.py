@@ -215,8 +215,8 @@ class Participant:
         name: str = handle.rclpy.service_name
         return Client(handle, name) if borrowed.raw else TypedClient(handle, name, borrowed.type.interface)
 
-    def wait(self, endpoints: tuple[Incoming, ...]) -> Ready:
-        """Block until something came to an endpoint, the graph changes, or `wake` is called.
+    def wait(self, endpoints: tuple[Incoming, ...], longest: float | None = None) -> Ready:
+        """Block until something came to an endpoint, the graph changes, `wake` is called, or `longest` s are over.
 
         What is quick here is felt by every message and call. It is quickest where `endpoints` is what it was last time.
         """
@@ -233,7 +233,8 @@ class Participant:
         add = {"subscription": waits.add_subscription, "client": waits.add_client, "service": waits.add_service}
         for endpoint in endpoints:
             add[endpoint.kind](endpoint.handle.rclpy)
-        waits.wait(_TRY_AGAIN_NS if self._late else -1)
+        within = -1 if longest is None else int(longest * 1e9)
+        waits.wait(_TRY_AGAIN_NS if self._late else within)
         head = _WaitSetHead.from_address(waits.pointer)
         graph_changed = bool(head.guard_conditions[self._graph_guard_index.value])
         self._graph_version += graph_changed

@@ -26,8 +26,8 @@ _AGAIN_AFTER = 60.0
 _MOST_SAID = 32
 _SAID_ELSEWHERE = frozenset(
     {
-        Cause.LINK_DOWN, Cause.REFUSED, Cause.LOOP, Cause.PAUSED, Cause.DISARMED, Cause.SUBSCRIBE_FAILED, Cause.SILENT,
-        Cause.NO_MESSAGE,
+        Cause.LINK_DOWN, Cause.REFUSED, Cause.LOOP, Cause.PAUSED, Cause.DISARMED, Cause.DISARMING,
+        Cause.SUBSCRIBE_FAILED, Cause.SILENT, Cause.NO_MESSAGE,
     }
 )  # fmt: skip
 """Causes that have events of their own, on both sides."""

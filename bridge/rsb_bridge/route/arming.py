@@ -11,9 +11,15 @@ from enum import Enum, StrEnum, auto
 from typing import TYPE_CHECKING
 
 from rsb_bridge.model.snapshot import ArmingSnapshot
+from rsb_bridge.route.lease import SLOW
+from rsb_bridge.wire.framing import LEASED
+from rsb_bridge.wire.lease import split_number, with_number
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Hashable
+
+    from rsb_bridge.route.lease import Lease
+    from rsb_bridge.wire.framing import Message
 
 
 ANSWERED_WITHIN = 5.0
@@ -46,6 +52,12 @@ class Disarmed(StrEnum):
     """Its data connection ended, as it does with the process at its other end, which may be seen first."""
     REOPENED = "reopened"
     """The topic was set up anew: its type, its limits or its connection changed."""
+    LEASE = "lease"
+    """One of the two sides, or the link, stood still for too long."""
+    LINK_SLOW = "link_slow"
+    """The link's round trip is too long for commands that must be young."""
+    PEER_TOO_OLD = "peer_too_old"
+    """The other side's rsb-console cannot tell old commands from new ones."""
 
 
 SAID = {
@@ -61,6 +73,9 @@ SAID = {
     Disarmed.REMOVED: "the topic is not bridged any more",
     Disarmed.CHANNEL_LOST: "its data connection ended",
     Disarmed.REOPENED: "the topic was set up anew",
+    Disarmed.LEASE: "a side or the link stood still for too long",
+    Disarmed.LINK_SLOW: f"the link is too slow: a round trip takes more than {SLOW:g} s; arm it on a faster link",
+    Disarmed.PEER_TOO_OLD: "the other side's rsb-console is too old for arming: update it",
 }
 
 
@@ -83,16 +98,22 @@ class Arming:
         by: the operator who armed it, in words; empty: it is not armed.
         console: that operator's console, on this side; None: it was armed on the other side, or is not.
         why: it is not armed.
+        reason: the same in words.
+        lease: of the link, or None before the first opening: nothing passes without it.
     """
 
     __slots__ = (
-        "_answered", "_deadline", "_key_pressed", "_phase", "_seen_at", "by", "console", "deadman", "required", "why",
+        "_answered", "_deadline", "_first", "_key_pressed", "_phase", "_seen_at", "by", "console", "deadman", "lease",
+        "reason", "required", "why",
     )  # fmt: skip
 
     def __init__(self, *, required: bool = False, deadman: float = 0.0) -> None:
         self.required = required
         self.deadman = deadman
         self.why = Disarmed.NOT_YET
+        self.reason = SAID[self.why]
+        self.lease: Lease | None = None
+        self._first = 0  # the lease's number when somebody armed it
         self._answered: Callable[[], None] | None = None
         self._clear(_Phase.FREE)
 
@@ -144,15 +165,49 @@ class Arming:
         """Whether it can be armed only in a new opening."""
         return self._phase is _Phase.SPENT
 
-    def passes(self, now: float) -> bool:
-        """Whether messages may cross at `now` (s)."""
+    def stands(self, now: float) -> bool:
+        """Whether operators want messages to cross at `now` (s)."""
         return not self.required or (self._phase is _Phase.ARMED and now < self._deadline)
+
+    def passes(self, now: float) -> bool:
+        """Whether messages may cross at `now` (s): operators want it, and the two sides hear each other."""
+        return not self.required or (self.stands(now) and self.lease is not None and self.lease.alive)
+
+    def admits(self, number: int) -> bool:
+        """Whether a message that came with this number of the lease may be published, if `passes`; 0: it has none."""
+        if not self.required:
+            return True
+        return number >= self._first and self.lease is not None and self.lease.passes(number)
+
+    @property
+    def newest_number(self) -> int:
+        """The number of the lease that a message carries which an operator makes now."""
+        return self.lease.newest_before(float("inf")) if self.lease is not None else 0
+
+    def pack(self, message: Message, number: int) -> Message:
+        """A message as it is sent, with a number that its receiver can tell its age by."""
+        if not self.required:
+            return message
+        content, stamp, flags = message
+        return with_number(number, content), stamp, flags | LEASED
+
+    def unpack(self, message: Message) -> Message | None:
+        """A message as it is published, or None if it is too old for that.
+
+        Raises:
+            ProtocolError: it is too short.
+        """
+        payload, stamp, flags = message
+        number = 0
+        if flags & LEASED:
+            number, payload = split_number(payload)
+        return (payload, stamp, flags & ~LEASED) if self.admits(number) else None
 
     def snapshot(self, now: float) -> ArmingSnapshot | None:
         """As user interfaces show it at `now` (s); None: it need not be armed."""
         if not self.required:
             return None
-        armed = self.passes(now)
+        armed = self.stands(now)
         grace = PEER_GRACE if self.console is None else 0.0  # the operator has no more time for it
         left = max(0.0, self._deadline - grace - now) if armed and self.deadman else None
         return ArmingSnapshot(armed, self.by if armed else "", self.console is not None, left, self.deadman)
@@ -168,7 +223,8 @@ class Arming:
             now: s.
             answered: called once the other side has answered, or it is clear that it will not.
         """
-        self._phase, self.by, self.console, self._answered = _Phase.ASKED, by, console, answered
+        self._hold(_Phase.ASKED, by, console)
+        self._answered = answered
         self._seen_at, self._deadline = now, now + ANSWERED_WITHIN
 
     def agreed(self, now: float) -> bool:
@@ -182,14 +238,19 @@ class Arming:
 
     def take(self, by: str, now: float) -> None:
         """An operator of the other side arms it, or has pressed a key, at `now` (s)."""
-        self._phase, self.by, self.console = _Phase.ARMED, by, None
+        self._hold(_Phase.ARMED, by, None)
         self._answer()
         self._begin_deadman(now, PEER_GRACE)
 
-    def end(self, why: Disarmed) -> None:
-        """Disarm it; in this opening it cannot be armed again."""
-        self.why = why
+    def end(self, why: Disarmed, reason: str = "") -> None:
+        """Disarm it, for a reason in other words than usual or in these; in this opening it cannot be armed again."""
+        self.why, self.reason = why, reason or SAID[why]
         self._clear(_Phase.SPENT)
+
+    def _hold(self, phase: _Phase, by: str, console: Hashable | None) -> None:
+        if not self.held:
+            self._first = self.lease.number if self.lease is not None else 0
+        self._phase, self.by, self.console = phase, by, console
 
     def _answer(self) -> None:
         answered, self._answered = self._answered, None

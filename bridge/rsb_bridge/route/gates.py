@@ -33,6 +33,8 @@ class Standing(Protocol):
     @property
     def disarmed(self) -> str: ...
     @property
+    def disarming(self) -> bool: ...
+    @property
     def no_path(self) -> str: ...
     @property
     def limit(self) -> float: ...
@@ -98,6 +100,9 @@ def _paused(facts: Standing) -> Verdict | None:
 def _disarmed(facts: Standing) -> Verdict | None:
     if not facts.disarmed:
         return None
+    if facts.disarming:
+        text = f"{facts.disarmed}: the other side may still publish what was sent before, for a second at most"
+        return Verdict(State.DISARMING, Cause.DISARMING, text)
     text = f"{facts.disarmed}: arm it on a console of either side (key A), or with rsb-console arm {facts.topic}"
     return Verdict(State.DISARMED, Cause.DISARMED, text)
 

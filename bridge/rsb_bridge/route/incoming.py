@@ -169,10 +169,10 @@ class IncomingRoute(TopicRoute):
         self.refuse(EventCode.ROUTE_TYPE_DIFFERS, reason)
         self.peer.send(Refuse(route=route_id, code="type_differs", reason=sanitize_text(reason)))
 
-    def disarm(self, why: Disarmed) -> None:
+    def disarm(self, why: Disarmed, reason: str = "") -> None:
         """Make the publishers anew: what they hold for slow subscribers goes nowhere."""
         self._outputs.close()
-        super().disarm(why)
+        super().disarm(why, reason)
 
     def advance(self) -> None:
         """Make the path once there is a publisher, and look who listens."""
@@ -219,12 +219,18 @@ class IncomingRoute(TopicRoute):
         now, began = self.context.wall_ns(), self.context.now()
         count = size = 0
         stamp, messages = now, iter(messages)
+        required = self.arming.required
         for message in messages:
-            if not self._unpacker.begin(message):
+            arrived = self._of_lease(message) if required else message
+            if arrived is None:
+                self._received += 1
+                self._dropped["disarmed"] += 1
+                continue
+            if not self._unpacker.begin(arrived):
                 self._later.extend((message, *messages))
                 self.peer.budget.expansion.wait(self._go_on)
                 break
-            payload, stamp, flags = message  # the last one's stamp is the batch's latency sample
+            payload, stamp, flags = arrived  # the last one's stamp is the batch's latency sample
             self._received += 1
             if not self.limit.admits(began):
                 self._leave_out()
@@ -249,6 +255,13 @@ class IncomingRoute(TopicRoute):
             if self.peek_slot.wanted:
                 self._show(payload, flags, now, latency)
             self.count(count, size)
+
+    def _of_lease(self, message: Message) -> Message | None:
+        """A message of a route that has to be armed, without its lease header, or None if it is too old."""
+        try:
+            return self.arming.unpack(message)
+        except ProtocolError:
+            return None
 
     def _go_on(self) -> None:
         later, self._later = self._later, deque()

@@ -11,8 +11,10 @@ from rsb_bridge.model.limits import LATCHED_DEPTH
 from rsb_bridge.model.qos import auto_depth
 from rsb_bridge.model.snapshot import Level
 from rsb_bridge.ros.api import RosError
+from rsb_bridge.ros.drain import BATCH
 from rsb_bridge.ros.lasting_subscription import LastingSubscription
 from rsb_bridge.route.histories import Histories
+from rsb_bridge.route.lease import Marker
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Hashable, Mapping, Sequence
@@ -22,6 +24,7 @@ if TYPE_CHECKING:
     from rsb_bridge.ros.api import OnFailure, RawMessage, Subscription
     from rsb_bridge.ros.queue import Receiver
     from rsb_bridge.route.histories import Sample
+    from rsb_bridge.route.lease import Lease
     from rsb_bridge.telemetry.meters import RateMeter
 
 
@@ -89,6 +92,7 @@ class Intake:
         automatic: bool,
         expected_rate: float | None,
         known: Mapping[bytes, int],
+        marks: Callable[[], Lease | None] = lambda: None,
     ) -> None:
         """Have nothing subscribed yet.
 
@@ -99,12 +103,14 @@ class Intake:
             automatic: whether depths are chosen here; False: they are as in the QoS.
             expected_rate: Hz, as an operator gave it; 0 or None: not given.
             known: of a latched topic's publishers, the number of the newest message that the peer has.
+            marks: gives the lease that messages are marked with, or None if they need not be.
         """
         self._context = context
         self._owner = owner
         self._subject = subject
         self._automatic = automatic
         self._expected_rate = expected_rate
+        self._marks = marks
         self._subscription: LastingSubscription | None = None
         self._histories: Histories | None = None
         if subject.qos.latched:
@@ -190,12 +196,23 @@ class Intake:
     def _subscribe_for(self, receiver: Receiver[RawMessage], on_failure: OnFailure | None) -> Subscription:
         subject, qos = self._subject, self._qos()
         self._depth = qos.depth
+        context, lease = self._context, self._marks()
+
+        def put(batch: Sequence[RawMessage]) -> None:
+            context.ros_queue.put(receiver, batch)
+
+        def put_marked(batch: Sequence[RawMessage]) -> None:
+            put(marker.marked(batch))
+
+        sink = put
+        if lease is not None:
+            marker, sink = Marker(lease, context.ros.turns, BATCH), put_marked
         return self._context.ros.subscribe(
             subject.topic,
             subject.type_name,
             subject.type_hash,
             qos,
-            lambda batch: self._context.ros_queue.put(receiver, batch),
+            sink,
             subject.origin,
             on_failure,
         )

@@ -24,6 +24,7 @@ class Standing(NamedTuple):
     paused: bool
     paused_by: str
     disarmed: str
+    disarming: bool
     no_path: str
     waits_for: str
     limit: float
@@ -33,6 +34,7 @@ class Standing(NamedTuple):
 def standing_of(route: Route) -> Standing:
     """What any half knows."""
     now = route.context.now()
+    stands, overdue = route.arming.stands(now), route.arming.overdue(now)
     return Standing(
         sends=route.outgoing,
         topic=route.local_topic,
@@ -42,7 +44,8 @@ def standing_of(route: Route) -> Standing:
         loop=route.notices.loop,
         paused=route.paused,
         paused_by=route.pausing.who,
-        disarmed="" if route.arming.passes(now) else SAID[route.arming.overdue(now) or route.arming.why],
+        disarmed="" if stands else SAID[overdue] if overdue else route.arming.reason,
+        disarming=route.settling.under_way or (route.outgoing and route.arming.armed and not stands),
         no_path=_trouble(route),
         waits_for="" if route.flowing else _first_missing(route),
         limit=route.limit.rate,

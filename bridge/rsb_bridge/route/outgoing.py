@@ -106,6 +106,7 @@ class OutgoingRoute(TopicRoute):
                 automatic=self.proposal.qos is None,
                 expected_rate=self.spec.expected_rate,
                 known=ready.newest,
+                marks=lambda: self.arming.lease if self.arming.required else None,
             )
         self.advance()
 
@@ -152,7 +153,7 @@ class OutgoingRoute(TopicRoute):
         self._look_who_is_present()
         if self.channel is None:
             self.peer.open_channel(self)
-        if not self.arming.passes(self.context.now()):
+        if not self.arming.stands(self.context.now()):
             self._unsubscribe()
         elif self.channel is not None and self.channel.ready:
             self._subscribe()
@@ -226,13 +227,13 @@ class OutgoingRoute(TopicRoute):
     def _failure(self) -> str:
         return self._intake.failure if self._intake is not None else ""
 
-    def disarm(self, why: Disarmed) -> None:
+    def disarm(self, why: Disarmed, reason: str = "") -> None:
         """Drop what waits, here and on the way."""
         self._unsubscribe()
         self._lose("disarmed", self._sorter.forget())
         self._ledger.drop("disarmed", self._sending.clear())
         self._ledger.disarmed()
-        super().disarm(why)
+        super().disarm(why, reason)
 
     def open(self, route_id: int) -> None:
         """Begin a new opening."""

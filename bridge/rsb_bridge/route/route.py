@@ -27,6 +27,7 @@ from rsb_bridge.route.limits import limits_changed
 from rsb_bridge.route.notices import Notices
 from rsb_bridge.route.pause import PauseState
 from rsb_bridge.route.rate_limit import RateLimit
+from rsb_bridge.route.settling import Settling
 from rsb_bridge.route.stages import LINK_STAGE
 from rsb_bridge.telemetry.meters import RateMeter
 from rsb_bridge.wire.messages import Close, Propose
@@ -66,6 +67,7 @@ class Route:
         instance: of the peer's process that its present or last opening is with.
         life: what the two sides have agreed on so far.
         arming: whether it is armed, where it has to be.
+        settling: whether the other side may still publish what was sent before it was disarmed.
         closed_ids: of its last incarnations on the present connection, the oldest first.
         closed_at: s, when its last opening ended; 0: it had none.
         endpoints: others' publishers of the topic on the sending side, their subscriptions on the receiving side; of
@@ -103,6 +105,7 @@ class Route:
         self.limit = RateLimit(proposal.max_rate, self.local_topic, peer.budget.rates, self.log)
         self.pausing = PauseState(peer.revisions, paused=proposal.paused, is_client=peer.is_client)
         self.arming = Arming()
+        self.settling = Settling(context.loop, self.judge_again)
         self.channel: DataChannel | None = None
         self.type_name = ""
         self.type_hash = ""
@@ -315,12 +318,15 @@ class Route:
         self._may_flow()
         self.advance()
 
-    def disarm(self, why: Disarmed) -> None:
-        """Nothing more may cross in this opening."""
+    def disarm(self, why: Disarmed, reason: str = "") -> None:
+        """Nothing more may cross in this opening, for a reason in other words than usual or in these."""
+        arming, lease = self.arming, self.arming.lease
+        if arming.armed and self.outgoing and lease is not None:
+            self.settling.begin(self.id, lease.left)
         if why is not Disarmed.OPERATOR:
-            text = f"disarmed: {SAID[why]} ({self.arming.by} armed it)"
-            self.log(Level.WARNING, EventCode.ROUTE_DISARMED, text, cause=why)
-        self.arming.end(why)
+            text = f"disarmed: {reason or SAID[why]} ({arming.by} armed it)"
+            self.settling.then(lambda: self.log(Level.WARNING, EventCode.ROUTE_DISARMED, text, cause=why))
+        arming.end(why, reason)
         self._verdict = None
 
     def amend(self, spec: Topic, proposal: Propose) -> None:
@@ -374,7 +380,7 @@ class Route:
     @property
     def flowing(self) -> bool:
         """Whether messages could cross now."""
-        return self.connected and not self.paused and not self.notices.loop and self.arming.passes(self.context.now())
+        return self.connected and not self.paused and not self.notices.loop and self.arming.stands(self.context.now())
 
     # --- what is made of it
 

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from rsb_bridge.context import Context
     from rsb_bridge.model.qos import Qos
     from rsb_bridge.ros.api import RawMessage
+    from rsb_bridge.route.arming import Arming
     from rsb_bridge.route.histories import Sample
     from rsb_bridge.route.ledger import RouteLedger
     from rsb_bridge.route.notices import Notices
@@ -44,6 +45,7 @@ class SendingRoute(Peekable, Protocol):
         notices: what an operator is told.
         peek_slot: takes the next message for whoever looks at the topic.
         yielding: what it leaves to others of the link.
+        arming: says whether its messages have to carry a number of the lease.
     """
 
     transport: Transport
@@ -53,6 +55,7 @@ class SendingRoute(Peekable, Protocol):
     notices: Notices
     peek_slot: PeekSlot
     yielding: Yielding
+    arming: Arming
 
     @property
     def peer(self) -> Peer:
@@ -131,7 +134,10 @@ class Sending:
         self._ledger.throttled += len(batch) - len(passed)
         kept = self._route.yielding.keep(passed, self._context.now())
         self._ledger.drop(THINNED, len(passed) - len(kept))
-        self._send([pack(each.payload, each.stamp, flags[each.gid]) for each in kept])
+        messages = [pack(each.payload, each.stamp, flags[each.gid]) for each in kept]
+        if (arming := self._route.arming).required:
+            messages = [arming.pack(message, each.lease) for message, each in zip(messages, kept, strict=True)]
+        self._send(messages)
 
     def offer_latched(self, new: int, samples: Sequence[Sample]) -> None:
         """Take messages of a latched topic."""
@@ -149,7 +155,7 @@ class Sending:
     def _send_latched(self, samples: Sequence[Sample]) -> None:
         for publisher, group in groupby(samples, key=lambda sample: sample.header.publisher):
             messages, depth = [], 0
-            for header, (payload, stamp, gid, _), _ in group:
+            for header, (payload, stamp, gid, *_), _ in group:
                 depth = header.depth
                 flags = self._sorter.table.flags.get(gid)
                 if flags is None:  # it has turned out, while the message waited, that it would go in a loop

@@ -51,6 +51,7 @@ class Facts(NamedTuple):
         paused: whether an operator has paused it.
         paused_by: the operator, or empty if unknown.
         disarmed: the reason why it is not armed although it must be, or empty.
+        disarming: what was sent before it was disarmed may still be published.
         no_path: the reason why its transport does not get through, or empty.
         breaking: the reason why its channel breaks before a message arrives, or empty.
         subscribe_failed: the reason why its subscription failed, or empty.
@@ -91,6 +92,7 @@ class Facts(NamedTuple):
     loop: str = ""
     paused: bool = False
     disarmed: str = ""
+    disarming: bool = False
     paused_by: str = ""
     no_path: str = ""
     breaking: str = ""

@@ -41,6 +41,7 @@ class CallFrame(NamedTuple):
         call: of the callers' side, counting up from 1 in each opening of the route; 0: it is a message.
         took: of an answer, ns that the providing node took for it, as the bridge beside it saw it; else 0.
         content: the serialized message (CDR with its encapsulation header), or why a call is refused.
+        lease: the number in the lease header before the frame, or 0 without one.
     """
 
     what: What
@@ -48,6 +49,7 @@ class CallFrame(NamedTuple):
     call: int
     took: int
     content: bytes
+    lease: int = 0
 
     def pack(self) -> bytes:
         """The frame as bytes."""

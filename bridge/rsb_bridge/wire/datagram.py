@@ -9,6 +9,7 @@ from typing import NamedTuple
 from rsb_bridge.wire.budget import Budget
 from rsb_bridge.wire.framing import (
     HISTORY,
+    LEASED,
     MESSAGE_LIMIT,
     SOURCE_FLAGS,
     UNFINISHED_LIMIT,
@@ -27,7 +28,7 @@ _ADDRESSEE = struct.Struct(">I8s")
 _PROBE = struct.Struct(">?Q")
 _RECEIPT = struct.Struct(">BIQQI")
 _RECEIPT_KIND = 2
-_UNKNOWN_FLAGS = 0xFF & ~(ZSTD | HISTORY | SOURCE_FLAGS)
+_UNKNOWN_FLAGS = 0xFF & ~(ZSTD | HISTORY | LEASED | SOURCE_FLAGS)
 _FRAGMENT_COST = 400
 """Bytes of memory that a fragment takes beyond its content: many tiny ones must not take more than is counted."""
 

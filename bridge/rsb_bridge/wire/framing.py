@@ -28,12 +28,14 @@ ZSTD = 1
 MORE = 2
 HISTORY = 4
 """A history header (`rsb_bridge.wire.history`) stands before the content."""
+LEASED = 8
+"""A lease header (`rsb_bridge.wire.lease`) stands before the content, and before a history header."""
 SOURCE_SHIFT = 4
 """The number of the message's source stands in the flags from this bit on."""
 SOURCE_FLAGS = (MOST_SOURCES - 1) << SOURCE_SHIFT
 
 Message: TypeAlias = tuple[bytes, int, int]
-"""(payload, stamp in ns since the epoch, flags: `ZSTD`, `HISTORY`, and the source's number)."""
+"""(payload, stamp in ns since the epoch, flags: `ZSTD`, `HISTORY`, `LEASED`, and the source's number)."""
 
 LENGTH = struct.Struct(">I")
 HEADER = struct.Struct(">BBIQ")
@@ -41,7 +43,7 @@ HEADER = struct.Struct(">BBIQ")
 _HEADER_SIZE = HEADER.size
 _LENGTH_SIZE = LENGTH.size
 _unpack_header = HEADER.unpack
-_UNKNOWN_FLAGS = 0xFF & ~(ZSTD | MORE | HISTORY | SOURCE_FLAGS)
+_UNKNOWN_FLAGS = 0xFF & ~(ZSTD | MORE | HISTORY | LEASED | SOURCE_FLAGS)
 
 
 def pack_frame(*parts: Buffer) -> bytes:

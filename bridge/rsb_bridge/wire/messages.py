@@ -39,6 +39,7 @@ from rsb_bridge.wire.fields import (
     check_limits,
 )
 from rsb_bridge.wire.following import Follow, Followed
+from rsb_bridge.wire.lease import Lease, Settled
 from rsb_bridge.wire.message import ControlMessageBase as _Message
 from rsb_bridge.wire.questions import AskType, ListTopics, TopicList, TypeText
 from rsb_bridge.wire.receipts import Receipts
@@ -373,6 +374,8 @@ ControlMessage: TypeAlias = (
     | Arm
     | Armed
     | Disarm
+    | Settled
+    | Lease
     | Ping
     | Pong
     | Report

@@ -27,6 +27,7 @@ from rsb_bridge.ros.api import (
     RosError,
     Sink,
 )
+from rsb_bridge.ros.turns import RosTurns
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Hashable
@@ -57,6 +58,7 @@ class StandIn:
 
     Attributes:
         instance_id: as a real node's.
+        turns: as a real node's; it has no thread.
         offered: the topics that this domain's own nodes publish, with their QoS.
         arrived: what the engine published, by topic.
         answering: what this domain's own nodes answer, by service; None: nothing.
@@ -65,6 +67,7 @@ class StandIn:
     def __init__(self, **offered: Qos) -> None:
         self.instance_id = secrets.token_hex(4)
         self.node_name = f"rsb_{self.instance_id}"
+        self.turns = RosTurns()
         self.offered = {f"/{name}": qos for name, qos in offered.items()}
         self.arrived: defaultdict[str, list[Arrival]] = defaultdict(list)
         self.answering: dict[str, Callable[[bytes], bytes | None]] = {}

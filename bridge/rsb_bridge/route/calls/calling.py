@@ -34,6 +34,7 @@ if TYPE_CHECKING:
     from rsb_bridge.context import Context
     from rsb_bridge.model.session import Topic
     from rsb_bridge.ros.api import ServiceServer
+    from rsb_bridge.route.lease import Lease
     from rsb_bridge.route.peer import Owner
     from rsb_bridge.wire.messages import Propose, Provide
     from rsb_bridge.wire.records import CallsReport, LaneEntry
@@ -70,7 +71,9 @@ class CallingRoute(CallsRoute):
         self._provided: Provide | None = None  # in the present opening
         self._resumed_at = 0  # the revision of the pause's end, likewise
         self._reach: frozenset[int] = frozenset()  # the lanes that are offered, and whose calls go to the other side
-        self._offers = Offers(context, peer, self.lanes, self._asked, self._too_late, self._offer_failed)
+        self._offers = Offers(
+            context, peer, self.lanes, self._asked, self._too_late, self._offer_failed, self._lease_of_requests
+        )
         self._rivals = Rivals(context, peer, self.advance)
         self._served_here: list[str] = []  # the nodes that serve it here, while nobody does on the other side
         self._under_way = UnderWay[CallerCall](context.loop, peer.budget.asked, self._expired, self._outbox.forget)
@@ -78,6 +81,9 @@ class CallingRoute(CallsRoute):
         self._messages = LaneMessages(self.lanes, self._offers, peer.budget.kept, self.notices)
         self._allowed = _bucket(0.0, context.now())
         self.limit.apply = self._limit
+
+    def _lease_of_requests(self) -> Lease | None:
+        return self.arming.lease if self.arming.required else None
 
     def _limit(self, rate: float) -> None:
         self._allowed = _bucket(rate, self.context.now())
@@ -237,7 +243,7 @@ class CallingRoute(CallsRoute):
     def _refusal(self, lane: int, request: Request) -> Refused | None:
         """Why a call is not sent; if it is, it has its place in the link's budget."""
         now = self.context.now()
-        if (why := self.held(lane)) is not None:
+        if (why := self.held_now(lane)) is not None:
             return why
         if len(request.payload) > self._outbox.largest:
             return Refused.TOO_LARGE
@@ -255,7 +261,7 @@ class CallingRoute(CallsRoute):
         server = hand or self._offers.servers[lane]
         call = CallerCall(lane, frame_size(request.payload), self.context.now(), server, request.caller)
         self._under_way.add(self._last_number, call, self.timeout_of(lane))
-        self._send(CallFrame(What.CALL, lane, self._last_number, 0, request.payload))
+        self._send(CallFrame(What.CALL, lane, self._last_number, 0, request.payload, request.lease))
 
     async def call_by_hand(self, lane: int, request: bytes) -> bytes:
         """Make a call as a caller here would."""
@@ -263,10 +269,11 @@ class CallingRoute(CallsRoute):
             raise CallError(self._why_not_now())
         hand, number = Hand(self.context.loop), self._last_number + 1
         self._asked_for(len(request))
-        if (why := self._refusal(lane, Request(request, b"", 0))) is not None:
+        made = Request(request, b"", 0, self.arming.newest_number if self.arming.required else 0)
+        if (why := self._refusal(lane, made)) is not None:
             self._refuse(why)
             raise CallError(self.calls.last_failure)
-        self._begin(lane, Request(request, b"", 0), hand)
+        self._begin(lane, made, hand)
         self.flush()
         try:
             return await hand.answered

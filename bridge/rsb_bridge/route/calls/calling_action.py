@@ -127,12 +127,12 @@ class CallingAction(CallingRoute):
         if hand is not None:
             super()._begin(lane, request, hand)  # an operator who waits is not kept waiting over an interruption
             return
-        self._ask(KeptCall(lane, request.caller, request.payload, self.context.now(), again=False))
+        self._ask(KeptCall(lane, request.caller, request.payload, self.context.now(), again=False), request.lease)
         if lane == SEND_GOAL and (goal := goal_of(request.payload)) is not None:
             self.goals.asked(goal)
 
-    def _ask(self, call: KeptCall) -> None:
-        """Send a call, which has its place in the budget."""
+    def _ask(self, call: KeptCall, lease: int = 0) -> None:
+        """Send a call, which has its place in the budget; `lease`: the number that says how old it can be."""
         self._last_number += 1
         self._came = True
         size, server = frame_size(call.payload), self._offers.servers[call.lane]
@@ -141,7 +141,7 @@ class CallingAction(CallingRoute):
         )
         self._under_way.add(self._last_number, under_way, self.timeout_of(call.lane))
         what = What.AGAIN if call.again else What.CALL
-        self._send(CallFrame(what, call.lane, self._last_number, 0, call.payload))
+        self._send(CallFrame(what, call.lane, self._last_number, 0, call.payload, lease))
 
     def _ask_again(self) -> None:
         """Ask whatever waits: cancels first."""

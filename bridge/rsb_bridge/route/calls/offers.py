@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from rsb_bridge.ros.drain import BATCH
 from rsb_bridge.route.calls.lane_ends import LaneEnds
+from rsb_bridge.route.lease import Marker
 from rsb_bridge.route.volatile import VolatileTopic
 
 if TYPE_CHECKING:
@@ -15,6 +17,7 @@ if TYPE_CHECKING:
     from rsb_bridge.model.sources import Via
     from rsb_bridge.ros.api import Request, RosError, ServiceServer
     from rsb_bridge.route.calls.lane_ends import LaneType
+    from rsb_bridge.route.lease import Lease
     from rsb_bridge.route.peer import Peer
 
 
@@ -28,6 +31,7 @@ class Offers(LaneEnds):
         asked: gets a lane's requests.
         too_late: gets those that came when it was offered no more.
         failed: told of a server that has failed and closed itself.
+        marks: gives the lease that requests are marked with, or None if they need not be.
 
     Attributes:
         servers: by lane.
@@ -42,8 +46,10 @@ class Offers(LaneEnds):
         asked: Callable[[int, Sequence[Request]], None],
         too_late: Callable[[int, Sequence[Request]], None],
         failed: Callable[[RosError], None],
+        marks: Callable[[], Lease | None] = lambda: None,
     ) -> None:
         super().__init__(context, peer, lanes, failed)
+        self._marks = marks
         self.servers: dict[int, ServiceServer] = {}
         self.publishers: dict[int, VolatileTopic] = {}
         self._ways: list[Via] = []
@@ -76,7 +82,14 @@ class Offers(LaneEnds):
     def _open_service(self, lane: int, name: str, kind: LaneType) -> ServiceServer:
         self._announce(lane, kind)  # first: others must not take it for a node's
         sink, failed = self._sink(lane, self._asked, self._too_late)
-        server = self._context.ros.serve(name, kind.type_name, kind.type_hash, sink.put, failed)
+        put = sink.put
+        if (lease := self._marks()) is not None:
+            marker = Marker(lease, self._context.ros.turns, BATCH)
+
+            def put(batch: Sequence[Request]) -> None:
+                sink.put(marker.marked(batch))
+
+        server = self._context.ros.serve(name, kind.type_name, kind.type_hash, put, failed)
         self.servers[lane] = server
         return server
 

@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING
 import zstandard
 
 from rsb_bridge.wire.calls import CALL_HEADER_LENGTH, CallFrame, What
-from rsb_bridge.wire.framing import ZSTD
+from rsb_bridge.wire.framing import LEASED, ZSTD
+from rsb_bridge.wire.lease import with_number
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -129,8 +130,12 @@ class CallsOutbox:
 
     def _pack(self, frame: CallFrame) -> Message:
         """A frame as it is sent: its content is compressed, where that is agreed and makes it smaller."""
+        flags = 0
         if self._compressor is not None:
             smaller = self._compressor.compress(frame.content)
             if len(smaller) < len(frame.content):
-                return frame._replace(content=smaller).pack(), self._wall_ns(), ZSTD
-        return frame.pack(), self._wall_ns(), 0
+                frame, flags = frame._replace(content=smaller), ZSTD
+        packed = frame.pack()
+        if frame.lease:
+            packed, flags = with_number(frame.lease, packed), flags | LEASED
+        return packed, self._wall_ns(), flags

@@ -248,8 +248,10 @@ class ProvidingRoute(CallsRoute):
         """Why a call is not made here; if it is, it has its place in the link's budget."""
         now = self.context.now()
         limited = self._is_limited(frame)
-        if limited and (why := self.held(frame.lane)) is not None:
+        if limited and (why := self.held_now(frame.lane)) is not None:
             return why
+        if limited and not self.arming.admits(frame.lease):
+            return Refused.DISARMED
         if self._told is None or not self._told.lanes:  # asking DDS again would take its time at each call
             return Refused.PROVIDER_GONE
         if limited and not self.limit.admits(now):

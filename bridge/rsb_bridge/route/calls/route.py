@@ -37,7 +37,8 @@ from rsb_bridge.route.route import Route
 from rsb_bridge.route.snapshots import snapshot_of
 from rsb_bridge.route.unpacking import ExpandsTooMuchError, Unpacker
 from rsb_bridge.wire.calls import CALL_HEADER_LENGTH, CallFrame, What, unpack_call
-from rsb_bridge.wire.framing import ZSTD, Message, ProtocolError
+from rsb_bridge.wire.framing import LEASED, ZSTD, Message, ProtocolError
+from rsb_bridge.wire.lease import split_number
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -177,6 +178,12 @@ class CallsRoute(Route):
             return None
         if self.paused:
             return Refused.PAUSED
+        return None if self.arming.stands(self.context.now()) else Refused.DISARMED
+
+    def held_now(self, lane: int) -> Refused | None:
+        """Why a call of a lane may not pass at this moment; None: it may."""
+        if (why := self.held(lane)) is not None or not self.lanes[lane].limited:
+            return why
         return None if self.arming.passes(self.context.now()) else Refused.DISARMED
 
     def open(self, route_id: int) -> None:
@@ -195,12 +202,12 @@ class CallsRoute(Route):
         self._failures.clear()
         super().close(reason)
 
-    def disarm(self, why: Disarmed) -> None:
+    def disarm(self, why: Disarmed, reason: str = "") -> None:
         """Nothing more may cross in this opening, be it under way."""
         self._withdraw()
         self._give_up_all("it was disarmed")
         self._outbox.clear()
-        super().disarm(why)
+        super().disarm(why, reason)
 
     def _may_flow(self) -> None:
         self.calls.forget_lately()
@@ -234,7 +241,10 @@ class CallsRoute(Route):
                 if self.id != opening:
                     return  # what came before has ended the opening
                 payload, stamp, flags = message
-                frame = self._of_a_lane(unpack_call(payload))
+                lease = 0
+                if flags & LEASED:
+                    lease, payload = split_number(payload)
+                frame = self._of_a_lane(unpack_call(payload)._replace(lease=lease))
                 if not flags & ZSTD:
                     self._take(frame)
                 elif self._unpacker.begin((frame.content, stamp, flags)):

@@ -39,6 +39,7 @@ class CallsFacts(NamedTuple):
         paused: an operator has paused it.
         paused_by: who, in words; empty: it is not known.
         disarmed: why it is not armed, though it has to be; empty: it is, or need not be.
+        disarming: what was sent before it was disarmed may still be acted on.
         no_path: why its transport does not get through; empty: it does.
         breaking: why what carries it breaks before anything arrives; empty: it does not.
         waits_for: what has to come before calls can cross.
@@ -66,6 +67,7 @@ class CallsFacts(NamedTuple):
     paused: bool = False
     paused_by: str = ""
     disarmed: str = ""
+    disarming: bool = False
     no_path: str = ""
     breaking: str = ""
     waits_for: str = ""

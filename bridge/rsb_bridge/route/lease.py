@@ -1,0 +1,185 @@
+"""The lease of a link: proof that the two sides heard each other within the last second. Sans-IO.
+
+Each side sends numbers, and the newest number that it has heard. A message carries the newest number that its sender
+had heard when the message was taken from ROS, so the receiver knows by its own clock alone that the message is younger
+than that number. Neither a clock of the other side nor the order in which streams arrive matters.
+"""
+
+from __future__ import annotations
+
+from enum import Enum
+from typing import TYPE_CHECKING, Protocol, Self, TypeVar
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    from rsb_bridge.ros.turns import RosTurns
+
+LASTS = 1.0
+"""Seconds that a message of an armed route may be old at most when it is published."""
+BEAT = 0.25
+"""Seconds from one number to the next."""
+GIVEN_UP_AFTER = 2.0
+"""Seconds without an answer to any number after which everything is disarmed. Nothing passes after the first second."""
+_FIRST_WITHIN = 10.0
+"""Seconds until it has to begin; the asking side waits for half of that, and knows then why."""
+SLOW = LASTS - BEAT
+"""Round trip in seconds from which on a link is too slow: most messages would be too old."""
+_KEPT = 64
+"""Numbers that are remembered on each side: more than those of `GIVEN_UP_AFTER`."""
+
+
+class Standstill(Enum):
+    """The place where nothing moved, in words."""
+
+    LOOP = "this side's bridge stood still"
+    ROS_THREAD = "this side's ROS thread stood still"
+    PEER = "the other side, or the way to it, stood still"
+
+
+class Marked(Protocol):
+    """What is taken from ROS: a named tuple with a field `lease`."""
+
+    def _replace(self, *, lease: int) -> Self: ...
+
+
+M = TypeVar("M", bound=Marked)
+
+
+class Lease:
+    """One side's half. It belongs to the I/O loop, but for `newest_before`.
+
+    Args:
+        steady: s on a clock that nobody sets, and that goes on while the machine sleeps.
+        turns: of the ROS thread.
+        ended: told once when it is over, right after nothing passes any more.
+
+    Attributes:
+        number: the newest that this side has sent.
+        over: where nothing moved, or None; it is never alive again until `begin`.
+    """
+
+    def __init__(self, steady: Callable[[], float], turns: RosTurns, ended: Callable[[], None]) -> None:
+        self._steady = steady
+        self._turns = turns
+        self._ended = ended
+        self.number = 0
+        self.over: Standstill | None = None
+        self._on = False
+        self._began = self._beaten = 0.0
+        self._sent: dict[int, float] = {}  # when, by number
+        self._answered = False
+        self._confirmed = float("-inf")  # when the newest number was sent that the other side has heard
+        self._round_trip = 0.0
+        self._heard: tuple[tuple[int, float], ...] = ()  # numbers of the other side, and when; replaced, never changed
+
+    # --- on and off
+
+    @property
+    def is_on(self) -> bool:
+        """Whether numbers are sent."""
+        return self._on
+
+    def begin(self) -> None:
+        """Send numbers from now on. It is alive once the other side has answered one of them."""
+        self._turns.watch(self)
+        self._on, self.over = True, None
+        self._began = self._beaten = self._steady()
+        self._confirmed, self._answered = float("-inf"), False
+
+    def end(self) -> None:
+        """Send no more numbers, and forget those of the other side."""
+        self._turns.leave(self)
+        self._on = False
+        self._heard = ()
+
+    # --- numbers
+
+    def beat(self) -> tuple[int, int]:
+        """Return the next number of this side, and the newest of the other one. To be called every `BEAT` s."""
+        self._look()
+        now = self._steady()
+        self._beaten = now
+        self.number += 1
+        self._sent[self.number] = now
+        if len(self._sent) > _KEPT:
+            del self._sent[next(iter(self._sent))]
+        return self.number, self._heard[-1][0] if self._heard else 0
+
+    def hear(self, number: int, echo: int) -> None:
+        """Take a number of the other side, and the number of this side that it has heard."""
+        self._look()
+        now = self._steady()
+        if not self._heard or number > self._heard[-1][0]:
+            self._heard = (*self._heard[1 - _KEPT :], (number, now))
+        sent = self._sent.get(echo)
+        if sent is not None and sent >= self._began and sent > self._confirmed:
+            self._confirmed, self._round_trip = sent, now - sent
+            self._answered = self._answered or self._round_trip <= LASTS
+
+    # --- what it is asked
+
+    @property
+    def alive(self) -> bool:
+        """Whether the other side has heard a number that this side has sent within the last second."""
+        self._look()
+        return self._on and self.over is None and self._steady() - self._confirmed <= LASTS
+
+    @property
+    def slow(self) -> bool:
+        """Whether the last answer took too long for messages to arrive in time."""
+        return not self.alive or self._round_trip > SLOW
+
+    def passes(self, number: int) -> bool:
+        """Whether a message with this number of this side may be published now."""
+        sent = self._sent.get(number)
+        return sent is not None and self.alive and self._steady() - sent <= LASTS
+
+    @property
+    def left(self) -> float:
+        """Seconds in which the other side may still publish what this side has sent."""
+        return max(0.0, self._heard[-1][1] + LASTS - self._steady()) if self._heard else 0.0
+
+    def newest_before(self, time: float) -> int:
+        """Return the newest number of the other side that was heard before a time (s), or 0. From any thread."""
+        return next((number for number, heard_at in reversed(self._heard) if heard_at <= time), 0)
+
+    def _look(self) -> None:
+        """End it if nothing has moved for too long."""
+        if not self._on or self.over is not None:
+            return
+        now = self._steady()
+        if now - self._beaten > LASTS:
+            self.over = Standstill.LOOP
+        elif now - self._turns.at > LASTS:
+            self.over = Standstill.ROS_THREAD
+        elif now - self._confirmed > GIVEN_UP_AFTER and (self._answered or now - self._began > _FIRST_WITHIN):
+            self.over = Standstill.PEER
+        else:
+            return
+        self._ended()
+
+
+class Marker:
+    """Marks what one endpoint takes from ROS. It belongs to the thread that takes.
+
+    Args:
+        lease: of the link.
+        turns: of the thread.
+        batch: how much is taken at once; if it is that much, there may be more.
+    """
+
+    def __init__(self, lease: Lease, turns: RosTurns, batch: int) -> None:
+        self._lease = lease
+        self._turns = turns
+        self._batch = batch
+        self._is_empty = True
+        self._since = 0.0
+
+    def marked(self, taken: Sequence[M]) -> Sequence[M]:
+        """Return what was taken, with the number that says how old it can be at most."""
+        if self._is_empty:
+            self._since = self._turns.since
+        self._is_empty = len(taken) < self._batch
+        number = self._lease.newest_before(self._since)
+        return [each._replace(lease=number) for each in taken]
