@@ -1,0 +1,175 @@
+"""A bridge that is stopped while a topic is armed, in a process of its own: what it held back reaches no robot."""
+
+from __future__ import annotations
+
+import signal
+import threading
+import time
+from typing import TYPE_CHECKING, NamedTuple
+
+import pytest
+from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from std_msgs.msg import String
+from tests.support.bridge import balance, linked, route
+from tests.support.consoles import Consoles
+from tests.support.domain import RELIABLE, text
+from tests.support.waiting import eventually
+
+from rsb_bridge.model.session import Topic
+from rsb_bridge.route.lease import LASTS
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from tests.support.bridge import Bridge
+    from tests.support.domain import Domain
+    from tests.support.program import Program, Programs
+
+    from rsb_bridge.engine import Engine
+
+RATE = 50.0
+BY_DDS = 0.15
+"""Seconds that a message may take through DDS on both sides, on a busy machine."""
+
+
+class Heard(NamedTuple):
+    """A command that reached the robot.
+
+    Attributes:
+        at: s, when.
+        age: s.
+    """
+
+    at: float
+    age: float
+
+
+class Motors:
+    """The robot's node, which notes how old each command is."""
+
+    def __init__(self, robot: Domain) -> None:
+        self.heard: list[Heard] = []
+        self._executor = SingleThreadedExecutor(context=robot.node.context)
+        self._executor.add_node(robot.node)
+        robot.node.create_subscription(String, "/cmd", self._take, RELIABLE)
+        self._thread = threading.Thread(target=self._spin)
+        self._thread.start()
+
+    def _take(self, message: String) -> None:
+        now = time.monotonic()
+        self.heard.append(Heard(now, now - float(message.data)))
+
+    def _spin(self) -> None:
+        try:
+            self._executor.spin()
+        except ExternalShutdownException:
+            pass
+
+    def close(self) -> None:
+        self._executor.shutdown()
+        self._thread.join()
+
+
+class Joystick:
+    """The control PC's node: a command every 20 ms, which says when it was made."""
+
+    def __init__(self, pc: Domain) -> None:
+        self._publisher = pc.publisher("/cmd")
+        self._ended = threading.Event()
+        self._thread = threading.Thread(target=self._run)
+        self._thread.start()
+
+    def _run(self) -> None:
+        while not self._ended.wait(1 / RATE):
+            self._publisher.publish(text(f"{time.monotonic()}"))
+
+    def close(self) -> None:
+        self._ended.set()
+        self._thread.join()
+
+
+class Screen:
+    """What the engine that goes on shows of the topic: when it was seen disarmed."""
+
+    def __init__(self, engine: Engine) -> None:
+        self.disarmed_at = float("inf")
+        self._engine = engine
+        self._ended = threading.Event()
+        self._thread = threading.Thread(target=self._run)
+        self._thread.start()
+
+    def _run(self) -> None:
+        while not self._ended.wait(0.01):
+            states = [each.state for each in self._engine.snapshot().routes]
+            if "disarmed" in states or "down" in states:
+                self.disarmed_at = time.monotonic()
+                return
+
+    def close(self) -> None:
+        self._ended.set()
+        self._thread.join()
+
+
+@pytest.fixture
+def motors(robot: Domain) -> Iterator[Motors]:
+    made = Motors(robot)
+    yield made
+    made.close()
+
+
+@pytest.fixture
+def joystick(pc: Domain) -> Iterator[Joystick]:
+    made = Joystick(pc)
+    yield made
+    made.close()
+
+
+@pytest.fixture
+def consoles() -> Iterator[Consoles]:
+    made = Consoles()
+    yield made
+    made.close()
+
+
+def start(frozen: str, protocol: str, bridge: Bridge, programs: Programs) -> tuple[Engine, Program]:
+    """The engine that goes on, in this process, and the other side's program."""
+    topic = Topic("/cmd", "receive", protocol="udp" if protocol == "udp" else "tcp", arm=True, deadman=0.0)
+    if frozen == "robot":
+        engine = bridge.server()
+        program = programs.start(bridge.client_session(topic))
+    else:
+        program = programs.start(bridge.server_session())
+        engine = bridge.client(topic)
+    eventually(lambda: linked(engine) and route(engine, "/cmd").state == "disarmed")
+    return engine, program
+
+
+@pytest.mark.parametrize("seconds", [0.8, 3.0])
+@pytest.mark.parametrize("frozen", ["robot", "control PC"])
+@pytest.mark.parametrize("protocol", ["tcp", "udp"])
+def test_nothing_old_is_published_after_a_side_was_stopped(
+    protocol: str,
+    frozen: str,
+    seconds: float,
+    bridge: Bridge,
+    programs: Programs,
+    motors: Motors,
+    joystick: Joystick,
+    consoles: Consoles,
+) -> None:
+    engine, program = start(frozen, protocol, bridge, programs)
+    consoles.arm(engine)
+    eventually(lambda: len(motors.heard) >= RATE)
+    screen = Screen(engine)
+    program.signal(signal.SIGSTOP)
+    time.sleep(seconds)
+    program.signal(signal.SIGCONT)
+    goes_on_at = time.monotonic()
+    time.sleep(2.0)
+    screen.close()
+    after = [each for each in motors.heard if each.at >= goes_on_at]
+    assert [each for each in motors.heard if each.age > LASTS + BY_DDS] == []
+    assert [each for each in after if each.at > screen.disarmed_at + BY_DDS] == []
+    if seconds > LASTS:
+        assert screen.disarmed_at < float("inf")
+        assert after == []
