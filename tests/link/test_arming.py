@@ -10,14 +10,16 @@ from tests.link.test_route_table import Pair, Side, hear_all
 
 from rsb_bridge.link.errors import LinkError
 from rsb_bridge.link.proposals import proposal_of
+from rsb_bridge.model import lanes
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.operators import acting
 from rsb_bridge.model.session import Topic
 from rsb_bridge.model.verdict import Cause
 from rsb_bridge.route.arming import CONSOLE_SILENT_AFTER, PEER_GRACE, SAID, Disarmed
-from rsb_bridge.route.lease import LASTS
+from rsb_bridge.route.lease import LASTS, SLOW
 from rsb_bridge.wire.amending import Pause
 from rsb_bridge.wire.arming import Arm, Armed, Disarm
+from rsb_bridge.wire.lease import Lease
 from rsb_bridge.wire.messages import Close, Propose
 
 if TYPE_CHECKING:
@@ -432,3 +434,87 @@ def test_what_cannot_be_armed_says_why(
         pc.linked = False
     with pytest.raises(LinkError, match="cannot be armed"):
         arm(pc, loop, console="another").result()
+
+
+def test_a_peer_that_knows_no_lease_cannot_be_armed_nor_arm(pair: Pair, loop: VirtualLoop) -> None:
+    robot, pc = pair
+    pc.features = robot.features = (lanes.FEATURE,)
+    with pytest.raises(LinkError, match=SAID[Disarmed.PEER_TOO_OLD]):
+        arm(pc, loop).result()
+    robot.table.handle(Arm(route(robot).id, "an older console"))
+    assert pc.inbox.popleft() == Disarm(route(robot).closed_ids[-1], Disarmed.PEER_TOO_OLD)
+    assert stands(*pair) == [False, False]
+
+
+def test_a_link_whose_round_trip_is_too_long_cannot_be_armed(pair: Pair, loop: VirtualLoop) -> None:
+    robot, pc = pair
+    task = arm(pc, loop, answered=False)
+    for side in (robot, pc):
+        loop.run_until_complete(asyncio.sleep(SLOW / 2 + 0.01))
+        while side.inbox:
+            side.hear()
+    hear_all(pair)
+    turn(loop)
+    assert SAID[Disarmed.LINK_SLOW] in str(task.exception())
+    assert why(pc) == why(robot) == Disarmed.LINK_SLOW
+    assert stands(*pair) == [False, False]
+
+
+@pytest.mark.parametrize("at", [0, 1], ids=["the robot", "the control PC"])
+def test_a_side_that_stood_still_disarms_whatever_it_hears_first(at: int, pair: Pair, loop: VirtualLoop) -> None:
+    robot, pc = pair
+    arm(pc, loop).result()
+    let_time_pass(pair, loop, 2.0)
+    loop.jump(LASTS + 0.1)  # neither timers nor messages
+    pair[at].table.handle(Lease(number=1000, echo=pair[at].table.arming.lease.state.number))
+    assert passes(pair[at]) == [False]
+    turn(loop)
+    hear_all(pair)
+    turn(loop)
+    assert stands(*pair) == [False, False]
+    loop.run_until_complete(asyncio.sleep(LASTS))
+    assert why(robot) == why(pc) == Disarmed.LEASE
+
+
+def test_the_lease_costs_nothing_while_nothing_is_armed(pair: Pair, loop: VirtualLoop) -> None:
+    _, pc = pair
+    arm(pc, loop).result()
+    pc.table.arming.disarm(route(pc), Disarmed.OPERATOR)
+    let_time_pass(pair, loop, 1.0)
+    numbers = [side.table.arming.lease.state.number for side in pair]
+    let_time_pass(pair, loop, 10.0)
+    assert [side.table.arming.lease.state.number for side in pair] == numbers
+
+
+def test_the_sending_side_shows_that_it_is_disarmed_once_the_other_one_has_answered(
+    pair: Pair, loop: VirtualLoop
+) -> None:
+    _, pc = pair
+    arm(pc, loop).result()
+    with acting("anna"):
+        pc.table.arming.disarm(route(pc), Disarmed.OPERATOR)
+    assert (route(pc).settling.under_way, route(pc).arming.snapshot(loop.time()).armed) == (True, False)
+    assert not events(pc, EventCode.OPERATOR_DISARMED)
+    hear_all(pair)
+    assert not route(pc).settling.under_way
+    assert [event.who for event in events(pc, EventCode.OPERATOR_DISARMED)] == ["anna"]
+
+
+def test_the_sending_side_shows_that_it_is_disarmed_within_a_second_without_an_answer(
+    pair: Pair, loop: VirtualLoop
+) -> None:
+    _, pc = pair
+    arm(pc, loop).result()
+    pc.table.arming.disarm(route(pc), Disarmed.OPERATOR)
+    loop.run_until_complete(asyncio.sleep(LASTS - 0.01))
+    assert route(pc).settling.under_way
+    loop.run_until_complete(asyncio.sleep(0.02))
+    assert not route(pc).settling.under_way
+
+
+def test_the_receiving_side_is_disarmed_at_once(pair: Pair, loop: VirtualLoop) -> None:
+    robot, pc = pair
+    arm(pc, loop).result()
+    robot.table.arming.disarm(route(robot), Disarmed.OPERATOR)
+    assert not route(robot).settling.under_way
+    assert events(robot, EventCode.OPERATOR_DISARMED)

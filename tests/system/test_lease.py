@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import signal
 import threading
 import time
@@ -24,6 +25,7 @@ if TYPE_CHECKING:
     from tests.support.bridge import Bridge
     from tests.support.domain import Domain
     from tests.support.program import Program, Programs
+    from tests.support.relay import Relay
 
     from rsb_bridge.engine import Engine
 
@@ -60,10 +62,8 @@ class Motors:
         self.heard.append(Heard(now, now - float(message.data)))
 
     def _spin(self) -> None:
-        try:
+        with contextlib.suppress(ExternalShutdownException):
             self._executor.spin()
-        except ExternalShutdownException:
-            pass
 
     def close(self) -> None:
         self._executor.shutdown()
@@ -173,3 +173,50 @@ def test_nothing_old_is_published_after_a_side_was_stopped(
     if seconds > LASTS:
         assert screen.disarmed_at < float("inf")
         assert after == []
+
+
+@pytest.mark.parametrize("first", ["data", "control"])
+@pytest.mark.parametrize("disarmed", [False, True], ids=["armed", "disarmed meanwhile"])
+def test_nothing_old_is_published_when_a_network_lets_go_what_it_held(
+    first: str, disarmed: bool, bridge: Bridge, relay: Relay, motors: Motors, joystick: Joystick, consoles: Consoles
+) -> None:
+    """It holds every stream for 4 s, and then lets one of them go before the other."""
+    server, _ = bridge.both(Topic("/cmd", "receive", arm=True, deadman=0.0))
+    eventually(lambda: route(server, "/cmd").state == "disarmed")
+    consoles.arm(server)
+    eventually(lambda: len(motors.heard) >= RATE)
+    control, data = relay.connections[0], relay.connections[-1]
+    assert control is not data
+    screen = Screen(server)
+    relay.stall()
+    answered_at = float("inf")
+    if disarmed:
+        server.arming.disarm(route(server, "/cmd").key).result(30)
+        answered_at = time.monotonic()
+    time.sleep(4.0)
+    for connection in (data, control) if first == "data" else (control, data):
+        connection.stall(False)
+        time.sleep(0.3)
+    relay.stall(False)
+    eventually(lambda: linked(server) and route(server, "/cmd").state == "disarmed")
+    screen.close()
+    shown_at = min(screen.disarmed_at, answered_at)
+    assert [each for each in motors.heard if each.age > LASTS + BY_DDS or each.at > shown_at + BY_DDS] == []
+    ledger = eventually(lambda: ledger if not (ledger := route(server, "/cmd").ledger).in_flight else None)
+    assert balance(ledger) == ledger.offered
+
+
+def test_a_disarm_is_answered_at_once_where_the_other_side_answers(
+    bridge: Bridge, motors: Motors, joystick: Joystick, consoles: Consoles
+) -> None:
+    """And within a second where it does not: what was sent cannot be published any more."""
+    server, _ = bridge.both(Topic("/cmd", "receive", arm=True, deadman=0.0))
+    eventually(lambda: route(server, "/cmd").state == "disarmed")
+    consoles.arm(server)
+    eventually(lambda: len(motors.heard) >= RATE)
+    began = time.monotonic()
+    server.arming.disarm(route(server, "/cmd").key).result(30)
+    answered_at = time.monotonic()
+    time.sleep(1.0)
+    assert answered_at - began < LASTS
+    assert [each for each in motors.heard if each.at > answered_at + BY_DDS] == []

@@ -20,7 +20,7 @@ UP = (State.OK, State.UNHEARD)
 """Messages cross as they should; that nobody hears them is no outage."""
 CROSSES = (*UP, State.LATE)
 """States in which messages cross. A late topic has trouble, but no outage."""
-FINE = (*UP, State.PAUSED, State.DISARMED)
+FINE = (*UP, State.PAUSED, State.DISARMED, State.DISARMING)
 """A pause is wanted, and so is what nobody has armed; it counts neither as up nor as out."""
 OUTAGES_OF_ONE = 100
 """Outages kept of each, so that one that flaps displaces nobody else's."""
@@ -191,7 +191,7 @@ class Subject:
             self._up += passed
         elif self._state is State.WAITING and self._open is None:
             self._waiting += passed
-        elif self._state not in (State.PAUSED, State.DISARMED) and not self._opening:
+        elif self._state not in (State.PAUSED, State.DISARMED, State.DISARMING) and not self._opening:
             self._out += passed
         if int(now // MINUTE) != self._minute:
             self._close_minute()

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
     from rsb_bridge.model.snapshot import LinkSnapshot, PatternSnapshot, RouteSnapshot
 
-_NOTHING_WRONG = frozenset({State.WAITING, State.PAUSED, State.DISARMED, State.OK})
+_NOTHING_WRONG = frozenset({State.WAITING, State.PAUSED, State.DISARMED, State.DISARMING, State.OK})
 
 
 def state_counts(things: Iterable[RouteSnapshot | LinkSnapshot]) -> dict[State, int]:

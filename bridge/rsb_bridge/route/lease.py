@@ -69,7 +69,8 @@ class Lease:
         self._began = self._beaten = 0.0
         self._sent: dict[int, float] = {}  # when, by number
         self._answered = False
-        self._confirmed = float("-inf")  # when the newest number was sent that the other side has heard
+        self._acknowledged = 0  # the newest number that the other side has heard
+        self._confirmed = float("-inf")  # when that was sent
         self._round_trip = 0.0
         self._heard: tuple[tuple[int, float], ...] = ()  # numbers of the other side, and when; replaced, never changed
 
@@ -86,6 +87,7 @@ class Lease:
         self._on, self.over = True, None
         self._began = self._beaten = self._steady()
         self._confirmed, self._answered = float("-inf"), False
+        self._acknowledged = self.number  # those before this one do not count
 
     def end(self) -> None:
         """Send no more numbers, and forget those of the other side."""
@@ -113,8 +115,8 @@ class Lease:
         if not self._heard or number > self._heard[-1][0]:
             self._heard = (*self._heard[1 - _KEPT :], (number, now))
         sent = self._sent.get(echo)
-        if sent is not None and sent >= self._began and sent > self._confirmed:
-            self._confirmed, self._round_trip = sent, now - sent
+        if sent is not None and echo > self._acknowledged:
+            self._acknowledged, self._confirmed, self._round_trip = echo, sent, now - sent
             self._answered = self._answered or self._round_trip <= LASTS
 
     # --- what it is asked

@@ -18,7 +18,7 @@ _TOLERANCE = 2.0
 """s by which the beginning of a state may be wrong, because the wall clock is adjusted."""
 _ONE_FAULT = frozenset({Cause.PUBLISHER_SILENT, Cause.PUBLISHER_GONE})
 """Causes of one fault: DDS lists a publisher for up to 20 s after its process was killed."""
-_NO_FAULT = frozenset({State.OK, State.PAUSED, State.DISARMED})
+_NO_FAULT = frozenset({State.OK, State.PAUSED, State.DISARMED, State.DISARMING})
 
 AnyFaulty: TypeAlias = RouteSnapshot | LinkSnapshot | PatternSnapshot
 Faulty = TypeVar("Faulty", RouteSnapshot, LinkSnapshot, PatternSnapshot)

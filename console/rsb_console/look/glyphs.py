@@ -22,6 +22,7 @@ STATE_SIGN = {
     State.OK: "●",
     State.PAUSED: "‖",
     State.DISARMED: "⊘",
+    State.DISARMING: "⊖",
     State.WAITING: "◌",
     State.UNHEARD: "◇",
     State.SLOW: "≈",
@@ -33,6 +34,7 @@ STATE_SIGN = {
 STATE_WORD = {state: state.upper() for state in State} | {
     State.OK: "ok",
     State.WAITING: "WAIT",
+    State.DISARMING: "DISARMS",
 }
 ARMED, ARMED_WORD = "◆", "ARMED"
 KNOWN, ACK_WORD = "a", "ack"
@@ -100,7 +102,7 @@ def _ascii_braille(dots: int) -> str:
 _LOOKALIKES = {
     "o": "●◐○⭘", "?": "◌", "!": "▲", "=": "‖═▅⇄", "x": "✗×", "v": "✓✔↓▼▾", ".": "·▃", ">": "→▸▶⇧", "<": "←◀",
     "^": "↑⌃⎋", "_": "▁▂␣", "-": "▄─━–—▔▀", "+": "▆┌┐└┘├┤┬┴┼╭╮╯╰", "*": "▇•◆◉", "#": "█■□", "%": "◇", "~": "…⏎≈",
-    "|": "│┃║▌▐▕▎▏▊▋▍▉", "/": "⊘", "@": "◔", "u": "µ", "'": "’", '"': "“”",
+    "|": "│┃║▌▐▕▎▏▊▋▍▉", "/": "⊘", "\\": "⊖", "@": "◔", "u": "µ", "'": "’", '"': "“”",
 }  # fmt: skip
 ASCII: dict[int, str] = {ord(char): sign for sign, chars in _LOOKALIKES.items() for char in chars}
 ASCII |= {0x2800 + dots: _ascii_braille(dots) for dots in range(256)}

@@ -234,7 +234,7 @@ def _needs_words(route: RouteSnapshot) -> bool:
     """Whether a topic has a fault of its own, or waits for something that an operator can remedy."""
     if route.acknowledged is not None or route.cause == Cause.LINK_DOWN:
         return False
-    if route.state in {State.OK, State.PAUSED, State.DISARMED}:
+    if route.state in {State.OK, State.PAUSED, State.DISARMED, State.DISARMING}:
         return False
     return route.state is not State.WAITING or route.cause in _SHOWN_WHILE_WAITING
 

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from rsb_console.widgets.lines import Line
     from rsb_console.widgets.pattern import Pattern
 
-FAULTS = tuple(state for state in State if state not in (State.PAUSED, State.DISARMED, State.OK))
+FAULTS = tuple(state for state in State if state not in (State.PAUSED, State.DISARMED, State.DISARMING, State.OK))
 
 
 class TopicsTable(SelectableList):
@@ -165,6 +165,6 @@ def _cell(column: Column[RouteSnapshot], route: RouteSnapshot, width: int) -> tu
         look = "armed" if is_armed(route) else route.state.value
     elif column is HISTORY_COLUMN:
         look = "plot" if route.state.flows else route.state.value
-    elif route.state in (State.PAUSED, State.DISARMED):
+    elif route.state in (State.PAUSED, State.DISARMED, State.DISARMING):
         look = "dim"
     return (f"{text:>{width}} " if column.right else f"{text:<{width}} "), look

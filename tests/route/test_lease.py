@@ -1,0 +1,369 @@
+"""The lease of a link, and a model of two sides that stand still, on streams that hold back and overtake each other."""
+
+from __future__ import annotations
+
+import heapq
+from itertools import count
+from random import Random
+from typing import TYPE_CHECKING, NamedTuple
+
+import pytest
+
+from rsb_bridge.ros.api import RawMessage
+from rsb_bridge.ros.turns import LONGEST_WAIT, RosTurns
+from rsb_bridge.route.lease import BEAT, GIVEN_UP_AFTER, LASTS, SLOW, Lease, Marker, Standstill
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+EPSILON = 1e-6
+
+
+class Clock:
+    def __init__(self) -> None:
+        self.now = 1000.0
+
+    def __call__(self) -> float:
+        return self.now
+
+
+class Pair:
+    """Two leases that hear each other at once."""
+
+    def __init__(self, *, thread: bool = False) -> None:
+        self.clock = Clock()
+        self.ended: list[int] = []
+        self.turns = RosTurns(lambda: None, self.clock) if thread else RosTurns()
+        self.here = Lease(self.clock, self.turns, lambda: self.ended.append(0))
+        self.there = Lease(self.clock, RosTurns(), lambda: self.ended.append(1))
+        self.here.begin()
+        self.there.begin()
+
+    def exchange(self, way: float = 0.0) -> None:
+        """Each sends a number, which the other hears `way` s later."""
+        numbers = self.here.beat(), self.there.beat()
+        self.clock.now += way
+        self.there.hear(*numbers[0])
+        self.here.hear(*numbers[1])
+
+    def live(self, seconds: float) -> None:
+        for _ in range(round(seconds / BEAT)):
+            self.clock.now += BEAT
+            self.turns.at = self.turns.since = self.clock.now
+            self.exchange()
+
+
+@pytest.fixture
+def pair() -> Pair:
+    made = Pair()
+    made.exchange()
+    made.exchange()
+    return made
+
+
+def test_it_is_alive_once_a_number_is_answered() -> None:
+    pair = Pair()
+    pair.exchange()
+    assert [pair.here.alive, pair.there.alive] == [False, False]
+    pair.exchange()
+    assert [pair.here.alive, pair.there.alive] == [True, True]
+    pair.live(100.0)
+    assert [pair.here.alive, pair.there.alive] == [True, True]
+
+
+def test_nothing_passes_a_second_after_the_last_number_that_was_answered(pair: Pair) -> None:
+    number = pair.there.newest_before(pair.clock.now)
+    pair.clock.now += LASTS - EPSILON
+    assert pair.here.passes(number)
+    pair.clock.now += 2 * EPSILON
+    assert not pair.here.passes(number)
+    assert not pair.here.alive
+
+
+def test_an_older_message_does_not_pass_though_the_two_hear_each_other(pair: Pair) -> None:
+    number = pair.there.newest_before(pair.clock.now)
+    pair.live(LASTS + BEAT)
+    assert pair.here.alive
+    assert not pair.here.passes(number)
+
+
+@pytest.mark.parametrize("number", [0, 10**6], ids=["none", "one that was never sent"])
+def test_a_message_with_a_number_that_was_not_sent_does_not_pass(number: int, pair: Pair) -> None:
+    assert not pair.here.passes(number)
+
+
+def test_a_standstill_of_this_side_ends_it_whatever_is_read_first(pair: Pair) -> None:
+    answers = [pair.there.beat() for _ in range(3)]
+    pair.clock.now += LASTS + EPSILON
+    for answer in answers:
+        pair.here.hear(*answer)
+    assert (pair.here.over, pair.ended) == (Standstill.LOOP, [0])
+    pair.exchange()
+    pair.exchange()
+    assert not pair.here.alive, "what ended is not revived"
+
+
+def test_a_ros_thread_that_stands_still_ends_it() -> None:
+    pair = Pair(thread=True)
+    pair.live(1.0)
+    assert pair.here.alive
+    for _ in range(5):
+        pair.clock.now += BEAT
+        pair.exchange()
+    assert pair.here.over is Standstill.ROS_THREAD
+
+
+def test_a_silent_other_side_ends_it(pair: Pair) -> None:
+    for _ in range(round(GIVEN_UP_AFTER / BEAT)):
+        pair.clock.now += BEAT
+        pair.here.beat()
+        assert pair.here.over is None
+    pair.clock.now += BEAT
+    pair.here.beat()
+    assert pair.here.over is Standstill.PEER
+
+
+def test_a_link_with_a_long_round_trip_is_slow(pair: Pair) -> None:
+    pair.exchange(SLOW + EPSILON)
+    assert pair.here.slow
+    pair.exchange()
+    pair.exchange()
+    assert not pair.here.slow
+
+
+def test_what_this_side_sent_may_be_published_for_a_second_after_the_newest_number_that_it_heard(pair: Pair) -> None:
+    pair.clock.now += 0.4
+    assert pair.here.left == pytest.approx(LASTS - 0.4)
+    pair.clock.now += LASTS
+    assert pair.here.left == 0.0
+
+
+def test_what_is_taken_after_a_standstill_counts_as_from_before_it() -> None:
+    pair = Pair(thread=True)
+    pair.live(1.0)
+    marker = Marker(pair.here, pair.turns, batch=2)
+    message = RawMessage(b"", 0)
+    pair.clock.now += 0.1
+    pair.turns.turned()
+    before = marker.marked([message])[0].lease
+    pair.clock.now += 0.8
+    pair.exchange()
+    assert pair.here.newest_before(pair.clock.now) > before
+    pair.turns.turned()
+    assert marker.marked([message])[0].lease == before
+    pair.clock.now += LONGEST_WAIT / 2
+    pair.turns.turned()
+    assert marker.marked([message])[0].lease == before, "DDS may still bring what it held back"
+    for _ in range(2):
+        pair.clock.now += LONGEST_WAIT
+        pair.turns.turned()
+    assert marker.marked([message])[0].lease > before
+
+
+def test_what_is_left_of_a_batch_is_as_old_as_what_came_before_it() -> None:
+    pair = Pair(thread=True)
+    pair.live(1.0)
+    marker, message = Marker(pair.here, pair.turns, batch=2), RawMessage(b"", 0)
+    first = marker.marked([message, message])[0].lease
+    pair.live(1.0)
+    assert [each.lease for each in marker.marked([message])] == [first]
+    assert marker.marked([message])[0].lease > first
+
+
+def test_a_watched_thread_notes_its_turns_and_another_does_not() -> None:
+    clock, woken = Clock(), []
+    turns = RosTurns(lambda: woken.append(1), clock)
+    assert (turns.watched, turns.at) == (False, float("inf"))
+    turns.watch("one")
+    turns.watch("another")
+    assert (turns.watched, turns.at, len(woken)) == (True, clock.now, 1)
+    turns.leave("one")
+    assert turns.watched
+    turns.leave("another")
+    assert (turns.watched, turns.at) == (False, float("inf"))
+
+
+# --- the model
+
+
+class Published(NamedTuple):
+    at: float
+    age: float
+
+
+class World:
+    """A sender, a receiver, two streams in each direction, and all that may go wrong, from a seed.
+
+    A side that stands still does nothing; then it does what was due, in any order that keeps each stream's own. True
+    time is the model's: no side sees more of it than its own clock.
+    """
+
+    def __init__(self, seed: int, make: Callable[..., Lease] = Lease) -> None:
+        self.random = Random(seed)
+        self.clock = Clock()
+        self._events: list[tuple[float, int, str, str, Callable[[], None]]] = []
+        self._order = count()
+        self._frozen_until = {"sender": 0.0, "receiver": 0.0}
+        self._held: dict[str, list[tuple[str, Callable[[], None]]]] = {"sender": [], "receiver": []}
+        self._way_free = dict.fromkeys(("control", "back", "data"), 0.0)
+        self._arrived = dict.fromkeys(("control", "back", "data"), 0.0)
+        self.published: list[Published] = []
+        self.shown = float("inf")
+        self.armed = {"sender": True, "receiver": True}
+        self.sender = make(self.clock, RosTurns(), lambda: self.disarm("sender"))
+        self.receiver = make(self.clock, RosTurns(), lambda: self.disarm("receiver"))
+        for lease in (self.sender, self.receiver):
+            lease.begin()
+        self._dds: list[float] = []
+
+    def play(self, seconds: float) -> None:
+        for side, lease, way in (("sender", self.sender, "control"), ("receiver", self.receiver, "back")):
+            self._beat(side, lease, way)
+        self._publish()
+        for _ in range(3):
+            at = self.random.uniform(1.0, seconds)
+            self._at(at, "", self.random.choice([self._freeze, self._hold, self._slow_down]))
+        if self.random.random() < 0.5:
+            self._at(self.random.uniform(1.0, seconds), "sender", lambda: self.disarm("sender"))
+        until = self.clock.now + seconds
+        while self._events and self._events[0][0] <= until:
+            at, _, side, kind, work = heapq.heappop(self._events)
+            self.clock.now = at
+            if side and at < self._frozen_until[side]:
+                self._held[side].append((kind, work))
+            else:
+                work()
+
+    def _at(self, delay: float, side: str, work: Callable[[], None], kind: str = "") -> None:
+        heapq.heappush(self._events, (self.clock.now + delay, next(self._order), side, kind, work))
+
+    def _freeze(self) -> None:
+        side, seconds = self.random.choice(["sender", "receiver"]), self.random.choice([0.3, 0.9, 1.1, 3.0])
+        self._frozen_until[side] = self.clock.now + seconds
+        self._at(seconds, "", lambda: self._thaw(side))
+
+    def _thaw(self, side: str) -> None:
+        held, self._held[side] = self._held[side], []
+        if self.random.random() < 0.5:  # the loop reads its sockets before it takes from ROS, or after it
+            held.sort(key=lambda each: each[0] != "read")
+        for _, work in held:
+            work()
+
+    def _hold(self) -> None:
+        """Hold one stream back, or all of them, and let them go one after the other."""
+        for way in self.random.sample(sorted(self._way_free), self.random.randint(1, 3)):
+            self._way_free[way] = self.clock.now + self.random.choice([0.5, 1.5, 4.0, 4.1])
+
+    def _slow_down(self) -> None:
+        self._way_free["back"] = self.clock.now + 0.6
+
+    def _send(self, way: str, side: str, work: Callable[[], None]) -> None:
+        arrives = max(self.clock.now + self.random.choice([0.001, 0.05, 0.2]), self._way_free[way], self._arrived[way])
+        self._arrived[way] = arrives
+        self._at(arrives - self.clock.now, side, work, "read")
+
+    def _beat(self, side: str, lease: Lease, way: str) -> None:
+        if self.armed[side]:
+            number, echo = lease.beat()
+            other = self.receiver if lease is self.sender else self.sender
+            self._send(way, "receiver" if side == "sender" else "sender", lambda: other.hear(number, echo))
+            self._at(BEAT, side, lambda: self._beat(side, lease, way))
+
+    def _publish(self) -> None:
+        """A node near the sender publishes; the bridge takes it as soon as it moves."""
+        made = self.clock.now
+        self._at(0.0, "sender", lambda: self._take(made))
+        self._at(0.02, "", self._publish)
+
+    def _take(self, made: float) -> None:
+        if not self.armed["sender"] or not self.sender.alive:
+            return
+        taken = self.clock.now if self.clock.now >= self._frozen_until["sender"] else made
+        number = self.sender.newest_before(min(taken, made))
+        self._send("data", "receiver", lambda: self._deliver(made, number))
+
+    def _deliver(self, made: float, number: int) -> None:
+        if self.armed["receiver"] and self.receiver.passes(number):
+            self.published.append(Published(self.clock.now, self.clock.now - made))
+
+    def disarm(self, side: str) -> None:
+        """A side stops; the sending one shows it once nothing can be published any more."""
+        if not self.armed[side]:
+            return
+        self.armed[side] = False
+        if side == "receiver":
+            self.shown = min(self.shown, self.clock.now)
+            return
+        self._send("control", "receiver", self._told)
+        self._at(self.sender.left, "sender", self._settled)
+
+    def _told(self) -> None:
+        self.disarm("receiver")
+        self._send("back", "sender", self._settled)
+
+    def _settled(self) -> None:
+        self.shown = min(self.shown, self.clock.now)
+
+    def violations(self) -> list[Published]:
+        """What was published though it was too old, or after a disarm was shown."""
+        return [each for each in self.published if each.age > LASTS + EPSILON or each.at > self.shown + EPSILON]
+
+
+SEEDS = range(400)
+
+
+def test_nothing_old_is_published_and_nothing_after_a_disarm_was_shown() -> None:
+    published = 0
+    for seed in SEEDS:
+        world = World(seed)
+        world.play(12.0)
+        assert world.violations() == [], seed
+        published += len(world.published)
+    assert published > 100 * len(SEEDS)
+
+
+class NoBound(Lease):
+    """As it was: whatever arrives while it is armed is published."""
+
+    def passes(self, number: int) -> bool:
+        return self.over is None
+
+
+class OnlyAlive(Lease):
+    """The two hear each other, whatever the message's own number is."""
+
+    def passes(self, number: int) -> bool:
+        return self.alive
+
+
+class NothingLeft(Lease):
+    """A sender that shows at once that it has disarmed."""
+
+    @property
+    def left(self) -> float:
+        return 0.0
+
+
+class NewestNumber(Lease):
+    """A message carries the number that is known when it is sent, not when it was taken."""
+
+    def newest_before(self, time: float) -> int:
+        return super().newest_before(float("inf"))
+
+
+class LongBound(Lease):
+    """Numbers count for as long as the lease lasts."""
+
+    def passes(self, number: int) -> bool:
+        sent = self._sent.get(number)
+        return sent is not None and self.over is None and self._steady() - sent <= GIVEN_UP_AFTER
+
+
+@pytest.mark.parametrize("mistake", [NoBound, OnlyAlive, NothingLeft, NewestNumber, LongBound])
+def test_the_model_finds_mistakes(mistake: type[Lease]) -> None:
+    for seed in SEEDS:
+        world = World(seed, mistake)
+        world.play(12.0)
+        if world.violations():
+            return
+    pytest.fail("not found")
