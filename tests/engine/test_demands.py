@@ -73,13 +73,15 @@ def yard(robot: Domain, pc: Domain) -> Yard:
 
 
 def required(engine: Engine, name: str) -> bool:
-    found = [each for each in now(engine).routes if each.topic == name]
+    found = [each for each in now(engine).routes if each.topic == name and each.link == "robot1"]
     return bool(found) and all(each.arming is not None for each in found)
 
 
 def set_up(engines: tuple[Engine, Engine], name: str) -> bool:
     """Whether a name's routes are open, and have to be armed, on both sides."""
-    return all(required(each, name) and route(each, name).state == "disarmed" for each in engines)
+    of_name = [each for engine in engines for each in now(engine).routes if each.topic == name]
+    states = {each.state for each in of_name if each.link == "robot1"}
+    return states == {"disarmed"} and all(required(each, name) for each in engines)
 
 
 def demanding(way: str, name: str, direction: Direction) -> tuple[tuple[Topic, ...], tuple[str | Armed, ...]]:
