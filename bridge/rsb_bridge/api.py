@@ -134,7 +134,7 @@ class EngineApi(Protocol):
         ...
 
     def remove_topic(self, key: str, *, drop_arm: bool = False) -> Future[None]:
-        """Stop bridging a topic, on both sides. Its name has to be armed as before, unless `drop_arm` says otherwise."""
+        """Stop bridging a topic, on both sides. Its name has to be armed as before, unless `drop_arm` ends that."""
         ...
 
     def add_client(self, client: Client) -> Future[None]:

@@ -160,7 +160,9 @@ def stays_demanded(yard: Yard, server: Engine, client: Engine) -> None:
 
 def edited(server: Engine, client: Engine) -> None:
     found = route(server, "/cmd_vel")
-    server.edit_topic(found.key, msgspec.structs.replace(found.spec, arm=False, deadman=None, compression="zstd")).result(60)
+    server.edit_topic(
+        found.key, msgspec.structs.replace(found.spec, arm=False, deadman=None, compression="zstd")
+    ).result(60)
 
 
 def removed(server: Engine, client: Engine) -> None:
@@ -232,7 +234,9 @@ def test_an_edit_that_names_the_demand_is_refused_until_it_is_agreed_to(bridge: 
         client.edit_topic(key, plain).result(60)
     there = route(server, "/cmd_vel")
     with pytest.raises(EngineError, match=PEER_DEMANDS):
-        server.edit_topic(there.key, msgspec.structs.replace(there.spec, arm=False, deadman=None), drop_arm=True).result(60)
+        server.edit_topic(
+            there.key, msgspec.structs.replace(there.spec, arm=False, deadman=None), drop_arm=True
+        ).result(60)
     assert required(client, "/cmd_vel")
     client.edit_topic(key, plain, drop_arm=True).result(60)
     yard.publish_until({"/cmd_vel"})

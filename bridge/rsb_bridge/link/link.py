@@ -408,9 +408,7 @@ class Link(ABC):
     def demand_sources(self) -> Iterable[Source]:
         """Yield the entries that demand arming, as operators have left them."""
         use_name = not self.is_client and self.use_name
-        return sources_of_entries(
-            listed_topics(self), self.name, on_server=not self.is_client, use_name=use_name
-        )
+        return sources_of_entries(listed_topics(self), self.name, on_server=not self.is_client, use_name=use_name)
 
     def apply_demands(self) -> None:
         """Open the routes anew whose demands have changed."""

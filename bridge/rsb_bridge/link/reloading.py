@@ -10,7 +10,6 @@ from functools import partial
 from itertools import zip_longest
 from typing import TYPE_CHECKING
 
-
 from rsb_bridge.config.difference import changes, described, named
 from rsb_bridge.config.keys import fingerprint
 from rsb_bridge.config.rights import rights_of_server

@@ -80,9 +80,7 @@ def local_name(topic: Topic, client: str, *, on_server: bool, use_name: bool) ->
     return topic.remote_topic or (server_topic(topic.topic, client) if use_name else topic.topic)
 
 
-def sources_of_entries(
-    topics: Iterable[Topic], client: str, *, on_server: bool, use_name: bool
-) -> Iterator[Source]:
+def sources_of_entries(topics: Iterable[Topic], client: str, *, on_server: bool, use_name: bool) -> Iterator[Source]:
     """Yield the entries of one link that demand arming; the arguments are those of `local_name`."""
     for topic in topics:
         if topic.arm:
@@ -165,9 +163,7 @@ class Demands:
         """Whether every name of a source is demanded by one of these, at least as carefully."""
         if old.is_pattern:
             found: Iterable[Source] = (
-                new
-                for *_, new in self._patterns
-                if new.name == old.name and set(new.excepts) <= set(old.excepts)
+                new for *_, new in self._patterns if new.name == old.name and set(new.excepts) <= set(old.excepts)
             )
         else:
             found = self._matching(old.kind, old.name)

@@ -50,7 +50,7 @@ class RunningDemands:
         self,
         armed: Callable[[], tuple[str | Armed, ...]],
         set_armed: Callable[[tuple[str | Armed, ...]], None],
-        soon: Callable[[], None],
+        soon: Callable[[], object],
         kept: Callable[[Source, str], None],
         dropped: Callable[[Source, str], None],
     ) -> None:
