@@ -280,14 +280,21 @@ def carried_out(commands: Iterable[Future[None]]) -> None:
 
 
 def done_with_all(arguments: Namespace, found: Sequence[RouteSnapshot | PatternSnapshot], what: str) -> int:
-    """Say what was done to all routes of a name: to a program always, to a person where there are several."""
-    if len(found) > 1 and not arguments.json:
-        for each in found:
-            there = f", {each.remote_topic} there" if isinstance(each, RouteSnapshot) else ""
-            print_line(f"{what}: {each.spec.topic} of {each.link} ({each.spec.direction}{there})")
-    routes = [{"link": each.link, "kind": each.spec.kind, "direction": each.spec.direction,
-               "remote_topic": each.remote_topic if isinstance(each, RouteSnapshot) else None}
-              for each in found]  # fmt: skip
+    """Say what was done to all routes of a name, where there are several."""
+    if len(found) == 1:
+        return done(arguments)
+    routes = [
+        {
+            "link": each.link,
+            "kind": each.spec.kind,
+            "direction": each.spec.direction,
+            "remote_topic": each.remote_topic if isinstance(each, RouteSnapshot) else None,
+        }
+        for each in found
+    ]
+    for each in () if arguments.json else routes:
+        there = f", {each['remote_topic']} there" if each["remote_topic"] else ""
+        print_line(f"{what}: {arguments.topic} of {each['link']} ({each['direction']}{there})")
     return done(arguments, routes=routes)
 
 
