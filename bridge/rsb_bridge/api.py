@@ -122,12 +122,19 @@ class EngineApi(Protocol):
         """
         ...
 
-    def edit_topic(self, key: str, topic: Topic) -> Future[str]:
-        """Put another topic in a route's place. Gives the new route's key; where that fails, the old one stays."""
+    def edit_topic(self, key: str, topic: Topic, *, drop_arm: bool = False) -> Future[str]:
+        """Put another topic in a route's place. Gives the new route's key; where that fails, the old one stays.
+
+        Args:
+            key: of the route or the pattern.
+            topic: as it is to be.
+            drop_arm: an operator has agreed that the name need not be armed any more. Without that, a change from
+                ``arm: true`` to false is refused, and any other change keeps the demand.
+        """
         ...
 
-    def remove_topic(self, key: str) -> Future[None]:
-        """Stop bridging a topic, on both sides."""
+    def remove_topic(self, key: str, *, drop_arm: bool = False) -> Future[None]:
+        """Stop bridging a topic, on both sides. Its name has to be armed as before, unless `drop_arm` ends that."""
         ...
 
     def add_client(self, client: Client) -> Future[None]:

@@ -9,6 +9,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import logging
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -31,6 +32,7 @@ from rsb_bridge.link.roles import BridgeRole, ClientRole, Keys, ServerRole
 from rsb_bridge.link.topic_lists import topics_of_peer
 from rsb_bridge.model.backoff import Backoff
 from rsb_bridge.model.codes import EventCode
+from rsb_bridge.model.demands import Demands, sources_of
 from rsb_bridge.model.fields import FieldError
 from rsb_bridge.model.operators import is_undo, operator
 from rsb_bridge.model.snapshot import Level, LinkSnapshot, RouteSnapshot, TopicInfo
@@ -51,6 +53,7 @@ if TYPE_CHECKING:
     from rsb_bridge.link.link import Link
     from rsb_bridge.link.name_watch import Follower
     from rsb_bridge.model.benchmark import Order, Outcome
+    from rsb_bridge.model.demands import Source
     from rsb_bridge.model.session import Client, Session, Topic
     from rsb_bridge.model.snapshot import RefusedClient
     from rsb_bridge.ros.lasting_subscription import LastingSubscription
@@ -89,7 +92,7 @@ class Bridge:
         self._names = NameWatch(context, self._followers)
         context.names_changed = self._names.changed
         self.graph_watch = GraphWatch(context, self._role.links, self._names.changed)
-        self._topic_commands = TopicCommands(self._role, self._did)
+        self._topic_commands = TopicCommands(self._role, self._did, context.demands)
         self.arming = BridgeArming(self.links, self._topic_commands.find, self._command)
         self.contents = Contents(context, self._topic_commands.find, self._command, self._did)
         self._tasks = Tasks(context.loop, lambda: None)
@@ -225,15 +228,15 @@ class Bridge:
         with self._command():
             return self._topic_commands.add(topic, link)
 
-    async def edit_topic(self, key: str, topic: Topic) -> str:
+    async def edit_topic(self, key: str, topic: Topic, *, drop_arm: bool = False) -> str:
         """Put another topic in a route's place, or another pattern in a pattern's; the new key."""
         with self._command():
-            return self._topic_commands.edit(key, topic)
+            return self._topic_commands.edit(key, topic, drop_arm=drop_arm)
 
-    async def remove_topic(self, key: str) -> None:
+    async def remove_topic(self, key: str, *, drop_arm: bool = False) -> None:
         """Stop bridging a topic, or following a pattern."""
         with self._command():
-            self._topic_commands.remove(key)
+            self._topic_commands.remove(key, drop_arm=drop_arm)
 
     async def pause(self, key: str, *, paused: bool) -> None:
         """Stop or resume carrying a topic's messages, or those of all that a pattern matches."""
@@ -327,18 +330,26 @@ class Bridge:
         """
         with self._command():
             if dry_run:
-                return [step.text for step in self._steps_to(session, keys)], []
+                return [*self._dropped_by(session).values(), *(step.text for step in self._steps_to(session, keys))], []
             self.arming.reloaded()
             return await self._reload(session, keys)
+
+    def _dropped_by(self, session: Session) -> dict[Source, str]:
+        """Return the demands that another session does not make any more, each with what an operator is told."""
+        demands = self.context.demands
+        return {
+            source: f"{source.name}: need not be armed any more ({demands.origin(source)} demands it now)"
+            for source in Demands(sources_of(session)).missing(demands.sources)
+        }
 
     async def _reload(
         self, session: Session, keys: Keys, code: EventCode = EventCode.OPERATOR_RELOADED
     ) -> tuple[list[str], list[str]]:
         steps = self._steps_to(session, keys)
-        self.context.session = session
         done: list[str] = []
         failed: list[str] = []
-        why = f"reload by {operator()}: " if code is EventCode.OPERATOR_RELOADED else ""
+        is_reload = code is EventCode.OPERATOR_RELOADED
+        why = f"reload by {operator()}: " if is_reload else ""
 
         def take(step: Step) -> None:
             try:
@@ -352,7 +363,12 @@ class Bridge:
                 done.append(step.text)
                 self.context.events.add(Level.INFO, code, f"{why}{step.text}{_undo_mark()}", who=operator())
 
-        await in_slices(steps, take)
+        with self.context.demands.changing(operator()):
+            dropped = self._dropped_by(session) if is_reload else {}
+            self.context.session = session
+            permit = self.context.demands.permit
+            dropping = [Step(text, partial(permit, [source])) for source, text in dropped.items()]
+            await in_slices([*dropping, *steps], take)
         return done, failed
 
     def _steps_to(self, session: Session, keys: Keys) -> list[Step]:
@@ -360,6 +376,7 @@ class Bridge:
         in_place = (
             (("stale_after", "stale_warnings", "late_after"), self._set_stale_after),
             (("group",), lambda: None),  # whoever looks reads it in the session
+            (("armed",), self.context.demands.changed),
             (("shutdown_topic",), self._change_shutdown_topic),
             *self._instruments.by_key,
         )

@@ -7,8 +7,12 @@ from dataclasses import dataclass, field
 from random import Random
 from typing import TYPE_CHECKING, Unpack
 
+import msgspec
+
 from rsb_bridge.model.clock import Clock
 from rsb_bridge.model.codes import EventCode
+from rsb_bridge.model.operators import operator
+from rsb_bridge.model.running_demands import RunningDemands
 from rsb_bridge.model.snapshot import Level
 from rsb_bridge.ros.announcements import Announcements
 from rsb_bridge.ros.graph import SimilarTopics
@@ -22,7 +26,8 @@ if TYPE_CHECKING:
     import asyncio
     from collections.abc import Callable
 
-    from rsb_bridge.model.session import Session
+    from rsb_bridge.model.demands import Source
+    from rsb_bridge.model.session import Armed, Session
     from rsb_bridge.ros.api import RosInterface
     from rsb_bridge.ros.queue import RosToLoopQueue
     from rsb_bridge.telemetry.event_log import About, EventLog
@@ -49,6 +54,7 @@ class Context:
         parameter_events: of the nodes whose parameters are bridged.
         similar_topics: finds what an operator may have meant.
         meant: likewise, by the name of something that is called.
+        demands: the names that have to be armed, as the running session demands it.
         names_changed: to be called when somebody follows other names of the graph (`rsb_bridge.link.name_watch`).
     """
 
@@ -68,6 +74,7 @@ class Context:
     parameter_events: ParameterEvents = field(init=False)
     similar_topics: SimilarTopics = field(init=False)
     meant: Meant = field(init=False)
+    demands: RunningDemands = field(init=False)
     names_changed: Callable[[], None] = lambda: None
 
     def __post_init__(self) -> None:
@@ -78,6 +85,27 @@ class Context:
         self.parameter_events = ParameterEvents(self.ros, self.call)
         self.similar_topics = SimilarTopics(self.ros, self.now)
         self.meant = Meant(self.ros, self.now)
+        self.demands = RunningDemands(
+            lambda: self.session.armed,
+            self._set_armed,
+            lambda: self.loop.call_soon(self.demands.apply),
+            self._demand_kept,
+            self._demand_dropped,
+        )
+
+    def _set_armed(self, armed: tuple[str | Armed, ...]) -> None:
+        if armed != self.session.armed:
+            self.session = msgspec.structs.replace(self.session, armed=armed)
+
+    def _demand_kept(self, source: Source, origin: str) -> None:
+        text = f"{source.name}: still has to be armed ({origin}): kept under armed; save the session"
+        self.events.add(Level.INFO, EventCode.OPERATOR_ARM_KEPT, text, topic=source.name, old=origin)
+
+    def _demand_dropped(self, source: Source, origin: str) -> None:
+        who = operator()
+        text = f"{source.name}: need not be armed any more ({origin} demanded it): dropped by {who}"
+        about: About = {"topic": source.name, "who": who, "old": origin}
+        self.events.add(Level.WARNING, EventCode.OPERATOR_ARM_DROPPED, text, **about)
 
     def log(
         self, level: Level, code: EventCode, text: str, *, link_status: bool = False, **about: Unpack[About]

@@ -20,7 +20,7 @@ from rsb_bridge.arming import EngineArming
 from rsb_bridge.bridge import Bridge
 from rsb_bridge.commands_under_way import CommandsUnderWay, not_running
 from rsb_bridge.config.difference import is_another, kept
-from rsb_bridge.config.session_file import SessionError, load
+from rsb_bridge.config.session_file import SessionError, demand_places, load
 from rsb_bridge.config.validation import domain_of, validate
 from rsb_bridge.context import Context
 from rsb_bridge.history.disk import Disk
@@ -39,11 +39,12 @@ from rsb_bridge.telemetry.snapshots import SnapshotPublisher
 from rsb_bridge.transport.registry import Transports, transports_of
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Coroutine
+    from collections.abc import Callable, Coroutine, Mapping
 
     from rsb_bridge.config.keys import Key
     from rsb_bridge.link.roles import Keys
     from rsb_bridge.model.benchmark import Order, Outcome
+    from rsb_bridge.model.demands import SourceKey
     from rsb_bridge.model.history import HistoryReport
     from rsb_bridge.model.peek import PeekedMessage
     from rsb_bridge.model.session import Client, Session, Topic
@@ -89,6 +90,7 @@ class Engine(EngineApi):
         self._session = session
         self._base = base
         self._file: Path | None = None
+        self._places: Mapping[SourceKey, str] = {}
         self._ros = ros
         self._clock = clock or Clock()
         self._random = random or Random()  # noqa: S311 — jitter, no secret
@@ -228,11 +230,11 @@ class Engine(EngineApi):
     def add_topic(self, topic: Topic, link: str = "") -> Future[str]:
         return self._change(lambda bridge: bridge.add_topic(topic, link))
 
-    def edit_topic(self, key: str, topic: Topic) -> Future[str]:
-        return self._change(lambda bridge: bridge.edit_topic(key, topic))
+    def edit_topic(self, key: str, topic: Topic, *, drop_arm: bool = False) -> Future[str]:
+        return self._change(lambda bridge: bridge.edit_topic(key, topic, drop_arm=drop_arm))
 
-    def remove_topic(self, key: str) -> Future[None]:
-        return self._change(lambda bridge: bridge.remove_topic(key))
+    def remove_topic(self, key: str, *, drop_arm: bool = False) -> Future[None]:
+        return self._change(lambda bridge: bridge.remove_topic(key, drop_arm=drop_arm))
 
     def pause(self, key: str, paused: bool) -> Future[None]:
         return self._change(lambda bridge: bridge.pause(key, paused=paused))
@@ -263,6 +265,10 @@ class Engine(EngineApi):
 
     def use_file(self, path: Path | None) -> None:
         self._file = path
+        self._places = {} if path is None else demand_places(path)
+        if (bridge := self._bridge) is not None:
+            places = self._places
+            bridge.context.call(lambda: bridge.context.demands.set_places(places))
 
     def told_to_stop(self) -> None:
         who = operator()
@@ -319,6 +325,7 @@ class Engine(EngineApi):
         context = Context(
             self._session, domain, ros, self._events, queue, loop, self._clock, self._random, self._transports
         )
+        context.demands.set_places(self._places)
         bridge = self._bridge = Bridge(context, keys, self._snapshots, self._folder)
         loop.set_exception_handler(bridge.internal_error)
         self._commands.open(loop)
@@ -357,6 +364,7 @@ class Engine(EngineApi):
         who = operator()
         try:
             path, session, left = await asyncio.to_thread(self._read_again)
+            places = await asyncio.to_thread(demand_places, path)
             keys, granted = await asyncio.to_thread(load_keys, session, path.parent)
         except EngineError as error:
             if not dry_run:
@@ -366,6 +374,9 @@ class Engine(EngineApi):
         if not dry_run:
             self.access.warn_of(keys, granted)
         done, failed = await bridge.reload(session, keys, dry_run=dry_run)
+        if not dry_run:
+            self._places = places
+            bridge.context.demands.set_places(places)
         done += self.access.reload(granted, dry_run=dry_run)
         if not dry_run:
             self._session = session

@@ -9,11 +9,14 @@ import msgspec
 from rsb_bridge.config.difference import changes, described
 from rsb_bridge.link.errors import LinkError
 from rsb_bridge.model.codes import EventCode
+from rsb_bridge.model.demands import PEER_DEMANDS, local_name
+from rsb_bridge.model.operators import operator
 from rsb_bridge.route.pause import pause_word
 
 if TYPE_CHECKING:
     from rsb_bridge.link.link import Link
     from rsb_bridge.link.roles import BridgeRole
+    from rsb_bridge.model.running_demands import RunningDemands
     from rsb_bridge.model.session import Topic
     from rsb_bridge.route.route import Route
 
@@ -36,11 +39,13 @@ class TopicCommands:
     Args:
         role: has the links.
         did: records what was done.
+        demands: keep what has to be armed.
     """
 
-    def __init__(self, role: BridgeRole, did: Recorder) -> None:
+    def __init__(self, role: BridgeRole, did: Recorder, demands: RunningDemands) -> None:
         self._role = role
         self._did = did
+        self._demands = demands
 
     def find(self, key: str) -> tuple[Link, Route]:
         """A route and its link by the route's key."""
@@ -57,18 +62,30 @@ class TopicCommands:
 
     def add(self, topic: Topic, link: str) -> str:
         """Bridge one more topic, or follow one more pattern; its key."""
-        chosen, key, topic = self._role.add(topic, link)
+        with self._demands.changing(operator()):
+            chosen, key, topic = self._role.add(topic, link)
         route = chosen.routes.get(key)
         topic, name = (topic, topic.topic) if route is None else (route.spec, route.local_topic)
         self._did(EventCode.OPERATOR_ADDED, "added", topic=name, link=chosen.name, new=described(topic))
         return key
 
-    def edit(self, key: str, topic: Topic) -> str:
-        """Put another topic in a route's place, or another pattern in a pattern's; the new key."""
+    def edit(self, key: str, topic: Topic, *, drop_arm: bool = False) -> str:
+        """Put another topic in a route's place, or another pattern in a pattern's; the new key.
+
+        Args:
+            key: of the route or the pattern.
+            topic: as it is to be.
+            drop_arm: the operator agrees that it need not be armed any more.
+        """
+        with self._demands.changing(operator()):
+            return self._edit(key, topic, drop_arm=drop_arm)
+
+    def _edit(self, key: str, topic: Topic, *, drop_arm: bool) -> str:
         if (pattern := self._pattern(key)) is not None:
             link, old = pattern
             if not topic.is_pattern:
                 raise LinkError(f"{old.topic} is a pattern, and {topic.topic} is none: {_INSTEAD}")
+            self._drop_demands(link, old, _local(link, old), None, wanted=drop_arm, names_it=old.arm and not topic.arm)
             new_key, name = link.patterns.replace(old.identity, topic), topic.topic
         else:
             link, route = self.find(key)
@@ -77,16 +94,28 @@ class TopicCommands:
                 raise LinkError(f"{topic.topic} is a pattern, and {old.topic} is none: {_INSTEAD}")
             if topic.topic != old.topic:
                 topic = link.client_names(topic)
+            names_it = old.arm and not topic.arm
+            self._drop_demands(link, old, route.local_topic, route, wanted=drop_arm, names_it=names_it)
             new = link.proposed.replace(route, topic)
             new_key, name = new.key, new.local_topic
         what = f"changed ({', '.join(changes(old, topic)) or 'nothing differs'})"
         self._did(EventCode.OPERATOR_EDITED, what, topic=name, link=link.name, old=described(old), new=described(topic))
         return new_key
 
-    def remove(self, key: str) -> None:
-        """Stop bridging a topic, or following a pattern. What a pattern matches, it leaves out from then on."""
+    def remove(self, key: str, *, drop_arm: bool = False) -> None:
+        """Stop bridging a topic, or following a pattern. What a pattern matches, it leaves out from then on.
+
+        Args:
+            key: of the route or the pattern.
+            drop_arm: the operator agrees that the name need not be armed any more.
+        """
+        with self._demands.changing(operator()):
+            self._remove(key, drop_arm=drop_arm)
+
+    def _remove(self, key: str, *, drop_arm: bool) -> None:
         if (pattern := self._pattern(key)) is not None:
             link, topic = pattern
+            self._drop_demands(link, topic, _local(link, topic), None, wanted=drop_arm)
             link.patterns.remove(topic.identity)
             name = topic.topic
         else:
@@ -94,10 +123,48 @@ class TopicCommands:
             if problem := link.patterns.brings_back(route):
                 raise LinkError(problem)
             topic, name = route.spec, route.local_topic
+            self._drop_demands(link, topic, name, route, wanted=drop_arm)
             link.bench.removed(route)
             link.table.remove(route, "removed by an operator")
             link.patterns.leave_out(route)
         self._did(EventCode.OPERATOR_REMOVED, "removed", topic=name, link=link.name, old=described(topic))
+
+    def _drop_demands(
+        self, link: Link, entry: Topic, name: str, route: Route | None, *, wanted: bool, names_it: bool = False
+    ) -> None:
+        """Drop the demands of an entry, and those of `armed` on its name, if an operator wants that.
+
+        Args:
+            link: which has the entry.
+            entry: a topic, or a pattern.
+            name: of it on this side.
+            route: of the topic, or None for a pattern.
+            wanted: whether the operator has agreed.
+            names_it: whether the change itself says that it need not be armed.
+
+        Raises:
+            LinkError: the operator has not agreed to what the change says, or something else demands it, too.
+        """
+        demands = self._demands
+        key = "" if link.is_client else link.name, entry.identity
+        own = [
+            each
+            for each in demands.sources
+            if each.key == key or (each.name == name and isinstance(each.key[1], str))  # an entry of `armed`
+        ]
+        if names_it and not wanted:
+            lines = ", ".join(map(demands.origin, own)) or PEER_DEMANDS
+            raise LinkError(f"{name} has to be armed ({lines}): to drop that, agree to it (--drop-arm)")
+        if not wanted:
+            return
+        demand = None if route is None else demands.of(entry.kind, name, route.proposal.type)
+        others = [each for each in ([] if demand is None else demand.sources) if each not in own]
+        if others or (not own and route is not None and route.arming.required):
+            lines = ", ".join(map(demands.origin, others)) or PEER_DEMANDS
+            raise LinkError(f"{name} would still have to be armed: {lines} demands it; change that instead")
+        demands.permit(own)
+        if route is not None and (listed := link.table.yielded.get(route.key)) is not None:
+            link.table.yielded[route.key] = msgspec.structs.replace(listed, arm=False, deadman=None)
 
     def pause(self, key: str, *, paused: bool) -> None:
         """Stop or resume carrying a topic's messages; of a pattern, those of all that it matches."""
@@ -114,3 +181,8 @@ class TopicCommands:
             link.table.pause(route, paused=paused)
         word = pause_word(paused=paused)
         self._did(code, "paused" if paused else "resumed", topic=name, link=link.name, old=old, new=word)
+
+
+def _local(link: Link, topic: Topic) -> str:
+    """Return this side's name for an entry."""
+    return local_name(topic, link.name, on_server=not link.is_client, use_name=not link.is_client and link.use_name)

@@ -278,11 +278,50 @@ def test_reload_says_what_has_changed_and_what_has_not(ran: Any, engine: Scripte
 def test_a_topic_that_goes_both_ways_has_to_be_named_with_its_direction(ran: Any, engine: ScriptedEngine) -> None:
     back = route("/scan", key="back")
     engine.now = replace(engine.now, routes=(SCAN, back))
-    assert (
-        "say which: --link robot1 --direction transmit; --link robot1 --direction receive" in ran("pause", "/scan").err
-    )
+    which = "say which: --link robot1 --direction transmit; --link robot1 --direction receive"
+    for command in (("remove", "/scan"), ("edit", "/scan", "max_rate=5"), ("arm", "/scan")):
+        assert which in ran(*command).err
+    assert engine.commands == []
     assert ran("pause", "/scan", "--direction", "receive").code == 0
     assert engine.commands == [("pause", "back", True)]
+
+
+@pytest.mark.parametrize(
+    ("command", "given"),
+    [("disarm", ("disarm",)), ("pause", ("pause", True)), ("resume", ("pause", False))],
+)
+def test_what_stops_a_name_stops_all_its_routes(
+    command: str, given: tuple[Any, ...], ran: Any, engine: ScriptedEngine
+) -> None:
+    """Another way, another name on the other side, another link: they are told apart only if an option says so."""
+    others = (
+        replace(SCAN, key="there", remote_topic="/elsewhere"),
+        route("/scan", key="back"),
+        replace(route("/scan", key="far"), link="robot2"),
+    )
+    engine.now = replace(engine.now, links=(*engine.now.links, replace(LINK, name="robot2")), routes=(SCAN, *others))
+    name, *more = given
+
+    def keys(*options: str) -> set[str]:
+        engine.commands.clear()
+        assert ran(command, "/scan", *options).code == 0
+        assert {(each[0], *each[2:]) for each in engine.commands} == {(name, *more)}
+        return {each[1] for each in engine.commands}
+
+    assert keys() == {SCAN.key, "there", "back", "far"}
+    assert keys("--link", "robot2") == {"far"}
+    assert keys("--remote", "/elsewhere") == {"there"}
+    assert len(ran(command, "/scan", "--json").json["routes"]) == 4
+
+
+def test_options_that_tell_routes_of_a_name_apart_differ_and_work(ran: Any, engine: ScriptedEngine) -> None:
+    routes = (SCAN, replace(SCAN, key="there", remote_topic="/elsewhere"), route("/scan", key="back"))
+    engine.now = replace(engine.now, routes=routes)
+    said = ran("remove", "/scan").err.partition("say which: ")[2].strip().split("; ")
+    assert len(set(said)) == len(routes)
+    for options in said:
+        assert ran("remove", "/scan", *options.split()).code == 0
+    assert [command[1] for command in engine.commands] == [each.key for each in routes]
 
 
 def test_a_topic_of_a_server_has_two_names(ran: Any, engine: ScriptedEngine) -> None:

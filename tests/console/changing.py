@@ -50,13 +50,13 @@ class ChangingEngine(ScriptedEngine):
         self.show(*self.now.routes, route(topic.topic, spec=topic))
         return super().add_topic(topic, link)
 
-    def edit_topic(self, key: str, topic: Topic) -> Future[str]:
+    def edit_topic(self, key: str, topic: Topic, *, drop_arm: bool = False) -> Future[str]:
         self.put(key, topic)
-        return super().edit_topic(key, topic)
+        return super().edit_topic(key, topic, drop_arm=drop_arm)
 
-    def remove_topic(self, key: str) -> Future[None]:
+    def remove_topic(self, key: str, *, drop_arm: bool = False) -> Future[None]:
         self.show(*(each for each in self.now.routes if each.key != key))
-        return super().remove_topic(key)
+        return super().remove_topic(key, drop_arm=drop_arm)
 
     def pause(self, key: str, paused: bool) -> Future[None]:
         self.put(key, msgspec.structs.replace(self.spec(key), paused=paused))

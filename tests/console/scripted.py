@@ -269,11 +269,11 @@ class ScriptedEngine:
     def add_topic(self, topic: Topic, link: str = "") -> "Future[str]":
         return self._done(topic.topic, "add", topic, link)
 
-    def edit_topic(self, key: str, topic: Topic) -> "Future[str]":
-        return self._done(key, "edit", key, topic)
+    def edit_topic(self, key: str, topic: Topic, *, drop_arm: bool = False) -> "Future[str]":
+        return self._done(key, "edit", key, topic, *["drop_arm"] * drop_arm)
 
-    def remove_topic(self, key: str) -> "Future[None]":
-        return self._done(None, "remove", key)
+    def remove_topic(self, key: str, *, drop_arm: bool = False) -> "Future[None]":
+        return self._done(None, "remove", key, *["drop_arm"] * drop_arm)
 
     def pause(self, key: str, paused: bool) -> "Future[None]":
         return self._done(None, "pause", key, paused)

@@ -25,8 +25,8 @@ SETTLE = 10.0
 class RefusingEngine(ScriptedEngine):
     """Refuses every edit."""
 
-    def edit_topic(self, key: str, topic: Topic) -> Future[str]:
-        future = super().edit_topic(key, topic)
+    def edit_topic(self, key: str, topic: Topic, *, drop_arm: bool = False) -> Future[str]:
+        future = super().edit_topic(key, topic, drop_arm=drop_arm)
         future = type(future)()
         future.set_exception(EngineError("no leave"))
         return future

@@ -45,7 +45,7 @@ def held(side: Side) -> dict[str, int]:
         "types": budget.types.used,
         "routes": len(table.routes),
         "open": len(table.ids.open_routes()),
-        "demands": len(table.arming._demands),
+        "demands": len(side.context.demands.sources),
     }
 
 

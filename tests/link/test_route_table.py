@@ -16,15 +16,17 @@ from rsb_bridge.link.errors import LinkError
 from rsb_bridge.link.proposals import proposal_of
 from rsb_bridge.link.route_table import RouteTable
 from rsb_bridge.model.codes import EventCode
+from rsb_bridge.model.demands import sources_of_entries
 from rsb_bridge.model.session import Topic
 
 if TYPE_CHECKING:
     import asyncio
-    from collections.abc import Callable, Coroutine
+    from collections.abc import Callable, Coroutine, Iterator
 
     from tests.support.virtual_time import VirtualLoop
 
     from rsb_bridge.context import Context
+    from rsb_bridge.model.demands import Source
     from rsb_bridge.model.snapshot import Level
     from rsb_bridge.route.route import Route
     from rsb_bridge.wire.messages import Propose
@@ -46,6 +48,20 @@ class Side(FakePeer):
         self.inbox: deque[Any] = deque()
         self.other: Side
         self.table = RouteTable(context, self)
+        context.demands.register(self)
+
+    # --- what has to be armed, as a link does it
+
+    def demand_sources(self) -> Iterator[Source]:
+        routes = [route.spec for route in self.table.routes.values() if route.proposed_here]
+        topics = (*routes, *self.table.yielded.values())
+        return sources_of_entries(topics, "robot1", on_server=not self.is_client, use_name=False)
+
+    def apply_demands(self) -> None:
+        self.table.apply_demands()
+
+    def demand_dropped(self, source: Source) -> None:
+        self.table.arming.demand_dropped(source)
 
     # --- what an operator does, and what happens to a route
 

@@ -110,12 +110,12 @@ class ServerEngine(ScriptedEngine):
         links = tuple(replace(LINK, name=name, since=NOW - 300.0) for name in names)
         self.now = Snapshot(NOW, "control", "server", "0.0.0.0:7060", 1, True, links, routes, 0)
 
-    def edit_topic(self, key: str, topic: Topic) -> Any:
+    def edit_topic(self, key: str, topic: Topic, *, drop_arm: bool = False) -> Any:
         def changed(route: RouteSnapshot) -> RouteSnapshot:
             return self.edited(replace(route, spec=topic)) if route.key == key else route
 
         self.now = replace(self.now, time=self.now.time + 1, routes=tuple(map(changed, self.now.routes)))
-        return super().edit_topic(key, topic)
+        return super().edit_topic(key, topic, drop_arm=drop_arm)
 
     def link(self, name: str, **changes: Any) -> None:
         """Change a robot's link, and what its topics are with it."""

@@ -19,7 +19,7 @@ from msgspec.structs import fields
 from rsb_bridge.config.file_form import as_written
 from rsb_bridge.config.yaml_text import inline
 from rsb_bridge.model.qos import Qos
-from rsb_bridge.model.session import Grant
+from rsb_bridge.model.session import Armed, Grant
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence, Set
@@ -114,7 +114,9 @@ class _Merger:
     def _nested(self, key: yaml.Node, node: yaml.Node, before: Any, after: Any) -> bool:
         """Edit inside a value where that is possible; False: the value is to be replaced or removed as a whole."""
         if isinstance(node, yaml.SequenceNode) and isinstance(before, tuple):
-            if any(isinstance(each, msgspec.Struct) and not isinstance(each, Grant) for each in (*before, *after)):
+            if any(
+                isinstance(each, msgspec.Struct) and not isinstance(each, Grant | Armed) for each in (*before, *after)
+            ):
                 self._entries(key, node, before, after)
                 return True
             kept = [each for each in before if each in after]

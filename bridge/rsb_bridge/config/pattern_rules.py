@@ -36,9 +36,9 @@ def pattern_problems(topic: Topic, location: str, transport: type[TransportTrait
         transport: what carries it.
     """
     remote_key = key_of(topic.kind, "remote_topic")
-    found = list(_form(topic.topic, join(location, key_of(topic.kind, "topic"))))
+    found = list(form_problems(topic.topic, join(location, key_of(topic.kind, "topic"))))
     if topic.remote_topic is not None:
-        found += _form(topic.remote_topic, join(location, remote_key))
+        found += form_problems(topic.remote_topic, join(location, remote_key))
     yield from found
     if topic.remote_topic is not None and not found:
         ours, theirs = Pattern(topic.topic).wildcards, Pattern(topic.remote_topic).wildcards
@@ -66,7 +66,7 @@ def exception_problems(topic: Topic, location: str) -> Iterator[Problem]:
         yield Problem(location, message)
     else:
         for at, name in enumerate(topic.excepts):
-            yield from _form(name, join(location, at), hidden=True)
+            yield from form_problems(name, join(location, at), hidden=True)
 
 
 def too_many_patterns(topics: Sequence[Topic], where: str) -> Iterator[Problem]:
@@ -82,7 +82,8 @@ def too_many_patterns(topics: Sequence[Topic], where: str) -> Iterator[Problem]:
         yield Problem(join(where, here) if where else here, message)
 
 
-def _form(text: str, location: str, *, hidden: bool = False) -> Iterator[Problem]:
+def form_problems(text: str, location: str, *, hidden: bool = False) -> Iterator[Problem]:
+    """Yield what is wrong with a name or a pattern; `hidden`: it may match hidden names."""
     if is_pattern(text) and not is_valid(text):
         yield Problem(location, f"{show(text)} is not a pattern of names: {_FORM}")
     elif not is_pattern(text) and not is_topic_name(text):

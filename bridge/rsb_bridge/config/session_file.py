@@ -11,10 +11,12 @@ from pathlib import Path
 import msgspec
 
 from rsb_bridge.config.bringup import bridge_nodes
-from rsb_bridge.config.file_form import as_written
+from rsb_bridge.config.decoding import join
+from rsb_bridge.config.file_form import as_written, locations
 from rsb_bridge.config.files import kind_of_file, replace_file
 from rsb_bridge.config.validation import build, placed, validate, validate_topic
 from rsb_bridge.config.yaml_text import MAX_FILE, SessionError, dump_yaml, read_yaml
+from rsb_bridge.model.demands import SourceKey, sources_of_names
 from rsb_bridge.model.session import Problem, Session, Topic
 from rsb_bridge.model.shortage import why_not_written
 
@@ -99,6 +101,39 @@ def parse(text: str, path: Path) -> Session:
         in_text = [placed(problem, document.data) for problem in document.problems]
         raise SessionError(path, in_text + [document.locate(problem) for problem in problems])
     return session
+
+
+def demand_places(path: Path) -> dict[SourceKey, str]:
+    """Return where a session file demands arming: ``robot.yaml:14``, by the keys of the lines.
+
+    A file that cannot be read, or that has mistakes, has no such lines.
+    """
+    try:
+        text = read_text(path)
+        return {key: f"{path.name}:{line}" for key, line in demand_lines(text, path).items()}
+    except SessionError:
+        return {}
+
+
+def demand_lines(text: str, path: Path) -> dict[SourceKey, int]:
+    """Return the lines of a session file's text that demand arming.
+
+    Raises:
+        SessionError: it has mistakes.
+    """
+    session, document = parse(text, path), read_yaml(text, path)
+    places = [("armed", at) for at in range(len(session.armed))]
+    found = {
+        source.key: document.lines[join(*place)]
+        for source, place in zip(sources_of_names(session.armed), places, strict=True)
+    }
+    holders = [("", "", session.topics)]
+    holders += [(join("clients", at), each.name, each.topics) for at, each in enumerate(session.clients)]
+    for where, client, topics in holders:
+        for topic, here in zip(topics, locations(topics), strict=True):
+            if topic.arm:
+                found[client, topic.identity] = document.lines[join(join(where, here), "arm")]
+    return found
 
 
 def dump(session: Session) -> str:

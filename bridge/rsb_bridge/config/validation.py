@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 import msgspec
 
+from rsb_bridge.config.armed_names import armed_problems
 from rsb_bridge.config.call_rules import overlaps
 from rsb_bridge.config.decoding import join, read, show
 from rsb_bridge.config.fault_command import command_words
@@ -179,6 +180,7 @@ def _session(session: Session) -> Iterator[Problem]:
         yield from _on_fault(session.on_fault)
     client = session.name if session.role == "client" and session.use_name else None
     yield from _topics(session.topics, "", session, client)
+    yield from armed_problems(session.armed)
     yield from _clients(session)
 
 

@@ -163,11 +163,11 @@ class RemoteEngine(EngineApi):
     def add_topic(self, topic: Topic, link: str = "") -> Future[str]:
         return self._request(commands.AddTopic(topic, link), requests.as_text)
 
-    def edit_topic(self, key: str, topic: Topic) -> Future[str]:
-        return self._request(commands.EditTopic(key, topic), requests.as_text)
+    def edit_topic(self, key: str, topic: Topic, *, drop_arm: bool = False) -> Future[str]:
+        return self._request(commands.EditTopic(key, topic, drop_arm), requests.as_text)
 
-    def remove_topic(self, key: str) -> Future[None]:
-        return self._request(commands.RemoveTopic(key), requests.as_nothing)
+    def remove_topic(self, key: str, *, drop_arm: bool = False) -> Future[None]:
+        return self._request(commands.RemoveTopic(key, drop_arm), requests.as_nothing)
 
     def pause(self, key: str, paused: bool) -> Future[None]:
         return self._request(commands.Pause(key, paused), requests.as_nothing)

@@ -26,12 +26,14 @@ class EditTopic(_Command, frozen=True, tag="edit"):
 
     key: str
     topic: Topic
+    drop_arm: bool = False
 
 
 class RemoveTopic(_Command, frozen=True, tag="remove"):
     """See `AddTopic`."""
 
     key: str
+    drop_arm: bool = False
 
 
 class Pause(_Command, frozen=True, tag="pause"):

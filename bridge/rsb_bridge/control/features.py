@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, Final, TypeVar, cast
 import msgspec
 
 from rsb_bridge import __version__
-from rsb_bridge.control.commands import Acknowledge, ChangeClient, EditTopic
+from rsb_bridge.control.commands import Acknowledge, ChangeClient, EditTopic, RemoveTopic
 from rsb_bridge.control.protocol import VERSION, Hello
 from rsb_bridge.model.session import Client, Session, Topic
 
@@ -26,26 +26,31 @@ if TYPE_CHECKING:
 
 ACKNOWLEDGE = "acknowledge"
 """The command `Acknowledge`."""
+ARMED = "armed"
+"""The field `armed` of sessions, and `drop_arm` of commands."""
 LATE_AFTER = "late_after"
 """The field `late_after` of topics and sessions."""
 ON_FAULT = "on_fault"
 """The field `on_fault` of sessions."""
 TOTALS = "totals"
 """The field `messages_total` of routes."""
-FEATURES: Final = (ACKNOWLEDGE, LATE_AFTER, ON_FAULT, TOTALS)
+FEATURES: Final = (ACKNOWLEDGE, ARMED, LATE_AFTER, ON_FAULT, TOTALS)
 """All features of this version."""
 
 COMMANDS: Final[dict[type, str]] = {Acknowledge: ACKNOWLEDGE}
 """The features of commands."""
 FIELDS: Final[dict[type, dict[str, str]]] = {
     Topic: {"late_after": LATE_AFTER},
-    Session: {"late_after": LATE_AFTER, "on_fault": ON_FAULT},
+    Session: {"armed": ARMED, "late_after": LATE_AFTER, "on_fault": ON_FAULT},
+    EditTopic: {"drop_arm": ARMED},
+    RemoveTopic: {"drop_arm": ARMED},
 }
 """The features of fields."""
 
 _ALL = frozenset(FEATURES)
 _LACKS: Final = {
     ACKNOWLEDGE: "cannot acknowledge faults",
+    ARMED: "cannot end the demand that a name be armed",
     LATE_AFTER: "has no late_after",
     ON_FAULT: "has no on_fault",
     TOTALS: "does not report message counts",

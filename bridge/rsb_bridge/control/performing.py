@@ -41,9 +41,9 @@ async def perform(
         case commands.AddTopic():
             return await _done(engine.add_topic(command.topic, command.link))
         case commands.EditTopic():
-            return await _done(engine.edit_topic(command.key, command.topic))
+            return await _done(engine.edit_topic(command.key, command.topic, drop_arm=command.drop_arm))
         case commands.RemoveTopic():
-            await _done(engine.remove_topic(command.key))
+            await _done(engine.remove_topic(command.key, drop_arm=command.drop_arm))
         case commands.Pause():
             await _done(engine.pause(command.key, command.paused))
         case commands.Acknowledge():

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import asyncio
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, Final
 
 from rsb_bridge.link.errors import LinkError
 from rsb_bridge.link.lease import LinkLease
 from rsb_bridge.link.peer_operators import acting_operator
 from rsb_bridge.model.codes import EventCode
+from rsb_bridge.model.demands import PEER_DEMANDS, Demands, Source
 from rsb_bridge.model.snapshot import Level
 from rsb_bridge.model.token_bucket import TokenBucket
 from rsb_bridge.route.arming import SAID, Disarmed
@@ -19,6 +20,7 @@ if TYPE_CHECKING:
 
     from rsb_bridge.context import Context
     from rsb_bridge.link.peer_operators import PeerOperators
+    from rsb_bridge.model.demands import Demand
     from rsb_bridge.model.session import Topic
     from rsb_bridge.route.lease import Standstill
     from rsb_bridge.route.peer import Peer
@@ -28,6 +30,9 @@ if TYPE_CHECKING:
 
 _AT_ONCE, _A_SECOND = 20.0, 1 / 30
 """Armings by one link's peer: each is in the log, so more than people need are refused."""
+
+DROPPED: Final = "arm_dropped"
+"""The cause of a `Disarm` by which a side says that its operator has dropped a demand; older peers ignore it."""
 
 
 class LinkArming:
@@ -55,37 +60,64 @@ class LinkArming:
         self._routes = routes
         self._propose = propose
         self._budget = TokenBucket(_AT_ONCE, _A_SECOND, context.now())
-        self._demands: dict[tuple[bool, str], float] = {}
         self.lease = LinkLease(
             context, peer, lambda: any(route.arming.held for route in routes()), self._disarm_as_it_stood_still
         )
 
     # --- which routes have to be armed
 
-    def demand(self, route: Route, topic: Topic) -> None:
-        """This side's session has a topic of its own for a route: it counts whoever proposes the route later.
-
-        A peer that removes the topic, or proposes it itself, under whatever name on its own side, changes nothing.
-        """
-        demands = {key: value for key, value in self._demands.items() if key != _local(route)}
-        if topic.arm:
-            demands[_local(route)] = topic.deadman_seconds
-        if demands != self._demands:
-            self._demands = demands
-            for other in self._routes():
-                if other.id and not other.proposed_here and _local(other) == _local(route):
-                    other.request_reopen(EventCode.ROUTE_AMENDED, "this side's session says anew whether to arm it")
-
-    def forget(self, route: Route) -> None:
-        """An operator of this side has removed a topic."""
-        self._demands.pop(_local(route), None)
-
     def opened(self, route: Route) -> None:
         """A route is opened anew, disarmed."""
-        proposal, own = route.proposal, self._demands.get(_local(route))
+        proposal = route.proposal
         route.arming.opened(required=proposal.arm, deadman=proposal.deadman)
-        route.arming.demand(required=own is not None, deadman=own or 0.0)
         route.arming.lease = self.lease.state
+        route.arming.own = self._own(route)
+        if (own := route.arming.own) is not None:
+            route.arming.demand(required=True, deadman=own.deadman)
+        self._say_who_demands(route)
+
+    def demanded(self, route: Route) -> dict[str, Any]:
+        """Return this side's demand for the present opening, as fields of a proposal."""
+        own = route.arming.own
+        return {"arm": own is not None, "deadman": 0.0 if own is None else own.deadman}
+
+    def accepted(self, route: Route, *, required: bool, deadman: float) -> None:
+        """The other side accepts an opening, and says whether it has to be armed."""
+        route.arming.demand(required=required, deadman=deadman)
+        self._say_who_demands(route)
+
+    def renew_demand(self, route: Route) -> bool:
+        """Whether a route's opening has another demand than this side's session makes now."""
+        own, before = self._own(route), route.arming.own
+        if not route.id:
+            return False
+        if own is not None and before is not None and own.deadman == before.deadman:
+            route.arming.own = own
+            self._say_who_demands(route)
+            return False
+        return own != before
+
+    def keep_demand(self, route: Route, topic: Topic) -> None:
+        """Keep the demand of an entry that is not added because the other side bridges the same."""
+        key = "", route.local_topic
+        self._context.demands.keep(Source(key, route.local_topic, topic.deadman_seconds), acting_operator())
+
+    def demand_dropped(self, source: Source) -> None:
+        """Tell the other side that an operator of this side drops a demand on names of its routes."""
+        demand = Demands([source])
+        for route in self._routes():
+            if route.id and demand.of(route.spec.kind, route.local_topic) is not None:
+                self._peer.send(Disarm(route.id, DROPPED, acting_operator()))
+
+    def _own(self, route: Route) -> Demand | None:
+        type_name = route.proposal.type
+        return self._context.demands.of(route.spec.kind, route.local_topic, type_name)
+
+    def _say_who_demands(self, route: Route) -> None:
+        """Name the lines that demand arming, for operators."""
+        arming = route.arming
+        own = () if arming.own is None else tuple(map(self._context.demands.origin, arming.own.sources))
+        arming.demanded_by = own or ((PEER_DEMANDS,) if arming.required else ())
 
     # --- operators of this side
 
@@ -114,7 +146,7 @@ class LinkArming:
         if not route.accepted:
             return route.refusal or "it is being set up"
         if not arming.required:
-            return "it need not be; its topic has no arm: true in either session"
+            return "it need not be: neither session demands it"
         if not self.lease.supported:
             return SAID[Disarmed.PEER_TOO_OLD]
         if route.paused:
@@ -189,6 +221,8 @@ class LinkArming:
                 elif route.arming.agreed(self._context.now()):
                     self._armed_by(route, route.arming.by)
                     route.armed()
+            case Disarm() if message.cause == DROPPED:
+                self._peer_operators.dropped_demand(route, message.who)
             case Disarm():
                 if route.arming.held:
                     route_id, why = route.id, _reason(message.cause)
@@ -235,11 +269,6 @@ class LinkArming:
         """An operator's doing. The budget of armings bounds these events; what the other side says is marked so."""
         text = f"{new}, {who}" if from_peer else f"{new} by {who or 'an operator'}"
         route.log(Level.WARNING, code, text, who=who, old=old, new=new, from_peer=from_peer)
-
-
-def _local(route: Route) -> tuple[bool, str]:
-    """What this side's operators call it, whatever the other side's do."""
-    return route.outgoing, route.local_topic
 
 
 def _reason(cause: str) -> Disarmed:

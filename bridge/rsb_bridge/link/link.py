@@ -14,6 +14,7 @@ from rsb_bridge.link.data_channels import DataChannels
 from rsb_bridge.link.duplicate_client import DuplicateClients
 from rsb_bridge.link.fullness import LinkFullness
 from rsb_bridge.link.keepalive import Keepalive
+from rsb_bridge.link.listed import listed_topics
 from rsb_bridge.link.neighbourhood import Neighbourhood
 from rsb_bridge.link.patterns import LinkPatterns
 from rsb_bridge.link.proposed_topics import ProposedTopics
@@ -25,6 +26,7 @@ from rsb_bridge.link.topic_lists import TopicLists
 from rsb_bridge.link.type_questions import TypeQuestions
 from rsb_bridge.model import profiles
 from rsb_bridge.model.codes import EventCode
+from rsb_bridge.model.demands import sources_of_entries
 from rsb_bridge.model.snapshot import Level, LinkSnapshot
 from rsb_bridge.model.verdict import LinkCause
 from rsb_bridge.route.pause import Revisions
@@ -41,7 +43,7 @@ from rsb_bridge.wire.receipts import Receipts
 
 if TYPE_CHECKING:
     import asyncio
-    from collections.abc import Callable, Coroutine
+    from collections.abc import Callable, Coroutine, Iterable
 
     from rsb_bridge.channel.channel import Carrier
     from rsb_bridge.channel.shared_stream import SharedStream
@@ -49,6 +51,7 @@ if TYPE_CHECKING:
     from rsb_bridge.config.rights import Rights
     from rsb_bridge.context import Context
     from rsb_bridge.link.control_channel import ControlChannel
+    from rsb_bridge.model.demands import Source
     from rsb_bridge.model.fullness import Fullness
     from rsb_bridge.model.session import Kind, Topic
     from rsb_bridge.route.route import Route
@@ -119,6 +122,7 @@ class Link(ABC):
         self.bench = LinkBench(self)
         self._early = EarlyReports(context.loop, self.send)
         self.type_questions = TypeQuestions(context.descriptions, self.table.ids.open_route, self.send, self.spawn)
+        context.demands.register(self)
 
     # --- what client and server do differently
 
@@ -398,6 +402,21 @@ class Link(ABC):
     def is_closed_id(self, route_id: int) -> bool:
         """Whether a route was open under that id, and is not now."""
         return self.table.ids.is_closed(route_id)
+
+    # --- what has to be armed
+
+    def demand_sources(self) -> Iterable[Source]:
+        """Yield the entries that demand arming, as operators have left them."""
+        use_name = not self.is_client and self.use_name
+        return sources_of_entries(listed_topics(self), self.name, on_server=not self.is_client, use_name=use_name)
+
+    def apply_demands(self) -> None:
+        """Open the routes anew whose demands have changed."""
+        self.table.apply_demands()
+
+    def demand_dropped(self, source: Source) -> None:
+        """Tell the other side that an operator drops a demand."""
+        self.table.arming.demand_dropped(source)
 
     # --- time
 

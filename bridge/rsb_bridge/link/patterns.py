@@ -155,6 +155,7 @@ class LinkPatterns:
     def _set(self, topics: Iterable[Topic]) -> None:
         before = {entry.topic.identity for entry in self.entries if entry.beyond}
         self.entries = [self._entry(topic) for topic in topics]
+        self.link.context.demands.changed()
         self._known.clear()
         self._told_full &= before & {entry.topic.identity for entry in self.entries}
         self._ask()

@@ -81,6 +81,10 @@ class PeerOperators:
         """Somebody there no longer bridges a topic."""
         self._did(EventCode.OPERATOR_REMOVED, "removed", route, who, described(route.spec), "")
 
+    def dropped_demand(self, route: Route, who: str) -> None:
+        """Somebody there has dropped the demand that a topic be armed."""
+        self._did(EventCode.OPERATOR_ARM_DROPPED, "its demand to be armed dropped", route, who, "", "")
+
     def called(self, route: Route, message: ByHand) -> None:
         """Somebody there calls by hand what a route provides, or has done so."""
         code = EventCode.OPERATOR_CALL_ENDED if message.outcome else EventCode.OPERATOR_CALLED

@@ -10,8 +10,6 @@ from functools import partial
 from itertools import zip_longest
 from typing import TYPE_CHECKING
 
-import msgspec
-
 from rsb_bridge.config.difference import changes, described, named
 from rsb_bridge.config.keys import fingerprint
 from rsb_bridge.config.rights import rights_of_server
@@ -197,15 +195,13 @@ def _remove(link: Link, identity: Identity) -> None:
 
 
 def _drop_yielded(link: Link, key: str) -> None:
-    topic = link.table.yielded.pop(key, None)
-    if topic is not None and key in link.routes:
-        link.table.arming.demand(link.routes[key], msgspec.structs.replace(topic, arm=False))
+    link.table.yielded.pop(key, None)
+    link.context.demands.changed()
 
 
 def _change_yielded(link: Link, key: str, topic: Topic) -> None:
     link.table.yielded[key] = topic
-    if key in link.routes:
-        link.table.arming.demand(link.routes[key], topic)
+    link.context.demands.changed()
 
 
 def _replace(link: Link, topic: Topic) -> None:

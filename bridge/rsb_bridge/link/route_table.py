@@ -108,7 +108,8 @@ class RouteTable:
         key = route_key(self._owner.name, proposal)
         if key in self.routes:
             if spec.arm and not self.routes[key].proposed_here:
-                self.arming.demand(self.routes[key], spec)
+                self.arming.keep_demand(self.routes[key], spec)
+                self._context.demands.apply()
             raise LinkError(f"{proposal.topic} is bridged in that direction already: edit or remove that route")
         check_overlap(spec, self.routes.values())
         half = half_of(proposal, is_client=self._owner.is_client)
@@ -116,7 +117,7 @@ class RouteTable:
         allow_rate(route, self._owner)
         if proposed_here:
             self.listed.add(spec.identity)
-            self.arming.demand(route, spec)
+            self._context.demands.changed()
         if proposed_here and self._owner.linked:
             self.propose(route, acting_operator(), edited=edited)
         return route
@@ -130,7 +131,6 @@ class RouteTable:
     def remove(self, route: Route, reason: str, *, told: bool = True) -> None:
         """Remove a route on both sides; `told`: the other side's operators are told who does it."""
         self.listed.discard(route.spec.identity)
-        self.arming.forget(route)
         self._tell_removed(route, reason, acting_operator() if told else "")
         self._forget(route, EventCode.ROUTE_REMOVED, reason)
 
@@ -164,6 +164,7 @@ class RouteTable:
         self.listed -= {route.spec.identity} if route.pattern else set()
         if code is EventCode.ROUTE_REMOVED:
             self.yielded.pop(route.key, None)
+        self._context.demands.changed()
         if route.arming.held:
             route.disarm(Disarmed.REMOVED)
         route.destroy()
@@ -181,6 +182,7 @@ class RouteTable:
         changed = amended(route.proposal, proposal)
         if route.proposed_here:
             route.amend(msgspec.structs.replace(spec, paused=route.paused), changed)
+            self._context.demands.changed()
         if route.id:
             self._owner.send(amendment(changed, route.id, acting_operator()))
         if spec.paused != route.paused:
@@ -207,6 +209,16 @@ class RouteTable:
         """Pause or resume a route on both sides; what was armed has to be armed again."""
         self._pausing.pause(route, paused=paused)  # first: what is disarmed opens anew, and that names nobody
         self.arming.disarm(route, Disarmed.PAUSED)
+
+    def apply_demands(self) -> None:
+        """Open the routes anew whose demands have changed."""
+        for route in tuple(self.routes.values()):
+            if not self.arming.renew_demand(route):
+                continue
+            if route.proposed_here:
+                self.propose(route)
+            else:
+                route.request_reopen(EventCode.ROUTE_AMENDED, "this side's session has changed about arming it")
 
     def retry(self) -> None:
         """Propose at once what was refused."""
@@ -251,6 +263,7 @@ class RouteTable:
         if route.id == route_id:
             pausing = route.pausing
             opening = {"route": route_id, "paused": pausing.paused, "pause_revision": pausing.revision}
+            opening |= self.arming.demanded(route)
             self._owner.send(msgspec.structs.replace(route.proposal, **opening, who=who, edited=edited))
 
     # --- what the peer says
@@ -367,7 +380,7 @@ class RouteTable:
         match message:
             case Accept():
                 route.set_peer_topic(message.topic)
-                route.arming.demand(required=message.arm, deadman=message.deadman)
+                self.arming.accepted(route, required=message.arm, deadman=message.deadman)
                 self._accepted(route)
             case Limit():
                 route.limit.allow_there(message.max_rate)

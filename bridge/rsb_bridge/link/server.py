@@ -108,6 +108,7 @@ class Server:
         self._pending.expel(name, _SESSION_CHANGED)
         if link.control is not None:
             link.control.shut_down(f"the server no longer accepts {name}", retry_after=0.0)
+        self.context.demands.unregister(link)
         link.destroy()
 
     def change_client(self, entry: Entry) -> None:

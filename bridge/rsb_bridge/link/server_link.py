@@ -189,6 +189,7 @@ class ServerLink(Link):
         The link ends where the client's key is not valid any more, or the names of topics change.
         """
         old, self.entry = self.entry, entry
+        self.context.demands.changed()
         self.encrypted = bool(entry.keys)
         if self.control is not None and not self.stays_valid(entry):
             self.control.shut_down(f"the server has another key for {self.name} now", retry_after=0.0)

@@ -228,6 +228,27 @@ class Operator(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_def
     may: OperatorMay = "look"
 
 
+class Armed(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True):
+    """A name that has to be armed on this side, whichever entry or side bridges it.
+
+    Attributes:
+        name: a name or a pattern on this side.
+        kind: of what has the name, or None for every kind.
+        type: of what has the name, or None for every type.
+        deadman: as in `Topic`.
+    """
+
+    name: str
+    kind: Kind | None = None
+    type: str | None = None
+    deadman: float | None = None
+
+    @property
+    def deadman_seconds(self) -> float:
+        """The deadman time (s), or 0 for none."""
+        return DEADMAN if self.deadman is None else self.deadman
+
+
 class Session(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True, kw_only=True):
     """What one bridge process does.
 
@@ -254,6 +275,7 @@ class Session(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defa
         on_fault: the command to run when a fault begins, changes or is over, or None. It is a list of words, or a text
             that `rsb_bridge.config.fault_command` splits into words as a shell would.
         topics: a client's topics.
+        armed: names and patterns on this side that have to be armed, though no entry says so.
         clients: those that a server lets in; empty: one, with the session's own name and key.
         ports: which TCP and UDP ports of their own clients' topics may have on the server; None: 16 for each client.
         allow: on a client, what the server may bridge, as in `Client`; empty: it may read all topics, and publish, call
@@ -287,6 +309,7 @@ class Session(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defa
     metrics: str | None = None
     on_fault: str | tuple[str, ...] | None = None
     topics: tuple[Topic, ...] = ()
+    armed: tuple[str | Armed, ...] = ()
     clients: tuple[Client, ...] = ()
     allow: tuple[str | Grant, ...] = ()
     deny: tuple[str | Grant, ...] = ()

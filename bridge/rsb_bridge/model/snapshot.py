@@ -179,6 +179,7 @@ class ArmingSnapshot:
         here: it was armed on this side.
         left: s until it disarms, unless that operator presses a key; None: it is not armed, or has no deadman.
         deadman: s; 0: none.
+        demanded_by: the lines that demand arming, in words: ``robot.yaml:14``; of an older bridge, nothing.
     """
 
     armed: bool
@@ -186,6 +187,7 @@ class ArmingSnapshot:
     here: bool = False
     left: float | None = None
     deadman: float = 0.0
+    demanded_by: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)

@@ -18,9 +18,9 @@ from rsb_bridge.wire.lease import split_number, with_number
 if TYPE_CHECKING:
     from collections.abc import Callable, Hashable
 
+    from rsb_bridge.model.demands import Demand
     from rsb_bridge.route.lease import Lease
     from rsb_bridge.wire.framing import Message
-
 
 ANSWERED_WITHIN = 5.0
 """s in which the other side has to agree."""
@@ -95,6 +95,8 @@ class Arming:
     Attributes:
         required: it has to be armed before anything crosses, as either side's session says.
         deadman: s without a key after which it disarms; 0: none.
+        own: the demand of this side's session, or None if it makes none.
+        demanded_by: the lines that demand arming, in words.
         by: the operator who armed it, in words; empty: it is not armed.
         console: that operator's console, on this side; None: it was armed on the other side, or is not.
         why: it is not armed.
@@ -103,13 +105,15 @@ class Arming:
     """
 
     __slots__ = (
-        "_answered", "_deadline", "_first", "_key_pressed", "_phase", "_seen_at", "by", "console", "deadman", "lease",
-        "reason", "required", "why",
+        "_answered", "_deadline", "_first", "_key_pressed", "_phase", "_seen_at", "by", "console", "deadman",
+        "demanded_by", "lease", "own", "reason", "required", "why",
     )  # fmt: skip
 
     def __init__(self, *, required: bool = False, deadman: float = 0.0) -> None:
         self.required = required
         self.deadman = deadman
+        self.own: Demand | None = None
+        self.demanded_by: tuple[str, ...] = ()
         self.why = Disarmed.NOT_YET
         self.reason = SAID[self.why]
         self.lease: Lease | None = None
@@ -210,7 +214,8 @@ class Arming:
         armed = self.stands(now)
         grace = PEER_GRACE if self.console is None else 0.0  # the operator has no more time for it
         left = max(0.0, self._deadline - grace - now) if armed and self.deadman else None
-        return ArmingSnapshot(armed, self.by if armed else "", self.console is not None, left, self.deadman)
+        by = self.by if armed else ""
+        return ArmingSnapshot(armed, by, self.console is not None, left, self.deadman, self.demanded_by)
 
     # --- arming
 

@@ -72,7 +72,7 @@ def edit(arguments: Namespace) -> int:
         if not arguments.keys:
             raise UsageError(f"edit {arguments.topic}: nothing to change; for example: max_rate=5")
         topic = _topic(values_of(route.spec), arguments.keys, engine, route.spec)
-        return done(arguments, key=result(engine.edit_topic(route.key, topic)))
+        return done(arguments, key=result(engine.edit_topic(route.key, topic, drop_arm=arguments.drop_arm)))
 
 
 def _direction_and_keys(arguments: Namespace) -> tuple[str, list[str]]:

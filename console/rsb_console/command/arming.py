@@ -9,7 +9,15 @@ from typing import TYPE_CHECKING
 
 from rsb_console.command.reports import json_line
 from rsb_console.command.shell import FAILURE, print_line
-from rsb_console.command.target import attached, chosen_route, done, failed, result
+from rsb_console.command.target import (
+    all_chosen,
+    attached,
+    carried_out,
+    chosen_route,
+    done_with_all,
+    failed,
+    result,
+)
 
 if TYPE_CHECKING:
     from argparse import Namespace
@@ -71,7 +79,8 @@ def _hold(engine: RemoteEngine, key: str) -> str:
 
 
 def disarm(arguments: Namespace) -> int:
-    """Disarm a topic. Returns the exit code."""
+    """Disarm all routes of a name. Returns the exit code."""
     with attached(arguments) as engine:
-        result(engine.arming.disarm(chosen_route(engine, arguments).key))
-        return done(arguments)
+        routes = all_chosen(engine, arguments)
+        carried_out([engine.arming.disarm(route.key) for route in routes])
+        return done_with_all(arguments, routes, "disarmed")

@@ -14,21 +14,29 @@ from rsb_bridge.config.rights_table import listings
 from rsb_bridge.config.topic_rules import transport_of
 from rsb_bridge.config.validation import domain_of
 from rsb_bridge.config.yaml_text import inline
+from rsb_bridge.model.demands import Demands, describe, local_name, sources_of
 from rsb_bridge.model.profiles import PROFILES, compression_of, described, profile_of
 from rsb_bridge.model.session import Grant
 from rsb_bridge.model.text import join_first
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator
+    from collections.abc import Iterable, Iterator, Mapping
 
+    from rsb_bridge.model.demands import Source, SourceKey
     from rsb_bridge.model.profiles import Compression, LinkProfile
-    from rsb_bridge.model.session import Session, Topic
+    from rsb_bridge.model.session import Client, Session, Topic
 
 _NAMED = 6
 
 
-def summary(session: Session) -> Iterator[str]:
-    """What a session says, line by line."""
+def summary(session: Session, places: Mapping[SourceKey, str] | None = None) -> Iterator[str]:
+    """What a session says, line by line.
+
+    Args:
+        session: without mistakes.
+        places: where its file demands arming, by the keys of the lines.
+    """
+    demands = Demands(sources_of(session))
     yield f"{session.role} {session.name} {_where(session)}, {_domain(session)}"
     yield f"encryption {'on' if session.use_encryption else 'OFF'}, {_prefix(session)}"
     if session.profile is not None:
@@ -36,7 +44,8 @@ def summary(session: Session) -> Iterator[str]:
     if session.on_fault is not None:
         yield f"on a fault, {shlex.join(command_words(session.on_fault))} is run"
     for topic in session.topics:
-        yield f"  {_route(topic, session, profile_of(session.profile))}"
+        to_arm = _to_arm(topic, session, None, demands, places or {})
+        yield f"  {_route(topic, session, profile_of(session.profile))}{to_arm}"
     for client in session.clients:
         allowed, denied = _grants(client.allow) or "everything", _grants(client.deny)
         prefix = "" if client.use_name is None else f", {_prefix_of(client.name, use_name=client.use_name)}"
@@ -44,9 +53,35 @@ def summary(session: Session) -> Iterator[str]:
         if client.profile is not None:
             yield f"    profile {client.profile}: {described(PROFILES[client.profile])}"
         for topic in client.topics:
-            yield f"    proposes {_route(topic, session, profile_of(client.profile, session.profile))}"
+            to_arm = _to_arm(topic, session, client, demands, places or {})
+            yield f"    proposes {_route(topic, session, profile_of(client.profile, session.profile))}{to_arm}"
     if session.role == "server" and not session.clients:
         yield f"  accepts {session.name}: everything"
+    for source in demands.sources:
+        yield f"  has to be armed, whichever side bridges it: {_demanded(source, places or {})}"
+
+
+def _to_arm(
+    topic: Topic, session: Session, client: Client | None, demands: Demands, places: Mapping[SourceKey, str]
+) -> str:
+    """Return the lines that demand that an entry be armed, or an empty string if none does."""
+    if topic.is_pattern:
+        return ""
+    use_name = session.use_name if client is None or client.use_name is None else client.use_name
+    name = local_name(topic, "" if client is None else client.name, on_server=client is not None, use_name=use_name)
+    demand = demands.of(topic.kind, name, topic.type)
+    if demand is None:
+        return ""
+    keys = f"within {demand.deadman:g} s" if demand.deadman else "never"
+    lines = ", ".join(describe(source, places) for source in demand.sources)
+    return f", has to be armed ({lines}; keys needed: {keys})"
+
+
+def _demanded(source: Source, places: Mapping[SourceKey, str]) -> str:
+    kind = f"{source.kind} " if source.kind not in (None, "topic") else ""
+    excepts = f", not {join_first(source.excepts, _NAMED)}" if source.excepts else ""
+    place = f" ({places[source.key]})" if source.key in places else ""
+    return f"{kind}{source.name}{excepts}{place}"
 
 
 def _where(session: Session) -> str:
@@ -147,6 +182,6 @@ def _details(topic: Topic, compression: Compression) -> Iterator[str]:
         yield f"late after {topic.late_after:g} s" if topic.late_after else "never late"
     if topic.paused:
         yield "paused"
-    if topic.arm:
+    if topic.arm and topic.is_pattern:
         keys = f"within {topic.deadman_seconds:g} s" if topic.deadman_seconds else "never"
         yield f"has to be armed (keys needed: {keys})"

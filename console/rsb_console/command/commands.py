@@ -27,7 +27,7 @@ from rsb_bridge.config.keys import (
 )
 from rsb_bridge.config.operators import operator_key_problem
 from rsb_bridge.config.rotation import key_warnings, written
-from rsb_bridge.config.session_file import SessionError, dump, load, save
+from rsb_bridge.config.session_file import SessionError, demand_places, dump, load, save
 from rsb_bridge.config.shared_keys import shared_key_problem
 from rsb_bridge.config.thesis import import_bringup
 from rsb_console.command.check_report import rights, summary
@@ -109,7 +109,7 @@ def check(arguments: Namespace) -> int:
         session = load(path)
     except SessionError as error:
         return _refuse(error)
-    for line in summary(session):
+    for line in summary(session, demand_places(path)):
         print_line(line)
     for line in rights(session):
         print_line(line)

@@ -85,6 +85,8 @@ def _lines(route: RouteSnapshot, link: LinkSnapshot | None, other: str, figures:
         yield f"Type hash: {route.type_hash}"
     cause = f" ({route.cause})" if route.cause else ""
     yield f"State: {route.state.upper()}{cause} since {clock(route.since)}{f': {route.reason}' if route.reason else ''}"
+    if route.arming is not None and route.arming.demanded_by:
+        yield f"Has to be armed: {', '.join(route.arming.demanded_by)}"
     towards = "sent to" if route.outgoing else "received from"
     if not is_topic:
         towards = "calls go to" if route.outgoing else "calls come from"

@@ -43,11 +43,14 @@ from rsb_console.command.reports import (
 from rsb_console.command.shell import FAILURE, NOT_RUNNING, OK, print_error, print_line
 from rsb_console.command.target import (
     ANSWERED_WITHIN,
+    all_chosen,
     attached,
+    carried_out,
     check_link,
     chosen,
     chosen_route,
     done,
+    done_with_all,
     failed,
     reported,
     result,
@@ -238,14 +241,15 @@ def _bw(arguments: Namespace) -> int:
 
 def _remove(arguments: Namespace) -> int:
     with attached(arguments) as engine:
-        result(engine.remove_topic(chosen(engine, arguments).key))
+        result(engine.remove_topic(chosen(engine, arguments).key, drop_arm=arguments.drop_arm))
         return done(arguments)
 
 
 def _pause(arguments: Namespace, *, paused: bool = True) -> int:
     with attached(arguments) as engine:
-        result(engine.pause(chosen(engine, arguments).key, paused))
-        return done(arguments)
+        found = all_chosen(engine, arguments)
+        carried_out([engine.pause(each.key, paused) for each in found])
+        return done_with_all(arguments, found, "paused" if paused else "resumed")
 
 
 def _resume(arguments: Namespace) -> int:

@@ -173,16 +173,19 @@ def add_remote_commands(
     edit = remote("edit", "change a topic or service that is bridged", about_topic=True)
     route_arguments(edit, complete)
     _topic_keys(edit, complete)
+    _drop_arm(edit, "with arm=false: agree that the name need not be armed any more")
+    remove = remote("remove", "stop bridging a topic or service, on both sides", about_topic=True)
+    route_arguments(remove, complete)
+    _drop_arm(remove, "the name need not be armed any more, either; without this it has to be, whoever bridges it")
     for name, summary in (
-        ("remove", "stop bridging a topic or service, on both sides"),
-        ("pause", "stop carrying a topic's messages or a service's calls, on both sides"),
-        ("resume", "carry what is paused again"),
+        ("pause", "stop carrying a topic's messages or a service's calls, on both sides; all routes of the name"),
+        ("resume", "carry what is paused again; all routes of the name"),
     ):
         route_arguments(remote(name, summary, about_topic=True), complete)
     _ack_arguments(remote("ack", "acknowledge a fault, until it changes", _EXIT_ACK, about_topic=True), complete)
     arm = remote("arm", "arm what has to be armed, for as long as this runs", _EXIT_ARM, about_topic=True)
     route_arguments(arm, complete)
-    route_arguments(remote("disarm", "disarm a topic or service, whoever armed it", about_topic=True), complete)
+    route_arguments(remote("disarm", "disarm all routes of a name, whoever armed them", about_topic=True), complete)
     retry = remote("retry", "connect now instead of later, and open refused topics again")
     only = "the link with this client only"
     complete(retry.add_argument("--link", default="", metavar="CLIENT", help=only), "links")
@@ -211,6 +214,10 @@ def _add_looking(remote: Callable[..., argparse.ArgumentParser], complete: Compl
     ):
         _figures_arguments(remote(name, summary, more, about_topic=True), complete)
     route_arguments(remote("info", "print all details of one topic or service", _EXIT_INFO, about_topic=True), complete)
+
+
+def _drop_arm(parser: argparse.ArgumentParser, about: str) -> None:
+    parser.add_argument("--drop-arm", action="store_true", help=about)
 
 
 def _ack_arguments(ack: argparse.ArgumentParser, complete: Complete) -> None:
@@ -339,6 +346,7 @@ def route_arguments(
     which = "the client, where several have it"
     complete(parser.add_argument("--link", default="", metavar="CLIENT", help=which), "links")
     parser.add_argument("--direction", choices=("transmit", "receive"), help="the one to take, where it goes both ways")
+    parser.add_argument("--remote", metavar="NAME", help="its name on the other side, where several have this name")
     parser.set_defaults(kinds=kinds, kind=None)
     if len(kinds) > 1:
         _kind(parser, "the one to take, where several have this name", kinds)

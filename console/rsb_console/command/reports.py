@@ -203,7 +203,9 @@ def rate_text(route: RouteSnapshot, *, why: bool = True) -> str:
     armed = f" ARMED ({route.arming.by}):" if route.arming is not None and route.arming.armed else ""
     failed = _failed_calls(route.calls) if route.calls is not None else _dropped(route)
     kind = "" if route.spec.kind == "topic" else f"{route.spec.kind} "
-    return f"{arrow} {kind}{route.topic}{armed} {_how(route, why=why)}{failed and f' ({failed})'}"
+    lines = () if route.arming is None or not why else route.arming.demanded_by
+    demanded = f" [has to be armed: {', '.join(lines)}]" if lines else ""
+    return f"{arrow} {kind}{route.topic}{armed} {_how(route, why=why)}{failed and f' ({failed})'}{demanded}"
 
 
 def _dropped(route: RouteSnapshot) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import shlex
 from functools import partial
 from typing import TYPE_CHECKING, TypeAlias, TypeVar
 
@@ -14,6 +15,7 @@ from rsb_bridge.control.bridges import ask, running_bridges
 from rsb_bridge.control.client import RemoteEngine
 from rsb_bridge.control.folders import ControlError, UnclearError, hidden_services
 from rsb_bridge.model.patterns import is_pattern
+from rsb_bridge.model.snapshot import RouteSnapshot
 from rsb_bridge.model.text import join_first
 from rsb_console.command.reports import json_line
 from rsb_console.command.shell import FAILURE, NOT_RUNNING, OK, USAGE, print_error, print_line
@@ -29,7 +31,7 @@ if TYPE_CHECKING:
     from rsb_bridge.control.bridges import RunningBridge
     from rsb_bridge.model.history import HistoryReport
     from rsb_bridge.model.session import Kind
-    from rsb_bridge.model.snapshot import PatternSnapshot, RouteSnapshot
+    from rsb_bridge.model.snapshot import PatternSnapshot
 
 ANSWERED_WITHIN = 60.0
 Attach: TypeAlias = "Callable[[], RemoteEngine]"
@@ -197,20 +199,32 @@ def chosen_route(engine: RemoteEngine, arguments: Namespace) -> RouteSnapshot:
     Raises:
         UsageError: none or several do.
     """
+    routes = _routes_meant(engine, arguments)
+    if len(routes) == 1:
+        return routes[0]
+    which = "; ".join(_which(route, routes) for route in routes)
+    raise UsageError(f"{arguments.topic} is bridged {len(routes)} times; say which: {which}")
+
+
+def _routes_meant(engine: RemoteEngine, arguments: Namespace) -> list[RouteSnapshot]:
+    """Return the routes that the arguments mean, of all links, at least one.
+
+    Raises:
+        UsageError: none does.
+    """
     check_link(engine, arguments.link)
     kinds = arguments.kinds if arguments.kind is None else (arguments.kind,)
     now = engine.snapshot()
     meant = [
         route
         for route in now.routes
-        if arguments.link in ("", route.link) and arguments.direction in (None, route.spec.direction)
+        if arguments.link in ("", route.link)
+        and arguments.direction in (None, route.spec.direction)
+        and arguments.remote in (None, route.remote_topic)
     ]
     routes = named([route for route in meant if route.spec.kind in kinds], arguments.topic)
-    if len(routes) == 1:
-        return routes[0]
     if routes:
-        which = "; ".join(_which(route, routes) for route in routes)
-        raise UsageError(f"{arguments.topic} is bridged {len(routes)} times; say which: {which}")
+        return routes
     if others := named(meant, arguments.topic):
         only = join_first(sorted({A_KIND[route.spec.kind] for route in others}), len(A_KIND))
         raise UsageError(f"{arguments.topic} is bridged as {only}, and not as {_either(kinds)}")
@@ -231,6 +245,65 @@ def chosen(engine: RemoteEngine, arguments: Namespace) -> RouteSnapshot | Patter
     """
     if not is_pattern(arguments.topic):
         return chosen_route(engine, arguments)
+    found = _patterns_meant(engine, arguments)
+    if len(found) == 1:
+        return found[0]
+    options = (f"--link {each.link} --direction {each.spec.direction} --kind {each.spec.kind}" for each in found)
+    raise UsageError(f"{arguments.topic} is followed {len(found)} times; say which: {'; '.join(options)}")
+
+
+def all_chosen(engine: RemoteEngine, arguments: Namespace) -> Sequence[RouteSnapshot | PatternSnapshot]:
+    """Return every route of the name that the arguments give, of all links, or every such pattern.
+
+    Raises:
+        UsageError: there is none.
+    """
+    meant = _patterns_meant if is_pattern(arguments.topic) else _routes_meant
+    return meant(engine, arguments)
+
+
+def carried_out(commands: Iterable[Future[None]]) -> None:
+    """Wait for commands that were all given already.
+
+    Raises:
+        EngineError: one of them is refused.
+        TimeoutError: one of them is not answered.
+    """
+    failures: list[Exception] = []
+    for command in commands:
+        try:
+            result(command)
+        except (EngineError, TimeoutError) as error:
+            failures.append(error)
+    for failure in failures:
+        raise failure
+
+
+def done_with_all(arguments: Namespace, found: Sequence[RouteSnapshot | PatternSnapshot], what: str) -> int:
+    """Say what was done to all routes of a name, where there are several."""
+    if len(found) == 1:
+        return done(arguments)
+    routes = [
+        {
+            "link": each.link,
+            "kind": each.spec.kind,
+            "direction": each.spec.direction,
+            "remote_topic": each.remote_topic if isinstance(each, RouteSnapshot) else None,
+        }
+        for each in found
+    ]
+    for each in () if arguments.json else routes:
+        there = f", {each['remote_topic']} there" if each["remote_topic"] else ""
+        print_line(f"{what}: {arguments.topic} of {each['link']} ({each['direction']}{there})")
+    return done(arguments, routes=routes)
+
+
+def _patterns_meant(engine: RemoteEngine, arguments: Namespace) -> list[PatternSnapshot]:
+    """Return the patterns that the arguments mean, at least one.
+
+    Raises:
+        UsageError: none does.
+    """
     check_link(engine, arguments.link)
     kinds = arguments.kinds if arguments.kind is None else (arguments.kind,)
     known = [
@@ -241,11 +314,8 @@ def chosen(engine: RemoteEngine, arguments: Namespace) -> RouteSnapshot | Patter
     ]
     meant = [each for each in known if each.spec.topic == arguments.topic]
     found = [each for each in meant if arguments.direction in (None, each.spec.direction)]
-    if len(found) == 1:
-        return found[0]
     if found:
-        options = (f"--link {each.link} --direction {each.spec.direction} --kind {each.spec.kind}" for each in found)
-        raise UsageError(f"{arguments.topic} is followed {len(found)} times; say which: {'; '.join(options)}")
+        return found
     names = [each.spec.topic for each in known]
     raise UsageError(f"there is no pattern {arguments.topic}{suggestion(arguments.topic, names)}")
 
@@ -256,7 +326,9 @@ def _which(route: RouteSnapshot, others: Sequence[RouteSnapshot]) -> str:
     if kinds.count(route.spec.kind) == 1:
         return f"--kind {route.spec.kind}"
     kind = f" --kind {route.spec.kind}" if len(set(kinds)) > 1 else ""
-    return f"--link {route.link} --direction {route.spec.direction}{kind}"
+    alike = [each for each in others if (each.link, each.spec.direction) == (route.link, route.spec.direction)]
+    there = f" --remote {route.remote_topic}" if len(alike) > 1 else ""
+    return f"--link {shlex.quote(route.link)} --direction {route.spec.direction}{kind}{there}"
 
 
 def _either(kinds: Iterable[Kind]) -> str:

@@ -50,6 +50,14 @@ def _removal(route: RouteSnapshot) -> str:
     return "It stops crossing at once"
 
 
+def _dropping(route: RouteSnapshot) -> tuple[str, str]:
+    """Return the question whether a name need not be armed any more: its title and its message."""
+    lines = () if route.arming is None else route.arming.demanded_by
+    crosses = "It crosses without being armed from then on, on both sides."
+    by = f"\nIt has to be armed now: {', '.join(lines)}." if lines else ""
+    return f"No longer arm {route.topic}?", f"{crosses}{by}"
+
+
 def _last_event(engine: EngineApi) -> int:
     events = engine.events()
     return events[-1].number if events else 0
@@ -104,9 +112,24 @@ class BridgeOperations:
         if engine is None or route is None or route.arming is None:
             return
         if route.arming.armed:
-            await self._console.command(engine.arming.disarm(route.key))
+            await self._disarm(engine, route)
         elif await self._console.ask(ConfirmScreen(f"Arm {route.topic} of {route.link}?", arming_means(route), "Arm")):
             await self._console.command(engine.arming.arm(route.key))
+
+    async def _disarm(self, engine: EngineApi, route: RouteSnapshot) -> None:
+        """Disarm all routes of a name, on all links."""
+        armed = [
+            each.key
+            for each in self._console.snapshot().routes
+            if (each.topic, each.spec.kind) == (route.topic, route.spec.kind) and each.key != route.key
+            if each.arming is not None and each.arming.armed
+        ]
+        for future in [engine.arming.disarm(key) for key in (route.key, *armed)]:
+            await self._console.command(future)
+        if armed:
+            self._console.notify(
+                f"{route.topic}: all its {len(armed) + 1} routes are disarmed", markup=False, timeout=5
+            )
 
     async def call(self) -> None:
         """Call what is under the cursor by hand."""
@@ -144,6 +167,7 @@ class BridgeOperations:
             self._console.pull()
 
     async def edit_topic(self) -> None:
+        from rsb_console.screens.confirm import ConfirmScreen  # noqa: PLC0415 -- keeps the start short
         from rsb_console.screens.topic import TopicScreen  # noqa: PLC0415 -- keeps the start short
 
         engine, route = self._console.engine, self._selected()
@@ -154,7 +178,10 @@ class BridgeOperations:
             if draft.topic == route.spec:
                 return
             now, since, new = engine.snapshot(), _last_event(engine), draft.topic
-            key = await asyncio.wrap_future(engine.edit_topic(route.key, new))
+            drops = route.spec.arm and not new.arm
+            if drops and not await self._console.ask(ConfirmScreen(*_dropping(route), "Drop")):
+                raise EngineError("not changed: it has to be armed, as before")
+            key = await asyncio.wrap_future(engine.edit_topic(route.key, new, drop_arm=drops))
             if new.topic != route.spec.topic and not new.is_pattern:
                 new = named_by_client(new, now, route.link)
             name = _name_here(engine, key, route.topic)
@@ -173,6 +200,8 @@ class BridgeOperations:
         if route is None or engine is None:
             return
         message = f"{_removal(route)}, on both sides of the link with {self._console.peer_of(route)}."
+        if route.arming is not None or route.spec.arm:
+            message += " Whoever bridges it again has to arm it (armed in the session)."
         if route.pattern:
             message += f" {route.pattern} leaves it out from then on (except)."
         if not await self._console.ask(ConfirmScreen(f"Remove {route.topic}?", message, "Remove")):

@@ -6,6 +6,7 @@ import asyncio
 from abc import ABC, abstractmethod
 from collections import deque
 from dataclasses import KW_ONLY, dataclass
+from functools import partial
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
 import msgspec
@@ -141,6 +142,8 @@ class Added(Change):
             f"removes {described(entry.spec)}",
             f"It stops crossing at once, on both sides of the link {self.link}.",
         ]
+        if self.spec.arm:
+            lines.append("Whoever bridges it again has to arm it (armed in the session).")
         lines += [f"The pattern {pattern.topic} matches it, and bridges it from then on." for _, pattern in claiming]
         return Undo(f"Undo the addition: remove {self.topic}?", tuple(lines), "Remove", True, act)
 
@@ -167,7 +170,7 @@ class Edited(Change):
         old = named_here(self.old, now, self.link) if self.old.topic != self.new.topic else self.old
 
         async def act(engine: EngineApi) -> None:
-            await _command(engine.edit_topic, self.key, old)
+            await _command(partial(engine.edit_topic, drop_arm=self.new.arm and not old.arm), self.key, old)
 
         warnings = list(_warnings(self.new, self.old))
         lines = [*changes(self.new, self.old), *warnings]

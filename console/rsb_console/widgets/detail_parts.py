@@ -47,6 +47,8 @@ def heading(route: RouteSnapshot, last: str, width: int) -> Iterator[Line]:
         left = "" if arming.left is None else f" {arming.left:.0f} s"
         yield ((f" {ARMED} {ARMED_WORD}{left} ", "armed"),)
         yield from wrapped(f"{arming.by}, {_until(arming)}", width, "")
+    if arming is not None and arming.demanded_by:
+        yield from wrapped(f"has to be armed: {', '.join(arming.demanded_by)}", width, "dim")
     if route.acknowledged is not None:
         yield from wrapped(acknowledged_by(route.acknowledged), width, "dim")
     failed = next((stage.detail for stage in route.stages if not stage.done), "")

@@ -1,0 +1,312 @@
+"""Demands to be armed belong to names, between two real domains: whatever crosses is counted by the nodes there."""
+
+from __future__ import annotations
+
+from itertools import product
+from typing import TYPE_CHECKING, Any
+
+import msgspec
+import pytest
+from tests.support.bridge import happened, linked, now, route
+from tests.support.domain import text
+from tests.support.waiting import eventually, holds
+
+from rsb_bridge.api import EngineError
+from rsb_bridge.config.session_file import save
+from rsb_bridge.model.codes import EventCode
+from rsb_bridge.model.demands import PEER_DEMANDS
+from rsb_bridge.model.session import Armed, Client, Topic
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
+
+    from rclpy.publisher import Publisher
+    from tests.support.bridge import Bridge
+    from tests.support.domain import Domain, Listener
+
+    from rsb_bridge.engine import Engine
+    from rsb_bridge.model.session import Direction
+
+WAYS = ("by name", "pattern", "shadowed", "armed")
+DIRECTIONS: tuple[Direction, Direction] = ("transmit", "receive")
+COMMANDS = Topic("/cmd_vel", "receive", arm=True, deadman=0.0)
+FREE = Topic("/free", "receive")
+
+
+class Yard:
+    """Publishers and listeners of topics at the ends of a bridge."""
+
+    def __init__(self, robot: Domain, pc: Domain) -> None:
+        self._robot, self._pc = robot, pc
+        self._out: list[Publisher] = []
+        self.heard: dict[str, Listener] = {}
+
+    def add(self, name: str, direction: Direction = "receive") -> None:
+        near, far = (self._robot, self._pc) if direction == "transmit" else (self._pc, self._robot)
+        self._out.append(near.publisher(name))
+        self.heard[name] = far.listener(name)
+
+    def publish(self) -> None:
+        for out in self._out:
+            out.publish(text("go"))
+
+    def crossed(self) -> set[str]:
+        """The topics of which a message has crossed."""
+        return {name for name, listener in self.heard.items() if listener.payloads}
+
+    def publish_until(self, crossed: set[str]) -> None:
+        def have() -> bool:
+            self.publish()
+            return crossed <= self.crossed()
+
+        eventually(have)
+
+    def clear(self) -> None:
+        for listener in self.heard.values():
+            listener.payloads.clear()
+
+
+@pytest.fixture
+def yard(robot: Domain, pc: Domain) -> Yard:
+    return Yard(robot, pc)
+
+
+def required(engine: Engine, name: str) -> bool:
+    found = [each for each in now(engine).routes if each.topic == name and each.link == "robot1"]
+    return bool(found) and all(each.arming is not None for each in found)
+
+
+def set_up(engines: tuple[Engine, Engine], name: str) -> bool:
+    """Whether a name's routes are open, and have to be armed, on both sides."""
+    of_name = [each for engine in engines for each in now(engine).routes if each.topic == name]
+    states = {each.state for each in of_name if each.link == "robot1"}
+    return states == {"disarmed"} and all(required(each, name) for each in engines)
+
+
+def demanding(way: str, name: str, direction: Direction) -> tuple[tuple[Topic, ...], tuple[str | Armed, ...]]:
+    """Entries, and what `armed` has, of a session that demands a name."""
+    stem = name.rsplit("_", 1)[0]
+    if way == "armed":
+        return (), (name,)
+    if way == "by name":
+        return (Topic(name, direction, arm=True),), ()
+    pattern = Topic(f"{stem}_*", direction, arm=True)
+    return ((Topic(f"{stem}*", direction), pattern) if way == "shadowed" else (pattern,)), ()
+
+
+@pytest.mark.parametrize("lists", ["client", "server"])
+@pytest.mark.parametrize("demands", ["client", "server"])
+def test_a_name_that_either_session_demands_never_crosses_unarmed(
+    demands: str, lists: str, bridge: Bridge, yard: Yard
+) -> None:
+    names: list[str] = []
+    topics: dict[str, list[Topic]] = {"client": [], "server": []}
+    armed: dict[str, list[str | Armed]] = {"client": [], "server": []}
+    for number, (way, said, listed) in enumerate(product(WAYS, DIRECTIONS, DIRECTIONS)):
+        if demands == lists and way == "by name" and said == listed:
+            continue  # the entry itself
+        name = f"/group{number}_cmd"
+        entries, also = demanding(way, name, said)
+        topics[demands] += entries
+        armed[demands] += also
+        topics[lists].append(Topic(name, listed))
+        yard.add(name, listed)
+        names.append(name)
+    topics[lists].append(FREE)
+    yard.add("/free")
+    server = bridge.server(clients=(Client("robot1", topics=tuple(topics["server"])),), armed=tuple(armed["server"]))
+    client = bridge.client(*topics["client"], armed=tuple(armed["client"]), allow=("/*",))
+    eventually(lambda: linked(client) and linked(server))
+    yard.publish_until({"/free"})
+    for name in names:
+        eventually(lambda name=name: required(client, name) and required(server, name))
+
+    def nothing_demanded() -> bool:
+        yard.publish()
+        return yard.crossed() == {"/free"}
+
+    holds(nothing_demanded, 2.0)
+    for name in names:
+        for engine, role in ((client, "client"), (server, "server")):
+            arming = route(engine, name).arming
+            assert arming is not None
+            assert (PEER_DEMANDS in arming.demanded_by) == (role != demands)
+
+
+def by_server(bridge: Bridge, yard: Yard, *entries: Topic, **changes: Any) -> tuple[Engine, Engine]:
+    """A server whose session demands, and a robot that lists /cmd_vel, and /free, by itself."""
+    yard.add("/cmd_vel")
+    yard.add("/free")
+    server = bridge.server(clients=(Client("robot1", topics=entries),), **changes)
+    client = bridge.client(msgspec.structs.replace(COMMANDS, arm=False, deadman=None), FREE)
+    eventually(lambda: linked(client) and linked(server))
+    eventually(lambda: set_up((server, client), "/cmd_vel"))
+    return server, client
+
+
+def stays_demanded(yard: Yard, server: Engine, client: Engine) -> None:
+    yard.clear()
+    yard.publish_until({"/free"})
+
+    def nothing() -> bool:
+        yard.publish()
+        return yard.crossed() <= {"/free"}
+
+    holds(nothing, 1.0)
+    assert happened(server, EventCode.OPERATOR_ARM_DROPPED) is None
+    assert happened(client, EventCode.OPERATOR_ARM_DROPPED) is None
+
+
+def edited(server: Engine, client: Engine) -> None:
+    found = route(server, "/cmd_vel")
+    server.edit_topic(
+        found.key, msgspec.structs.replace(found.spec, arm=False, deadman=None, compression="zstd")
+    ).result(60)
+
+
+def removed(server: Engine, client: Engine) -> None:
+    server.remove_topic(route(server, "/cmd_vel").key).result(60)
+    client.restart().result(60)
+    client.add_topic(Topic("/cmd_vel", "receive")).result(60)
+
+
+def removed_there(server: Engine, client: Engine) -> None:
+    client.remove_topic(route(client, "/cmd_vel").key).result(60)
+    eventually(lambda: not any(each.topic == "/cmd_vel" for each in now(server).routes))
+    client.add_topic(Topic("/cmd_vel", "receive")).result(60)
+
+
+CHANGES = (edited, removed, removed_there)
+
+
+@pytest.mark.parametrize("change", CHANGES, ids=lambda each: each.__name__)
+def test_a_change_that_does_not_name_the_demand_keeps_it(
+    change: Callable[[Engine, Engine], None], bridge: Bridge, yard: Yard
+) -> None:
+    server, client = by_server(bridge, yard, COMMANDS)
+    if change is edited:
+        # the robot's own entry says nothing of arming, and so does what a form of the server would send
+        found = route(server, "/cmd_vel")
+        assert not found.spec.arm
+    change(server, client)
+    eventually(lambda: set_up((server, client), "/cmd_vel"))
+    stays_demanded(yard, server, client)
+    kept = [each for each in server.session.armed if "/cmd_vel" in str(each)]
+    still = [each for each in server.session.accepted_clients[0].topics if each.arm]
+    assert kept or still
+    assert all(not isinstance(each, Armed) or each.deadman == 0.0 for each in kept)
+
+
+def test_a_pattern_that_goes_or_matches_less_leaves_its_demand(bridge: Bridge, yard: Yard) -> None:
+    pattern = Topic("/cmd*", "transmit", arm=True)
+    server, client = by_server(bridge, yard, pattern)
+    (shown,) = [each for link in now(server).links for each in link.patterns]
+    for excepts in (("/cmd_vel",), ("/cmd_*",)):
+        spec = msgspec.structs.replace(pattern, excepts=excepts)
+        server.edit_topic(shown.key, spec).result(60)
+        assert any(excepts[0] in str(each) for each in server.session.armed)
+    stays_demanded(yard, server, client)
+    server.remove_topic(shown.key).result(60)
+    stays_demanded(yard, server, client)
+    assert any("/cmd*" in str(each) for each in server.session.armed)
+
+
+def test_a_demand_is_dropped_only_by_an_edit_that_names_it_and_is_agreed_to(bridge: Bridge, yard: Yard) -> None:
+    server, client = by_server(bridge, yard, COMMANDS)
+    key = route(server, "/cmd_vel").key
+    plain = Topic("/cmd_vel", "receive")
+    server.edit_topic(key, plain, drop_arm=True).result(60)
+    yard.publish_until({"/cmd_vel", "/free"})
+    assert server.session.armed == ()
+    assert not any(each.arm for each in server.session.clients[0].topics)
+    here = eventually(lambda: happened(server, EventCode.OPERATOR_ARM_DROPPED))
+    there = eventually(lambda: happened(client, EventCode.OPERATOR_ARM_DROPPED))
+    assert (here.topic, here.from_peer, there.topic, there.from_peer) == ("/cmd_vel", False, "/cmd_vel", True)
+
+
+def test_an_edit_that_names_the_demand_is_refused_until_it_is_agreed_to(bridge: Bridge, yard: Yard) -> None:
+    yard.add("/cmd_vel")
+    server, client = bridge.both(COMMANDS)
+    eventually(lambda: set_up((server, client), "/cmd_vel"))
+    key, plain = route(client, "/cmd_vel").key, Topic("/cmd_vel", "receive")
+    with pytest.raises(EngineError, match="drop-arm"):
+        client.edit_topic(key, plain).result(60)
+    there = route(server, "/cmd_vel")
+    with pytest.raises(EngineError, match=PEER_DEMANDS):
+        server.edit_topic(
+            there.key, msgspec.structs.replace(there.spec, arm=False, deadman=None), drop_arm=True
+        ).result(60)
+    assert required(client, "/cmd_vel")
+    client.edit_topic(key, plain, drop_arm=True).result(60)
+    yard.publish_until({"/cmd_vel"})
+
+
+def test_a_demand_that_another_line_makes_too_is_not_dropped(bridge: Bridge, yard: Yard) -> None:
+    server, client = by_server(bridge, yard, COMMANDS, Topic("/cmd*", "transmit", arm=True))
+    with pytest.raises(EngineError, match=r"/cmd\*"):
+        server.edit_topic(route(server, "/cmd_vel").key, Topic("/cmd_vel", "receive"), drop_arm=True).result(60)
+    assert server.session.armed == ()
+    stays_demanded(yard, server, client)
+
+
+def test_adding_a_demand_closes_what_is_open(bridge: Bridge, yard: Yard) -> None:
+    yard.add("/cmd_vel")
+    yard.add("/free")
+    server, client = bridge.both(Topic("/cmd_vel", "receive"), FREE)
+    yard.publish_until({"/cmd_vel", "/free"})
+    server.add_topic(Topic("/cmd*", "transmit", arm=True)).result(60)
+    eventually(lambda: set_up((server, client), "/cmd_vel"))
+    stays_demanded(yard, server, client)
+
+
+@pytest.mark.parametrize("side", ["client", "server"])
+def test_a_reload_names_what_it_drops(side: str, bridge: Bridge, yard: Yard, tmp_path: Path) -> None:
+    yard.add("/cmd_vel")
+    server, client = bridge.both(Topic("/cmd_vel", "receive"), armed=("/cmd_vel",) if side == "server" else ())
+    if side == "client":
+        client.add_topic(Topic("/cmd*", "transmit", arm=True)).result(60)
+    eventually(lambda: set_up((server, client), "/cmd_vel"))
+    engine, other = (client, server) if side == "client" else (server, client)
+    path = bridge.folder / f"{side}.yaml"
+    patterns = [each for each in engine.session.topics if not each.is_pattern]
+    save(msgspec.structs.replace(engine.session, armed=(), topics=tuple(patterns)), path)
+    engine.use_file(path)
+    would = engine.reload(dry_run=True).result(30)
+    assert happened(engine, EventCode.OPERATOR_ARM_DROPPED) is None
+    assert engine.reload().result(30) == would
+    if side == "client":
+        assert "/cmd*" in would.changed[0]
+        assert happened(engine, EventCode.OPERATOR_ARM_DROPPED) is not None
+    if side == "server":
+        assert any("/cmd_vel" in each for each in would.changed)
+        eventually(lambda: happened(other, EventCode.OPERATOR_ARM_DROPPED))
+        assert required(client, "/cmd_vel")  # the client's session has the same list
+
+
+def test_a_server_removes_a_client_and_keeps_what_it_demands(bridge: Bridge, yard: Yard) -> None:
+    bridge.make_key("robot2")
+    clients = (Client("robot1"), Client("robot2", key_file="robot2.key", topics=(COMMANDS,)))
+    yard.add("/cmd_vel")
+    server = bridge.server(clients=clients)
+    client = bridge.client(Topic("/cmd_vel", "receive"))
+    eventually(lambda: set_up((server, client), "/cmd_vel"))
+    server.remove_client("robot2").result(60)
+    assert server.session.armed == (Armed("/cmd_vel", deadman=0.0),)
+    assert set_up((server, client), "/cmd_vel")
+
+
+def test_the_lines_are_named_on_both_sides(bridge: Bridge, yard: Yard) -> None:
+    server_file, client_file = bridge.folder / "pc.yaml", bridge.folder / "robot.yaml"
+    server, client = by_server(bridge, yard, Topic("/cmd*", "transmit", arm=True))
+    for engine, path in ((server, server_file), (client, client_file)):
+        save(engine.session, path)
+        engine.use_file(path)
+    (line,) = [at for at, each in enumerate(server_file.read_text().splitlines(), 1) if "/cmd*" in each]
+
+    def lines(engine: Engine) -> tuple[str, ...]:
+        arming = route(engine, "/cmd_vel").arming
+        return () if arming is None else arming.demanded_by
+
+    eventually(lambda: lines(server) == (f"pattern /cmd* in pc.yaml:{line}",))
+    assert lines(client) == (PEER_DEMANDS,)
