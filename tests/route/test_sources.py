@@ -196,7 +196,7 @@ class World:
             messages = [each for each in messages if each.gid in route.table.flags]  # what is known of these may change
         messages += route.sorter.release()
         crossed = hop(route.link.near.node_name, route.topic)
-        for origin, number, gid, _ in messages:
+        for origin, number, gid, *_ in messages:
             trail = self.trails[number]
             assert crossed not in trail, "a message crosses a bridge twice"
             source = route.table.number_of(gid)

@@ -28,17 +28,19 @@ ACKNOWLEDGE = "acknowledge"
 """The command `Acknowledge`."""
 LATE_AFTER = "late_after"
 """The field `late_after` of topics and sessions."""
+MAX_AGE = "max_age"
+"""The field `max_age` of topics."""
 ON_FAULT = "on_fault"
 """The field `on_fault` of sessions."""
 TOTALS = "totals"
 """The field `messages_total` of routes."""
-FEATURES: Final = (ACKNOWLEDGE, LATE_AFTER, ON_FAULT, TOTALS)
+FEATURES: Final = (ACKNOWLEDGE, LATE_AFTER, MAX_AGE, ON_FAULT, TOTALS)
 """All features of this version."""
 
 COMMANDS: Final[dict[type, str]] = {Acknowledge: ACKNOWLEDGE}
 """The features of commands."""
 FIELDS: Final[dict[type, dict[str, str]]] = {
-    Topic: {"late_after": LATE_AFTER},
+    Topic: {"late_after": LATE_AFTER, "max_age": MAX_AGE},
     Session: {"late_after": LATE_AFTER, "on_fault": ON_FAULT},
 }
 """The features of fields."""
@@ -47,6 +49,7 @@ _ALL = frozenset(FEATURES)
 _LACKS: Final = {
     ACKNOWLEDGE: "cannot acknowledge faults",
     LATE_AFTER: "has no late_after",
+    MAX_AGE: "has no max_age",
     ON_FAULT: "has no on_fault",
     TOTALS: "does not report message counts",
 }

@@ -25,12 +25,14 @@ class RawMessage(NamedTuple):
         stamp: ns since the epoch on this machine's clock, when DDS received it.
         gid: its publisher's.
         number: among its publisher's messages, from 1; 0: the middleware does not number them.
+        source: ns since the epoch on its publisher's clock, when it was published; 0: the middleware does not say.
     """
 
     payload: bytes
     stamp: int
     gid: bytes = b""
     number: int = 0
+    source: int = 0
 
 
 class Endpoint(NamedTuple):
@@ -107,11 +109,13 @@ class Request(NamedTuple):
         payload: the serialized request (CDR with its 4-byte encapsulation header).
         caller: whose call it is, and which of its calls: opaque, for `ServiceServer.answer`.
         stamp: ns since the epoch on this machine's clock, when it was taken.
+        source: ns since the epoch on the caller's clock, when it was sent; 0: the middleware does not say.
     """
 
     payload: bytes
     caller: bytes
     stamp: int
+    source: int = 0
 
 
 class Response(NamedTuple):

@@ -41,6 +41,8 @@ class CallFrame(NamedTuple):
         call: of the callers' side, counting up from 1 in each opening of the route; 0: it is a message.
         took: of an answer, ns that the providing node took for it, as the bridge beside it saw it; else 0.
         content: the serialized message (CDR with its encapsulation header), or why a call is refused.
+        stamp: ns, from which the age of a request counts, by the clock of the side that sends it; 0: it has none. It is
+            the stamp of the message that carries the frame.
     """
 
     what: What
@@ -48,6 +50,7 @@ class CallFrame(NamedTuple):
     call: int
     took: int
     content: bytes
+    stamp: int = 0
 
     def pack(self) -> bytes:
         """The frame as bytes."""

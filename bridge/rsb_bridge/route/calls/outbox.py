@@ -38,7 +38,7 @@ class CallsOutbox:
         proposal: what the two sides have agreed on.
         lanes: of the route.
         leaves: asked right before a call or an answer is sent: False: it is wanted no more.
-        wall_ns: gives the stamps of messages.
+        stamp: gives the stamp of a message that has none.
     """
 
     def __init__(
@@ -47,13 +47,13 @@ class CallsOutbox:
         proposal: Propose,
         lanes: Sequence[Lane],
         leaves: Callable[[CallFrame], bool],
-        wall_ns: Callable[[], int],
+        stamp: Callable[[], int],
     ) -> None:
         self.largest = transport.largest_message - CALL_HEADER_LENGTH
         self._compressor = zstandard.ZstdCompressor(_ZSTD_LEVEL) if proposal.compression == "zstd" else None
         self._lanes = lanes
         self._leaves = leaves
-        self._wall_ns = wall_ns
+        self._stamp = stamp
         self._frames: OrderedDict[int, CallFrame] = OrderedDict()  # by number of the call; others by one below 0
         self._others = 0
         self._refusals = 0
@@ -129,8 +129,9 @@ class CallsOutbox:
 
     def _pack(self, frame: CallFrame) -> Message:
         """A frame as it is sent: its content is compressed, where that is agreed and makes it smaller."""
+        stamp = frame.stamp or self._stamp()
         if self._compressor is not None:
             smaller = self._compressor.compress(frame.content)
             if len(smaller) < len(frame.content):
-                return frame._replace(content=smaller).pack(), self._wall_ns(), ZSTD
-        return frame.pack(), self._wall_ns(), 0
+                return frame._replace(content=smaller).pack(), stamp, ZSTD
+        return frame.pack(), stamp, 0

@@ -73,7 +73,7 @@ class CallsRoute(Route):
         super().__init__(context, peer, spec, proposal, proposed_here=proposed_here)
         self.lanes = LANES[spec.kind]
         self.calls = CallsLedger()
-        self._outbox = CallsOutbox(self.transport, proposal, self.lanes, self._leaves, context.wall_ns)
+        self._outbox = CallsOutbox(self.transport, proposal, self.lanes, self._leaves, self._stamp_now)
         self._unpacker = Unpacker(peer.budget.expansion, context)
         self._later: deque[Message] = deque()
         self._report: CallsReport | None = None  # the peer's, of the present opening
@@ -84,6 +84,9 @@ class CallsRoute(Route):
         self._warning: Trouble | None = None
         self._failures = Failures(context, self._again_if_open)
         self._said: dict[str, float] = {}
+
+    def _stamp_now(self) -> int:
+        return self.context.wall_ns() + self.peer.stamp_shift
 
     # --- what the halves do differently
 
@@ -235,6 +238,8 @@ class CallsRoute(Route):
                     return  # what came before has ended the opening
                 payload, stamp, flags = message
                 frame = self._of_a_lane(unpack_call(payload))
+                if self.age.is_on:
+                    frame = frame._replace(stamp=stamp)
                 if not flags & ZSTD:
                     self._take(frame)
                 elif self._unpacker.begin((frame.content, stamp, flags)):
