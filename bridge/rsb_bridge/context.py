@@ -14,6 +14,7 @@ from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.operators import operator
 from rsb_bridge.model.running_demands import RunningDemands
 from rsb_bridge.model.snapshot import Level
+from rsb_bridge.model.stamp_clock import StampClock
 from rsb_bridge.ros.announcements import Announcements
 from rsb_bridge.ros.graph import SimilarTopics
 from rsb_bridge.ros.meant import Meant
@@ -49,6 +50,7 @@ class Context:
         transports: what links and routes run over.
         limited: the way to `events` for what a peer may be the cause of.
         now: seconds on the clock that all timers use; nobody sets it.
+        stamps: the clock by which the age of messages is measured.
         announcements: what this bridge and the others in its domain tell each other.
         descriptions: of the message types that somebody looks at.
         parameter_events: of the nodes whose parameters are bridged.
@@ -69,6 +71,7 @@ class Context:
     transports: Transports = field(default_factory=default_transports)
     limited: RateLimitedEventLog = field(init=False)
     now: Callable[[], float] = field(init=False)
+    stamps: StampClock = field(init=False)
     announcements: Announcements = field(init=False)
     descriptions: TypeDescriptions = field(init=False)
     parameter_events: ParameterEvents = field(init=False)
@@ -79,6 +82,7 @@ class Context:
 
     def __post_init__(self) -> None:
         self.now = self.loop.time
+        self.stamps = StampClock(self.clock)
         self.limited = RateLimitedEventLog(self.events, self.now)
         self.announcements = Announcements(self.ros, self.loop, self._warn)
         self.descriptions = TypeDescriptions(self.ros, self.now)

@@ -94,6 +94,67 @@ async def delayed(world: World, seconds: float, delay: float = 3.0) -> None:
         path.mend()
 
 
+async def aged(world: World, rounds: int = 25) -> None:
+    """Messages are held up in all ways that there are, while clocks are set; none may come out that is too old.
+
+    Args:
+        world: in which.
+        rounds: how often.
+    """
+    random = world.random("ages")
+    (robot,), (flow,) = world.robots, world.flows.values()
+    ends = robot.station.machine, world.server.machine
+    ways = world.network.both_ways(*ends)
+    await asyncio.sleep(10.0)
+    with world.trouble("ages", robot):
+        for _ in range(rounds):
+            await asyncio.sleep(random.uniform(1.0, 8.0))
+            seconds = random.choice((random.uniform(0.1, 1.0), random.uniform(1.0, 8.0)))
+            whats = ["hold", "hold one way", "cut", "narrow", "freeze", "step", "kill"]
+            whats += ["pause"] if flow.ordered else []  # datagrams: what is paused is judged in its own process only
+            what = random.choice(whats)
+            world.chronicle.fault(what)
+            slow = ways if what == "hold" else ways[:1] if random.random() < 0.5 else ways[1:]
+            match what:
+                case "hold" | "hold one way":
+                    for path in slow:
+                        path.latency = (seconds, seconds + 0.5)
+                case "cut":
+                    world.network.cut(*ends)
+                case "narrow":
+                    for path in ways:
+                        path.bandwidth = 2_000.0
+                case "freeze":  # of the ROS thread: what it takes then is as old as that, and stamped anew
+                    flow.source.taking = (seconds, seconds)
+                case "pause":
+                    await _pause_all(world, paused=True)
+                case "kill":
+                    random.choice((robot.station, world.server)).kill()
+            if what == "step" or random.random() < 0.5:
+                await asyncio.sleep(random.uniform(0.0, 0.5))
+                clock = random.choice((robot.station, world.server)).clock
+                clock.offset += random.choice((-1, 1)) * 10 ** random.uniform(-1.5, 2)
+            await asyncio.sleep(seconds)
+            flow.source.taking = (0.0001, 0.002)
+            world.network.heal(*ends)
+            for path in ways:
+                path.mend()
+            for station in (robot.station, world.server):
+                if station.run is None:
+                    station.start()
+            await _pause_all(world, paused=False)
+        await asyncio.sleep(30.0)
+
+
+async def _pause_all(world: World, *, paused: bool) -> None:
+    run = world.server.run
+    for link in run.links() if run is not None else ():
+        for half in tuple(link.routes.values()):
+            if run is not None and half.paused != paused:
+                world.robots[0].commanded = world.loop.time()
+                await run.command(run.bridge.pause(half.key, paused=paused))
+
+
 async def server_restarts(world: World, times: int) -> None:
     """The server is stopped as an operator does it, and started again."""
     for _ in range(times):

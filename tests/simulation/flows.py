@@ -29,6 +29,8 @@ _CDR = b"\0\1\0\0"
 _REMEMBERED = 4096
 LATE = 2.5
 """s: a message of this age is late by the default of `late_after`, whatever the clocks' uncertainty."""
+CLOCKS = 0.005
+"""s that true time and the clocks of stamps may differ by, beside what the engines know of."""
 _OF_NOBODY = contextvars.Context()
 
 
@@ -112,6 +114,7 @@ class Flow:
         oldest: s, the age of the oldest of them when it came out.
         newest: number of the newest message that came out, by life of the publisher.
         fresh_within: s from when a message is published until it comes out at the latest, if it does.
+        max_age: s that a message may be old when the other side's engine publishes it, by true time.
         late: messages that came out late, one after the other, as many as there are until now.
         late_since: s, when the first of them came out.
         taken: by which sending half of a route each of the last messages was taken.
@@ -150,6 +153,7 @@ class Flow:
         self.heard = 0
         self.newest: dict[int, int] = {}
         self.fresh_within = float("inf")
+        self.max_age = float("inf")
         self.oldest = 0.0
         self.late = 0
         self.late_since = 0.0
@@ -293,4 +297,8 @@ class Flow:
         account = self.taken.get(label) if label is not None else None
         if account is not None:
             account.published += 1
+        published_at = self._published_at.get(label) if label is not None else None
+        if published_at is not None and self._loop.time() - published_at > self.max_age + CLOCKS:
+            age = self._loop.time() - published_at
+            self._on_wrong(f"{self}: {label} was published when it was {age:.3f} s old, more than {self.max_age:g} s")
         return account

@@ -212,7 +212,8 @@ class Writer:
         if self.closed:
             return
         self.published += 1
-        sample = RawMessage(payload, self._domain.wall_ns(), self.gid, self.published if self._domain.numbers else 0)
+        now = self._domain.wall_ns()
+        sample = RawMessage(payload, now, self.gid, self.published if self._domain.numbers else 0, now)
         self.kept.append(sample)
         if self.on_publish is not None:
             self.on_publish(payload)
@@ -299,7 +300,8 @@ class Reader:
         self._draining = False
         if self.closed:
             return
-        batch = list(itertools.islice(self._pending, _BATCH))
+        now = self._domain.wall_ns()  # a process that was frozen receives then what came meanwhile
+        batch = [each._replace(stamp=now) for each in itertools.islice(self._pending, _BATCH)]
         for _ in batch:
             self._pending.popleft()
         if self._pending:

@@ -69,6 +69,9 @@ class FakePeer:
     linked = True
     clock_offset = 0.0
     clock_uncertainty = 0.001
+    stamp_offset: float | None = 0.0
+    stamp_uncertainty: float | None = 0.001
+    stamp_shift = 0
     report_delay = 0.0
     ping_wait = 0.0
     full_out: Fullness | None = None

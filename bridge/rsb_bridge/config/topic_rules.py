@@ -12,7 +12,16 @@ from rsb_bridge.config.keys import conceal
 from rsb_bridge.config.pattern_rules import exception_problems, pattern_problems
 from rsb_bridge.model import transports
 from rsb_bridge.model.lanes import LANES
-from rsb_bridge.model.limits import CHANNEL, DEADMAN_TIME, LATE_AFTER, NO_PORT, STALE_AFTER, TEXT_LENGTH, TOPIC_LENGTH
+from rsb_bridge.model.limits import (
+    CHANNEL,
+    DEADMAN_TIME,
+    LATE_AFTER,
+    MAX_AGE,
+    NO_PORT,
+    STALE_AFTER,
+    TEXT_LENGTH,
+    TOPIC_LENGTH,
+)
 from rsb_bridge.model.names import is_topic_name, server_topic, well_formed
 from rsb_bridge.model.patterns import is_pattern
 from rsb_bridge.model.qos import AUTO, PROFILES, Qos, parse_qos
@@ -92,6 +101,8 @@ def topic_problems(topic: Topic, location: str, session: Session | None, client:
         yield from stale_problems(topic.stale_after, join(location, "stale_after"))
     if topic.late_after is not None:
         yield from late_problems(topic.late_after, join(location, "late_after"))
+    if topic.max_age:
+        yield from _max_age(topic.max_age, join(location, "max_age"))
     yield from _arming(topic, location)
 
 
@@ -202,6 +213,11 @@ def late_problems(seconds: float, location: str) -> Iterator[Problem]:
     """Check a topic's or a session's `late_after`."""
     if seconds and seconds not in LATE_AFTER:
         yield Problem(location, f"{seconds} is out of range: {LATE_AFTER} s, or 0 to accept any delay")
+
+
+def _max_age(seconds: float, location: str) -> Iterator[Problem]:
+    if seconds not in MAX_AGE:
+        yield Problem(location, f"{seconds} is out of range: {MAX_AGE} s, or 0 for no limit")
 
 
 def stale_problems(seconds: float, location: str) -> Iterator[Problem]:

@@ -22,6 +22,8 @@ _KERNELS = 1.0
 """s by which the kernel is more patient with a connection."""
 _LONGEST_PING = 3600.0
 """s; a ping that takes longer means that a clock was set."""
+_UNANSWERED = 600
+"""Pings that are remembered; what is answered later says nothing of the clock."""
 _ANSWERS, _ANSWERS_A_SECOND = 10, 4.0
 """A peer pings once a second; after a pause of its process, several times at once."""
 
@@ -31,6 +33,7 @@ class Keepalive:
 
     Attributes:
         clock: round trip and clock offset.
+        stamps: the offset of the clock that the peer stamps messages by; nobody sets that.
         rx_bytes: wire bytes received over this connection and those before it, as of the last second.
         tx_bytes: sent, likewise.
     """
@@ -46,6 +49,8 @@ class Keepalive:
             patience: s without a byte until it is given up; None: `DEAD_AFTER`.
         """
         self.clock = ClockOffset()
+        self.stamps = ClockOffset()
+        self._sent_at: dict[int, int] = {}  # ns by the clock of stamps, by the ping's number
         self.rx_bytes = self.tx_bytes = 0
         self._context = context
         self._carriers = carriers
@@ -149,6 +154,10 @@ class Keepalive:
                     each.give_up_after(self._patience + _KERNELS)
         self._pings += 1
         self._pinged_at = now
+        self._context.stamps.look()
+        self._sent_at[self._pings] = self._context.stamps.now()
+        if len(self._sent_at) > _UNANSWERED:
+            del self._sent_at[next(iter(self._sent_at))]
         return Ping(n=self._pings, sent=self._context.wall_ns())
 
     def answer(self, ping: Ping) -> Pong | None:
@@ -156,9 +165,12 @@ class Keepalive:
         if not self._answers.take(1, self._context.now()):
             return None
         now = self._context.wall_ns()
-        return Pong(n=ping.n, sent=ping.sent, received=now, answered=now)
+        self._context.stamps.look()
+        return Pong(n=ping.n, sent=ping.sent, received=now, answered=now, shift=self._context.stamps.shift)
 
     def answered(self, pong: Pong) -> None:
         """The peer answered ours."""
         self._answered = max(self._answered, min(pong.n, self._pings))
         self.clock.add(pong.sent, pong.received, pong.answered, self._context.wall_ns())
+        if (sent := self._sent_at.pop(pong.n, None)) is not None:
+            self.stamps.add(sent, pong.received + pong.shift, pong.answered + pong.shift, self._context.stamps.now())

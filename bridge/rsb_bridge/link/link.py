@@ -27,6 +27,7 @@ from rsb_bridge.link.type_questions import TypeQuestions
 from rsb_bridge.model import profiles
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.demands import sources_of_entries
+from rsb_bridge.model.limits import MAX_AGE_FEATURE
 from rsb_bridge.model.snapshot import Level, LinkSnapshot
 from rsb_bridge.model.verdict import LinkCause
 from rsb_bridge.route.pause import Revisions
@@ -100,6 +101,7 @@ class Link(ABC):
         self.peer: Hello | Welcome | None = None
         self.encrypted = encrypted
         self._is_silent = False
+        self._shifts_stamps = False
         self.status = LinkStatus(context.wall())
         self.connections = 0
         self.linked_at = 0.0
@@ -244,11 +246,27 @@ class Link(ABC):
         """Seconds by which `clock_offset` may be wrong."""
         return self.keepalive.clock.uncertainty
 
+    @property
+    def stamp_offset(self) -> float | None:
+        """s, the clock that the peer stamps messages by minus this side's clock of stamps."""
+        return self.keepalive.stamps.offset
+
+    @property
+    def stamp_uncertainty(self) -> float | None:
+        """Seconds by which `stamp_offset` may be wrong."""
+        return self.keepalive.stamps.uncertainty
+
+    @property
+    def stamp_shift(self) -> int:
+        """Nanoseconds to add to a stamp of the wall clock before it is sent."""
+        return self.context.stamps.shift if self._shifts_stamps else 0
+
     def up(self, control: ControlChannel, peer: Hello | Welcome, keys: SessionKeys) -> None:
         """The peer is connected and authenticated."""
         self.control, self.peer, self.keys = control, peer, keys
         self.channels.connected(keys, self.role, receipts=window.FEATURE in peer.features)
         self._is_silent = False
+        self._shifts_stamps = MAX_AGE_FEATURE in peer.features
         self.connections += 1
         self.linked_at = self.context.now()
         self.keepalive = self.keepalive.next(self.profile.patience)

@@ -11,7 +11,7 @@ from rsb_bridge import __version__
 from rsb_bridge.link.errors import LinkError
 from rsb_bridge.model import priority
 from rsb_bridge.model.lanes import LANES
-from rsb_bridge.model.limits import LATE_AFTER_FEATURE
+from rsb_bridge.model.limits import LATE_AFTER_FEATURE, MAX_AGE_FEATURE
 from rsb_bridge.model.names import server_topic
 from rsb_bridge.model.priority import RANKS, priority_of
 from rsb_bridge.model.profiles import PLAIN, compression_of
@@ -57,6 +57,7 @@ def proposal_of(
         expected_rate=topic.expected_rate or 0.0,
         stale_after=topic.stale_after,
         late_after=topic.late_after,
+        max_age=topic.max_age,
         paused=topic.paused,
         arm=topic.arm,
         deadman=topic.deadman_seconds if topic.arm else 0.0,
@@ -87,6 +88,7 @@ def topic_of(proposal: Propose) -> Topic:
         expected_rate=proposal.expected_rate or None,
         stale_after=proposal.stale_after,
         late_after=proposal.late_after,
+        max_age=proposal.max_age,
         paused=proposal.paused,
         arm=proposal.arm,
         deadman=proposal.deadman if proposal.arm else None,
@@ -109,9 +111,11 @@ def kind_of(proposal: Propose) -> Kind:
 
 
 _OF_AN_OPENING = {"route": 1, "paused": False, "pause_revision": 0, "who": "", "edited": False}
-_FEATURES = {"late_after": LATE_AFTER_FEATURE, "priority": priority.FEATURE}
+_FEATURES = {"late_after": LATE_AFTER_FEATURE, "max_age": MAX_AGE_FEATURE, "priority": priority.FEATURE}
 """The features of limits; an older side ignores unknown limits."""
-_AMENDABLE = {"max_rate": 0.0, "expected_rate": 0.0, "stale_after": None, "late_after": None, "priority": 0}
+_AMENDABLE = {
+    "max_rate": 0.0, "expected_rate": 0.0, "stale_after": None, "late_after": None, "max_age": None, "priority": 0,
+}  # fmt: skip
 
 
 def same_route(one: Propose, other: Propose) -> bool:
@@ -133,8 +137,7 @@ def amended(proposal: Propose, limits: Propose | Amend) -> Propose:
     new = {name: getattr(limits, name) for name in _AMENDABLE}
     if new["priority"] is None:
         new["priority"] = proposal.priority
-    if new["late_after"] is UNSET:
-        new["late_after"] = proposal.late_after
+    new |= {name: getattr(proposal, name) for name, value in new.items() if value is UNSET}
     return msgspec.structs.replace(proposal, **new)
 
 
@@ -151,5 +154,6 @@ def amended_topic(topic: Topic, limits: Propose) -> Topic:
         expected_rate=limits.expected_rate or None,
         stale_after=limits.stale_after,
         late_after=limits.late_after,
+        max_age=limits.max_age,
         priority=priority_of(limits.priority) if limits.kind == "topic" else "normal",
     )

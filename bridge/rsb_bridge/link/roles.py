@@ -23,7 +23,7 @@ from rsb_bridge.link.server import Server
 from rsb_bridge.model import benchmark, lanes, patterns, priority
 from rsb_bridge.model.backoff import Backoff
 from rsb_bridge.model.codes import EventCode
-from rsb_bridge.model.limits import LATE_AFTER_FEATURE
+from rsb_bridge.model.limits import LATE_AFTER_FEATURE, MAX_AGE_FEATURE
 from rsb_bridge.model.names import client_topic
 from rsb_bridge.model.snapshot import Level
 from rsb_bridge.model.verdict import LinkCause
@@ -51,6 +51,7 @@ Keys = Mapping[str, tuple[Key, ...]]
 FEATURES = (
     lanes.FEATURE, priority.FEATURE, benchmark.FEATURE, patterns.FEATURE, window.FEATURE, LATE_AFTER_FEATURE,
     lease.FEATURE,
+    MAX_AGE_FEATURE,
 )  # fmt: skip
 """What this version can do beyond version 2 of the wire format."""
 ReportStep = Callable[[str], None]

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, TypeAlias
 
 import msgspec
 
+from rsb_bridge.link.age_demands import AgeDemands
 from rsb_bridge.link.arming import LinkArming
 from rsb_bridge.link.authorizing import allow_rate, authorized, check_overlap, check_room, denied
 from rsb_bridge.link.errors import LinkError
@@ -48,6 +49,7 @@ class RouteTable:
         routes: by key.
         ids: of their openings.
         arming: arms and disarms them.
+        ages: how old their messages may be, by this side's session.
         yielded: the topics that this side proposed until the other side's own took their places; by their routes' keys.
         listed: identities of the topics that this side proposes; named ones stay though the other side removes them.
         on_removed: called with a route that an operator of the other side has removed.
@@ -68,6 +70,7 @@ class RouteTable:
         self.arming = LinkArming(
             context, owner, self._peer_operators, lambda: tuple(self.routes.values()), self.propose
         )
+        self.ages = AgeDemands(lambda: tuple(self.routes.values()))
 
     # --- the connection
 
@@ -110,6 +113,8 @@ class RouteTable:
             if spec.arm and not self.routes[key].proposed_here:
                 self.arming.keep_demand(self.routes[key], spec)
                 self._context.demands.apply()
+            if spec.max_age is not None and not self.routes[key].proposed_here:
+                self.ages.demand(self.routes[key], spec)
             raise LinkError(f"{proposal.topic} is bridged in that direction already: edit or remove that route")
         check_overlap(spec, self.routes.values())
         half = half_of(proposal, is_client=self._owner.is_client)
@@ -118,6 +123,7 @@ class RouteTable:
         if proposed_here:
             self.listed.add(spec.identity)
             self._context.demands.changed()
+            self.ages.demand(route, spec)
         if proposed_here and self._owner.linked:
             self.propose(route, acting_operator(), edited=edited)
         return route
@@ -131,6 +137,7 @@ class RouteTable:
     def remove(self, route: Route, reason: str, *, told: bool = True) -> None:
         """Remove a route on both sides; `told`: the other side's operators are told who does it."""
         self.listed.discard(route.spec.identity)
+        self.ages.forget(route)
         self._tell_removed(route, reason, acting_operator() if told else "")
         self._forget(route, EventCode.ROUTE_REMOVED, reason)
 
@@ -180,6 +187,8 @@ class RouteTable:
             proposal: of it, with this side's names.
         """
         changed = amended(route.proposal, proposal)
+        if route.proposed_here or (self.ages.of(route) is not None and spec.max_age != route.spec.max_age):
+            self.ages.demand(route, spec)
         if route.proposed_here:
             route.amend(msgspec.structs.replace(spec, paused=route.paused), changed)
             self._context.demands.changed()
@@ -236,6 +245,8 @@ class RouteTable:
         route.close("opened anew")
         route.open(route_id)
         self.arming.opened(route)
+        route.age.accepted = None if route.proposed_here else self.ages.of(route)
+        route.settle_age()
         self.ids.opened(route, route_id)
 
     # --- proposing
@@ -346,7 +357,8 @@ class RouteTable:
             return
         if current():  # else it was closed while its port was being bound
             arming = route.arming
-            self._owner.send(Accept(route.id, route.local_topic, arming.required, arming.deadman))
+            accept = Accept(route.id, route.local_topic, arming.required, arming.deadman, route.age.accepted)
+            self._owner.send(accept)
             self._accepted(route)
 
     def _accepted(self, route: Route) -> None:
@@ -381,6 +393,8 @@ class RouteTable:
             case Accept():
                 route.set_peer_topic(message.topic)
                 self.arming.accepted(route, required=message.arm, deadman=message.deadman)
+                route.age.accepted = message.max_age
+                route.settle_age()
                 self._accepted(route)
             case Limit():
                 route.limit.allow_there(message.max_rate)

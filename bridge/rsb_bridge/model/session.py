@@ -87,6 +87,8 @@ class Topic(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defaul
         expected_rate: Hz, shown with the real rate, or None to learn it.
         stale_after: s without a message until a warning, 0 for no warning, or None for the session's.
         late_after: s that a message may take until the topic is late, 0 for no limit, or None for the session's.
+        max_age: s; an older message or request is dropped instead of published, 0 for no limit, or None for
+            `rsb_bridge.model.max_age.ARMED` on what has to be armed and no limit elsewhere.
         paused: the topic is set up, and carries nothing until it is resumed.
         arm: whether it carries nothing until an operator of either side arms it on a console.
         deadman: s without a key on that console after which it disarms, 0 for never, or None for `DEADMAN`.
@@ -108,6 +110,7 @@ class Topic(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defaul
     expected_rate: float | None = None
     stale_after: float | None = None
     late_after: float | None = None
+    max_age: float | None = None
     paused: bool = False
     arm: bool = False
     deadman: float | None = None

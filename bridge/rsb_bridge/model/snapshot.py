@@ -139,13 +139,13 @@ class Ledger:
 
     All are message counts since the route was made. `dropped` says each cause: ``queue full``, ``link lost``,
     ``lost on the way``, ``too large``, ``publish failed``, ``latched full``, ``slow subscriber``, ``expands too much``,
-    ``would loop``, ``paused``, ``disarmed``, ``thinned``.
+    ``would loop``, ``paused``, ``disarmed``, ``thinned``, ``incomplete``.
 
     Attributes:
         offered: taken from ROS on the sending side.
         delivered: given to DDS on the receiving side.
         throttled: left out for a highest rate.
-        expired: given up incomplete.
+        expired: dropped because they were older than `max_age`, or than their publisher's lifespan.
         in_flight: not accounted for yet.
         dropped: by cause.
         unknown: sent to a process that ended before it reported whether they arrived.

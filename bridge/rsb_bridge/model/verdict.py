@@ -41,6 +41,12 @@ class Cause(StrEnum):
     """There are publishers, but no messages."""
     LATE = "late"
     """Messages take longer than `late_after`."""
+    LINK_SLOW = "link_slow"
+    """Messages are older than `max_age` when the link has carried them, or before it takes them, and are dropped."""
+    CLOCK_UNKNOWN = "clock_unknown"
+    """Messages are dropped because their age is not known well enough for `max_age`."""
+    PUBLISHER_STAMPS_OLD = "publisher_stamps_old"
+    """Messages are older than `max_age` by their publisher's stamps when they are taken, and are dropped."""
     SLOW = "slow"
     LOSSY = "lossy"
     """Messages are lost on the way."""
@@ -151,6 +157,11 @@ class Verdict:
 FINE = Verdict(State.OK)
 
 
+EXPIRES = frozenset({Cause.LINK_SLOW, Cause.CLOCK_UNKNOWN, Cause.PUBLISHER_STAMPS_OLD})
+"""Causes of topics of whose messages many are older than `max_age`."""
+_LATE = frozenset({Cause.LATE, *EXPIRES})
+
+
 def state_for_any(state: State) -> State:
     """Return a state that every version knows, for the other side of a link and for attached consoles.
 
@@ -161,7 +172,7 @@ def state_for_any(state: State) -> State:
 
 def state_of(state: str, cause: str) -> State:
     """Return the original of a state from `state_for_any`, or SLOW if only a newer version knows it."""
-    return State.LATE if (state, cause) == (State.SLOW, Cause.LATE) else State(state)
+    return State.LATE if state == State.SLOW and cause in _LATE else State(state)
 
 
 def worse(sender: Verdict, receiver: Verdict) -> tuple[Verdict, bool]:

@@ -27,6 +27,7 @@ class RawMessage(NamedTuple):
         gid: its publisher's.
         number: among its publisher's messages, from 1; 0: the middleware does not number them.
         lease: the number that says how old it can be (`rsb_bridge.route.lease`), or 0 without one.
+        source: ns since the epoch on its publisher's clock, when it was published; 0: the middleware does not say.
     """
 
     payload: bytes
@@ -34,6 +35,7 @@ class RawMessage(NamedTuple):
     gid: bytes = b""
     number: int = 0
     lease: int = 0
+    source: int = 0
 
 
 class Endpoint(NamedTuple):
@@ -111,12 +113,14 @@ class Request(NamedTuple):
         caller: whose call it is, and which of its calls: opaque, for `ServiceServer.answer`.
         stamp: ns since the epoch on this machine's clock, when it was taken.
         lease: the number that says how old it can be (`rsb_bridge.route.lease`), or 0 without one.
+        source: ns since the epoch on the caller's clock, when it was sent; 0: the middleware does not say.
     """
 
     payload: bytes
     caller: bytes
     stamp: int
     lease: int = 0
+    source: int = 0
 
 
 class Response(NamedTuple):

@@ -125,10 +125,10 @@ class Server(ServiceEndpoint):
             if code:
                 _check(code, _NO_REQUEST, self.name, "a request could not be taken")
                 break
-            _, _, guid, number = _INFO.unpack(info)
+            source, _, guid, number = _INFO.unpack(info)
             self._served[guid] = None
             # rmw_fastrtps_cpp gives the time at which it was sent, by the caller's clock, for that at which it came.
-            requests.append(Request(taken.pop(), CALLER.pack(guid, number), time.time_ns()))
+            requests.append(Request(taken.pop(), CALLER.pack(guid, number), time.time_ns(), source))
         while len(self._served) > _CALLERS_REMEMBERED:  # those that are forgotten are answered as an earlier server's
             del self._served[next(iter(self._served))]
         return requests

@@ -111,7 +111,7 @@ class Reader:
                     break
                 reset_error()
                 raise RosError(f"{self.topic}: a message could not be taken (rcl error {code})")
-            _, stamp, number, _, _, gid, _ = unpack(info)
+            source, stamp, number, _, _, gid, _ = unpack(info)
             self._last_size = length = buffer.length
             size += length
             if gid in skip:
@@ -126,7 +126,7 @@ class Reader:
             if number > previous + 1:
                 self.lost += number - previous - 1
             last[gid] = number
-            taken.append(RawMessage(buffer.taken(), stamp, gid, number))
+            taken.append(RawMessage(buffer.taken(), stamp, gid, number, source))
         return taken
 
     def close(self) -> None:

@@ -55,7 +55,7 @@ class Health:
         """Once a second, at `now` (s)."""
         ledger = flow.ledger
         self._lost_in_dds.append(ledger.lost_in_dds)
-        self._loss.tick(ledger.delivered, {**ledger.dropped, "expired": ledger.expired}, now)
+        self._loss.tick(ledger.delivered, ledger.dropped, now)
         expected = flow.given_rate or flow.usual_rate
         if expected and flow.limit:
             expected = min(expected, flow.limit)

@@ -15,6 +15,7 @@ from rsb_bridge.model.text import sanitize_text
 from rsb_bridge.model.verdict import Cause
 from rsb_bridge.ros.api import RosError
 from rsb_bridge.ros.graph import type_hint
+from rsb_bridge.route.age import EXPIRED
 from rsb_bridge.route.both_sides import lasting, node_names, record_of
 from rsb_bridge.route.judging import facts_of
 from rsb_bridge.route.latched import LatchedFullError, LatchedTopic
@@ -34,7 +35,7 @@ from rsb_bridge.wire.messages import Describe, Propose, Ready, Refuse
 from rsb_bridge.wire.records import ReceivedReport, SentReport
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Iterable
+    from collections.abc import Callable, Collection, Iterable
 
     from rsb_bridge.channel.channel import ReceivingChannel
     from rsb_bridge.context import Context
@@ -141,6 +142,7 @@ class IncomingRoute(TopicRoute):
             self._refuse_type(str(error))
             return
         self.type_name, self.type_hash, self.qos = type_and_qos
+        self.settle_age()
         newest: dict[bytes, int] = {}
         if first:
             newest = self._outputs.opened()
@@ -216,7 +218,7 @@ class IncomingRoute(TopicRoute):
             return
         if not self._outputs.sinks:
             return
-        now, began = self.context.wall_ns(), self.context.now()
+        now, began = self.context.stamps.now(), self.context.now()
         count = size = 0
         stamp, messages = now, iter(messages)
         required = self.arming.required
@@ -236,7 +238,7 @@ class IncomingRoute(TopicRoute):
                 self._leave_out()
                 continue
             try:
-                self._publish(payload, flags)
+                self._publish(payload, flags, stamp)
             except _NotPublishedError as error:
                 self._dropped[error.cause] += 1
                 if error.code is not None:
@@ -249,11 +251,11 @@ class IncomingRoute(TopicRoute):
             self._report_at = self._received + _REPORTS_AFTER
             self.peer.report_soon(self)
         if count:
-            latency = None if (offset := self.peer.clock_offset) is None else (now - stamp) / 1e9 + offset
+            latency = None if (offset := self.peer.stamp_offset) is None else (now - stamp) / 1e9 + offset
             if latency is not None and latency <= began - self._flows_since:  # else it was kept from before
                 self.latency.add(latency)
             if self.peek_slot.wanted:
-                self._show(payload, flags, now, latency)
+                self._show(payload, flags, self.context.wall_ns(), latency)
             self.count(count, size)
 
     def _of_lease(self, message: Message) -> Message | None:
@@ -272,7 +274,7 @@ class IncomingRoute(TopicRoute):
         text = f"the other side sends more than the {self.limit.here:g} Hz that this side allows: the rest is left out"
         self.notices.message_error(EventCode.ROUTE_TOO_FAST, text)
 
-    def _publish(self, payload: bytes, flags: int) -> None:
+    def _publish(self, payload: bytes, flags: int, stamp: int) -> None:
         """Publish one message, or raise _NotPublishedError."""
         try:
             output = self._outputs.sinks[flags >> SOURCE_SHIFT]
@@ -283,9 +285,12 @@ class IncomingRoute(TopicRoute):
             if flags & HISTORY:
                 header, payload = split_history(payload)
             content = self._unpacker.unpack(payload) if flags & ZSTD else payload
+            if self.age.is_on and (why := self.age.why_old(stamp)) is not None:
+                self.age.expired(why, 1)
+                raise _NotPublishedError(EXPIRED, None, "")
             if not isinstance(output, LatchedTopic):
                 output.publish(content)
-            elif not output.publish(header, content):
+            elif not output.publish(header, content, self._still_young(stamp)):
                 raise _NotPublishedError("already published", None, "")
         except ExpandsTooMuchError as error:
             raise _NotPublishedError("expands too much", EventCode.ROUTE_EXPANDS_TOO_MUCH, str(error)) from None
@@ -295,6 +300,29 @@ class IncomingRoute(TopicRoute):
             raise _NotPublishedError("slow subscriber", EventCode.ROUTE_SLOW_SUBSCRIBER, str(error)) from None
         except (RosError, zstandard.ZstdError, ProtocolError) as error:
             raise _NotPublishedError("publish failed", EventCode.ROUTE_PUBLISH_FAILED, str(error)) from None
+
+    def _still_young(self, stamp: int) -> Callable[[], bool] | None:
+        """Return what a message that has to wait is asked for before it is published, or None for nothing."""
+        if not self.age.is_on:
+            return None
+
+        opening = self.id
+
+        def still_young() -> bool:
+            why = self.age.why_old(stamp)
+            if why is None:
+                return True
+            self.age.expired(why, 1)
+            if self.id == opening:  # else the counts of its opening are closed
+                self._delivered -= 1
+                self._dropped[EXPIRED] += 1
+            return False
+
+        return still_young
+
+    @property
+    def _came_here(self) -> int:
+        return self._received
 
     def _show(self, payload: bytes, flags: int, now_ns: int, latency: float | None) -> None:
         """Show a message to whoever looks, unless it is one that was not published."""
@@ -311,7 +339,7 @@ class IncomingRoute(TopicRoute):
         self.notices.message_error(EventCode.ROUTE_PUBLISH_FAILED, str(error))
 
     def _tick_lateness(self, now: float) -> None:
-        uncertainty = self.peer.clock_uncertainty
+        uncertainty = self.peer.stamp_uncertainty
         if not self.flowing or uncertainty is None or self._held_back:
             self.lateness.reset()
         else:

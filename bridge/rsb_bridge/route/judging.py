@@ -67,6 +67,7 @@ def facts_of(route: TopicRoute) -> Facts:
         stale_since=_stale_since(route),
         yielded=route.yielding.shown(),
         late=route.late(),
+        expired=route.age.late() if route.flowing else None,
         full=route.link_full,
         shown_cause=route.judged.shown_cause,
     )

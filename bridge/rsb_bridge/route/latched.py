@@ -83,7 +83,7 @@ class _History:
     seen_at: float
     newest: int = 0
     outputs: list[_Output] = field(default_factory=list)
-    waiting: deque[tuple[_Output, bytes]] = field(default_factory=deque)
+    waiting: deque[tuple[_Output, bytes, Callable[[], bool] | None]] = field(default_factory=deque)
 
 
 class LatchedTopic:
@@ -177,8 +177,13 @@ class LatchedTopic:
 
     # --- messages
 
-    def publish(self, header: HistoryHeader, content: bytes) -> bool:
+    def publish(self, header: HistoryHeader, content: bytes, still_wanted: Callable[[], bool] | None = None) -> bool:
         """Publish a message, now or as soon as its publisher is discovered by those who have discovered the others.
+
+        Args:
+            header: whose it is.
+            content: of the message.
+            still_wanted: asked right before it is published if it had to wait, or None if it is wanted in any case.
 
         Returns:
             Whether it was new; one that was published before is left out.
@@ -204,7 +209,7 @@ class LatchedTopic:
         output.kept.append((number, memory))
         history.newest = number
         if history.waiting or not self._matched(output, now):
-            history.waiting.append((output, content))
+            history.waiting.append((output, content, still_wanted))
             self._look_again()
         else:
             output.publisher.publish(content)
@@ -298,7 +303,9 @@ class LatchedTopic:
         now = self._loop.time()
         for history in self._histories.values():
             while history.waiting and self._matched(history.waiting[0][0], now):
-                output, content = history.waiting.popleft()
+                output, content, still_wanted = history.waiting.popleft()
+                if still_wanted is not None and not still_wanted():
+                    continue
                 try:
                     output.publisher.publish(content)
                 except RosError as error:

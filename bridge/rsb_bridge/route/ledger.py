@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 from rsb_bridge.model.snapshot import Ledger
+from rsb_bridge.route.age import EXPIRED
 
 if TYPE_CHECKING:
     from rsb_bridge.wire.records import ReceivedReport, SentReport
@@ -23,6 +24,8 @@ _MOST_CAUSES = 31
 _OTHER = "other"
 THROTTLED = "throttled"
 """The receiver left these out, for the rate that it allows."""
+INCOMPLETE = "incomplete"
+"""The receiver gave these up because parts of them did not come."""
 UNKNOWN = "unknown"
 """Cause under which a report lists `Ledger.unknown`, so that the sum is right for older peers, too."""
 _ON_THE_WAY = "lost on the way"
@@ -127,6 +130,7 @@ class RouteLedger:
         offered: messages taken from ROS.
         throttled: left out for the route's highest rate.
         dropped: here, by cause.
+        expired: dropped here, because they were too old.
         unknown: sent to a process that ended before it reported whether they arrived.
         lost_in_dds: lost before the bridge could take them.
         missed: messages published while the route was down, estimated.
@@ -140,8 +144,8 @@ class RouteLedger:
         self.lost_in_dds = 0
         self.missed = MissedWhileDown()
         self._numbered = numbered
+        self.expired = 0
         self._delivered = 0
-        self._expired = 0
         self._opening = _Opening()
         self._unsettled: _Opening | None = None
 
@@ -239,8 +243,8 @@ class RouteLedger:
         left = opening.sent
         if counted is not None:
             self._delivered += counted.delivered
-            self._expired += counted.expired
             self.dropped.update(counted.dropped)
+            self.drop(INCOMPLETE, counted.expired)
             on_the_way = self._lost(opening, counted)
             self.drop(_ON_THE_WAY, on_the_way)
             left -= counted.settled + on_the_way
@@ -253,17 +257,19 @@ class RouteLedger:
 
     def ledger(self, lost_in_dds: int) -> Ledger:
         """Return the balance, with `lost_in_dds` added to those counted before."""
-        delivered, expired, dropped = self._delivered, self._expired, self.dropped.copy()
+        delivered, dropped = self._delivered, self.dropped.copy()
         for opening in (self._opening, self._unsettled):
             if opening is not None and opening.counted is not None:
                 delivered += opening.counted.delivered
-                expired += opening.counted.expired
+                if opening.counted.expired:
+                    dropped[INCOMPLETE] += opening.counted.expired
                 if opening.counted.dropped:
                     dropped.update(opening.counted.dropped)
                 if lost := self._lost(opening, opening.counted):
                     dropped[_ON_THE_WAY] += lost
         throttled = self.throttled + dropped.pop(THROTTLED, 0)
         unknown = self.unknown + dropped.pop(UNKNOWN, 0)
+        expired = self.expired + dropped.pop(EXPIRED, 0)
         accounted = delivered + expired + throttled + unknown + dropped.total()
         return Ledger(
             offered=self.offered,

@@ -17,6 +17,7 @@ def limits_changed(old: Propose, new: Propose) -> str:
         ("expected_rate", old.expected_rate or None, new.expected_rate or None, " Hz"),
         ("stale_after", old.stale_after, new.stale_after, " s"),
         ("late_after", old.late_after, new.late_after, " s"),
+        ("max_age", old.max_age, new.max_age, " s"),
     )
     changed = [
         f"{name} {_figure(before, unit)} → {_figure(after, unit)}"

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from rsb_bridge.channel.channel import SendingChannel
     from rsb_bridge.model.profiles import LinkProfile
     from rsb_bridge.model.qos import Qos
+    from rsb_bridge.route.age import MessageAge
     from rsb_bridge.route.ledger import RouteLedger
     from rsb_bridge.transport.transport import Transport
     from rsb_bridge.wire.messages import Propose
@@ -39,11 +40,18 @@ class Outbox:
         proposal: what the two sides have agreed on.
         ledger: the route's.
         failed: told of a message that the transport does not carry.
+        age: how old the messages may be when they are sent, or None for any age.
     """
 
     def __init__(
-        self, transport: Transport, proposal: Propose, ledger: RouteLedger, failed: Callable[[EventCode, str], None]
+        self,
+        transport: Transport,
+        proposal: Propose,
+        ledger: RouteLedger,
+        failed: Callable[[EventCode, str], None],
+        age: MessageAge | None = None,
     ) -> None:
+        self._age = age
         self._transport = transport
         self._automatic = proposal.qos is None
         self._ledger = ledger
@@ -65,8 +73,11 @@ class Outbox:
         """Send messages, of `size` bytes together, that would only pass through the queue; False: they have to wait."""
         if self._queue or channel.congested or len(messages) > _BATCH or size > min(self._largest, channel.batch_bytes):
             return False
-        self._ledger.sent(len(messages))
-        channel.send(messages)
+        if self._age is not None and self._age.is_on:
+            messages = self._young(messages, self._age)
+        if messages:
+            self._ledger.sent(len(messages))
+            channel.send(messages)
         return True
 
     def fitting(self, messages: Sequence[Message], size: int) -> Sequence[Message]:
@@ -84,11 +95,19 @@ class Outbox:
         """Send while the channel takes messages."""
         queue = self._queue
         while queue and not channel.congested:
-            batch = queue.take(_BATCH, channel.batch_bytes)
-            self._ledger.sent(len(batch))
-            channel.send(batch)
+            batch: Sequence[Message] = queue.take(_BATCH, channel.batch_bytes)
+            if self._age is not None and self._age.is_on:
+                batch = self._young(batch, self._age)
+            if batch:
+                self._ledger.sent(len(batch))
+                channel.send(batch)
         if not queue:
             self._overload.over()
+
+    def _young(self, messages: Sequence[Message], age: MessageAge) -> Sequence[Message]:
+        young = age.young(messages)
+        self._ledger.expired += len(messages) - len(young)
+        return young
 
     def __len__(self) -> int:
         return len(self._queue)

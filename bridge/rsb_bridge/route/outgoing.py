@@ -99,6 +99,7 @@ class OutgoingRoute(TopicRoute):
         if described is not None and not again:
             self._end_intake()
             self._kept_there = ready.newest.keys()
+            self.age.publishers.since = None if described.qos.latched else self.context.stamps.now()
             self._intake = Intake(
                 self.context,
                 self,
@@ -161,6 +162,7 @@ class OutgoingRoute(TopicRoute):
     def _describe(self, described: Describe) -> None:
         self._described = described
         self.type_name, self.type_hash, self.qos = described.type, described.type_hash, described.qos
+        self.settle_age()
         self._sorter.table.told()
         self._present = None  # the peer may have new outputs
         self.peer.send(described)
@@ -335,6 +337,8 @@ class OutgoingRoute(TopicRoute):
         if not self.arming.passes(self.context.now()):
             self._lose("disarmed", len(batch))
             return ()
+        if self.age.is_on or self.peer.stamp_shift:
+            batch = self._stamped(batch)
         if self._sorter.carries(batch):
             return batch
         admitted, unseen = self._sorter.admit(batch)
@@ -346,6 +350,21 @@ class OutgoingRoute(TopicRoute):
             admitted = sent
         self._lose("queue full", self._sorter.give_up())
         return admitted
+
+    def _stamped(self, batch: Sequence[RawMessage]) -> Sequence[RawMessage]:
+        """Return messages with the stamps that the other side gets, without those that are too old."""
+        if not self.age.is_on:
+            shift = self.peer.stamp_shift
+            return [each._replace(stamp=each.stamp + shift) for each in batch]
+        young = self.age.stamped(batch, keep_old=self.is_latched)
+        expired = len(batch) - len(young)
+        self._ledger.offered += expired
+        self._ledger.expired += expired
+        return young
+
+    @property
+    def _came_here(self) -> int:
+        return self._ledger.offered
 
     def too_late(self, messages: int) -> None:
         """Messages have come after the end of their opening."""

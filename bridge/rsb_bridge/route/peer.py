@@ -62,6 +62,21 @@ class Peer(Protocol):
         ...
 
     @property
+    def stamp_offset(self) -> float | None:
+        """s, the clock that the peer stamps messages by minus this side's clock of stamps."""
+        ...
+
+    @property
+    def stamp_uncertainty(self) -> float | None:
+        """Seconds by which `stamp_offset` may be wrong."""
+        ...
+
+    @property
+    def stamp_shift(self) -> int:
+        """Nanoseconds to add to a stamp of the wall clock before it is sent."""
+        ...
+
+    @property
     def report_delay(self) -> float:
         """About how many s the peer's reports take to get here."""
         ...

@@ -15,9 +15,11 @@ import msgspec
 
 from rsb_bridge.model.backoff import Backoff
 from rsb_bridge.model.codes import EventCode
+from rsb_bridge.model.limits import MAX_AGE_FEATURE
 from rsb_bridge.model.priority import HIGHEST, RANKS, priority_of
 from rsb_bridge.model.snapshot import Level, RouteSnapshot, Stage
 from rsb_bridge.model.text import sanitize_text
+from rsb_bridge.route.age import MessageAge
 from rsb_bridge.route.arming import SAID, Arming, Disarmed
 from rsb_bridge.route.both_sides import BothSides
 from rsb_bridge.route.channel_losses import ChannelLosses, timed_out
@@ -68,6 +70,7 @@ class Route:
         life: what the two sides have agreed on so far.
         arming: whether it is armed, where it has to be.
         settling: whether the other side may still publish what was sent before it was disarmed.
+        age: how old its messages, or requests, may be.
         closed_ids: of its last incarnations on the present connection, the oldest first.
         closed_at: s, when its last opening ended; 0: it had none.
         endpoints: others' publishers of the topic on the sending side, their subscriptions on the receiving side; of
@@ -99,6 +102,7 @@ class Route:
         self.closed_ids: deque[int] = deque()
         self.closed_at = 0.0
         self.retry_at = 0.0
+        self._warned_of = ""  # the process of an older peer
         self._refused = ""  # the last refusal, until a later opening succeeds
         self._backoff = Backoff(_FIRST_PAUSE, _LONGEST_PAUSE)
         self.notices = Notices(self.log)
@@ -106,6 +110,7 @@ class Route:
         self.pausing = PauseState(peer.revisions, paused=proposal.paused, is_client=peer.is_client)
         self.arming = Arming()
         self.settling = Settling(context.loop, self.judge_again)
+        self.age = MessageAge(context, peer)
         self.channel: DataChannel | None = None
         self.type_name = ""
         self.type_hash = ""
@@ -148,7 +153,15 @@ class Route:
     def on_accepted(self) -> None:
         """Both sides want the route."""
         if self.life.take(Event.ACCEPT):
+            self._warn_of_older_peer()
             self.advance()
+
+    def _warn_of_older_peer(self) -> None:
+        """Tell operators that the other side drops nothing for its age, once for each of its processes."""
+        if self.age.max_age and MAX_AGE_FEATURE not in self.peer.features and self._warned_of != self.peer.instance:
+            self._warned_of = self.peer.instance
+            text = "only this side drops messages older than max_age: update the other side's rsb-console"
+            self.log(Level.WARNING, EventCode.ROUTE_MAX_AGE_ONE_SIDED, text)
 
     def stages(self) -> tuple[Stage, ...]:
         """The steps of a message's way; without a link, nothing is known of the others."""
@@ -334,9 +347,19 @@ class Route:
         changes = limits_changed(self.proposal, proposal)
         self.spec, self.proposal = spec, proposal
         self.limit.set_max_rate(proposal.max_rate)
+        self.settle_age()
         self._verdict = None
         if changes:
             self.log(Level.INFO, EventCode.ROUTE_AMENDED, changes)
+
+    def settle_age(self) -> None:
+        """Take in how old messages may be, whenever a side says something else about it."""
+        self.age.settle(self.proposal.max_age, armed=self.arming.required, lifespan=self._lifespan)
+
+    @property
+    def _lifespan(self) -> float:
+        """Lifespan (s) of what it carries, or 0 for none."""
+        return 0.0
 
     # --- time
 

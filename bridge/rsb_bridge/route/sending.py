@@ -6,6 +6,7 @@ from itertools import groupby
 from typing import TYPE_CHECKING, Protocol
 
 from rsb_bridge.channel.receipts import Pace, pace_of
+from rsb_bridge.model.verdict import Cause
 from rsb_bridge.route.outbox import Outbox
 from rsb_bridge.route.peeking import Peekable, peeked
 from rsb_bridge.route.throttle import LatestLater, Throttle
@@ -20,6 +21,7 @@ if TYPE_CHECKING:
     from rsb_bridge.context import Context
     from rsb_bridge.model.qos import Qos
     from rsb_bridge.ros.api import RawMessage
+    from rsb_bridge.route.age import MessageAge
     from rsb_bridge.route.arming import Arming
     from rsb_bridge.route.histories import Sample
     from rsb_bridge.route.ledger import RouteLedger
@@ -46,6 +48,7 @@ class SendingRoute(Peekable, Protocol):
         peek_slot: takes the next message for whoever looks at the topic.
         yielding: what it leaves to others of the link.
         arming: says whether its messages have to carry a number of the lease.
+        age: how old its messages may be.
     """
 
     transport: Transport
@@ -55,6 +58,7 @@ class SendingRoute(Peekable, Protocol):
     notices: Notices
     peek_slot: PeekSlot
     yielding: Yielding
+    age: MessageAge
     arming: Arming
 
     @property
@@ -96,7 +100,7 @@ class Sending:
         self._throttle = Throttle(self._max_rate)
         self._latest_later = LatestLater(context.loop, self._throttle, self._send_latched, lambda: route.paused)
         self._later: asyncio.TimerHandle | None = None
-        self._outbox = Outbox(route.transport, route.proposal, ledger, route.notices.message_error)
+        self._outbox = Outbox(route.transport, route.proposal, ledger, route.notices.message_error, route.age)
 
     def limit(self, max_rate: float) -> None:
         """Let so many Hz pass from now on; 0: all."""
@@ -155,8 +159,12 @@ class Sending:
     def _send_latched(self, samples: Sequence[Sample]) -> None:
         for publisher, group in groupby(samples, key=lambda sample: sample.header.publisher):
             messages, depth = [], 0
-            for header, (payload, stamp, gid, *_), _ in group:
+            for header, (payload, stamp, gid, *_), replayed in group:
                 depth = header.depth
+                if not self._route.age.is_young(stamp):
+                    self._route.age.expired(Cause.PUBLISHER_STAMPS_OLD if replayed else Cause.LINK_SLOW, 1)
+                    self._ledger.expired += 1
+                    continue
                 flags = self._sorter.table.flags.get(gid)
                 if flags is None:  # it has turned out, while the message waited, that it would go in a loop
                     self._ledger.drop("would loop", 1)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from rsb_bridge.model.snapshot import State
-from rsb_bridge.model.verdict import Cause
+from rsb_bridge.model.verdict import EXPIRES, Cause
 from rsb_bridge.route.lateness import Late, LateWatch
 from rsb_bridge.route.peeking import PeekSlot
 from rsb_bridge.route.route import Route
@@ -31,7 +31,7 @@ MEASURED_FOR = 6.0
 """s of lateness or loss after which a full link has been noticed."""
 _DRAINS_FOR = 60.0
 """s for which messages may be late or lost because their link was full."""
-_UNUSUAL = frozenset({Cause.LATE, Cause.THINNED, *LOSS_CAUSES})
+_UNUSUAL = frozenset({Cause.LATE, Cause.THINNED, *LOSS_CAUSES, *EXPIRES})
 
 
 class TopicRoute(Route):
@@ -90,6 +90,10 @@ class TopicRoute(Route):
         super().amend(spec, proposal)
         self.set_stale_after()
 
+    @property
+    def _lifespan(self) -> float:
+        return 0.0 if self.qos is None else self.qos.lifespan
+
     def set_stale_after(self) -> None:
         """Watch for silence as the topic's entry and the session say now."""
         self.silence.configure(self.spec, self.context.session)
@@ -133,6 +137,11 @@ class TopicRoute(Route):
         """Return the place where messages are held up, or an empty string if this half does not know it."""
         return ""
 
+    @property
+    def _came_here(self) -> int:
+        """Messages that came to this half so far, from ROS or the other side."""
+        raise NotImplementedError
+
     def _tick_lateness(self, now: float) -> None:
         """Tick `lateness` at `now` (s)."""
         raise NotImplementedError
@@ -141,6 +150,7 @@ class TopicRoute(Route):
         """Once a second: histories, stale warnings, and what has turned for the worse."""
         self.latency.tick()
         self._tick_lateness(self.context.now())
+        self.age.tick(self._came_here, self.context.now())
         if self.link_full is not None:
             self._full_at = self.context.now()
         super().tick()

@@ -9,6 +9,7 @@ from rsb_bridge.model.qos import clashes
 from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.text import join_first
 from rsb_bridge.model.verdict import FINE, LASTING, Cause, Verdict
+from rsb_bridge.route.age import expired_verdict
 from rsb_bridge.route.gates import gated, no_path, rank, throttled
 from rsb_bridge.route.lateness import late_verdict
 from rsb_bridge.route.yielding import verdict_of, why
@@ -20,6 +21,7 @@ if TYPE_CHECKING:
     from rsb_bridge.model.fullness import Fullness
     from rsb_bridge.model.qos import Qos
     from rsb_bridge.ros.api import Endpoint
+    from rsb_bridge.route.age import Expired
     from rsb_bridge.route.lateness import Late
     from rsb_bridge.route.yielding import Yielded
     from rsb_bridge.telemetry.watches import Loss
@@ -75,6 +77,7 @@ class Facts(NamedTuple):
         limited_by: the reason for the limit, in words.
         yielded: the share that it leaves to topics with a higher priority, or None.
         late: the lateness of its messages, or None if they are on time.
+        expired: the messages that were dropped lately because they were too old, or None if they are few.
         full: the rates of the link if it is full, or None.
         loss_unexplained: whether it is not known yet if `loss` is due to a full link.
         loss_of_full_link: whether the link was full since `loss` began, and has room now.
@@ -117,6 +120,7 @@ class Facts(NamedTuple):
     limited_by: str = "set on purpose (max_rate)"
     yielded: Yielded | None = None
     late: Late | None = None
+    expired: Expired | None = None
     full: Fullness | None = None
     loss_unexplained: bool = False
     loss_of_full_link: bool = False
@@ -210,6 +214,10 @@ def _waiting(facts: Facts) -> Verdict | None:
 
 def _late(facts: Facts) -> Verdict | None:
     return late_verdict(facts.late) if facts.late is not None else None
+
+
+def _expired(facts: Facts) -> Verdict | None:
+    return expired_verdict(facts.expired) if facts.expired is not None else None
 
 
 # --- the sending side
@@ -390,6 +398,7 @@ _RULES: tuple[Callable[[Facts], Verdict | None], ...] = (
     _lossy,
     _stale,
     _stopped,
+    _expired,
     _late,
     _slow,
     _subscribers,

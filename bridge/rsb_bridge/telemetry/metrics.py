@@ -111,7 +111,7 @@ FAMILIES = tuple(
             "messages_offered_total": "Messages taken from ROS on the sending side.",
             "messages_delivered_total": "Messages published on the receiving side.",
             "messages_throttled_total": "Messages left out because an operator allows no more.",
-            "messages_expired_total": "Messages given up incomplete.",
+            "messages_expired_total": "Messages dropped because they were too old.",
             "messages_unknown_total": "Messages sent to a process that ended before it reported whether they arrived.",
             "messages_lost_in_dds_total": "Messages lost before the bridge could take them.",
             "messages_missed_while_down_total": "Messages published while the route was down, estimated.",

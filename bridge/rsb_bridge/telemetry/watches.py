@@ -29,7 +29,7 @@ _LOSSLESS_TICKS, _RECOVERED_TICKS = 2, 4
 """Ticks in which messages arrive and none is lost, after which a topic recovers, and after which it has recovered."""
 _EXPECTED_LOSSES = 3.0
 """Losses that the arrived messages would have had at the share before, so that their absence is not chance."""
-_NO_LOSS = frozenset({"already published", "link lost", "would loop", "thinned"})
+_NO_LOSS = frozenset({"already published", "link lost", "would loop", "thinned", "expired"})
 """Causes of drops that are meant, or that the link's own state explains."""
 
 
@@ -114,7 +114,7 @@ class Loss:
     Attributes:
         lost: how many.
         of: of so many whose end is known.
-        cause: that most of them were dropped for, as in the ledger; ``expired``: parts of them did not come.
+        cause: that most of them were dropped for, as in the ledger.
         since: s, when it began.
         recovering: whether fewer are lost now than make a fault.
     """

@@ -8,6 +8,7 @@ from rsb_bridge.wire.fields import (
     Count,
     Hertz,
     LateAfter,
+    MaxAge,
     Name,
     Rank,
     RouteId,
@@ -22,7 +23,7 @@ class Amend(ControlMessageBase, frozen=True):
 
     The route's proposer decides: it tells what holds from now on. The other side asks it by the same message, and
     changes nothing before the proposer has answered. `who` is the operator who changes it; empty in an answer. An older
-    side sends no `priority` or `late_after`; then the route keeps its own.
+    side sends no `priority`, `late_after` or `max_age`; then the route keeps its own.
     """
 
     route: RouteId
@@ -32,9 +33,10 @@ class Amend(ControlMessageBase, frozen=True):
     who: Name = ""
     priority: Rank | None = None
     late_after: LateAfter | UnsetType | None = UNSET
+    max_age: MaxAge | UnsetType | None = UNSET
 
     def __post_init__(self) -> None:
-        check_limits(self.max_rate, self.expected_rate, self.stale_after, self.late_after)
+        check_limits(self.max_rate, self.expected_rate, self.stale_after, self.late_after, self.max_age)
 
 
 class Limit(ControlMessageBase, frozen=True):

@@ -42,6 +42,8 @@ class CallFrame(NamedTuple):
         took: of an answer, ns that the providing node took for it, as the bridge beside it saw it; else 0.
         content: the serialized message (CDR with its encapsulation header), or why a call is refused.
         lease: the number in the lease header before the frame, or 0 without one.
+        stamp: ns, from which the age of a request counts, by the clock of the side that sends it; 0: it has none. It is
+            the stamp of the message that carries the frame.
     """
 
     what: What
@@ -50,6 +52,7 @@ class CallFrame(NamedTuple):
     took: int
     content: bytes
     lease: int = 0
+    stamp: int = 0
 
     def pack(self) -> bytes:
         """The frame as bytes."""

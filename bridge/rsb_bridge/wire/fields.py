@@ -10,7 +10,7 @@ from typing import Annotated, Literal, TypeAlias
 from msgspec import Meta, UnsetType
 
 from rsb_bridge.cdr.description import DESCRIPTION_LIMIT
-from rsb_bridge.model.limits import LATE_AFTER, PORT, RATE, REASON_LENGTH, STALE_AFTER, TEXT_LENGTH
+from rsb_bridge.model.limits import LATE_AFTER, MAX_AGE, PORT, RATE, REASON_LENGTH, STALE_AFTER, TEXT_LENGTH
 from rsb_bridge.model.priority import HIGHEST, LOWEST
 from rsb_bridge.model.sources import HOP_LENGTH, MOST_BRIDGES, MOST_HOPS
 from rsb_bridge.model.text import UNPRINTABLE
@@ -27,11 +27,13 @@ MessageNumber: TypeAlias = Annotated[int, Meta(ge=0, le=2**63 - 1)]
 LinkId: TypeAlias = Annotated[bytes, Meta(min_length=8, max_length=8)]
 Count: TypeAlias = Annotated[int, Meta(ge=0, le=2**53)]
 Nanoseconds: TypeAlias = Annotated[int, Meta(ge=0, le=2**63 - 1)]
+Shift: TypeAlias = Annotated[int, Meta(ge=-(2**62), le=2**62)]
 Port: TypeAlias = Annotated[int, Meta(ge=0, le=int(PORT.high))]
 Seconds: TypeAlias = Annotated[float, Meta(ge=0, le=1e9)]
 Hertz: TypeAlias = Annotated[float, Meta(ge=0, le=RATE.high)]
 StaleAfter: TypeAlias = Annotated[float, Meta(ge=0, le=STALE_AFTER.high)]
 LateAfter: TypeAlias = Annotated[float, Meta(ge=0, le=LATE_AFTER.high)]
+MaxAge: TypeAlias = Annotated[float, Meta(ge=0, le=MAX_AGE.high)]
 Causes: TypeAlias = Annotated[dict[Name, int], Meta(max_length=32)]
 Rank: TypeAlias = Annotated[int, Meta(ge=LOWEST, le=HIGHEST)]
 Hop: TypeAlias = Annotated[str, Meta(min_length=1, max_length=HOP_LENGTH, pattern=PRINTABLE)]
@@ -57,6 +59,7 @@ def check_limits(
     expected_rate: float = 0.0,
     stale_after: float | None = None,
     late_after: float | UnsetType | None = None,
+    max_age: float | UnsetType | None = None,
 ) -> None:
     """Check the limits of a route, which are 0 or in a range.
 
@@ -69,3 +72,14 @@ def check_limits(
         raise ValueError(f"stale_after is 0 or {STALE_AFTER} s")
     if late_after and late_after not in LATE_AFTER:
         raise ValueError(f"late_after is 0 or {LATE_AFTER} s")
+    check_max_age(max_age)
+
+
+def check_max_age(max_age: float | UnsetType | None) -> None:
+    """Check the age that messages of a route may have.
+
+    Raises:
+        ValueError: it is neither 0 nor in its range.
+    """
+    if max_age and max_age not in MAX_AGE:
+        raise ValueError(f"max_age is 0 or {MAX_AGE} s")

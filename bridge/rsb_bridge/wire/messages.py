@@ -22,6 +22,7 @@ from rsb_bridge.wire.fields import (
     Hertz,
     LateAfter,
     LinkId,
+    MaxAge,
     MaybeHops,
     Name,
     Nanoseconds,
@@ -34,9 +35,11 @@ from rsb_bridge.wire.fields import (
     RefuseCode,
     RouteId,
     Seconds,
+    Shift,
     StaleAfter,
     Transport,
     check_limits,
+    check_max_age,
 )
 from rsb_bridge.wire.following import Follow, Followed
 from rsb_bridge.wire.lease import Lease, Settled
@@ -117,6 +120,8 @@ class Propose(_Message, frozen=True, kw_only=True):
         expected_rate: Hz, shown to operators; 0: each side learns it.
         stale_after: s; 0: never warn; None: each side's own default.
         late_after: s, 0 for no limit, or None for each side's own default.
+        max_age: s that a message may be old when it is published, 0 for no limit, or None if the proposer's session
+            sets none.
         paused: begin paused.
         pause_revision: of `paused`; see `Pause`.
         arm: the proposer's session wants it to be armed before anything crosses.
@@ -152,10 +157,11 @@ class Propose(_Message, frozen=True, kw_only=True):
     timeout: Seconds = 0.0
     priority: Rank = 0
     late_after: LateAfter | None = None
+    max_age: MaxAge | None = None
 
     def __post_init__(self) -> None:
         check_qos(self.qos, depth_known=True)
-        check_limits(self.max_rate, self.expected_rate, self.stale_after, self.late_after)
+        check_limits(self.max_rate, self.expected_rate, self.stale_after, self.late_after, self.max_age)
         check_deadman(self.deadman)
 
 
@@ -167,15 +173,18 @@ class Accept(_Message, frozen=True):
         topic: its name on the acceptor's side, which may add a prefix to the proposed one.
         arm: the acceptor wants it to be armed before anything crosses, be it by its session or by the proposal.
         deadman: as in `Propose`.
+        max_age: as in `Propose`, by the acceptor's session.
     """
 
     route: RouteId
     topic: Name
     arm: bool = False
     deadman: Seconds = 0.0
+    max_age: MaxAge | None = None
 
     def __post_init__(self) -> None:
         check_deadman(self.deadman)
+        check_max_age(self.max_age)
 
 
 class Refuse(_Message, frozen=True):
@@ -307,12 +316,15 @@ class Pong(_Message, frozen=True):
         sent: from the ping.
         received: ns since the epoch on the answerer's clock, when the ping came.
         answered: likewise, when this was sent.
+        shift: ns, to be added to the answerer's times; the sums are of a clock that nobody sets, as are the stamps of
+            its messages to a peer with the feature `max_age`.
     """
 
     n: Count
     sent: Nanoseconds
     received: Nanoseconds
     answered: Nanoseconds
+    shift: Shift = 0
 
 
 class Report(_Message, frozen=True):

@@ -180,6 +180,8 @@ def _details(topic: Topic, compression: Compression) -> Iterator[str]:
         yield f"stale after {topic.stale_after:g} s" if topic.stale_after else "never stale"
     if topic.late_after is not None:
         yield f"late after {topic.late_after:g} s" if topic.late_after else "never late"
+    if topic.max_age is not None:
+        yield f"dropped if older than {topic.max_age:g} s" if topic.max_age else "of any age"
     if topic.paused:
         yield "paused"
     if topic.arm and topic.is_pattern:

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 Complete: TypeAlias = "Callable[[argparse.Action, str], None]"
 TOPIC_KEYS = (
     "type=, protocol=, port=, qos=, remote_topic=, compression=, max_rate=, priority=, expected_rate=, stale_after=, "
-    "late_after=, paused=, arm=, deadman=, except="
+    "late_after=, max_age=, paused=, arm=, deadman=, except="
 )
 CALL_KEYS = (
     "type=, timeout=, protocol=, port=, remote_service= (remote_action=, remote_node=), compression=, max_rate=, "

@@ -22,7 +22,8 @@ if TYPE_CHECKING:
 KINDS: tuple[Kind, ...] = ("topic", "service", "action", "parameters")
 ORDER = (
     "topic", "kind", "direction", "provider", "excepts", "type", "qos", "remote_topic", "timeout", "protocol", "port",
-    "max_rate", "priority", "expected_rate", "stale_after", "late_after", "compression", "arm", "deadman", "paused",
+    "max_rate", "priority", "expected_rate", "stale_after", "late_after", "max_age", "compression", "arm", "deadman",
+    "paused",
 )  # fmt: skip
 """The keys of all fields, in the order in which an operator thinks of them."""
 _LABELS: dict[Kind, str] = {"topic": "Topic", "service": "Service", "action": "Action", "parameters": "Node"}
@@ -154,9 +155,13 @@ def _how(session: Session, kind: Kind, begun: str | None) -> Iterator[Spec]:
         yield Spec("stale_after", "Stale after", "Seconds without a message before a warning; 0: never.", blank=after)
         late = f"{session.late_after:g} s"
         yield Spec("late_after", "Late after", "Seconds that a message may take, or 0 for no limit.", blank=late)
+        old = "Seconds; an older message is dropped. 0: no limit. Empty: 1 s if it has to be armed, else no limit."
+        yield Spec("max_age", "Max age", old, blank="1 s if armed")
         worth = "zstd is worth it for maps and clouds, and on slow links."
     else:
         yield Spec("max_rate", "Max rate", "Calls a second; those beyond it are refused. Empty: no limit.", blank="all")
+        old = "Seconds; an older request is refused. 0: no limit. Empty: 1 s if it has to be armed, else no limit."
+        yield Spec("max_age", "Max age", old, blank="1 s if armed")
         worth = "zstd is worth it for large requests and answers, and on slow links."
     yield Spec("compression", "Compression", worth, options=packing)
 

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
     from rsb_bridge.model.snapshot import Snapshot
 
-NUMBERS = ("port", "max_rate", "expected_rate", "stale_after", "late_after", "deadman", "timeout")
+NUMBERS = ("port", "max_rate", "expected_rate", "stale_after", "late_after", "max_age", "deadman", "timeout")
 
 
 @dataclass(frozen=True, slots=True)

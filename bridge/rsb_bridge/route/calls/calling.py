@@ -39,6 +39,8 @@ if TYPE_CHECKING:
     from rsb_bridge.wire.messages import Propose, Provide
     from rsb_bridge.wire.records import CallsReport, LaneEntry
 
+_CALLER = 16
+"""Bytes of `Request.caller` that say who asks; the others say which request it is."""
 _AT_ONCE = 1.0
 """s of `max_rate` that may come at once."""
 
@@ -161,6 +163,8 @@ class CallingRoute(CallsRoute):
             if any(offers.services_of(entries)[lane] != kind for lane, kind in offers.types.items()):
                 self._end_offer()
             was_offered = self.offered
+            if not offers.types:
+                self.age.publishers.since = self.context.stamps.now()
             offers.open(entries, self.local_names, lanes | self._owed())
             self._reach = lanes
             self._log_offer(was_offered)
@@ -226,6 +230,8 @@ class CallingRoute(CallsRoute):
 
     def _asked(self, lane: int, requests: Sequence[Request]) -> None:
         """Take requests of callers here, the oldest first."""
+        if self.age.is_on and self.lanes[lane].limited:
+            requests = [self._stamped(request) for request in requests]
         for request in requests:
             self._asked_for(len(request.payload))
             if (why := self._refusal(lane, request)) is not None:
@@ -233,6 +239,11 @@ class CallingRoute(CallsRoute):
             else:
                 self._begin(lane, request)
         self.flush()
+
+    def _stamped(self, request: Request) -> Request:
+        """Return a request with the time from which its age counts as its stamp, or 0 if it is too old."""
+        born = self.age.born(request.source, request.stamp, request.caller[:_CALLER])
+        return request._replace(stamp=0 if born is None else born)
 
     def _too_late(self, lane: int, requests: Sequence[Request]) -> None:
         """Requests were on their way from ROS when it was offered no more."""
@@ -245,6 +256,8 @@ class CallingRoute(CallsRoute):
         now = self.context.now()
         if (why := self.held_now(lane)) is not None:
             return why
+        if self.age.is_on and self.lanes[lane].limited and not self.age.is_young(request.stamp):
+            return Refused.TOO_OLD
         if len(request.payload) > self._outbox.largest:
             return Refused.TOO_LARGE
         if self.limit.rate and self.lanes[lane].limited and not self._allowed.take(1.0, now):
@@ -261,7 +274,12 @@ class CallingRoute(CallsRoute):
         server = hand or self._offers.servers[lane]
         call = CallerCall(lane, frame_size(request.payload), self.context.now(), server, request.caller)
         self._under_way.add(self._last_number, call, self.timeout_of(lane))
-        self._send(CallFrame(What.CALL, lane, self._last_number, 0, request.payload, request.lease))
+        stamp = self._stamp_of(lane, request)
+        self._send(CallFrame(What.CALL, lane, self._last_number, 0, request.payload, request.lease, stamp))
+
+    def _stamp_of(self, lane: int, request: Request) -> int:
+        """Return the time from which a request's age counts, or 0 if that is not limited."""
+        return request.stamp if self.age.is_on and self.lanes[lane].limited else 0
 
     async def call_by_hand(self, lane: int, request: bytes) -> bytes:
         """Make a call as a caller here would."""
@@ -269,7 +287,8 @@ class CallingRoute(CallsRoute):
             raise CallError(self._why_not_now())
         hand, number = Hand(self.context.loop), self._last_number + 1
         self._asked_for(len(request))
-        made = Request(request, b"", 0, self.arming.newest_number if self.arming.required else 0)
+        lease = self.arming.newest_number if self.arming.required else 0
+        made = Request(request, b"", self.context.stamps.now(), lease)
         if (why := self._refusal(lane, made)) is not None:
             self._refuse(why)
             raise CallError(self.calls.last_failure)
@@ -296,6 +315,8 @@ class CallingRoute(CallsRoute):
         return f"{self.local_topic} cannot be called now: {why}"
 
     def _leaves(self, frame: CallFrame) -> bool:
+        if frame.stamp and frame.call in self._under_way and not self.age.is_young(frame.stamp):
+            self._take_refusal(frame, Refused.TOO_OLD)
         return frame.call in self._under_way
 
     def _take(self, frame: CallFrame) -> None:

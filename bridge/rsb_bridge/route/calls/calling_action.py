@@ -127,7 +127,9 @@ class CallingAction(CallingRoute):
         if hand is not None:
             super()._begin(lane, request, hand)  # an operator who waits is not kept waiting over an interruption
             return
-        self._ask(KeptCall(lane, request.caller, request.payload, self.context.now(), again=False), request.lease)
+        stamp = self._stamp_of(lane, request)
+        kept = KeptCall(lane, request.caller, request.payload, self.context.now(), again=False, stamp=stamp)
+        self._ask(kept, request.lease)
         if lane == SEND_GOAL and (goal := goal_of(request.payload)) is not None:
             self.goals.asked(goal)
 
@@ -141,7 +143,7 @@ class CallingAction(CallingRoute):
         )
         self._under_way.add(self._last_number, under_way, self.timeout_of(call.lane))
         what = What.AGAIN if call.again else What.CALL
-        self._send(CallFrame(what, call.lane, self._last_number, 0, call.payload, lease))
+        self._send(CallFrame(what, call.lane, self._last_number, 0, call.payload, lease, call.stamp))
 
     def _ask_again(self) -> None:
         """Ask whatever waits: cancels first."""

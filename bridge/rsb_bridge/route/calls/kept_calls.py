@@ -32,6 +32,7 @@ class KeptCall(NamedTuple):
         asked: s, when the caller asked.
         again: it has been under way before.
         instance: of the peer's process that it was sent to; empty: it has not been.
+        stamp: ns, from which its age counts, or 0 if that is not limited.
     """
 
     lane: int
@@ -40,6 +41,7 @@ class KeptCall(NamedTuple):
     asked: float
     again: bool
     instance: str = ""
+    stamp: int = 0
 
 
 class KeptCalls:

@@ -39,7 +39,7 @@ class CallsOutbox:
         proposal: what the two sides have agreed on.
         lanes: of the route.
         leaves: asked right before a call or an answer is sent: False: it is wanted no more.
-        wall_ns: gives the stamps of messages.
+        stamp: gives the stamp of a message that has none.
     """
 
     def __init__(
@@ -48,13 +48,13 @@ class CallsOutbox:
         proposal: Propose,
         lanes: Sequence[Lane],
         leaves: Callable[[CallFrame], bool],
-        wall_ns: Callable[[], int],
+        stamp: Callable[[], int],
     ) -> None:
         self.largest = transport.largest_message - CALL_HEADER_LENGTH
         self._compressor = zstandard.ZstdCompressor(_ZSTD_LEVEL) if proposal.compression == "zstd" else None
         self._lanes = lanes
         self._leaves = leaves
-        self._wall_ns = wall_ns
+        self._stamp = stamp
         self._frames: OrderedDict[int, CallFrame] = OrderedDict()  # by number of the call; others by one below 0
         self._others = 0
         self._refusals = 0
@@ -130,7 +130,7 @@ class CallsOutbox:
 
     def _pack(self, frame: CallFrame) -> Message:
         """A frame as it is sent: its content is compressed, where that is agreed and makes it smaller."""
-        flags = 0
+        stamp, flags = frame.stamp or self._stamp(), 0
         if self._compressor is not None:
             smaller = self._compressor.compress(frame.content)
             if len(smaller) < len(frame.content):
@@ -138,4 +138,4 @@ class CallsOutbox:
         packed = frame.pack()
         if frame.lease:
             packed, flags = with_number(frame.lease, packed), flags | LEASED
-        return packed, self._wall_ns(), flags
+        return packed, stamp, flags

@@ -248,6 +248,8 @@ class ProvidingRoute(CallsRoute):
         """Why a call is not made here; if it is, it has its place in the link's budget."""
         now = self.context.now()
         limited = self._is_limited(frame)
+        if limited and self.age.is_on and self.age.why_old(frame.stamp) is not None:
+            return Refused.TOO_OLD
         if limited and (why := self.held_now(frame.lane)) is not None:
             return why
         if limited and not self.arming.admits(frame.lease):

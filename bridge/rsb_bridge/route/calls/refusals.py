@@ -24,6 +24,8 @@ class Refused(StrEnum):
     """The middleware refused the request."""
     NOT_ARRIVED = "not arrived"
     """A goal was under way when the link went, never arrived, and does not begin late."""
+    TOO_OLD = "too old"
+    """The request was older than `max_age` when it would have been handed on; the call reached nobody."""
     LOST = "lost"
     """It was under way when its provider went. Counted as lost, not as refused."""
     OTHER = "other"
@@ -40,6 +42,7 @@ REMEDIES = {
     Refused.TOO_LARGE: "the request or the response is longer than a message may be",
     Refused.NOT_SENT: "the middleware refused the request; the log of the providing side says why",
     Refused.NOT_ARRIVED: "the link dropped before the goal arrived, so it was not started: send it again",
+    Refused.TOO_OLD: "the request was older than max_age and was dropped: look what holds it up, and ask again",
     Refused.LOST: "its server went while the call was under way, and may have acted on it",
     Refused.OTHER: "the other side gives a reason that this version does not know: update this side",
 }

@@ -74,7 +74,7 @@ class CallsRoute(Route):
         super().__init__(context, peer, spec, proposal, proposed_here=proposed_here)
         self.lanes = LANES[spec.kind]
         self.calls = CallsLedger()
-        self._outbox = CallsOutbox(self.transport, proposal, self.lanes, self._leaves, context.wall_ns)
+        self._outbox = CallsOutbox(self.transport, proposal, self.lanes, self._leaves, self._stamp_now)
         self._unpacker = Unpacker(peer.budget.expansion, context)
         self._later: deque[Message] = deque()
         self._report: CallsReport | None = None  # the peer's, of the present opening
@@ -85,6 +85,9 @@ class CallsRoute(Route):
         self._warning: Trouble | None = None
         self._failures = Failures(context, self._again_if_open)
         self._said: dict[str, float] = {}
+
+    def _stamp_now(self) -> int:
+        return self.context.wall_ns() + self.peer.stamp_shift
 
     # --- what the halves do differently
 
@@ -245,6 +248,8 @@ class CallsRoute(Route):
                 if flags & LEASED:
                     lease, payload = split_number(payload)
                 frame = self._of_a_lane(unpack_call(payload)._replace(lease=lease))
+                if self.age.is_on:
+                    frame = frame._replace(stamp=stamp)
                 if not flags & ZSTD:
                     self._take(frame)
                 elif self._unpacker.begin((frame.content, stamp, flags)):

@@ -1,0 +1,230 @@
+"""Holds a route's messages and requests to `max_age` and to their publishers' lifespan.
+
+Each side measures a message's age when it would hand it on: the sender when it gives the message to the channel, the
+receiver when it would publish it. Nothing in between matters: queues, holds, pauses, reconnects.
+
+Where the age is not known exactly, `max_age` drops the message: the uncertainty of the other side's clock counts
+against it. A lifespan promises less, and drops what is surely older.
+"""
+
+from __future__ import annotations
+
+from collections import Counter, deque
+from typing import TYPE_CHECKING, NamedTuple
+
+from rsb_bridge.model.max_age import effective_max_age
+from rsb_bridge.model.snapshot import State
+from rsb_bridge.model.verdict import Cause, Verdict
+from rsb_bridge.route.publisher_clock import PublisherClocks
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from rsb_bridge.context import Context
+    from rsb_bridge.model.stamp_clock import StampClock
+    from rsb_bridge.ros.api import RawMessage
+    from rsb_bridge.route.peer import Peer
+    from rsb_bridge.wire.framing import Message
+
+EXPIRED = "expired"
+"""The cause under which the receiver reports messages that were too old."""
+_LATELY = 10
+"""s that verdicts look back on."""
+_MANY = 0.05
+"""Share of expired messages above which a topic is late."""
+_AHEAD = 0.05
+"""s, beyond the uncertainty, by which a message may seem to come from the future."""
+
+
+class Expired(NamedTuple):
+    """Messages that were dropped lately because they were too old.
+
+    Attributes:
+        cause: of most of them.
+        lost: how many.
+        of: of so many.
+        limit: s that they may be old.
+        since: s, when it began.
+        uncertainty: s by which the other side's clock may be wrong, or None if nothing is known of it.
+    """
+
+    cause: Cause
+    lost: int
+    of: int
+    limit: float
+    since: float
+    uncertainty: float | None
+
+
+class MessageAge:
+    """One half's.
+
+    Attributes:
+        is_on: whether ages are limited at all.
+        max_age: s that holds for the two sides, or 0 for no limit.
+        accepted: s that the session of the side that accepted the route sets, 0 for no limit, or None if it sets none.
+        publishers: the clocks of those whose messages are taken.
+    """
+
+    def __init__(self, context: Context, peer: Peer) -> None:
+        self.is_on = False
+        self.max_age = 0.0
+        self.accepted: float | None = None
+        self.publishers = PublisherClocks()
+        self._context = context
+        self._peer = peer
+        self._limit = 0.0  # s: the smaller one of `max_age` and the lifespan
+        self._limit_ns = 0
+        self._steps = 0
+        self._counts: Counter[Cause] = Counter()
+        self._lately: deque[tuple[int, Counter[Cause]]] = deque(maxlen=_LATELY + 1)
+        self._since: float | None = None
+
+    def settle(self, proposed: float | None, *, armed: bool, lifespan: float = 0.0) -> None:
+        """Take what both sides say.
+
+        Args:
+            proposed: s that the proposer's session sets, 0 for no limit, or None if it sets none.
+            armed: whether it has to be armed.
+            lifespan: s, of its publishers, or 0 for none.
+        """
+        self.max_age = effective_max_age((proposed, self.accepted), armed=armed)
+        self._limit = min(filter(None, (self.max_age, lifespan)), default=0.0)
+        self._limit_ns = int(self._limit * 1e9)
+        self.is_on = self._limit > 0.0
+
+    # --- the side that takes from ROS
+
+    def stamped(self, batch: Sequence[RawMessage], *, keep_old: bool = False) -> list[RawMessage]:
+        """Return messages from ROS, each with the time from which its age counts as its stamp.
+
+        Those that are too old already are left out and counted, unless `keep_old`.
+        """
+        clock = self._look()
+        shift, born = clock.shift, self.publishers.born
+        if not clock.is_sure:
+            if not self.max_age:
+                return [each._replace(stamp=each.stamp + shift) for each in batch]
+            if keep_old:
+                return [each._replace(stamp=0) for each in batch]
+            self.expired(Cause.CLOCK_UNKNOWN, len(batch))
+            return []
+        kept = [
+            each._replace(stamp=born(each.source and each.source + shift, each.stamp + shift, each.gid))
+            for each in batch
+        ]
+        if keep_old:
+            return kept
+        oldest = clock.now() - self._limit_ns
+        young = [each for each in kept if each.stamp >= oldest]
+        if len(young) < len(kept):
+            self.expired(Cause.PUBLISHER_STAMPS_OLD, len(kept) - len(young))
+        return young
+
+    def born(self, source: int, taken: int, caller: bytes) -> int | None:
+        """Return the time from which a request's age counts, or None if the request is too old."""
+        clock = self._look()
+        stamp = self.publishers.born(source and source + clock.shift, taken + clock.shift, caller)
+        return stamp if clock.is_sure and self.is_young(stamp) else None
+
+    def is_young(self, stamp: int) -> bool:
+        """Whether a message of this side with such a stamp may be sent now."""
+        return not self.is_on or stamp >= self._context.stamps.now() - self._limit_ns
+
+    def young(self, messages: Sequence[Message]) -> Sequence[Message]:
+        """Return those of some messages of this side that may be sent now, and count the others."""
+        oldest = self._context.stamps.now() - self._limit_ns
+        young = [each for each in messages if each[1] >= oldest]
+        if len(young) == len(messages):
+            return messages
+        self.expired(Cause.LINK_SLOW, len(messages) - len(young))
+        return young
+
+    def _look(self) -> StampClock:
+        clock = self._context.stamps
+        clock.look()
+        if clock.steps != self._steps:
+            self._steps = clock.steps
+            self.publishers.forget()
+        return clock
+
+    # --- the side that gives to ROS
+
+    def why_old(self, stamp: int) -> Cause | None:
+        """Return the reason why a message of the other side may not be published now, or None if it may.
+
+        Args:
+            stamp: ns, by the other side's clock.
+        """
+        offset, uncertainty = self._peer.stamp_offset, self._peer.stamp_uncertainty
+        if offset is None or uncertainty is None:
+            return Cause.CLOCK_UNKNOWN if self.max_age else None
+        age = (self._context.stamps.now() - stamp) / 1e9 + offset
+        if self.max_age:
+            if age < -uncertainty - _AHEAD:
+                return Cause.CLOCK_UNKNOWN
+            if age + uncertainty > self.max_age:
+                doubtful = age <= self.max_age and uncertainty > self.max_age / 2
+                return Cause.CLOCK_UNKNOWN if doubtful else Cause.LINK_SLOW
+        return Cause.LINK_SLOW if age - uncertainty > self._limit else None
+
+    # --- what is made of it
+
+    def expired(self, cause: Cause, messages: int) -> None:
+        """Count messages that were dropped because they were too old, or might be."""
+        self._counts[cause] += messages
+
+    @property
+    def total(self) -> int:
+        """Messages that this side has dropped."""
+        return self._counts.total()
+
+    def tick(self, messages: int, now: float) -> None:
+        """Once a second, at `now` (s).
+
+        Args:
+            messages: that came to this half so far.
+            now: s.
+        """
+        if not self.is_on and not self._lately:
+            return
+        self._lately.append((messages, self._counts.copy()))
+        if not self.is_on and self._since is None:
+            self._lately.clear()
+        lost, of, _ = self._recent()
+        if lost <= _MANY * of:
+            self._since = None
+        elif self._since is None:
+            self._since = now
+
+    def _recent(self) -> tuple[int, int, Counter[Cause]]:
+        if not self._lately:
+            return 0, 0, Counter()
+        messages, counts = self._lately[-1]
+        before, counts_before = self._lately[0]
+        lost = counts - counts_before
+        return lost.total(), max(messages - before, lost.total()), lost
+
+    def late(self) -> Expired | None:
+        """Return what was dropped in the last seconds, or None if it was little."""
+        if self._since is None:
+            return None
+        lost, of, by_cause = self._recent()
+        if not lost:
+            return None
+        ((cause, _),) = by_cause.most_common(1)
+        return Expired(cause, lost, of, self._limit, self._since, self._peer.stamp_uncertainty)
+
+
+_REMEDIES = {
+    Cause.LINK_SLOW: "the link holds them up: check the network, or set max_rate or priority",
+    Cause.PUBLISHER_STAMPS_OLD: "they are old by their publisher's stamps: set its host's clock, or see what delays it",
+}
+
+
+def expired_verdict(expired: Expired) -> Verdict:
+    """Return the verdict on a topic of whose messages many are too old."""
+    unsure = "" if expired.uncertainty is None else f" better than {expired.uncertainty:.2g} s"
+    why = _REMEDIES.get(expired.cause, f"the other side's clock is not known{unsure}: wait, then check the link")
+    share = f"{max(1, round(100 * expired.lost / expired.of))} %"
+    return Verdict(State.LATE, expired.cause, f"{share} dropped, older than {expired.limit:g} s: {why}", expired.since)

@@ -1,0 +1,211 @@
+"""No message and no request that is older than `max_age` comes out, whatever holds it up on the way."""
+
+from __future__ import annotations
+
+import threading
+import time
+from typing import TYPE_CHECKING
+
+import msgspec
+import pytest
+from rclpy.serialization import deserialize_message
+from std_msgs.msg import String
+from std_srvs.srv import Trigger
+from tests.engine.test_latched import JOINS_LATE, latched
+from tests.support.bridge import linked, opened, route
+from tests.support.domain import text
+from tests.support.holding_relay import HoldingRelay
+from tests.support.spun import Spun
+from tests.support.waiting import eventually, holds
+
+from rsb_bridge.model.session import Client, Topic
+from rsb_bridge.model.snapshot import State
+from rsb_bridge.model.verdict import Cause
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from rclpy.publisher import Publisher
+    from tests.support.bridge import Bridge
+    from tests.support.domain import Domain, Listener
+
+    from rsb_bridge.engine import Engine
+    from rsb_bridge.model.session import Protocol
+    from rsb_bridge.model.snapshot import Ledger
+
+MAX_AGE = 0.5
+TOLERANCE = 0.15
+"""s that it takes on a busy machine from publishing until DDS stamps the reception."""
+HELD = 3.0
+EXPIRED = {(State.LATE, Cause.LINK_SLOW), (State.LATE, Cause.CLOCK_UNKNOWN)}
+
+
+@pytest.fixture
+def holding(bridge: Bridge) -> Iterator[HoldingRelay]:
+    with HoldingRelay(bridge.port) as relay:
+        yield relay
+
+
+class Stamping:
+    """Publishes the time, 20 times a second, until it is left."""
+
+    def __init__(self, publisher: Publisher) -> None:
+        self.published = 0
+        self._publisher = publisher
+        self._over = threading.Event()
+        self._thread = threading.Thread(target=self._run)
+
+    def __enter__(self) -> Stamping:
+        self._thread.start()
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self._over.set()
+        self._thread.join()
+
+    def _run(self) -> None:
+        while not self._over.wait(0.05):
+            self._publisher.publish(text(str(time.time_ns())))
+            self.published += 1
+
+
+def ages(listener: Listener) -> list[float]:
+    """How old (s) each message was when it was received."""
+    return [
+        (received - int(deserialize_message(payload, String).data)) / 1e9
+        for payload, received in zip(listener.payloads, listener.received, strict=True)
+    ]
+
+
+def settled(engine: Engine, topic: str) -> Ledger:
+    """The ledger once nothing is in flight."""
+    return eventually(lambda: ledger if not (ledger := route(engine, topic).ledger).in_flight else None, 15)
+
+
+def clocks_known(*engines: Engine) -> bool:
+    return all(link.keepalive.stamps.offset is not None for each in engines for link in each._bridge.links())  # type: ignore[union-attr]
+
+
+@pytest.mark.parametrize("protocol", ["tcp", "udp"])
+@pytest.mark.parametrize("side", ["sender", "receiver"])
+def test_nothing_old_comes_out_of_a_network_that_held_everything(
+    protocol: Protocol, side: str, bridge: Bridge, holding: HoldingRelay, robot: Domain, pc: Domain
+) -> None:
+    """Either side may say so: the robot that publishes, or the server of a topic that the robot lists."""
+    out, heard = robot.publisher("/cmd"), pc.listener("/cmd")
+    topic = Topic("/cmd", "transmit", protocol=protocol, max_age=MAX_AGE if side == "sender" else None)
+    theirs = msgspec.structs.replace(topic, max_age=MAX_AGE)
+    clients = () if side == "sender" else (Client("robot1", topics=(theirs,)),)
+    server = bridge.server(clients=clients)
+    client = bridge.client(topic, server_ip="127.0.0.1", server_port=holding.port)
+    eventually(lambda: linked(client) and linked(server) and clocks_known(client, server), what="linked")
+    eventually(lambda: "/cmd" in opened(server), what="open")
+    with Stamping(out) as stamping:
+        eventually(lambda: len(heard.payloads) > 10, what="messages")
+        holding.held = HELD
+        began = time.monotonic()
+        eventually(lambda: time.monotonic() - began > HELD, HELD + 2)
+        holding.held = 0.0
+        before = len(heard.payloads)
+        both = (client, server)
+        eventually(lambda: all(_shown(each, "/cmd") in EXPIRED for each in both), 15, what="late on both sides")
+        eventually(lambda: len(heard.payloads) > before + 40, 20, what="fresh messages again")
+        eventually(lambda: all(_shown(each, "/cmd")[0] is State.OK for each in both), 30)
+    ledger = settled(client, "/cmd")
+    there = eventually(lambda: same if (same := route(server, "/cmd").ledger) == ledger else None, 10)
+    eventually(lambda: len(heard.payloads) >= ledger.delivered, 5)
+    assert max(ages(heard)) <= MAX_AGE + TOLERANCE
+    assert ledger.expired == there.expired
+    assert ledger.expired >= 20
+    assert ledger.delivered == len(heard.payloads)
+    assert ledger.offered == ledger.delivered + ledger.expired + ledger.dropped_total
+    assert ledger.offered <= stamping.published
+
+
+def _shown(engine: Engine, topic: str) -> tuple[State, str]:
+    found = route(engine, topic)
+    return found.state, found.cause
+
+
+def test_without_it_they_do_come_out(bridge: Bridge, holding: HoldingRelay, robot: Domain, pc: Domain) -> None:
+    """What the test above is about is there: the relay holds messages, and old ones come out."""
+    out, heard = robot.publisher("/cmd"), pc.listener("/cmd")
+    server = bridge.server()
+    client = bridge.client(Topic("/cmd", "transmit"), server_ip="127.0.0.1", server_port=holding.port)
+    eventually(lambda: linked(client) and linked(server) and "/cmd" in opened(server), what="open")
+    with Stamping(out):
+        eventually(lambda: len(heard.payloads) > 10, what="messages")
+        holding.held = HELD
+        eventually(lambda: max(ages(heard)) > 2.0, 15)
+    assert route(client, "/cmd").ledger.expired == 0
+
+
+def test_a_latched_message_is_too_old_for_whoever_joins_late(bridge: Bridge, robot: Domain, pc: Domain) -> None:
+    out = robot.publisher("/mode", qos=latched(1))
+    out.publish(text(str(time.time_ns())))
+    began = time.monotonic()
+    eventually(lambda: time.monotonic() - began > 2 * MAX_AGE, 5)
+    server, client = bridge.both(Topic("/mode", "transmit", max_age=MAX_AGE))
+    heard = pc.listener("/mode", qos=JOINS_LATE)
+    eventually(lambda: route(client, "/mode").ledger.expired == 1, 15)
+    eventually(lambda: clocks_known(client, server), 10)
+    holds(lambda: not heard.payloads, 1.0)
+    out.publish(text(str(time.time_ns())))
+    eventually(lambda: len(heard.payloads) == 1, 10)
+    assert max(ages(heard)) <= MAX_AGE + TOLERANCE
+    assert route(server, "/mode").ledger.expired == 1
+
+
+def test_a_lifespan_goes_on_on_the_way(bridge: Bridge, holding: HoldingRelay, robot: Domain, pc: Domain) -> None:
+    """DDS counts it anew on the far side; the bridge publishes nothing that is older than it."""
+    from rclpy.duration import Duration
+    from rclpy.qos import QoSProfile
+
+    out = robot.publisher("/cmd", qos=QoSProfile(depth=100, lifespan=Duration(seconds=1)))
+    heard = pc.listener("/cmd")
+    server = bridge.server()
+    client = bridge.client(Topic("/cmd", "transmit"), server_ip="127.0.0.1", server_port=holding.port)
+    eventually(lambda: linked(client) and linked(server) and clocks_known(client, server), what="linked")
+    with Stamping(out):
+        eventually(lambda: len(heard.payloads) > 10, what="messages")
+        holding.held = HELD
+        eventually(lambda: route(client, "/cmd").ledger.expired > 10, 20)
+        holding.held = 0.0
+        before = len(heard.payloads)
+        eventually(lambda: len(heard.payloads) > before + 20, 20)
+    assert max(ages(heard)) <= 1.0 + TOLERANCE + 0.1  # half of the shortest round trip
+
+
+def test_a_request_that_is_too_old_reaches_no_server(
+    bridge: Bridge, holding: HoldingRelay, robot: Domain, pc: Domain
+) -> None:
+    asked: list[float] = []
+
+    def serve(_: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        asked.append(time.monotonic())
+        return response
+
+    there, here = Spun(pc.id, "server"), Spun(robot.id, "caller")
+    try:
+        there.node.create_service(Trigger, "/start", serve)
+        caller = here.node.create_client(Trigger, "/start")
+        service = Topic("/start", "transmit", kind="service", max_age=MAX_AGE, timeout=10.0)
+        server = bridge.server()
+        client = bridge.client(service, server_ip="127.0.0.1", server_port=holding.port)
+        eventually(lambda: linked(client) and linked(server) and clocks_known(client, server), what="linked")
+        eventually(caller.service_is_ready, 20, what="offered")
+        caller.call_async(Trigger.Request())
+        eventually(lambda: len(asked) == 1, 15, what="a request in time")
+        holding.held = 1.5
+        caller.call_async(Trigger.Request())
+        eventually(lambda: _too_old(client, "/start") == 1, 15)
+        assert len(asked) == 1
+        assert _too_old(server, "/start") == 1
+    finally:
+        there.close()
+        here.close()
+
+
+def _too_old(engine: Engine, name: str) -> int:
+    calls = route(engine, name).calls
+    return 0 if calls is None else calls.refused.get("too old", 0)

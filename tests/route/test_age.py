@@ -1,0 +1,110 @@
+"""Ages as the two halves of a route measure them, and what is made of what expires."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import pytest
+from tests.support.offline import FakePeer
+
+from rsb_bridge.model.snapshot import State
+from rsb_bridge.model.verdict import Cause, state_for_any, state_of
+from rsb_bridge.ros.api import RawMessage
+from rsb_bridge.route.age import Expired, MessageAge, expired_verdict
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from tests.support.virtual_time import VirtualLoop
+
+    from rsb_bridge.context import Context
+
+S = 1_000_000_000
+
+
+def age_of(context: Context, max_age: float | None = 0.5, lifespan: float = 0.0) -> tuple[MessageAge, FakePeer]:
+    peer = FakePeer()
+    age = MessageAge(context, peer)  # type: ignore[arg-type]
+    age.settle(max_age, armed=False, lifespan=lifespan)
+    return age, peer
+
+
+def test_nothing_is_limited_unless_somebody_asks(make_context: Callable[..., Context]) -> None:
+    age, _ = age_of(make_context(), None)
+    assert not age.is_on
+    assert age.why_old(0) is None or not age.is_on
+
+
+def test_old_messages_are_left_out_when_they_are_taken(make_context: Callable[..., Context]) -> None:
+    context = make_context()
+    age, _ = age_of(context)
+    wall = context.wall_ns()
+    batch = [RawMessage(b"", wall, b"a", 0, wall - round(old * S)) for old in (3.0, 0.6, 0.4, 0.0)]
+    young = age.stamped(batch)
+    assert [each.stamp for each in young] == pytest.approx([wall - round(0.4 * S), wall], abs=10**6)
+    assert age.total == 2
+
+
+@pytest.mark.parametrize(
+    ("offset", "uncertainty", "old", "expected"),
+    [
+        (0.0, 0.001, 0.4, None),
+        (0.0, 0.001, 0.6, Cause.LINK_SLOW),
+        (0.0, 0.2, 0.4, Cause.LINK_SLOW),  # the uncertainty counts against it
+        (0.0, 0.4, 0.3, Cause.CLOCK_UNKNOWN),
+        (100.0, 0.001, 0.4, None),  # the peer's clock is ahead
+        (-100.0, 0.001, 0.6, Cause.LINK_SLOW),
+        (None, None, 0.0, Cause.CLOCK_UNKNOWN),
+        (0.0, 0.001, -1.0, Cause.CLOCK_UNKNOWN),  # from the future: what is known of the clocks is wrong
+    ],
+)
+def test_the_receiver_counts_the_uncertainty_against_the_message(
+    make_context: Callable[..., Context], offset: float | None, uncertainty: float | None, old: float, expected: str
+) -> None:
+    context = make_context()
+    age, peer = age_of(context)
+    peer.stamp_offset, peer.stamp_uncertainty = offset, uncertainty  # type: ignore[assignment]
+    assert age.why_old(context.stamps.now() + round(((offset or 0.0) - old) * S)) == expected
+
+
+@pytest.mark.parametrize(
+    ("offset", "uncertainty", "old", "expected"),
+    [
+        (0.0, 0.001, 1.4, None),
+        (0.0, 0.001, 1.6, Cause.LINK_SLOW),
+        (0.0, 0.3, 1.6, None),  # it may be younger
+        (None, None, 9.0, None),
+    ],
+)
+def test_a_lifespan_drops_what_is_surely_older(
+    make_context: Callable[..., Context], offset: float | None, uncertainty: float | None, old: float, expected: str
+) -> None:
+    context = make_context()
+    age, peer = age_of(context, None, lifespan=1.5)
+    peer.stamp_offset, peer.stamp_uncertainty = offset, uncertainty  # type: ignore[assignment]
+    assert age.why_old(context.stamps.now() - round(old * S)) == expected
+
+
+def test_many_expired_messages_make_a_topic_late(make_context: Callable[..., Context], loop: VirtualLoop) -> None:
+    age, _ = age_of(make_context())
+    for second in range(20):
+        age.tick(100 * second, float(second))
+        assert age.late() is None
+    age.expired(Cause.LINK_SLOW, 30)
+    age.tick(2000, 20.0)
+    assert age.late() is None  # 30 of 1,000
+    age.expired(Cause.CLOCK_UNKNOWN, 40)
+    age.tick(2100, 21.0)
+    late = age.late()
+    assert late is not None
+    assert (late.cause, late.lost, late.of, late.since) == (Cause.CLOCK_UNKNOWN, 70, 1000, 21.0)
+    for second in range(22, 33):
+        age.tick(100 * second, float(second))
+    assert age.late() is None
+
+
+@pytest.mark.parametrize("cause", [Cause.LINK_SLOW, Cause.CLOCK_UNKNOWN, Cause.PUBLISHER_STAMPS_OLD])
+def test_its_verdict_is_late_on_both_sides(cause: Cause) -> None:
+    verdict = expired_verdict(Expired(cause, 84, 100, 0.5, 7.0, 0.01))
+    assert (verdict.state, verdict.cause, verdict.since) == (State.LATE, cause, 7.0)
+    assert state_of(state_for_any(State.LATE), cause) is State.LATE

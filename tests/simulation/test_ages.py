@@ -1,0 +1,126 @@
+"""No message of a topic with `max_age` is published when it is older, by true time, whatever happens; and rules that
+each keep one from being published are each needed."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+import msgspec
+import pytest
+from tests.simulation.climate import STILL
+from tests.simulation.episodes import aged
+from tests.simulation.mutations import Mutation
+from tests.simulation.world import Violation, World
+
+from rsb_bridge.link import roles
+from rsb_bridge.model.limits import MAX_AGE_FEATURE
+from rsb_bridge.model.stamp_clock import StampClock
+from rsb_bridge.route.age import MessageAge
+from rsb_bridge.route.publisher_clock import PublisherClocks
+
+if TYPE_CHECKING:
+    from tests.simulation.conftest import Play
+    from tests.simulation.flows import Flow
+
+    from rsb_bridge.model.session import Protocol
+
+MAX_AGE = 0.5
+_AGES = replace(STILL, checks=(5.0, 5.0), patience=20.0)
+_SECONDS = 400.0
+
+
+def aging_world(seed: int, protocol: Protocol = "tcp", max_rate: float | None = None) -> tuple[World, Flow]:
+    """A world with one topic of `MAX_AGE`, 20 messages a second."""
+    world = World(seed, _AGES)
+    (robot,), (flow,) = world.robots, world.flows.values()
+    topic = msgspec.structs.replace(
+        flow.topic, protocol=protocol, port=None, qos="auto", paused=False, max_age=MAX_AGE, max_rate=max_rate
+    )
+    robot.station.session = msgspec.structs.replace(robot.station.session, topics=(topic,))
+    flow.topic, flow.period, flow.max_age = topic, 0.05, MAX_AGE
+    return world, flow
+
+
+@pytest.mark.parametrize("protocol", ["tcp", "udp"])
+@pytest.mark.parametrize("seed", range(1, 7))
+def test_nothing_old_is_published(seed: int, protocol: Protocol, play: Play) -> None:
+    world, flow = aging_world(seed, protocol, None if seed % 2 else 10.0)
+    play(world, _SECONDS, aged(world))
+    assert flow.heard > 1000
+    assert flow.oldest < MAX_AGE + 0.2  # with what DDS takes at both ends
+
+
+def _any_age(self: Any, stamp: int) -> None:
+    """As `MessageAge.why_old`, but the receiver asks nothing."""
+
+
+def _exact(self: Any, stamp: int) -> Any:
+    """As `MessageAge.why_old`, but the other side's clock is taken for known exactly."""
+    offset = self._peer.stamp_offset
+    if offset is None:
+        return None
+    return None if (self._context.stamps.now() - stamp) / 1e9 + offset <= self.max_age else "link_slow"
+
+
+def _wall(self: Any) -> int:
+    """As `StampClock.now`, but somebody may set it."""
+    return self._clock.time_ns()
+
+
+def _unseen(self: Any) -> None:
+    """As `StampClock.look`, but a step is no reason for doubt."""
+    self.shift = self._measure()[0]
+
+
+def _taken(self: Any, source: int, taken: int, publisher: bytes) -> int:
+    """As `PublisherClocks.born`, but what the publisher says does not matter."""
+    return taken
+
+
+_MISTAKES = (
+    ("the receiver publishes messages of any age", ((MessageAge, "why_old", _any_age),)),
+    ("the uncertainty of the other side's clock counts for nothing", ((MessageAge, "why_old", _exact),)),
+    ("stamps are of a clock that may be set", ((StampClock, "now", _wall),)),
+    ("a clock that is set is not noticed", ((StampClock, "look", _unseen),)),
+    ("a message's age counts from when it was taken", ((PublisherClocks, "born", _taken),)),
+)
+
+
+@pytest.mark.parametrize(("what", "changes"), _MISTAKES, ids=[what for what, _ in _MISTAKES])
+def test_each_rule_is_needed(what: str, changes: Any, play: Play) -> None:
+    found = []
+    for seed in range(1, 9):
+        world, _ = aging_world(seed)
+        mutation = Mutation(what, changes, "s old, more than", _AGES, seed, 1.0)
+        try:
+            with mutation.made():
+                play(world, _SECONDS, aged(world))
+        except Violation as violation:
+            if mutation.finds not in str(violation):
+                raise
+            found.append(seed)
+            break
+    assert found, what
+
+
+def test_an_older_receiver_gets_nothing_that_is_old_when_it_is_sent(
+    play: Play, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The sender holds to it alone: messages that wait in its queue or are taken late expire there."""
+    monkeypatch.setattr(roles, "FEATURES", tuple(each for each in roles.FEATURES if each != MAX_AGE_FEATURE))
+    monkeypatch.setattr(MessageAge, "why_old", _any_age)
+    world, flow = aging_world(3)
+    flow.max_age = float("inf")
+    sent: list[float] = []
+    young = MessageAge.young
+
+    def noted(self: MessageAge, messages: Any) -> Any:
+        kept = young(self, messages)
+        sent.extend((self._context.stamps.now() - stamp) / 1e9 for _, stamp, _ in kept)
+        return kept
+
+    monkeypatch.setattr(MessageAge, "young", noted)
+    play(world, _SECONDS, aged(world))
+    assert sent
+    assert max(sent) <= MAX_AGE
