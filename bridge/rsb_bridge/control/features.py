@@ -26,26 +26,29 @@ if TYPE_CHECKING:
 
 ACKNOWLEDGE = "acknowledge"
 """The command `Acknowledge`."""
+CHECK_MESSAGES = "check_messages"
+"""The field `check_messages` of sessions."""
 LATE_AFTER = "late_after"
 """The field `late_after` of topics and sessions."""
 ON_FAULT = "on_fault"
 """The field `on_fault` of sessions."""
 TOTALS = "totals"
 """The field `messages_total` of routes."""
-FEATURES: Final = (ACKNOWLEDGE, LATE_AFTER, ON_FAULT, TOTALS)
+FEATURES: Final = (ACKNOWLEDGE, CHECK_MESSAGES, LATE_AFTER, ON_FAULT, TOTALS)
 """All features of this version."""
 
 COMMANDS: Final[dict[type, str]] = {Acknowledge: ACKNOWLEDGE}
 """The features of commands."""
 FIELDS: Final[dict[type, dict[str, str]]] = {
     Topic: {"late_after": LATE_AFTER},
-    Session: {"late_after": LATE_AFTER, "on_fault": ON_FAULT},
+    Session: {"check_messages": CHECK_MESSAGES, "late_after": LATE_AFTER, "on_fault": ON_FAULT},
 }
 """The features of fields."""
 
 _ALL = frozenset(FEATURES)
 _LACKS: Final = {
     ACKNOWLEDGE: "cannot acknowledge faults",
+    CHECK_MESSAGES: "has no check_messages",
     LATE_AFTER: "has no late_after",
     ON_FAULT: "has no on_fault",
     TOTALS: "does not report message counts",

@@ -332,6 +332,9 @@ class Route:
         if changes:
             self.log(Level.INFO, EventCode.ROUTE_AMENDED, changes)
 
+    def set_check(self) -> None:
+        """Take over `check_messages` of the session."""
+
     # --- time
 
     def tick(self) -> None:
