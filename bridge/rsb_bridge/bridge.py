@@ -375,6 +375,7 @@ class Bridge:
         old = self.context.session
         in_place = (
             (("stale_after", "stale_warnings", "late_after"), self._set_stale_after),
+            (("check_messages",), self._set_check),
             (("group",), lambda: None),  # whoever looks reads it in the session
             (("armed",), self.context.demands.changed),
             (("shutdown_topic",), self._change_shutdown_topic),
@@ -388,6 +389,11 @@ class Bridge:
             for route in link.routes.values():
                 if isinstance(route, TopicRoute):
                     route.set_stale_after()
+
+    def _set_check(self) -> None:
+        for link in self.links():
+            for route in link.routes.values():
+                route.set_check()
 
     def _change_shutdown_topic(self) -> None:
         before, self._shutdown_watch = self._shutdown_watch, self._watch_shutdown()

@@ -19,6 +19,7 @@ from rsb_bridge.ros.announcements import Announcements
 from rsb_bridge.ros.graph import SimilarTopics
 from rsb_bridge.ros.meant import Meant
 from rsb_bridge.ros.parameter_events import ParameterEvents
+from rsb_bridge.ros.type_checkers import TypeCheckers
 from rsb_bridge.ros.type_descriptions import TypeDescriptions
 from rsb_bridge.telemetry.event_limit import RateLimitedEventLog
 from rsb_bridge.transport.registry import Transports, default_transports
@@ -53,6 +54,7 @@ class Context:
         stamps: the clock by which the age of messages is measured.
         announcements: what this bridge and the others in its domain tell each other.
         descriptions: of the message types that somebody looks at.
+        checkers: of the types of peers' messages.
         parameter_events: of the nodes whose parameters are bridged.
         similar_topics: finds what an operator may have meant.
         meant: likewise, by the name of something that is called.
@@ -74,6 +76,7 @@ class Context:
     stamps: StampClock = field(init=False)
     announcements: Announcements = field(init=False)
     descriptions: TypeDescriptions = field(init=False)
+    checkers: TypeCheckers = field(init=False)
     parameter_events: ParameterEvents = field(init=False)
     similar_topics: SimilarTopics = field(init=False)
     meant: Meant = field(init=False)
@@ -86,6 +89,7 @@ class Context:
         self.limited = RateLimitedEventLog(self.events, self.now)
         self.announcements = Announcements(self.ros, self.loop, self._warn)
         self.descriptions = TypeDescriptions(self.ros, self.now)
+        self.checkers = TypeCheckers(self.ros, self.descriptions)
         self.parameter_events = ParameterEvents(self.ros, self.call)
         self.similar_topics = SimilarTopics(self.ros, self.now)
         self.meant = Meant(self.ros, self.now)

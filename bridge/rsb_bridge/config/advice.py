@@ -44,6 +44,8 @@ def advise(session: Session, domain_variable: str | None) -> Iterator[Problem]:
     """
     if not session.use_encryption:
         yield Problem("use_encryption", "off: everything crosses in the clear, and anyone may connect")
+    if not session.check_messages:
+        yield Problem("check_messages", "off: a peer's malformed message can make a node here take gigabytes")
     yield from _domain(session, domain_variable)
     if _binds_port(session) and session.server_port not in TOPIC_PORT:
         yield Problem("server_port", f"ports below {TOPIC_PORT.low} need root, or CAP_NET_BIND_SERVICE")

@@ -28,6 +28,8 @@ ACKNOWLEDGE = "acknowledge"
 """The command `Acknowledge`."""
 ARMED = "armed"
 """The field `armed` of sessions, and `drop_arm` of commands."""
+CHECK_MESSAGES = "check_messages"
+"""The field `check_messages` of sessions."""
 LATE_AFTER = "late_after"
 """The field `late_after` of topics and sessions."""
 MAX_AGE = "max_age"
@@ -36,14 +38,14 @@ ON_FAULT = "on_fault"
 """The field `on_fault` of sessions."""
 TOTALS = "totals"
 """The field `messages_total` of routes."""
-FEATURES: Final = (ACKNOWLEDGE, ARMED, LATE_AFTER, MAX_AGE, ON_FAULT, TOTALS)
+FEATURES: Final = (ACKNOWLEDGE, ARMED, CHECK_MESSAGES, LATE_AFTER, MAX_AGE, ON_FAULT, TOTALS)
 """All features of this version."""
 
 COMMANDS: Final[dict[type, str]] = {Acknowledge: ACKNOWLEDGE}
 """The features of commands."""
 FIELDS: Final[dict[type, dict[str, str]]] = {
     Topic: {"late_after": LATE_AFTER, "max_age": MAX_AGE},
-    Session: {"armed": ARMED, "late_after": LATE_AFTER, "on_fault": ON_FAULT},
+    Session: {"armed": ARMED, "check_messages": CHECK_MESSAGES, "late_after": LATE_AFTER, "on_fault": ON_FAULT},
     EditTopic: {"drop_arm": ARMED},
     RemoveTopic: {"drop_arm": ARMED},
 }
@@ -53,6 +55,7 @@ _ALL = frozenset(FEATURES)
 _LACKS: Final = {
     ACKNOWLEDGE: "cannot acknowledge faults",
     ARMED: "cannot end the demand that a name be armed",
+    CHECK_MESSAGES: "has no check_messages",
     LATE_AFTER: "has no late_after",
     MAX_AGE: "has no max_age",
     ON_FAULT: "has no on_fault",

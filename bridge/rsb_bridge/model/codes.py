@@ -201,4 +201,8 @@ class EventCode(StrEnum):
     """A parameter event cannot be read, or is about another node than it may be about."""
     ROUTE_CALLS_BROKEN = "route.calls_broken"
     """The peer sent what it must not; the route is opened anew."""
+    ROUTE_MALFORMED = "route.malformed"
+    """The other side sent a message that is not one of its type; ROS did not get it."""
+    ROUTE_TOO_COMPLEX = "route.too_complex"
+    """Messages of the other side have more strings and sequences than are checked; ROS did not get them."""
     ROUTE_EXPANDS_TOO_MUCH = "route.expands_too_much"

@@ -271,6 +271,7 @@ class Session(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defa
         stale_after: s without a message until a topic is stale (thesis: 15); 0: never.
         late_after: s that messages may take until their topic is late, or 0 for no limit.
         stale_warnings: how many times to warn of it (thesis: 5).
+        check_messages: whether what peers send is checked against its type before ROS gets it.
         shutdown_topic: "shutdown" as ``std_msgs/String`` on it closes the sockets on both sides; None: no such topic.
         diagnostics_topic: the state of links and routes is published on it, as ``diagnostic_msgs/DiagnosticArray``;
             None: nowhere.
@@ -307,6 +308,7 @@ class Session(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defa
     stale_after: float = 15.0
     late_after: float = 1.0
     stale_warnings: int = 5
+    check_messages: bool = True
     shutdown_topic: str | None = "/shutdown"
     diagnostics_topic: str | None = "/diagnostics"
     metrics: str | None = None

@@ -81,7 +81,7 @@ class Cause(StrEnum):
     UNANSWERED = "unanswered"
     """Calls have no answer in time."""
     CALLS_REFUSED = "calls_refused"
-    """More is called than the link or an operator allows."""
+    """More is called than the link or an operator allows, or calls are malformed."""
 
 
 class LinkCause(StrEnum):

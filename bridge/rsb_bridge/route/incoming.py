@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, ClassVar
 import msgspec
 import zstandard
 
+from rsb_bridge.cdr.checker import MalformedError, TooComplexError
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.qos import incompatible, match_subscriptions
 from rsb_bridge.model.snapshot import Ledger, Level, Stage, State
@@ -21,6 +22,7 @@ from rsb_bridge.route.judging import facts_of
 from rsb_bridge.route.latched import LatchedFullError, LatchedTopic
 from rsb_bridge.route.ledger import THROTTLED, reported_ledger
 from rsb_bridge.route.lifecycle import Event
+from rsb_bridge.route.message_check import MessageCheck, malformed_text
 from rsb_bridge.route.outputs import Outputs, Subject
 from rsb_bridge.route.peeking import peeked
 from rsb_bridge.route.publisher_qos import AUTO_DEPTH, bounded, without_history
@@ -92,6 +94,7 @@ class IncomingRoute(TopicRoute):
         super().__init__(context, peer, spec, proposal, proposed_here=proposed_here)
         self._outputs = Outputs(context, peer, self._failed_later)
         self._unpacker = Unpacker(peer.budget.expansion, context)
+        self.check = MessageCheck(context, peer.budget.checks)
         self._later: deque[Message] = deque()
         self._received = 0
         self._report_at = _REPORTS_AFTER  # messages received
@@ -143,6 +146,7 @@ class IncomingRoute(TopicRoute):
             return
         self.type_name, self.type_hash, self.qos = type_and_qos
         self.settle_age()
+        self.check.begin(description.type)
         newest: dict[bytes, int] = {}
         if first:
             newest = self._outputs.opened()
@@ -199,6 +203,10 @@ class IncomingRoute(TopicRoute):
         """End it for good, its publisher too."""
         super().destroy()
         self._outputs.close()
+        self.check.end()
+
+    def set_check(self) -> None:
+        self.check.set()
 
     def publishers_present(self, publishers: Collection[bytes]) -> None:
         """The sending side tells which publishers of a latched topic are there."""
@@ -285,6 +293,8 @@ class IncomingRoute(TopicRoute):
             if flags & HISTORY:
                 header, payload = split_history(payload)
             content = self._unpacker.unpack(payload) if flags & ZSTD else payload
+            if self.check.checker is not None:
+                self.check.check(content)
             if self.age.is_on and (why := self.age.why_old(stamp)) is not None:
                 self.age.expired(why, 1)
                 raise _NotPublishedError(EXPIRED, None, "")
@@ -294,6 +304,11 @@ class IncomingRoute(TopicRoute):
                 raise _NotPublishedError("already published", None, "")
         except ExpandsTooMuchError as error:
             raise _NotPublishedError("expands too much", EventCode.ROUTE_EXPANDS_TOO_MUCH, str(error)) from None
+        except MalformedError as error:
+            text = malformed_text(self.type_name, self.peer.name, error)
+            raise _NotPublishedError("malformed", EventCode.ROUTE_MALFORMED, text) from None
+        except TooComplexError as error:
+            raise _NotPublishedError("too complex", EventCode.ROUTE_TOO_COMPLEX, str(error)) from None
         except LatchedFullError as error:
             raise _NotPublishedError("latched full", EventCode.ROUTE_LATCHED_FULL, str(error)) from None
         except SlowSubscriberError as error:
@@ -356,6 +371,7 @@ class IncomingRoute(TopicRoute):
     def tick(self) -> None:
         super().tick()
         self._outputs.tick()
+        self.check.look(self.remote_topic, self.endpoints)
         counts = self.channel.counts() if self.channel is not None else None
         expired = counts.expired if counts else 0
         if self._received != self._received_before:

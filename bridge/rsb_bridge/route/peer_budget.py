@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from rsb_bridge.model.token_bucket import TokenBucket
 from rsb_bridge.route.calls.budget import PEERS_SHARE, CallBudget
+from rsb_bridge.route.message_check import CHECKED_A_SECOND, CHECKED_AT_ONCE
 from rsb_bridge.route.rate_limit import AllowedRates
 from rsb_bridge.route.type_budget import TypeBudget
 from rsb_bridge.route.unpacking import ExpansionBudget
@@ -29,6 +31,7 @@ class PeerBudget:
         rates: of what the peer publishes here, by topic.
         asked: calls of this side's callers.
         provided: calls of the peer's callers.
+        checks: lengths that are read to check the peer's messages.
     """
 
     def __init__(self, now: float) -> None:
@@ -41,3 +44,4 @@ class PeerBudget:
         self.rates = AllowedRates()
         self.asked = CallBudget(now)
         self.provided = CallBudget(now, PEERS_SHARE)
+        self.checks = TokenBucket(CHECKED_AT_ONCE, CHECKED_A_SECOND, now)

@@ -361,6 +361,9 @@ class Route:
         """Lifespan (s) of what it carries, or 0 for none."""
         return 0.0
 
+    def set_check(self) -> None:
+        """Take over `check_messages` of the session."""
+
     # --- time
 
     def tick(self) -> None:

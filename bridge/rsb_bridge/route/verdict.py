@@ -306,6 +306,8 @@ _LOSSES: dict[str, tuple[Cause, str]] = {
     "publish failed": (Cause.NOT_PUBLISHED, "the receiving side cannot publish them; its log says why"),
     "latched full": (Cause.NOT_PUBLISHED, "the receiving side keeps no more latched messages for this link"),
     "slow subscriber": (Cause.NOT_PUBLISHED, "a subscriber there does not take its messages: restart it"),
+    "malformed": (Cause.NOT_PUBLISHED, "they are malformed: see what publishes them"),
+    "too complex": (Cause.NOT_PUBLISHED, "they have more strings and sequences than are checked there: send less"),
     "expands too much": (Cause.NOT_PUBLISHED, "they expand too much there: send less, or without compression"),
 }
 

@@ -322,17 +322,27 @@ class CallingRoute(CallsRoute):
     def _take(self, frame: CallFrame) -> None:
         match frame.what:
             case What.ANSWER:
-                self._take_answer(frame)
+                if (why := self._malformed(frame, "_Response")) is None:
+                    self._take_answer(frame)
+                else:
+                    self._take_unusable(frame, why)
             case What.REFUSED:
                 self._take_refusal(frame, refused_as(frame.content))
             case What.MESSAGE:
-                self._take_message(frame)
+                if self._malformed(frame, "") is None:
+                    self._take_message(frame)
             case _:
                 self.unexpected(frame)
 
     def _take_unreadable(self, frame: CallFrame) -> None:
         if frame.what is not What.MESSAGE:
-            self._take_refusal(frame, Refused.BYTES_UNDER_WAY)
+            self._take_unusable(frame, Refused.BYTES_UNDER_WAY)
+
+    def _take_unusable(self, frame: CallFrame, why: Refused) -> None:
+        """An answer came that its caller cannot have."""
+        if (call := self._ended(frame)) is not None:
+            self._refuse(why)
+            call.unanswered(self.calls.last_failure)
 
     def _ended(self, frame: CallFrame) -> CallerCall | None:
         """The call that a frame ends; None: it is over already."""
@@ -367,9 +377,7 @@ class CallingRoute(CallsRoute):
 
     def _take_refusal(self, frame: CallFrame, why: Refused) -> None:
         """The other side will not answer a call."""
-        if (call := self._ended(frame)) is not None:
-            self._refuse(why)
-            call.unanswered(self.calls.last_failure)
+        self._take_unusable(frame, why)
 
     def _take_message(self, frame: CallFrame) -> None:
         """Publish a message of a lane that is a topic."""

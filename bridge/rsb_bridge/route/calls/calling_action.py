@@ -199,6 +199,12 @@ class CallingAction(CallingRoute):
             else:
                 self._give_up_goal(call.payload)  # it may have begun, also where only the question after it is refused
 
+    def _take_unusable(self, frame: CallFrame, why: Refused) -> None:
+        call = self._call_of(frame)
+        super()._take_unusable(frame, why)
+        if frame.what is What.ANSWER and frame.lane == SEND_GOAL and isinstance(call, _ActionCall):
+            self._give_up_goal(call.payload)  # it may have been accepted
+
     def _reject(self, server: ServiceServer, caller: bytes, request: bytes) -> None:
         """Answer that a goal is not accepted: it did not begin, and will not."""
         if (goal := goal_of(request)) is not None:

@@ -256,6 +256,8 @@ class ProvidingRoute(CallsRoute):
             return Refused.DISARMED
         if self._told is None or not self._told.lanes:  # asking DDS again would take its time at each call
             return Refused.PROVIDER_GONE
+        if (why := self._malformed(frame, "_Request")) is not None:
+            return why
         if limited and not self.limit.admits(now):
             return Refused.CALLS_A_SECOND
         return self.peer.budget.provided.take(frame_size(frame.content), now)

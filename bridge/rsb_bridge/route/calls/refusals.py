@@ -20,6 +20,10 @@ class Refused(StrEnum):
     """Nobody serves it any more; the call reached nobody."""
     TOO_LARGE = "too large"
     """The request or the response is longer than a message may be."""
+    MALFORMED = "malformed"
+    """The request or the response is not one of its type; ROS did not get it."""
+    TOO_COMPLEX = "too complex"
+    """Likewise, it or the link's others have more strings and sequences than are checked."""
     NOT_SENT = "not sent"
     """The middleware refused the request."""
     NOT_ARRIVED = "not arrived"
@@ -40,6 +44,8 @@ REMEDIES = {
     Refused.DISARMED: "it is not armed: arm it",
     Refused.PROVIDER_GONE: "nobody serves it any more: start its node",
     Refused.TOO_LARGE: "the request or the response is longer than a message may be",
+    Refused.MALFORMED: "the request or the response is malformed; the log of the side that got it says where",
+    Refused.TOO_COMPLEX: "the link's calls have more strings and sequences than are checked: send less",
     Refused.NOT_SENT: "the middleware refused the request; the log of the providing side says why",
     Refused.NOT_ARRIVED: "the link dropped before the goal arrived, so it was not started: send it again",
     Refused.TOO_OLD: "the request was older than max_age and was dropped: look what holds it up, and ask again",

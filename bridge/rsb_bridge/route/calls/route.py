@@ -21,6 +21,7 @@ from typing import TYPE_CHECKING, ClassVar, NoReturn
 import msgspec
 import zstandard
 
+from rsb_bridge.cdr.checker import MalformedError, TooComplexError
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.lanes import LANES
 from rsb_bridge.model.session import CALL_TIMEOUT
@@ -33,6 +34,7 @@ from rsb_bridge.route.calls.outbox import CallsOutbox
 from rsb_bridge.route.calls.refusals import REMEDIES, Refused
 from rsb_bridge.route.calls.verdict import CallsFacts, Trouble, judge_calls
 from rsb_bridge.route.judging import standing_of
+from rsb_bridge.route.message_check import MessageCheck, malformed_text
 from rsb_bridge.route.route import Route
 from rsb_bridge.route.snapshots import snapshot_of
 from rsb_bridge.route.unpacking import ExpandsTooMuchError, Unpacker
@@ -76,6 +78,8 @@ class CallsRoute(Route):
         self.calls = CallsLedger()
         self._outbox = CallsOutbox(self.transport, proposal, self.lanes, self._leaves, self._stamp_now)
         self._unpacker = Unpacker(peer.budget.expansion, context)
+        self._checks = [MessageCheck(context, peer.budget.checks) for _ in self.lanes]
+        self._types: tuple[str, ...] = ()  # by lane, as last known
         self._later: deque[Message] = deque()
         self._report: CallsReport | None = None  # the peer's, of the present opening
         self._told_report: CallsReport | None = None
@@ -102,6 +106,11 @@ class CallsRoute(Route):
             ProtocolError: the peer must not send it.
         """
         raise NotImplementedError
+
+    def set_check(self) -> None:
+        """Take over `check_messages` of the session."""
+        for check in self._checks:
+            check.set()
 
     def _take_unreadable(self, frame: CallFrame) -> None:
         """As `_take`, of a frame whose content grows too much when it is unpacked."""
@@ -171,6 +180,7 @@ class CallsRoute(Route):
 
     def _know_type(self, entries: Sequence[LaneEntry]) -> None:
         """Take the route's type from those of its lanes. Of an action and of parameters, there is no hash of it all."""
+        self._types = tuple(entry.type for entry in entries)
         types = [route_type_of(lane, entry.type) for lane, entry in zip(self.lanes, entries, strict=True)]
         self.type_name = next(filter(None, types), "")
         self.type_hash = entries[0].type_hash if len(entries) == 1 else ""
@@ -279,6 +289,28 @@ class CallsRoute(Route):
         else:
             self._take(frame._replace(content=content))
 
+    def _malformed(self, frame: CallFrame, part: str) -> Refused | None:
+        """Why a frame's content may not be given to ROS, or None if it may.
+
+        Args:
+            frame: that came.
+            part: what follows the lane's type in that of the content: ``_Request``, ``_Response`` or nothing.
+        """
+        if not self.context.session.check_messages or frame.lane >= len(self._types):
+            return None
+        type_name, check = self._types[frame.lane] + part, self._checks[frame.lane]
+        if check.type_name != type_name:
+            check.begin(type_name)
+        try:
+            check.check(frame.content)
+        except MalformedError as error:
+            self._failed(malformed_text(type_name, self.peer.name, error), EventCode.ROUTE_MALFORMED)
+            return Refused.MALFORMED
+        except TooComplexError as error:
+            self._failed(str(error), EventCode.ROUTE_TOO_COMPLEX)
+            return Refused.TOO_COMPLEX
+        return None
+
     def unexpected(self, frame: CallFrame) -> NoReturn:
         """A frame came that only the other side may send.
 
@@ -312,7 +344,7 @@ class CallsRoute(Route):
             self.calls.lost += calls
             self.calls.last_failure = f"given up while it was under way: {why}"
 
-    def _failed(self, text: str) -> None:
+    def _failed(self, text: str, code: EventCode = EventCode.ROUTE_CALL_FAILED) -> None:
         """Note why a call had no answer. The log says the same of a route once a minute at most."""
         self.calls.last_failure = self.notices.last_error = text
         now = self.context.now()
@@ -321,7 +353,7 @@ class CallsRoute(Route):
         if len(self._said) >= _MOST_SAID:
             self._said.clear()
         self._said[text] = now
-        self.log(Level.WARNING, EventCode.ROUTE_CALL_FAILED, text)
+        self.log(Level.WARNING, code, text)
 
     def _asked_for(self, size: int) -> None:
         """Count a call, with a request of `size` bytes."""

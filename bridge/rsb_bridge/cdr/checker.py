@@ -1,0 +1,474 @@
+"""Checks serialized messages (XCDR1) against the descriptions of their types, before a reader allocates for them.
+
+A reader believes the lengths in a message: eight bytes can make it reserve gigabytes. A checker walks from one length
+to the next, and skips all that lies between them at once: a type of fixed size costs one comparison, an image four
+lengths. Values and the zeros at the ends of strings are not looked at, since no reader allocates for them.
+"""
+
+from __future__ import annotations
+
+import struct
+import sys
+from dataclasses import dataclass
+from enum import IntEnum
+from typing import TYPE_CHECKING, Any, Final, NamedTuple, NoReturn, TypeAlias
+
+from rsb_bridge.cdr.decoder import DEPTH, HEADER_LENGTH
+from rsb_bridge.model.text import sanitize_text
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from rsb_bridge.cdr.description import FieldType, TypeDescription
+
+STEPS: Final = 250_000
+"""Lengths in sequences that are read in one message at most, which takes some 0.1 s; 100 transforms have 200."""
+
+Sizes: TypeAlias = tuple[int, ...]
+"""Bytes of something, with the padding before it, by where it begins modulo 8."""
+
+_KINDS = 48  # type ids of each container (type_description_interfaces/msg/FieldType)
+_PLAIN, _ARRAY, _BOUNDED, _UNBOUNDED = range(4)
+_NESTED = 1
+_STRINGS, _WIDE_STRINGS, _BOUNDED_STRINGS = {17, 19, 21}, {18, 20, 22}, {19, 20, 21, 22}
+_SIZES = {2: 1, 3: 1, 4: 2, 5: 2, 6: 4, 7: 4, 8: 8, 9: 8, 10: 4, 11: 8, 13: 1, 15: 1, 16: 1}
+_WIDE_CHARACTER = 4  # bytes: rosidl_typesupport_fastrtps_cpp/serialization_helpers.hpp
+_ANY_LENGTH = 2**32
+_LENGTHS_INLINED = 16
+_ORDERS: Final = (">", "<")
+"""By the second byte of the encapsulation header: CDR_BE, CDR_LE (DDSI-RTPS 2.5 section 10.2)."""
+_NATIVE: Final = int(sys.byteorder == "little")
+
+
+class MalformedError(ValueError):
+    """A message is not one of its type; the text says which field shows it.
+
+    Attributes:
+        field: path of the field, ``transforms[].header.frame_id``, or an empty string for the message as a whole.
+        steps: lengths that were read, or 0 if the message was refused at once.
+    """
+
+    def __init__(self, field: str, text: str, steps: int = 0) -> None:
+        super().__init__(sanitize_text(f"{field}: {text}" if field else text))
+        self.field = field
+        self.steps = steps
+
+
+class TooComplexError(Exception):
+    """A message has more lengths than are read."""
+
+
+class UncheckableError(ValueError):
+    """Messages of a type cannot be checked: its description has something that no ROS type has."""
+
+
+class _Kind(IntEnum):
+    """The content behind a length, or in an array."""
+
+    STRINGS = 0
+    """Unbounded strings, one after the other."""
+    UNITS = 1
+    """Characters, or elements that need no padding behind a length."""
+    FIXED = 2
+    """Elements of fixed size."""
+    VARYING = 3
+    """Elements that have lengths themselves."""
+    ARRAY = 4
+    """As VARYING, without a length before it."""
+
+
+class _Step(NamedTuple):
+    """One length and what it counts.
+
+    Attributes:
+        kind: of the content.
+        sizes: bytes from the end of the content before it to the end of the length, or to the array.
+        bound: the largest number, or an array's.
+        unit: bytes of one of the units.
+        repeated: of elements of fixed size.
+        body: of elements of varying size.
+        name: of the field.
+    """
+
+    kind: _Kind
+    sizes: Sizes
+    bound: int
+    name: str
+    unit: int = 1
+    repeated: tuple[_Repeated, ...] = ()
+    body: _Body | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Body:
+    """A message type, or an element.
+
+    Attributes:
+        steps: its lengths.
+        tail: bytes behind the content of the last one.
+        least: bytes that it has at least.
+        last: name of its last field.
+        walked: its steps for `_walk`.
+    """
+
+    steps: tuple[_Step, ...]
+    tail: Sizes
+    least: int
+    last: str
+    walked: tuple[Any, ...]
+
+
+_NOTHING: Sizes = (0,) * 8
+
+
+def _then(first: Sizes, second: Sizes) -> Sizes:
+    return tuple(size + second[(at + size) % 8] for at, size in enumerate(first))
+
+
+def _primitive(size: int) -> Sizes:
+    return tuple(-at % size + size for at in range(8))
+
+
+class _Repeated:
+    """Any number of elements of fixed size, which begin at one place modulo 8: their padding repeats."""
+
+    def __init__(self, sizes: Sizes, begin: int) -> None:
+        places: dict[int, int] = {}  # the number of the first element that begins there
+        ends = [0]
+        at = begin
+        while at not in places:
+            places[at] = len(ends) - 1
+            ends.append(ends[-1] + sizes[at])
+            at = (begin + ends[-1]) % 8
+        self._ends = tuple(ends)
+        self._before = places[at]
+        self._period = len(ends) - 1 - self._before
+        self._length = ends[-1] - ends[self._before]
+
+    def size(self, count: int) -> int:
+        """Return the bytes of `count` elements."""
+        if count <= self._before:
+            return self._ends[count]
+        periods, rest = divmod(count - self._before, self._period)
+        return self._ends[self._before + rest] + periods * self._length
+
+
+def _repeated(sizes: Sizes) -> tuple[_Repeated, ...]:
+    return tuple(_Repeated(sizes, begin) for begin in range(8))
+
+
+_LENGTH = _primitive(4)
+
+
+class Checker:
+    """Checks messages of one type.
+
+    Attributes:
+        loops: whether messages have any number of lengths, so that the time of a check depends on the message.
+    """
+
+    def __init__(self, description: TypeDescription) -> None:
+        """Compile the checker.
+
+        Raises:
+            UncheckableError: the type has something that no ROS type has.
+        """
+        compiler = _Compiler(description)
+        self._body = compiler.body(description.type_description.type_name, DEPTH)
+        self._shortest = HEADER_LENGTH + (self._body.least if self._body.steps else self._body.tail[0])
+        self._varies = bool(self._body.steps)
+        self.loops = any(step.body is not None for step in self._body.steps)
+
+    def check(self, payload: bytes) -> int:
+        """Check a message with its encapsulation header; more bytes than the type needs are allowed.
+
+        Returns:
+            The number of lengths in sequences that were read, which is about what the check costs.
+
+        Raises:
+            MalformedError: it is none of the type.
+            TooComplexError: it has more than `STEPS` lengths in sequences.
+        """
+        size = len(payload)
+        if size < self._shortest or payload[0] or payload[1] > 1:
+            self._explain_beginning(payload)
+        if not self._varies:
+            return 0
+        words, end, spent = _words_of(payload), size - HEADER_LENGTH, [0]
+        try:
+            if _walk(words, self._body.walked, 1, 0, end, spent) <= end:
+                return spent[0]
+        except IndexError:
+            pass
+        _Explainer(words, end, spent[0]).explain(self._body, 1, 0, "")
+        raise MalformedError("", "its lengths do not fit together", spent[0])
+
+    def _explain_beginning(self, payload: bytes) -> NoReturn:
+        if len(payload) < HEADER_LENGTH or payload[0] or payload[1] > 1:
+            text = f"it does not begin as XCDR1: {payload[:HEADER_LENGTH].hex(' ') or 'no bytes'}"
+            raise MalformedError("", text)
+        raise MalformedError("", f"it has {len(payload):,} bytes, and its type at least {self._shortest:,}")
+
+
+# --- walking
+
+
+class _Words:
+    """The words of a message whose byte order is not this machine's."""
+
+    def __init__(self, payload: bytes) -> None:
+        self._payload = payload
+        self._unpack = struct.Struct(f"{_ORDERS[payload[1]]}I").unpack_from
+
+    def __getitem__(self, number: int) -> int:
+        """Return a word; IndexError if there are not so many."""
+        if number >= len(self._payload) // 4:
+            raise IndexError(number)
+        word: int = self._unpack(self._payload, number * 4)[0]
+        return word
+
+
+def _words_of(payload: bytes) -> memoryview | _Words:
+    """Return a message as words of four bytes, the encapsulation header too; each length is one of them."""
+    if payload[1] != _NATIVE:
+        return _Words(payload)
+    return memoryview(payload)[: len(payload) & ~3].cast("I")
+
+
+class _TooLongError(IndexError):
+    """A length is beyond its bound, or beyond what the bytes can hold."""
+
+
+def _walk(
+    words: memoryview | _Words, body: tuple[Any, ...], count: int, at: int, end: int, spent: list[int]
+) -> int:
+    """Return the place behind `count` elements, from behind the encapsulation header; it may lie beyond the end.
+
+    A place beyond the end is found by reading the next length there, which raises IndexError, or by the caller.
+    A length that ends at a place is the word that begins there, as the encapsulation header is as long as a word.
+    """
+    steps, tail, pairs = body
+    if pairs is not None:
+        for _ in range(count):
+            for sizes in pairs:
+                at += sizes[at & 7]
+                at += words[at >> 2]
+            at += tail[at & 7]
+        return at
+    for _ in range(count):
+        for kind, sizes, bound, content, least, lengths in steps:
+            if kind == 0:
+                for sizes in content:  # noqa: PLW2901 (a step of strings has no other sizes)
+                    at += sizes[at & 7]
+                    at += words[at >> 2]
+                continue
+            at += sizes[at & 7]
+            length = bound if kind == 4 else words[at >> 2]  # noqa: PLR2004 (an attribute takes twice as long)
+            if length > bound:
+                raise _TooLongError
+            if kind == 1:
+                at += length * content
+            elif kind == 2:  # noqa: PLR2004
+                at += content[at & 7].size(length)
+            else:
+                spent[0] += length * lengths
+                if length * least > end - at:
+                    raise _TooLongError
+                if spent[0] > STEPS:
+                    raise TooComplexError(f"the message has more than {STEPS:,} strings and sequences")
+                at = _walk(words, content, length, at, end, spent)
+        at += tail[at & 7]
+    return at
+
+
+def _walked(steps: Sequence[_Step], tail: Sizes) -> tuple[Any, ...]:
+    """Return the steps as `_walk` takes them: strings that follow each other are one."""
+    rows: list[tuple[Any, ...]] = []
+    for step in steps:
+        if step.kind is _Kind.UNITS and step.unit == 1 and step.bound == _ANY_LENGTH:
+            if rows and rows[-1][0] == _Kind.STRINGS:
+                rows[-1] = (0, _NOTHING, 0, (*rows[-1][3], step.sizes), 0, 0)
+            else:
+                rows.append((0, _NOTHING, 0, (step.sizes,), 0, 0))
+        elif step.kind is _Kind.UNITS:
+            rows.append((1, step.sizes, step.bound, step.unit, 0, 0))
+        elif step.kind is _Kind.FIXED:
+            rows.append((2, step.sizes, step.bound, step.repeated, 0, 0))
+        else:
+            assert step.body is not None
+            least, lengths = step.body.least, max(1, len(step.body.steps))
+            rows.append((int(step.kind), step.sizes, step.bound, step.body.walked, least, lengths))
+    only_strings = len(rows) == 1 and rows[0][0] == _Kind.STRINGS
+    return tuple(rows), tail, rows[0][3] if only_strings else None
+
+
+class _Explainer:
+    """Walks a malformed message once more, to the field that shows it."""
+
+    def __init__(self, words: memoryview | _Words, end: int, spent: int) -> None:
+        self._words = words
+        self._end = end
+        self._spent = spent
+
+    def explain(self, body: _Body, count: int, at: int, prefix: str) -> int:
+        """Return the place behind elements that are as they should be; see `_walk`.
+
+        Raises:
+            MalformedError: they are not.
+        """
+        for _ in range(count):
+            for step in body.steps:
+                at = self._step(step, at, prefix)
+            at += body.tail[at % 8]
+            if at > self._end:
+                self._fail(prefix + body.last, "the message ends before its end")
+        return at
+
+    def _step(self, step: _Step, at: int, prefix: str) -> int:
+        name = prefix + step.name
+        at += step.sizes[at % 8]
+        if at > self._end:
+            self._fail(name, "the message ends before it")
+        length = step.bound if step.kind is _Kind.ARRAY else self._words[at >> 2]
+        if length > step.bound:
+            self._fail(name, f"its length is above its bound of {step.bound:,}")
+        if step.kind in (_Kind.VARYING, _Kind.ARRAY):
+            assert step.body is not None
+            needed = length * step.body.least
+        else:
+            needed = step.repeated[at % 8].size(length) if step.kind is _Kind.FIXED else length * step.unit
+        if needed > self._end - at:
+            self._fail(name, "its length is more than the message holds")
+        if step.body is None:
+            return at + needed
+        alone = step.kind is _Kind.ARRAY and step.bound == 1
+        return self.explain(step.body, length, at, f"{name}." if alone else f"{name}[].")
+
+    def _fail(self, field: str, text: str) -> NoReturn:
+        raise MalformedError(field.removesuffix("."), text, self._spent)
+
+
+# --- compiling
+
+
+class _Compiler:
+    """Makes bodies of the types of one description."""
+
+    def __init__(self, description: TypeDescription) -> None:
+        types = (description.type_description, *description.referenced_type_descriptions)
+        self._fields = {each.type_name: each.fields for each in types}
+        self._bodies: dict[str, _Body] = {}
+
+    def body(self, type_name: str, depth: int) -> _Body:
+        """Return the body of a type.
+
+        Raises:
+            UncheckableError: the type has something that no ROS type has.
+        """
+        if (known := self._bodies.get(type_name)) is not None:
+            return known
+        if depth == 0:
+            raise UncheckableError(f"{type_name} has more than {DEPTH} levels")
+        fields = self._fields.get(type_name)
+        if fields is None:
+            raise UncheckableError(f"the description lacks {type_name}")
+        building = _Building()
+        for each in fields:
+            self._add(building, each.name, each.type, depth)
+        if not fields:
+            building.fix("", _primitive(1))  # DDS has no empty type: rosidl adds a byte
+        body = self._bodies[type_name] = building.body()
+        return body
+
+    def _add(self, building: _Building, name: str, kind: FieldType, depth: int) -> None:
+        container, base = divmod(kind.type_id - 1, _KINDS)
+        element = self._element(kind, base + 1, depth)
+        if container == _PLAIN:
+            building.inline(name, element)
+        elif container == _ARRAY:
+            if kind.capacity == 0:
+                raise UncheckableError(f"{name} is an array of none")
+            building.array(name, element, kind.capacity)
+        elif container in (_BOUNDED, _UNBOUNDED):
+            building.sequence(name, element, kind.capacity if container == _BOUNDED else _ANY_LENGTH)
+        else:
+            raise UncheckableError(f"{name} is of type {kind.type_id}")
+
+    def _element(self, kind: FieldType, base: int, depth: int) -> _Body:
+        building = _Building()
+        if base == _NESTED:
+            return self.body(kind.nested_type_name, depth - 1)
+        if base in _SIZES:
+            building.fix("", _primitive(_SIZES[base]))
+        elif base in _STRINGS or base in _WIDE_STRINGS:
+            bound, unit = _ANY_LENGTH, _WIDE_CHARACTER if base in _WIDE_STRINGS else 1
+            if base in _BOUNDED_STRINGS:
+                bound = kind.string_capacity + (unit == 1)  # with its terminating zero
+            building.step(_Step(_Kind.UNITS, _LENGTH, bound, "", unit), 4)
+        else:
+            raise UncheckableError(f"a value of type {kind.type_id}")
+        return building.body()
+
+
+class _Building:
+    """A body that is being made, field by field."""
+
+    def __init__(self) -> None:
+        self._steps: list[_Step] = []
+        self._run = _NOTHING
+        self._least = 0
+        self._last = ""
+
+    def body(self) -> _Body:
+        """Return what has been made."""
+        return _Body(tuple(self._steps), self._run, self._least, self._last, _walked(self._steps, self._run))
+
+    def fix(self, name: str, sizes: Sizes) -> None:
+        """Add a field of fixed size."""
+        self._run = _then(self._run, sizes)
+        self._least += min(sizes)
+        self._last = name
+
+    def step(self, step: _Step, least: int) -> None:
+        """Add a length, of a field that has at least so many bytes."""
+        self._steps.append(step._replace(sizes=_then(self._run, step.sizes)))
+        self._run = _NOTHING
+        self._least += least
+        self._last = step.name
+
+    def inline(self, name: str, element: _Body) -> None:
+        """Add a field, with its own lengths if they are few."""
+        if not element.steps:
+            self.fix(_joined(name, element.last), element.tail)
+        elif len(element.steps) > _LENGTHS_INLINED:
+            self.step(_Step(_Kind.ARRAY, _NOTHING, 1, name, body=element), element.least)
+        else:
+            for step in element.steps:
+                self.step(step._replace(name=_joined(name, step.name)), 0)
+            self.fix(_joined(name, element.last), element.tail)
+            self._least += element.least - min(element.tail)
+
+    def array(self, name: str, element: _Body, count: int) -> None:
+        """Add an array."""
+        if element.steps:
+            self.step(_Step(_Kind.ARRAY, _NOTHING, count, name, body=element), element.least * count)
+        else:
+            self.fix(name, tuple(_Repeated(element.tail, begin).size(count) for begin in range(8)))
+
+    def sequence(self, name: str, element: _Body, bound: int) -> None:
+        """Add a sequence."""
+        if element.steps:
+            step = _Step(_Kind.VARYING, _LENGTH, bound, name, body=element)
+        elif element.tail in _UNPADDED:
+            step = _Step(_Kind.UNITS, _LENGTH, bound, name, _UNPADDED[element.tail])
+        else:
+            step = _Step(_Kind.FIXED, _LENGTH, bound, name, repeated=_repeated(element.tail))
+        self.step(step, 4)
+
+
+_UNPADDED: Final = {_primitive(size): size for size in (1, 2, 4)}
+"""Elements that need no padding behind a length, which ends at a multiple of four."""
+
+
+def _joined(name: str, inner: str) -> str:
+    return f"{name}.{inner}" if inner else name

@@ -1,0 +1,231 @@
+"""What a peer sends is checked against its type before ROS gets it: a real node keeps its memory."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import pytest
+
+pytest.importorskip("test_msgs", reason="no package with an action is installed (ros-jazzy-test-msgs)")
+
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from rclpy.serialization import serialize_message
+from tests.support.bridge import carries, feedback_listeners, happened, heard, linked, route
+from tests.support.domain import LATCHED
+from tests.support.fibonacci import ACTION
+from tests.support.waiting import eventually
+
+from rsb_bridge.model.codes import EventCode
+from rsb_bridge.model.session import Topic
+from rsb_bridge.ros.node import RosNode
+from rsb_bridge.ros.typesupport import installed_class
+from rsb_bridge.route.calls.goal_messages import accepted_by
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
+    from tests.support.bridge import Bridge
+    from tests.support.domain import Domain
+    from tests.support.fibonacci import FibonacciServer
+
+    from rsb_bridge.api import EngineApi
+    from rsb_bridge.ros.api import Request, ServiceServer
+
+EIGHT = bytes.fromhex("00 01 00 00 00 00 00 10")
+"""A sequence of 2^28 elements, and none of them."""
+PARAMETERS = "rcl_interfaces/srv/SetParameters"
+FIBONACCI = "test_msgs/action/Fibonacci"
+SET = "/victim/set_parameters"
+GROWS_LESS_THAN = 50 << 20
+"""Bytes; before messages were checked, it was 5 GB."""
+_NODE = """
+import resource, sys
+resource.setrlimit(resource.RLIMIT_AS, (8 << 30, 8 << 30))
+import rclpy
+from diagnostic_msgs.msg import DiagnosticArray
+from std_srvs.srv import Trigger
+rclpy.init(domain_id=int(sys.argv[1]))
+node = rclpy.create_node("victim")
+node.create_subscription(DiagnosticArray, "/report", lambda _: print("report", flush=True), 10)
+print("ready", flush=True)
+rclpy.spin(node)
+"""
+
+
+class Victim:
+    """A stock rclpy node in a process of its own."""
+
+    def __init__(self, domain_id: int) -> None:
+        command = (sys.executable, "-c", _NODE, str(domain_id))
+        self._process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+        assert self._process.stdout is not None
+        assert self._process.stdout.readline() == "ready\n"
+        self._before = self._resident()
+
+    def heard(self) -> bool:
+        """Wait for the next report."""
+        assert self._process.stdout is not None
+        return self._process.stdout.readline() == "report\n"
+
+    @property
+    def is_well(self) -> bool:
+        """Whether it runs, and has about the memory that it began with."""
+        return self._process.poll() is None and self._resident() - self._before < GROWS_LESS_THAN
+
+    def _resident(self) -> int:
+        pages = int(Path(f"/proc/{self._process.pid}/statm").read_text(encoding="utf-8").split()[1])
+        return pages * os.sysconf("SC_PAGE_SIZE")
+
+    def close(self) -> None:
+        self._process.kill()
+        self._process.communicate()
+
+
+@pytest.fixture
+def victim(pc: Domain) -> Iterator[Victim]:
+    made = Victim(pc.id)
+    yield made
+    made.close()
+
+
+@pytest.fixture
+def caller(robot: Domain) -> Iterator[RosNode]:
+    """Calls raw, beside the client."""
+    made = RosNode(robot.id, "caller")
+    made.start()
+    yield made
+    made.stop()
+
+
+def array(*names: str) -> bytes:
+    values = [KeyValue(key="k", value="v")]
+    return bytes(serialize_message(DiagnosticArray(status=[DiagnosticStatus(name=n, values=values) for n in names])))
+
+
+def refused(engine: EngineApi, name: str) -> dict[str, int]:
+    calls = route(engine, name).calls
+    assert calls is not None
+    return calls.refused
+
+
+def calls_raw(caller: RosNode, service: str, kind: str, *payloads: bytes, waits: bool = False) -> list[Any]:
+    """Call a service as soon as the bridge offers it; its answers, the first of which it may wait for."""
+    answers: list[Any] = []
+    client = caller.call_service(service, kind, caller.installed_service_hash(kind) or "", answers.extend)
+    eventually(lambda: client.ready)
+    for payload in payloads:
+        client.call(payload)
+    if waits:
+        eventually(lambda: answers)
+    return answers
+
+
+def test_eight_bytes_of_a_request_do_not_reach_a_node(bridge: Bridge, victim: Victim, caller: RosNode) -> None:
+    server, client = bridge.both(Topic(SET, "transmit", kind="service", timeout=20.0))
+    right = EIGHT[:4] + bytes(4)
+    answers = calls_raw(caller, SET, PARAMETERS, EIGHT, right)
+    eventually(lambda: len(answers) == 1)
+    for engine in (server, client):
+        eventually(lambda engine=engine: refused(engine, SET) == {"malformed": 1})
+    assert victim.is_well
+    assert happened(server, EventCode.ROUTE_MALFORMED, "rcl_interfaces/srv/SetParameters_Request from robot1: param")
+
+
+def test_nor_do_those_of_a_message(bridge: Bridge, victim: Victim, robot: Domain) -> None:
+    server, client = bridge.both(Topic("/report", "transmit"))
+    out = robot.publisher("/report", DiagnosticArray)
+    carries([out], server, ["/report"])
+    bad = array("a")[:12] + bytes(4) + EIGHT[4:]  # stamp, an empty frame_id, status
+    for payload in (bad, array("x", "y")[:60], array("one")):
+        out.publish(payload)
+    assert victim.heard()
+    ledger = eventually(lambda: (found := route(client, "/report").ledger).dropped.get("malformed") == 2 and found)
+    assert ledger.delivered == ledger.offered - 2
+    assert victim.is_well
+    assert happened(server, EventCode.ROUTE_MALFORMED, "diagnostic_msgs/msg/DiagnosticArray from robot1")
+
+
+@pytest.mark.parametrize("compression", ["none", "zstd"])
+def test_latched_and_compressed_ones_are_checked_too(
+    compression: Any, bridge: Bridge, robot: Domain, pc: Domain
+) -> None:
+    out = robot.publisher("/kept", DiagnosticArray, LATCHED)
+    server, client = bridge.both(Topic("/kept", "transmit", compression=compression))
+    listener = pc.listener("/kept", DiagnosticArray, LATCHED)
+    out.publish(array("good"))
+    heard(listener, 1)
+    out.publish(array("bad" * 1000)[:2000])
+    eventually(lambda: route(client, "/kept").ledger.dropped == {"malformed": 1})
+    out.publish(array("good"))
+    assert heard(listener, 2)[1] == array("good")
+    assert linked(server)
+
+
+def test_eight_bytes_of_a_response_do_not_reach_a_caller(
+    bridge: Bridge, caller: RosNode, pc: Domain, request: pytest.FixtureRequest
+) -> None:
+    far = RosNode(pc.id, "server")
+    far.start()
+    request.addfinalizer(far.stop)
+    hash_ = far.installed_service_hash(PARAMETERS) or ""
+    responses = iter([EIGHT, EIGHT[:4] + bytes(4)])
+    made: list[ServiceServer] = []
+
+    def answer(asked: Sequence[Request]) -> None:
+        for each in asked:
+            made[0].answer(each.caller, next(responses))
+
+    made.append(far.serve("/set", PARAMETERS, hash_, answer))
+    _, client = bridge.both(Topic("/set", "transmit", kind="service", timeout=20.0))
+    right = EIGHT[:4] + bytes(4)
+    answers = calls_raw(caller, "/set", PARAMETERS, right)
+    eventually(lambda: refused(client, "/set") == {"malformed": 1})
+    assert not answers
+    assert happened(client, EventCode.ROUTE_MALFORMED, "rcl_interfaces/srv/SetParameters_Response")
+    answers = calls_raw(caller, "/set", PARAMETERS, right)
+    eventually(lambda: len(answers) == 1)
+
+
+def test_a_malformed_goal_is_rejected_at_once(
+    bridge: Bridge, server: FibonacciServer, pc: Domain, request: pytest.FixtureRequest
+) -> None:
+    near = RosNode(pc.id, "near")
+    near.start()
+    request.addfinalizer(near.stop)
+    pc_engine, robot_engine = bridge.both(Topic(ACTION, "receive", kind="action"))
+    goal = EIGHT[:4] + bytes(range(16))
+    [answer] = calls_raw(near, f"{ACTION}/_action/send_goal", f"{FIBONACCI}_SendGoal", goal, waits=True)
+    assert accepted_by(answer.payload) is False
+    for engine in (pc_engine, robot_engine):
+        eventually(lambda engine=engine: refused(engine, ACTION) == {"malformed": 1})
+    assert server.orders == []
+
+
+def test_malformed_feedback_is_not_published(
+    bridge: Bridge, server: FibonacciServer, robot: Domain, pc: Domain
+) -> None:
+    kind: Any = installed_class(f"{FIBONACCI}_FeedbackMessage")
+    listener = pc.listener(f"{ACTION}/_action/feedback", kind)
+    out = robot.publisher(f"{ACTION}/_action/feedback", kind)
+    pc_engine, _ = bridge.both(Topic(ACTION, "receive", kind="action"))
+    eventually(lambda: listener.matched and out.get_subscription_count() and feedback_listeners(pc_engine))
+    goal = EIGHT[:4] + bytes(range(16))
+    out.publish(goal + EIGHT[4:])
+    out.publish(goal + bytes(4))
+    assert heard(listener, 1) == [goal + bytes(4)]
+    assert happened(pc_engine, EventCode.ROUTE_MALFORMED, "test_msgs/action/Fibonacci_FeedbackMessage from robot1")
+
+
+def test_what_is_switched_off_is_published_as_it_came(bridge: Bridge, robot: Domain, pc: Domain) -> None:
+    server, _ = bridge.both(Topic("/report", "transmit"), check_messages=False)
+    listener = pc.listener("/report", DiagnosticArray)
+    out = robot.publisher("/report", DiagnosticArray)
+    carries([out], server, ["/report"])
+    short = array("x", "y")[:60]
+    out.publish(short)
+    assert heard(listener, 1)[0] == short
+    assert not happened(server, EventCode.ROUTE_MALFORMED)
