@@ -23,22 +23,28 @@ from urllib.parse import quote, unquote
 from rsb_bridge.model.text import sanitize_text
 from rsb_bridge.transport.threads import in_thread
 from rsb_bridge.transport.zenoh.outbox import Outbox
-from rsb_bridge.transport.zenoh.sample import Header, Kind
+from rsb_bridge.transport.zenoh.sample import HEADER_LENGTH, Header, Kind
+from rsb_bridge.wire.framing import STRANGER_LIMIT
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
     import zenoh
 
+    from rsb_bridge.model.strangers import Strangers
+
 ROOT = "rsb_console"
 RECEIVE_BUFFER = 32 * 1024 * 1024
-"""Bytes that may wait for the loop; what comes beyond is lost, as in a kernel's full buffer."""
+"""Bytes of peers that may wait for the loop; what comes beyond is lost, as in a kernel's full buffer."""
 ASKED_WITHIN = 2.0
 """s that announcements are waited for."""
 MOST_SEEN = 10_000
 """Announcements that are kept; who is in a network may make any number of them."""
 
 ROUTER_LOST = "the connection to the Zenoh router is lost"
+
+DATAGRAM = 60_000
+"""Bytes of a datagram: with its key it fits one batch of Zenoh's, which loses it whole or not at all."""
 
 _DATAGRAM = "drop"
 _LABEL_LENGTH = 300
@@ -69,7 +75,15 @@ class Seen(NamedTuple):
 
 
 class StreamEnd(Protocol):
-    """This side's end of a stream."""
+    """This side's end of a stream.
+
+    Attributes:
+        trusted: the other end has proven that it has the key.
+        longest: bytes of the longest sample that it takes now.
+    """
+
+    trusted: bool
+    longest: int
 
     def arrived(self, header: Header, payload: bytes) -> None:
         """A sample came."""
@@ -100,6 +114,7 @@ class Endpoint:
         service: str,
         label: str,
         watched: Sequence[str],
+        strangers: Strangers,
         on_close: Callable[[Endpoint], None],
     ) -> None:
         import zenoh as package  # noqa: PLC0415 (an extra)
@@ -114,9 +129,12 @@ class Endpoint:
         self._put, self._closed_error = package.SampleKind.PUT, package.ZError
         self._root = f"{ROOT}/{fleet}"
         self._service, self._label, self._watched = service, label, watched
+        self._strangers = strangers
         self._on_close = on_close
+        self._directly = package.handlers.Callback
         self._loop = asyncio.get_running_loop()
         self._streams: dict[tuple[str, str], StreamEnd] = {}
+        self._peers: dict[str, int] = {}  # addresses, and how many trusted streams each has
         self._arrivals: deque[Callable[[], None]] = deque()
         self._waiting_bytes = 0
         self._counting = threading.Lock()
@@ -135,7 +153,8 @@ class Endpoint:
         live = session.liveliness()
         watched = [f"{root}/here/{service}/*/*" for service in self._watched]
         self._declared = [
-            session.declare_subscriber(f"{root}/at/{self.address}/*/*", self._sample),
+            # On the thread that receives: Zenoh's own queue between that one and another has no limit.
+            session.declare_subscriber(f"{root}/at/{self.address}/*/*", self._directly(self._sample, indirect=False)),
             *(live.declare_subscriber(key, self._announcement, history=True) for key in watched),
             live.declare_token(f"{root}/here/{self._service}/{self.address}/{quote(self._label, safe='') or '-'}"),
         ]
@@ -175,10 +194,20 @@ class Endpoint:
     def add(self, peer: str, stream: str, end: StreamEnd) -> None:
         """Give a stream's samples to its end."""
         self._streams[peer, stream] = end
+        if end.trusted:
+            self.trust(peer)
+
+    def trust(self, peer: str) -> None:
+        """Take datagrams of a peer, of which a stream has become trusted."""
+        self._peers[peer] = self._peers.get(peer, 0) + 1
 
     def forget(self, peer: str, stream: str) -> None:
         """The stream is over."""
-        self._streams.pop((peer, stream), None)
+        end = self._streams.pop((peer, stream), None)
+        if end is not None and end.trusted:
+            self._peers[peer] -= 1
+            if not self._peers[peer]:
+                del self._peers[peer]
 
     def cut_off(self, reason: str) -> None:
         """Nothing gets through any more: end all streams. From any thread."""
@@ -192,17 +221,33 @@ class Endpoint:
     # --- on Zenoh's threads
 
     def _sample(self, sample: zenoh.Sample) -> None:
-        payload = sample.payload.to_bytes()
-        attachment = sample.attachment
-        header = b"" if attachment is None else attachment.to_bytes()
-        key = str(sample.key_expr)
-        self._within_budget(len(payload), lambda: self._take(key, header, payload))  # a stream notices by the numbers
+        """Queue a sample for the loop, unless it is too long: nothing of that one is copied."""
+        payload, attachment = sample.payload, sample.attachment
+        length = len(payload)
+        *_, sender, stream = str(sample.key_expr).rsplit("/", 2)
+        if stream == _DATAGRAM:
+            if sender in self._peers and length <= DATAGRAM:
+                content = payload.to_bytes()
+                self._within_budget(length, lambda: self._take_datagram(sender, content))
+            return
+        end = self._streams.get((sender, stream))
+        if end is None and not (_ADDRESS.fullmatch(sender) and _ADDRESS.fullmatch(stream)):
+            return
+        if attachment is None or len(attachment) != HEADER_LENGTH:
+            return
+        if length > (STRANGER_LIMIT if end is None else end.longest):
+            self._strangers.turn_away()
+            return
+        header, content = attachment.to_bytes(), payload.to_bytes()
+        # What is lost, a stream notices by the numbers.
+        queue = self._within_budget if end is not None and end.trusted else self._within_strangers_budget
+        queue(length, lambda: self._take(sender, stream, header, content))
 
     def _announcement(self, sample: zenoh.Sample) -> None:
         key = str(sample.key_expr)
         seen, comes = _seen(key), sample.kind == self._put
         if seen is not None:
-            self._within_budget(len(key), lambda: self._announced(seen, comes=comes))
+            self._within_strangers_budget(len(key), lambda: self._announced(seen, comes=comes))
 
     def _within_budget(self, length: int, work: Callable[[], None]) -> None:
         size = length + _OVERHEAD
@@ -214,6 +259,17 @@ class Endpoint:
         def take() -> None:
             with self._counting:
                 self._waiting_bytes -= size
+            work()
+
+        self._soon(take)
+
+    def _within_strangers_budget(self, length: int, work: Callable[[], None]) -> None:
+        size = length + _OVERHEAD
+        if not self._strangers.take(size):
+            return
+
+        def take() -> None:
+            self._strangers.give(size)
             work()
 
         self._soon(take)
@@ -237,20 +293,17 @@ class Endpoint:
                 self._woken = True
                 self._loop.call_soon(self._turn)  # others have their turn first
 
-    def _take(self, key: str, attachment: bytes, payload: bytes) -> None:
-        *_, sender, stream = key.rsplit("/", 2)
-        if not _ADDRESS.fullmatch(sender):
-            return
-        if stream == _DATAGRAM:
-            if self.on_datagram is not None:
-                self.on_datagram(sender, payload)
-            return
+    def _take_datagram(self, sender: str, payload: bytes) -> None:
+        if self.on_datagram is not None:
+            self.on_datagram(sender, payload)
+
+    def _take(self, sender: str, stream: str, attachment: bytes, payload: bytes) -> None:
         header = Header.unpack(attachment)
         if header is None:
             return
         end = self._streams.get((sender, stream))
         if end is None:
-            if header.kind != Kind.DATA or not _ADDRESS.fullmatch(stream):
+            if header.kind != Kind.DATA:
                 return
             if self.on_stream is None or header.number:
                 # Anyone can cause these, so they wait for nothing.
