@@ -78,6 +78,7 @@ FLOODS = (
     Flood("zenoh", 1_000, 60_000, many=True),
     Flood("zenoh", 1_000, 4_000, many=False),
     Flood("zenoh", 1_000, 4_000, many=True),
+    Flood("zenoh", 20_000, 100, many=True),
 )
 SHORT = (
     Flood("tcp", 300, 120_000, many=True, seconds=6.0),

@@ -166,8 +166,13 @@ class PendingConnections:
             self._reject_lowest(self._present, "the server has no file descriptors left")
 
     def tick(self) -> None:
-        """Once a second."""
+        """Once a second: forget old refusals, and tell the operator what strangers were refused for lack of room."""
         self.refusals.tick()
+        turned_away = self.strangers.turned_away
+        if turned_away > self._turned_away and self.refusals.is_new("", EventCode.LINK_STRANGERS):
+            self._turned_away = turned_away
+            text = f"{turned_away:,} connections or samples of strangers dropped: a flood? A firewall keeps it off"
+            self.context.log(Level.WARNING, EventCode.LINK_STRANGERS, text)
 
     def close(self) -> None:
         """Reject all."""
