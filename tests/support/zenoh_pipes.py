@@ -50,7 +50,7 @@ class FakeEndpoint:
         """Likewise."""
         self.end = None
 
-    def trust(self, peer: str) -> None:
+    def trust(self, peer: str, stream: str) -> None:
         """Likewise."""
 
     def put(self, key: str, payload: bytes, header: Header) -> None:

@@ -198,7 +198,7 @@ def test_what_waits_for_the_loop_is_bounded(router: Router, monkeypatch: pytest.
     async def test() -> None:
         async with in_network(router) as server:
             came: list[bytes] = []
-            server.trust(NOBODY)
+            server.add(NOBODY, NOBODY, End())
             server.on_datagram = lambda who, payload: came.append(payload)
             other = stranger(router)
             key = f"{ROOT}/fleet/at/{server.address}/{NOBODY}/drop"
@@ -267,6 +267,63 @@ def test_what_strangers_send_takes_no_room_from_peers(router: Router) -> None:
             assert server._strangers.used == 0
             assert len(asked) == 100_000 // (1000 + endpoints._OVERHEAD)
             assert server._strangers.turned_away == 500 - len(asked)
+            other.close()
+
+    asyncio.run(test())
+
+
+def test_few_first_samples_of_strangers_wait(router: Router) -> None:
+    async def test() -> None:
+        async with in_network(router) as server:
+            asked: list[str] = []
+            before: list[int] = []
+            server.on_stream = lambda who, which, _: _kept(asked, which)
+
+            class Peer(End):
+                def arrived(self, header: Header, payload: bytes) -> None:
+                    before.append(len(asked))
+
+            server.add(NOBODY, NOBODY, Peer())
+            other = stranger(router)
+            at, header = f"{ROOT}/fleet/at/{server.address}", Header(Kind.DATA, 0, 0).pack()
+            settings = {"attachment": header, "congestion_control": zenoh.CongestionControl.BLOCK}
+            for number in range(1000):
+                other.put(f"{at}/{number:016x}/{NOBODY}", b"x", **settings)
+            other.put(f"{at}/{NOBODY}/{NOBODY}", b"x", **settings)
+            eventually(lambda: server._waiting_bytes)  # the loop has had no turn
+            await until(lambda: before and not server._of_strangers)
+            assert before[0] <= endpoints._STRANGERS_AT_A_TIME
+            assert len(asked) == endpoints._STRANGERS_WAIT
+            other.close()
+
+    asyncio.run(test())
+
+
+def test_what_comes_while_a_stream_is_proven_stays_in_order(router: Router) -> None:
+    async def test() -> None:
+        async with in_network(router) as server:
+            other = stranger(router)
+            key = f"{ROOT}/fleet/at/{server.address}/{NOBODY}/{NOBODY}"
+
+            def put(number: int) -> None:
+                other.put(key, b"x", attachment=Header(Kind.DATA, 0, number).pack())
+
+            class Proving(End):
+                def arrived(self, header: Header, payload: bytes) -> None:
+                    super().arrived(header, payload)
+                    if header.number == 0:
+                        self.trusted = True
+                        server.trust(NOBODY, NOBODY)
+                        put(5)
+                        eventually(lambda: server._waiting_bytes)
+
+            end = Proving(trusted=False)
+            server.add(NOBODY, NOBODY, end)
+            for number in range(5):
+                put(number)
+            eventually(lambda: len(server._of_strangers) == 5)  # the loop has had no turn
+            await until(lambda: len(end.came) == 6)
+            assert [header.number for header, _ in end.came] == [*range(6)]
             other.close()
 
     asyncio.run(test())
@@ -555,7 +612,7 @@ def test_a_sample_that_is_larger_than_any_of_ours_is_refused(router: Router) -> 
     async def test() -> None:
         async with in_network(router) as server:
             came: list[int] = []
-            server.trust(NOBODY)
+            server.add(NOBODY, NOBODY, End())
             server.on_datagram = lambda who, payload: came.append(len(payload))
             other = stranger(router)
             key = f"{ROOT}/fleet/at/{server.address}/{NOBODY}/drop"

@@ -17,6 +17,7 @@ import os
 import re
 import threading
 from collections import deque
+from functools import partial
 from typing import TYPE_CHECKING, NamedTuple, Protocol
 from urllib.parse import quote, unquote
 
@@ -51,7 +52,11 @@ _LABEL_LENGTH = 300
 _OVERHEAD = 500
 """Bytes that a sample takes while it waits, beyond its payload."""
 _AT_A_TIME = 256
-"""Samples that are taken in one turn of the loop."""
+"""Samples of peers that are taken in one turn of the loop."""
+_STRANGERS_AT_A_TIME = 16
+"""Likewise of strangers, each of which may be a handshake."""
+_STRANGERS_WAIT = 256
+"""Samples of strangers who have no answer yet that wait for the loop: more would be answered too late anyway."""
 _CONFIRMED = 5.0
 """s within which Zenoh has told a new subscription of all that are there."""
 _SETTLED = 0.1
@@ -72,6 +77,14 @@ class Seen(NamedTuple):
     service: str
     address: str
     label: str
+
+
+class _OfStranger(NamedTuple):
+    """Work that a stranger has caused; `stream` is the sender's address and the stream, or None for an announcement."""
+
+    stream: tuple[str, str] | None
+    size: int
+    work: Callable[[], None]
 
 
 class StreamEnd(Protocol):
@@ -136,6 +149,7 @@ class Endpoint:
         self._streams: dict[tuple[str, str], StreamEnd] = {}
         self._peers: dict[str, int] = {}  # addresses, and how many trusted streams each has
         self._arrivals: deque[Callable[[], None]] = deque()
+        self._of_strangers: deque[_OfStranger] = deque()
         self._waiting_bytes = 0
         self._counting = threading.Lock()
         self._woken = False
@@ -195,11 +209,18 @@ class Endpoint:
         """Give a stream's samples to its end."""
         self._streams[peer, stream] = end
         if end.trusted:
-            self.trust(peer)
+            self.trust(peer, stream)
 
-    def trust(self, peer: str) -> None:
-        """Take datagrams of a peer, of which a stream has become trusted."""
+    def trust(self, peer: str, stream: str) -> None:
+        """Treat a stream as a peer's, which is marked as trusted already: what comes on it waits behind no stranger."""
         self._peers[peer] = self._peers.get(peer, 0) + 1
+        with self._counting:
+            waiting, self._of_strangers = self._of_strangers, deque()
+            for each in waiting:
+                if each.stream == (peer, stream):
+                    self._arrivals.append(partial(self._take_of_stranger, each))
+                else:
+                    self._of_strangers.append(each)
 
     def forget(self, peer: str, stream: str) -> None:
         """The stream is over."""
@@ -240,14 +261,15 @@ class Endpoint:
             return
         header, content = attachment.to_bytes(), payload.to_bytes()
         # What is lost, a stream notices by the numbers.
-        queue = self._within_budget if end is not None and end.trusted else self._within_strangers_budget
-        queue(length, lambda: self._take(sender, stream, header, content))
+        take = partial(self._take, sender, stream, header, content)
+        if (end is not None and end.trusted) or not self._queue_of_stranger(length, take, (sender, stream)):
+            self._within_budget(length, take)
 
     def _announcement(self, sample: zenoh.Sample) -> None:
         key = str(sample.key_expr)
         seen, comes = _seen(key), sample.kind == self._put
         if seen is not None:
-            self._within_strangers_budget(len(key), lambda: self._announced(seen, comes=comes))
+            self._queue_of_stranger(len(key), partial(self._announced, seen, comes=comes))
 
     def _within_budget(self, length: int, work: Callable[[], None]) -> None:
         size = length + _OVERHEAD
@@ -263,19 +285,28 @@ class Endpoint:
 
         self._soon(take)
 
-    def _within_strangers_budget(self, length: int, work: Callable[[], None]) -> None:
+    def _queue_of_stranger(
+        self, length: int, work: Callable[[], None], stream: tuple[str, str] | None = None
+    ) -> bool:
+        """Queue what a stranger has caused, or drop it. Return False if the stream is a peer's."""
         size = length + _OVERHEAD
-        if not self._strangers.take(size):
-            return
-
-        def take() -> None:
-            self._strangers.give(size)
-            work()
-
-        self._soon(take)
+        with self._counting:  # so that what comes while the stream becomes trusted stays in order
+            end = self._streams.get(stream) if stream is not None else None
+            if end is not None and end.trusted:
+                return False
+            answered = stream is None or (end is not None and end.longest > STRANGER_LIMIT)
+            if not answered and len(self._of_strangers) >= _STRANGERS_WAIT:
+                self._strangers.turn_away()
+            elif self._strangers.take(size):
+                self._of_strangers.append(_OfStranger(stream, size, work))
+        self._wake()
+        return True
 
     def _soon(self, work: Callable[[], None]) -> None:
         self._arrivals.append(work)
+        self._wake()
+
+    def _wake(self) -> None:
         if not self._woken:
             self._woken = True
             with contextlib.suppress(RuntimeError):  # the loop has ended
@@ -288,10 +319,17 @@ class Endpoint:
         try:
             for _ in range(min(len(self._arrivals), _AT_A_TIME)):
                 self._arrivals.popleft()()
+            for _ in range(min(len(self._of_strangers), _STRANGERS_AT_A_TIME)):
+                if self._of_strangers:  # one that becomes trusted takes its further samples along
+                    self._take_of_stranger(self._of_strangers.popleft())
         finally:
-            if self._arrivals and not self._woken:
+            if (self._arrivals or self._of_strangers) and not self._woken:
                 self._woken = True
                 self._loop.call_soon(self._turn)  # others have their turn first
+
+    def _take_of_stranger(self, each: _OfStranger) -> None:
+        self._strangers.give(each.size)
+        each.work()
 
     def _take_datagram(self, sender: str, payload: bytes) -> None:
         if self.on_datagram is not None:

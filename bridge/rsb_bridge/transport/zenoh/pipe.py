@@ -98,7 +98,7 @@ class Pipe(asyncio.Transport):
         if not self.trusted and not self._over:
             self.trusted = True
             self.longest = _LONGEST
-            self._endpoint.trust(self._peer)
+            self._endpoint.trust(self._peer, self._stream)
 
     # --- asyncio.Transport
 
