@@ -107,10 +107,13 @@ class SealedAcceptor:
         waiting = [each for each in self._present if each.stage < _Stage.ATTACHED]
         if len(waiting) >= _MOST_WAITING:
             min(waiting, key=lambda each: each.stage).reject(_TOO_MANY)
-        if not self.access.strangers.take(CONNECTION):
-            if waiting:
-                min(waiting, key=lambda each: each.stage).reject(_TOO_MANY)
-            self.access.strangers.replace()
+            waiting = [each for each in waiting if each.stage < _Stage.ATTACHED]
+        while not self.access.strangers.take(CONNECTION):
+            if not waiting:
+                return False
+            lowest = min(waiting, key=lambda each: each.stage)
+            lowest.reject(_TOO_MANY)
+            waiting.remove(lowest)
         self._present[console] = None
         if not self._ticking:
             self._ticking = True
@@ -222,7 +225,6 @@ class SealedConsole(asyncio.Protocol):
     def connection_lost(self, exc: Exception | None) -> None:
         self._leave()
         self._stop_waiting()
-        self._give_share_back()
         self._acceptor.remove(self)
 
     def _give_share_back(self) -> None:
@@ -310,6 +312,7 @@ class SealedConsole(asyncio.Protocol):
             return
         self.stage = _Stage.GONE
         self._stop_waiting()
+        self._give_share_back()
         if self._console is not None:
             self._acceptor.server.remove(self._console)
             text = f"{self.operator} has detached"

@@ -115,21 +115,25 @@ class PendingConnections:
         """The handler of a new stream."""
         return _PendingConnection(self)
 
-    def add(self, pending: _PendingConnection) -> None:
+    def add(self, pending: _PendingConnection) -> bool:
         """Count a new connection. If there are too many, reject the one of the lowest stage that has waited longest.
 
         A host that has too many loses one of its own, so that connections that only wait cannot keep others out.
+
+        Returns:
+            False if the strangers' budget is spent and none of it by connections of links.
         """
         of_host = [each for each in self._present if each.network == pending.network]
         if self._full(len(of_host), _MOST_OF_ONE_HOST, pending.host):
             self._reject_lowest(of_host, _TOO_MANY)
         elif self._full(len(self._present), _MOST) or self._uses_reserve():
             self._reject_lowest(self._present, _TOO_MANY)
-        if not self.strangers.take(CONNECTION):
-            if self._present:
-                self._reject_lowest(self._present, _TOO_MANY)
-            self.strangers.replace()
+        while not self.strangers.take(CONNECTION):
+            if not self._present:
+                return False
+            self._reject_lowest(self._present, _TOO_MANY)
         self._present[pending] = None
+        return True
 
     def _full(self, count: int, limit: int, host: str = "") -> bool:
         return count >= limit and count >= limit + self.admission.streams_awaited(host)
@@ -196,16 +200,18 @@ class _PendingConnection(StreamHandler):
 
     def connected(self, stream: Stream) -> None:
         self._stream, self.host, self.network = stream, stream.host, network(stream.host)
-        self._pending.add(self)
-        self._counted = True
+        self._counted = self._pending.add(self)
+        if not self._counted:
+            self.reject(_TOO_MANY)
+            return
         loop = self._pending.context.loop
         self._deadline = loop.call_later(_HANDSHAKE_WITHIN, self._gives_up)
 
     def closed(self, reason: str) -> None:
         self._leave()
-        self._give_share_back()
 
     def _give_share_back(self) -> None:
+        """Be no stranger any more, or be closed: then a moment later there is nothing left of it."""
         if self._counted:
             self._counted = False
             self._pending.strangers.give(CONNECTION)
@@ -279,12 +285,8 @@ class _PendingConnection(StreamHandler):
             stream.write(self._connection.refuse(refusal.code, refusal.message))
             self._refuse_proven(stream, refusal, event.peer)
         else:
-            self._trust(stream)
+            stream.trust()
             control.take(more)
-
-    def _trust(self, stream: Stream) -> None:
-        stream.trust()
-        self._give_share_back()
 
     def _refuse_proven(self, stream: Stream, refusal: Refusal, peer: Hello) -> None:
         """Refuse a client that has the key: that is no failed authentication."""
@@ -295,7 +297,7 @@ class _PendingConnection(StreamHandler):
     def _attach(self, stream: Stream, event: Attach) -> None:
         try:
             self._admission.attach(stream, self._connection, event)
-            self._trust(stream)
+            stream.trust()
         except Refusal as refusal:  # no failure of its host: the route may have been closed meanwhile
             self._pending.refusals.log(stream, EventCode.LINK_REJECTED, refusal.message)
             stream.write(self._connection.refuse(refusal.code, refusal.message))
@@ -331,6 +333,7 @@ class _PendingConnection(StreamHandler):
     def _leave(self) -> None:
         self._pending.remove(self)
         self._stop_waiting()
+        self._give_share_back()
         self._stream = None
 
     def _stop_waiting(self) -> None:

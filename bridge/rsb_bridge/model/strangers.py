@@ -28,11 +28,6 @@ class Strangers:
         """Bytes counted now."""
         return self._used
 
-    @property
-    def full(self) -> bool:
-        """Whether there is no room for another connection."""
-        return self._used + CONNECTION > self._limit
-
     def take(self, size: int) -> bool:
         """Count some bytes, unless the budget is spent. Return whether they are counted."""
         with self._counting:
@@ -41,11 +36,6 @@ class Strangers:
                 return False
             self._used += size
             return True
-
-    def replace(self) -> None:
-        """Count a connection in the place of one that is being closed, which gives its own share back."""
-        with self._counting:
-            self._used += CONNECTION
 
     def turn_away(self) -> None:
         """Count something that was dropped unread."""
