@@ -72,7 +72,7 @@ def _over_zenoh(protocol: str, *, routed: bool) -> Iterator[Bed]:
             endpoint = f"tcp/127.0.0.1:{match[1]}"
             server = session.stem == "server"
             if server and routed:
-                running.enter_context(_router(endpoint))
+                running.enter_context(router(endpoint))
             key = "listen" if server and not routed else "connect"
             session.write_text(_ADDRESS.sub(f"server_ip: zenoh\nzenoh: {{{key}: [{endpoint}]}}\n", text))
             return beds.headless(session)
@@ -81,7 +81,8 @@ def _over_zenoh(protocol: str, *, routed: bool) -> Iterator[Bed]:
 
 
 @contextlib.contextmanager
-def _router(endpoint: str) -> Iterator[None]:
+def router(endpoint: str) -> Iterator[None]:
+    """A Zenoh router, a process of its own that listens at this endpoint."""
     config = {
         "mode": "router",
         "listen": {"endpoints": [endpoint]},

@@ -12,6 +12,7 @@ from rsb_bridge.config.shared_keys import unshared_keys
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.operators import operator
 from rsb_bridge.model.snapshot import Level
+from rsb_bridge.model.strangers import Strangers
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
@@ -31,18 +32,21 @@ class Access:
         name: the engine's, which an operator's console has to mean.
         events: where it is recorded who attaches, and who is refused.
         clock: the engine's.
+        strangers: the engine's budget of those who have not proven yet that they have a key, or None for one of its own.
 
     Attributes:
         name: as given.
         events: as given.
         clock: as given.
+        strangers: as given.
         granted: by the operators' names; replaced as a whole.
     """
 
-    def __init__(self, name: str, events: EventLog, clock: Clock) -> None:
+    def __init__(self, name: str, events: EventLog, clock: Clock, strangers: Strangers | None = None) -> None:
         self.name = name
         self.events = events
         self.clock = clock
+        self.strangers = strangers or Strangers()
         self.granted: Mapping[str, Granted] = {}
         self._watchers: list[Callable[[], None]] = []
 

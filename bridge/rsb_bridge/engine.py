@@ -97,7 +97,7 @@ class Engine(EngineApi):
         self._transports = transports or transports_of(session, base, self._random)
         self.network = self._transports.network
         self._events = EventLog(self._clock)
-        self.access = Access(session.name, self._events, self._clock)
+        self.access = Access(session.name, self._events, self._clock, self._transports.strangers)
         self._starting = threading.Lock()
         """Held by whoever starts or ends the threads."""
         self._stop_wanted = False

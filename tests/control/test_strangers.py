@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import gc
 import socket
 import threading
+import weakref
 from typing import TYPE_CHECKING
 
 import pytest
@@ -19,7 +21,9 @@ from rsb_bridge.control.protocol import CONSOLES, Failed, Hello, Look, Refused, 
 from rsb_bridge.model.benchmark import Order
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.session import Client, Topic
+from rsb_bridge.model.strangers import CONNECTION, Strangers
 from rsb_bridge.wire import events
+from rsb_bridge.wire.operators import OperatorConsole
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -274,3 +278,52 @@ def test_who_comes_when_the_bridge_has_ended_is_closed(machine: Machine) -> None
     robot.close()
     robot.server.close("the bridge was stopped")
     eventually(lambda: remote.unreachable == "the bridge was stopped")
+
+
+def test_a_refused_console_is_freed_at_once_and_counts_no_more(
+    machine: Machine, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    protocol, made = sealed.SealedAcceptor.protocol, list[weakref.ref[object]]()
+
+    def record(self: sealed.SealedAcceptor) -> sealed.SealedConsole:
+        console = protocol(self)
+        made.extend((weakref.ref(console), weakref.ref(console._machine)))
+        return console
+
+    monkeypatch.setattr(sealed.SealedAcceptor, "protocol", record)
+    robot = Reachable(machine)
+    unknown = OperatorConsole("nobody", ANNA.secret, "robot1", version=1).start()
+    said = (b"GET / HTTP/1.1\r\n\r\n", unknown, bytes(100_000), b"")
+    gc.collect()
+    gc.disable()
+    try:
+        for each in said:
+            with Stranger(robot.port) as stranger:
+                stranger.socket.sendall(each)
+                with contextlib.suppress(OSError):  # it may be closed already
+                    stranger.socket.shutdown(socket.SHUT_WR)
+                assert stranger.is_closed()
+        eventually(lambda: len(made) == 2 * len(said) and not any(each() for each in made), what="freed")
+    finally:
+        gc.enable()
+    assert robot.access.strangers.used == 0
+
+
+def test_who_has_attached_is_no_stranger(machine: Machine) -> None:
+    robot = Reachable(machine)
+    with Stranger(robot.port) as anna, Stranger(robot.port) as silent:
+        anna.attach()
+        eventually(lambda: robot.access.strangers.used == CONNECTION)
+        del silent
+
+
+def test_a_spent_budget_of_strangers_keeps_no_operator_out(machine: Machine) -> None:
+    robot = Reachable(machine)
+    robot.access.strangers = Strangers(3 * CONNECTION)
+    with contextlib.ExitStack() as silent:
+        first = silent.enter_context(Stranger(robot.port))
+        for _ in range(5):
+            silent.enter_context(Stranger(robot.port))
+        assert first.is_closed()
+        robot.attach()
+    assert robot.access.strangers.turned_away >= 3

@@ -50,6 +50,9 @@ class FakeEndpoint:
         """Likewise."""
         self.end = None
 
+    def trust(self, peer: str, stream: str) -> None:
+        """Likewise."""
+
     def put(self, key: str, payload: bytes, header: Header) -> None:
         """As `rsb_bridge.transport.zenoh.outbox.Outbox.put`."""
         self.on_its_way.append(Sent(header, bytes(payload)))
@@ -113,10 +116,10 @@ class Side:
         pipe: itself.
     """
 
-    def __init__(self, address: str, peer: str) -> None:
+    def __init__(self, address: str, peer: str, *, stranger: bool = False) -> None:
         self.network = FakeEndpoint(address)
         self.told = Recorder()
-        self.pipe = Pipe(cast("Endpoint", self.network), peer, STREAM, 1, self.told)
+        self.pipe = Pipe(cast("Endpoint", self.network), peer, STREAM, 1, self.told, stranger=stranger)
 
     def arrive(self, kind: int, number: int, payload: bytes = b"") -> None:
         """Have a sample come."""

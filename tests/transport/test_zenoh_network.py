@@ -16,10 +16,13 @@ from tests.support.ports import free_port
 from tests.support.waiting import eventually
 
 from rsb_bridge.model.session import ZenohSettings
+from rsb_bridge.model.strangers import Strangers
 from rsb_bridge.transport.zenoh import endpoint as endpoints
 from rsb_bridge.transport.zenoh.endpoint import ROOT, Seen
 from rsb_bridge.transport.zenoh.network import Network
+from rsb_bridge.transport.zenoh.pipe import SAMPLE
 from rsb_bridge.transport.zenoh.sample import Header, Kind
+from rsb_bridge.wire.framing import STRANGER_LIMIT
 
 zenoh = pytest.importorskip("zenoh")
 from tests.support.zenoh_router import Announced, Router, stranger  # noqa: E402 (it needs the package)
@@ -68,7 +71,9 @@ async def in_network(router: Router, service: str = "server", *watched: str) -> 
 class End:
     """A stream's end that keeps what comes."""
 
-    def __init__(self) -> None:
+    def __init__(self, *, trusted: bool = True) -> None:
+        self.trusted = trusted
+        self.longest = SAMPLE if trusted else STRANGER_LIMIT
         self.came: list[tuple[Header, bytes]] = []
         self.cut: list[str] = []
 
@@ -193,6 +198,7 @@ def test_what_waits_for_the_loop_is_bounded(router: Router, monkeypatch: pytest.
     async def test() -> None:
         async with in_network(router) as server:
             came: list[bytes] = []
+            server.add(NOBODY, NOBODY, End())
             server.on_datagram = lambda who, payload: came.append(payload)
             other = stranger(router)
             key = f"{ROOT}/fleet/at/{server.address}/{NOBODY}/drop"
@@ -202,6 +208,143 @@ def test_what_waits_for_the_loop_is_bounded(router: Router, monkeypatch: pytest.
             other.close()
             await until(lambda: server._waiting_bytes == 0)
             assert len(came) == 100_000 // (1000 + endpoints._OVERHEAD)
+
+    asyncio.run(test())
+
+
+@pytest.mark.parametrize("number", [0, 1])
+def test_a_long_sample_of_a_stranger_is_neither_copied_nor_queued(router: Router, number: int) -> None:
+    async def test() -> None:
+        async with in_network(router) as server:
+            asked: list[str] = []
+            server.on_stream = lambda who, which, _: _kept(asked, which)
+            other = stranger(router)
+            at = f"{ROOT}/fleet/at/{server.address}/{NOBODY}"
+            header = Header(Kind.DATA, 0, number).pack()
+            other.put(f"{at}/{'1' * 16}", bytes(STRANGER_LIMIT + 1), attachment=header)
+            other.put(f"{at}/{'2' * 16}", bytes(STRANGER_LIMIT), attachment=Header(Kind.DATA, 0, 0).pack())
+            await until(lambda: asked)
+            assert asked == ["2" * 16]
+            assert server._strangers.turned_away == 1
+            other.close()
+
+    asyncio.run(test())
+
+
+def test_a_long_sample_on_a_stream_that_is_not_proven_is_dropped(router: Router) -> None:
+    async def test() -> None:
+        async with in_network(router) as server:
+            unproven, proven = End(trusted=False), End()
+            server.add(NOBODY, "1" * 16, unproven)
+            server.add(NOBODY, "2" * 16, proven)
+            other = stranger(router)
+            at = f"{ROOT}/fleet/at/{server.address}/{NOBODY}"
+            for stream in ("1" * 16, "2" * 16):
+                other.put(f"{at}/{stream}", bytes(100_000), attachment=Header(Kind.DATA, 0, 0).pack())
+            await until(lambda: proven.came)
+            assert unproven.came == []
+            other.close()
+
+    asyncio.run(test())
+
+
+def test_what_strangers_send_takes_no_room_from_peers(router: Router) -> None:
+    async def test() -> None:
+        async with in_network(router) as server:
+            server._strangers = Strangers(100_000)
+            asked: list[str] = []
+            server.on_stream = lambda who, which, _: _kept(asked, which)
+            peer = End()
+            server.add(NOBODY, NOBODY, peer)
+            other = stranger(router)
+            at, header = f"{ROOT}/fleet/at/{server.address}", Header(Kind.DATA, 0, 0).pack()
+            settings = {"attachment": header, "congestion_control": zenoh.CongestionControl.BLOCK}
+            for number in range(500):
+                other.put(f"{at}/{number:016x}/{NOBODY}", bytes(1000), **settings)
+            other.put(f"{at}/{NOBODY}/{NOBODY}", bytes(1_000_000), **settings)
+            eventually(lambda: server._waiting_bytes)  # the loop has had no turn
+            await until(lambda: peer.came)
+            assert server._strangers.used == 0
+            assert len(asked) == 100_000 // (1000 + endpoints._OVERHEAD)
+            assert server._strangers.turned_away == 500 - len(asked)
+            other.close()
+
+    asyncio.run(test())
+
+
+def test_few_first_samples_of_strangers_wait(router: Router) -> None:
+    async def test() -> None:
+        async with in_network(router) as server:
+            asked: list[str] = []
+            before: list[int] = []
+            server.on_stream = lambda who, which, _: _kept(asked, which)
+
+            class Peer(End):
+                def arrived(self, header: Header, payload: bytes) -> None:
+                    before.append(len(asked))
+
+            server.add(NOBODY, NOBODY, Peer())
+            other = stranger(router)
+            at, header = f"{ROOT}/fleet/at/{server.address}", Header(Kind.DATA, 0, 0).pack()
+            settings = {"attachment": header, "congestion_control": zenoh.CongestionControl.BLOCK}
+            for number in range(1000):
+                other.put(f"{at}/{number:016x}/{NOBODY}", b"x", **settings)
+            other.put(f"{at}/{NOBODY}/{NOBODY}", b"x", **settings)
+            eventually(lambda: server._waiting_bytes)  # the loop has had no turn
+            await until(lambda: before and not server._of_strangers)
+            assert before[0] <= endpoints._STRANGERS_AT_A_TIME
+            assert len(asked) == endpoints._STRANGERS_WAIT
+            other.close()
+
+    asyncio.run(test())
+
+
+def test_what_comes_while_a_stream_is_proven_stays_in_order(router: Router) -> None:
+    async def test() -> None:
+        async with in_network(router) as server:
+            other = stranger(router)
+            key = f"{ROOT}/fleet/at/{server.address}/{NOBODY}/{NOBODY}"
+
+            def put(number: int) -> None:
+                other.put(key, b"x", attachment=Header(Kind.DATA, 0, number).pack())
+
+            class Proving(End):
+                def arrived(self, header: Header, payload: bytes) -> None:
+                    super().arrived(header, payload)
+                    if header.number == 0:
+                        self.trusted = True
+                        server.trust(NOBODY, NOBODY)
+                        put(5)
+                        eventually(lambda: server._waiting_bytes)
+
+            end = Proving(trusted=False)
+            server.add(NOBODY, NOBODY, end)
+            for number in range(5):
+                put(number)
+            eventually(lambda: len(server._of_strangers) == 5)  # the loop has had no turn
+            await until(lambda: len(end.came) == 6)
+            assert [header.number for header, _ in end.came] == [*range(6)]
+            other.close()
+
+    asyncio.run(test())
+
+
+def test_datagrams_of_who_has_no_stream_here_are_dropped(router: Router) -> None:
+    async def test() -> None:
+        async with in_network(router) as server:
+            came: list[str] = []
+            server.on_datagram = lambda who, payload: came.append(who)
+            unproven, peer = End(trusted=False), End()
+            server.add("1" * 16, NOBODY, unproven)
+            server.add("2" * 16, NOBODY, peer)
+            other = stranger(router)
+            for who in ("0" * 16, "1" * 16, "2" * 16):
+                other.put(f"{ROOT}/fleet/at/{server.address}/{who}/drop", b"x")
+            await until(lambda: came)
+            assert came == ["2" * 16]
+            server.forget("2" * 16, NOBODY)
+            assert server._peers == {}
+            other.close()
 
     asyncio.run(test())
 
@@ -454,8 +597,8 @@ def test_a_router_that_takes_nothing_holds_up_no_loop() -> None:
                     client.outbox.put(server_key, bytes([number]) * 100_000, Header(Kind.DATA, 2, number))
                 client.outbox.put(client.key(server.address, "1" * 16), b"link", Header(Kind.DATA, 0, 0))
                 assert client.outbox.waiting(server_key, 2) > 2_000_000
-                router.go_on()
                 server.add(client.address, NOBODY, end)
+                router.go_on()
                 await until(lambda: sum(len(payload) == 100_000 for _, payload in end.came) == 120)
                 data = [header.number for header, payload in end.came if len(payload) == 100_000]
                 assert data == [*range(120)]
@@ -469,6 +612,7 @@ def test_a_sample_that_is_larger_than_any_of_ours_is_refused(router: Router) -> 
     async def test() -> None:
         async with in_network(router) as server:
             came: list[int] = []
+            server.add(NOBODY, NOBODY, End())
             server.on_datagram = lambda who, payload: came.append(len(payload))
             other = stranger(router)
             key = f"{ROOT}/fleet/at/{server.address}/{NOBODY}/drop"

@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import asyncio
+import gc
 import random
+import weakref
 from typing import TYPE_CHECKING
 
 import pytest
 from tests.support.virtual_time import virtual_loop
-from tests.support.zenoh_pipes import Pair, Sent
+from tests.support.zenoh_pipes import Pair, Sent, Side
 
 from rsb_bridge.transport.zenoh.pipe import SAMPLE, WINDOW
 from rsb_bridge.transport.zenoh.sample import Header, Kind
+from rsb_bridge.wire.framing import STRANGER_LIMIT
 
 if TYPE_CHECKING:
     from collections.abc import Coroutine
@@ -444,3 +447,54 @@ def test_cut_off_tells_both_sides() -> None:
         assert pair.far.told.calls[-1] == "lost"
 
     run(test())
+
+
+@pytest.mark.parametrize("pieces", [[4101], [4000, 101], [1] * 4101], ids=["at once", "in two", "in many"])
+@pytest.mark.parametrize("paused", [False, True])
+def test_a_stranger_has_4_kib_until_it_is_answered(pieces: list[int], paused: bool) -> None:
+    async def test() -> None:
+        side = Side("a" * 16, "b" * 16, stranger=True)
+        if paused:
+            side.pipe.pause_reading()
+        for number, size in enumerate(pieces):
+            side.arrive(Kind.DATA, number, bytes(size))
+        await asyncio.sleep(0)
+        assert isinstance(side.told.error, OSError)
+        assert sum(map(len, side.told.pieces)) + len(side.pipe._held) <= STRANGER_LIMIT
+
+    run(test())
+
+
+def test_a_stranger_that_is_answered_may_send_more_behind_its_proof() -> None:
+    async def test() -> None:
+        side = Side("a" * 16, "b" * 16, stranger=True)
+        assert side.pipe.longest == STRANGER_LIMIT
+        side.arrive(Kind.DATA, 0, bytes(100))
+        side.pipe.write(b"answer")
+        assert side.pipe.longest >= SAMPLE
+        assert not side.pipe.trusted
+        side.arrive(Kind.DATA, 1, bytes(SAMPLE))
+        side.pipe.trust()
+        assert side.pipe.trusted
+        side.arrive(Kind.DATA, 2, bytes(SAMPLE))
+        assert len(side.told.data) == 100 + 2 * SAMPLE
+
+    run(test())
+
+
+def test_nothing_leads_from_a_pipe_that_is_over_to_its_protocol() -> None:
+    async def test() -> None:
+        side = Side("a" * 16, "b" * 16, stranger=True)
+        side.arrive(Kind.DATA, 0, bytes(100))
+        gone = [weakref.ref(each) for each in (side.pipe, side.told)]
+        side.pipe.abort()
+        del side
+        await asyncio.sleep(0)
+        await asyncio.sleep(0)
+        assert [each() for each in gone] == [None, None]
+
+    gc.disable()
+    try:
+        run(test())
+    finally:
+        gc.enable()

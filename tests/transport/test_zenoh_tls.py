@@ -180,8 +180,10 @@ def test_access_control_keeps_others_out_of_the_fleet(tmp_path: Path, start: Sta
         came: list[bytes] = []
         server.on_datagram = lambda _, payload: came.append(payload)
         refused = await join("visitor", "client")
+        server.trust(refused.address, "")
         refused.outbox.drop(refused.key(server.address), b"no")
         robot = await join("robot1", "client")
+        server.trust(robot.address, "")
         async with asyncio.timeout(20):
             while robot.address not in server.seen or not came:
                 robot.outbox.drop(robot.key(server.address), b"yes")

@@ -116,7 +116,10 @@ class Announcement:
 
     def _accept(self, sender: str, stream: str, header: Header) -> Pipe:
         assert self._endpoint is not None
-        return Pipe(self._endpoint, sender, stream, header.rank, self._acceptor.protocol())
+        console = self._acceptor.protocol()
+        pipe = Pipe(self._endpoint, sender, stream, header.rank, console, stranger=True)
+        console.when_attached = pipe.trust
+        return pipe
 
     def _close(self) -> None:
         self._task.cancel()

@@ -22,6 +22,7 @@ from rsb_bridge.control.protocol import ProtocolError
 from rsb_bridge.link.refusals import Refusals
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.snapshot import Level
+from rsb_bridge.model.strangers import CONNECTION
 from rsb_bridge.model.text import sanitize_text
 from rsb_bridge.model.token_bucket import TokenBucket
 from rsb_bridge.wire.connection import Credential
@@ -31,6 +32,8 @@ from rsb_bridge.wire.preamble import Refusal, RefusalCode
 from rsb_bridge.wire.replay_cache import ReplayCache
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from rsb_bridge.access import Access
     from rsb_bridge.config.operators import Granted
     from rsb_bridge.control.server import ControlServer
@@ -42,6 +45,7 @@ _MOST_WAITING = 32
 _HANDSHAKE_WITHIN = 5.0
 _TOLD_WITHIN = 5.0
 """s in which a refusal has to be taken."""
+_TOO_MANY = "too many unauthenticated connections"
 _TICK = 1.0
 _PEER_LENGTH = 80
 _LINES, _LINES_A_SECOND = 64, 0.2
@@ -102,7 +106,14 @@ class SealedAcceptor:
             return False
         waiting = [each for each in self._present if each.stage < _Stage.ATTACHED]
         if len(waiting) >= _MOST_WAITING:
-            min(waiting, key=lambda each: each.stage).reject("too many unauthenticated connections")
+            min(waiting, key=lambda each: each.stage).reject(_TOO_MANY)
+            waiting = [each for each in waiting if each.stage < _Stage.ATTACHED]
+        while not self.access.strangers.take(CONNECTION):
+            if not waiting:
+                return False
+            lowest = min(waiting, key=lambda each: each.stage)
+            lowest.reject(_TOO_MANY)
+            waiting.remove(lowest)
         self._present[console] = None
         if not self._ticking:
             self._ticking = True
@@ -149,23 +160,29 @@ class SealedAcceptor:
 
 
 class SealedConsole(asyncio.Protocol):
-    """One connection, and who is at its other end: a `rsb_bridge.control.console.Connection`, once that is proven."""
+    """One connection, and who is at its other end: a `rsb_bridge.control.console.Connection`, once that is proven.
+
+    Attributes:
+        when_attached: called once the operator has proven to have the key.
+    """
 
     of_this_machine = False
 
     def __init__(self, acceptor: SealedAcceptor) -> None:
+        self.when_attached: Callable[[], None] = _nothing
         self.stage = _Stage.WAITING
         self.name = ""
         self.operator = ""
         self._acceptor = acceptor
         self._loop = acceptor.server.loop
-        self._machine = OperatorEngine(acceptor.access.name, self._identify)
+        self._machine = OperatorEngine(acceptor.access.name, acceptor.credential)
         self._peer = self._host = ""
         self._transport: asyncio.Transport
         self._deadline: asyncio.TimerHandle | None = None
         self._refusal = b""
         self._granted: Granted | None = None
         self._console: Console | None = None
+        self._counted = False
 
     # --- what the stream calls
 
@@ -175,12 +192,14 @@ class SealedConsole(asyncio.Protocol):
         if not self._acceptor.add(self):
             self.abort()
             return
+        self._counted = True
         self._deadline = self._loop.call_later(_HANDSHAKE_WITHIN, self.reject, "no handshake within 5 s")
 
     def data_received(self, data: bytes) -> None:
         if self.stage in (_Stage.REFUSED, _Stage.GONE):
             return
         events = self._machine.receive_data(data)
+        self.name = self._machine.operator
         answer = self._machine.data_to_send()
         if self._machine.accepted:
             self.stage = max(self.stage, _Stage.ACCEPTED)
@@ -208,6 +227,13 @@ class SealedConsole(asyncio.Protocol):
         self._stop_waiting()
         self._acceptor.remove(self)
 
+    def _give_share_back(self) -> None:
+        """Be no stranger any more, or be gone."""
+        self.when_attached = _nothing
+        if self._counted:
+            self._counted = False
+            self._acceptor.access.strangers.give(CONNECTION)
+
     # --- before it is attached
 
     def reject(self, message: str) -> None:
@@ -230,17 +256,14 @@ class SealedConsole(asyncio.Protocol):
         elif granted != self._granted:
             self._console.end(f"what {self.name} may do, or their key, was changed on the bridge")
 
-    def _identify(self, name: str) -> Credential:
-        credential = self._acceptor.credential(name)
-        self.name = name
-        return credential
-
     def _admit(self, admitted: Admitted) -> None:
         self._granted = self._acceptor.access.granted.get(self.name)
         if self._granted is None or self._granted.key.secret != admitted.key:
             self.reject("the operators were changed meanwhile")  # and the review of that is still to come
             return
         self._stop_waiting()
+        self.when_attached()
+        self._give_share_back()
         self.stage = _Stage.ATTACHED
         place = f" from {admitted.host}" if admitted.host else ""
         self.operator = f"{self.name} (operator key){place}"
@@ -289,6 +312,7 @@ class SealedConsole(asyncio.Protocol):
             return
         self.stage = _Stage.GONE
         self._stop_waiting()
+        self._give_share_back()
         if self._console is not None:
             self._acceptor.server.remove(self._console)
             text = f"{self.operator} has detached"
@@ -333,6 +357,10 @@ class SealedConsole(asyncio.Protocol):
             self._console.received(content)
         except ProtocolError:  # as through the socket: what cannot be read ends it
             self.abort()
+
+
+def _nothing() -> None:
+    """Nobody waits for the operator's proof."""
 
 
 def _origin(peername: object) -> tuple[str, str]:

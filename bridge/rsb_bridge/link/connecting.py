@@ -93,6 +93,7 @@ class ConnectAttempt(StreamHandler):
                     return
                 case Established() | Accepted():
                     self._finish(None)
+                    stream.trust()
                     self._let_in(stream, event, events[index + 1 :])
                     return
                 case Refused(code, message):

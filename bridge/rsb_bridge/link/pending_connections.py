@@ -9,6 +9,7 @@ from rsb_bridge.link.refusals import Refusals, network
 from rsb_bridge.link.refused import CAUSES
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.snapshot import Level
+from rsb_bridge.model.strangers import CONNECTION
 from rsb_bridge.model.verdict import LinkCause
 from rsb_bridge.transport import descriptors
 from rsb_bridge.transport.streams import Stream, StreamHandler
@@ -18,11 +19,12 @@ from rsb_bridge.wire.preamble import Refusal, RefusalCode
 
 if TYPE_CHECKING:
     import asyncio
-    from collections.abc import Callable, Iterable
+    from collections.abc import Iterable
 
     from rsb_bridge.context import Context
     from rsb_bridge.link.control_channel import ControlChannel
-    from rsb_bridge.wire.connection import Credential, ServerConnection
+    from rsb_bridge.model.strangers import Strangers
+    from rsb_bridge.wire.connection import ServerConnection
 
 _MOST = 256
 _MOST_OF_ONE_HOST = 64
@@ -53,16 +55,8 @@ class _Stage(IntEnum):
 class Admission(Protocol):
     """Who decides whether a connection is let in: the server."""
 
-    def connection(self, identify: Callable[[str], Credential]) -> ServerConnection:
+    def connection(self) -> ServerConnection:
         """The state machine of an inbound stream."""
-        ...
-
-    def credential(self, name: str) -> Credential:
-        """What a client of that name has to prove.
-
-        Raises:
-            Refusal: there is no such client.
-        """
         ...
 
     def established(self, stream: Stream, connection: ServerConnection, event: Established) -> ControlChannel:
@@ -113,23 +107,33 @@ class PendingConnections:
         self.context = context
         self.admission = admission
         self.refusals = Refusals(context)
+        self.strangers: Strangers = context.transports.strangers
+        self._turned_away = 0
         self._present: dict[_PendingConnection, None] = {}  # the longest waiting first
 
     def arrive(self) -> StreamHandler:
         """The handler of a new stream."""
         return _PendingConnection(self)
 
-    def add(self, pending: _PendingConnection) -> None:
+    def add(self, pending: _PendingConnection) -> bool:
         """Count a new connection. If there are too many, reject the one of the lowest stage that has waited longest.
 
         A host that has too many loses one of its own, so that connections that only wait cannot keep others out.
+
+        Returns:
+            False if the strangers' budget is spent and none of it by connections of links.
         """
         of_host = [each for each in self._present if each.network == pending.network]
         if self._full(len(of_host), _MOST_OF_ONE_HOST, pending.host):
             self._reject_lowest(of_host, _TOO_MANY)
         elif self._full(len(self._present), _MOST) or self._uses_reserve():
             self._reject_lowest(self._present, _TOO_MANY)
+        while not self.strangers.take(CONNECTION):
+            if not self._present:
+                return False
+            self._reject_lowest(self._present, _TOO_MANY)
         self._present[pending] = None
+        return True
 
     def _full(self, count: int, limit: int, host: str = "") -> bool:
         return count >= limit and count >= limit + self.admission.streams_awaited(host)
@@ -166,8 +170,13 @@ class PendingConnections:
             self._reject_lowest(self._present, "the server has no file descriptors left")
 
     def tick(self) -> None:
-        """Once a second."""
+        """Once a second: forget old refusals, and tell the operator what strangers were refused for lack of room."""
         self.refusals.tick()
+        turned_away = self.strangers.turned_away
+        if turned_away > self._turned_away and self.refusals.is_new("", EventCode.LINK_STRANGERS):
+            self._turned_away = turned_away
+            text = f"{turned_away:,} connections or samples of strangers dropped: a flood? A firewall keeps it off"
+            self.context.log(Level.WARNING, EventCode.LINK_STRANGERS, text)
 
     def close(self) -> None:
         """Reject all."""
@@ -183,19 +192,29 @@ class _PendingConnection(StreamHandler):
         self.host = self.network = self.name = ""
         self._pending = pending
         self._admission = pending.admission
-        self._connection: ServerConnection = pending.admission.connection(self._identify)
+        self._connection: ServerConnection = pending.admission.connection()
         self._stream: Stream | None = None
         self._deadline: asyncio.TimerHandle | None = None
         self._refusal: tuple[bytes, str] = (b"", "")
+        self._counted = False
 
     def connected(self, stream: Stream) -> None:
         self._stream, self.host, self.network = stream, stream.host, network(stream.host)
-        self._pending.add(self)
+        self._counted = self._pending.add(self)
+        if not self._counted:
+            self.reject(_TOO_MANY)
+            return
         loop = self._pending.context.loop
         self._deadline = loop.call_later(_HANDSHAKE_WITHIN, self._gives_up)
 
     def closed(self, reason: str) -> None:
         self._leave()
+
+    def _give_share_back(self) -> None:
+        """Be no stranger any more, or be closed: then a moment later there is nothing left of it."""
+        if self._counted:
+            self._counted = False
+            self._pending.strangers.give(CONNECTION)
 
     def _gives_up(self) -> None:
         """Reject a client whose handshake takes too long."""
@@ -217,15 +236,12 @@ class _PendingConnection(StreamHandler):
         stream.write(self._connection.refuse(RefusalCode.BUSY, message))
         stream.close(message)
 
-    def _identify(self, name: str) -> Credential:
-        self.name = name
-        return self._admission.credential(name)
-
     def received(self, data: bytes) -> None:
         stream, connection = self._stream, self._connection
         if stream is None or self.stage is _Stage.REFUSED:
             return
         events = connection.receive_data(data)
+        self.name = connection.name
         answer = connection.data_to_send()
         for index, event in enumerate(events):
             match event:
@@ -269,6 +285,7 @@ class _PendingConnection(StreamHandler):
             stream.write(self._connection.refuse(refusal.code, refusal.message))
             self._refuse_proven(stream, refusal, event.peer)
         else:
+            stream.trust()
             control.take(more)
 
     def _refuse_proven(self, stream: Stream, refusal: Refusal, peer: Hello) -> None:
@@ -280,6 +297,7 @@ class _PendingConnection(StreamHandler):
     def _attach(self, stream: Stream, event: Attach) -> None:
         try:
             self._admission.attach(stream, self._connection, event)
+            stream.trust()
         except Refusal as refusal:  # no failure of its host: the route may have been closed meanwhile
             self._pending.refusals.log(stream, EventCode.LINK_REJECTED, refusal.message)
             stream.write(self._connection.refuse(refusal.code, refusal.message))
@@ -315,6 +333,7 @@ class _PendingConnection(StreamHandler):
     def _leave(self) -> None:
         self._pending.remove(self)
         self._stop_waiting()
+        self._give_share_back()
         self._stream = None
 
     def _stop_waiting(self) -> None:

@@ -140,9 +140,9 @@ class Server:
             if link.control is not None and host in ("", link.control.stream.host)
         )
 
-    def connection(self, identify: Callable[[str], Credential]) -> ServerConnection:
+    def connection(self) -> ServerConnection:
         """The state machine for a stream that comes in."""
-        return ServerConnection(identify, self._welcome, self._aes, multiplexed=self._transport.multiplexed)
+        return ServerConnection(self.credential, self._welcome, self._aes, multiplexed=self._transport.multiplexed)
 
     def credential(self, name: str) -> Credential:
         """What a client of that name has to prove; raises Refusal where there is none."""

@@ -115,6 +115,8 @@ class EventCode(StrEnum):
     LINK_REPLACED = "link.replaced"
     """A newer connection of the same client took the link over."""
     LINK_REJECTED = "link.rejected"
+    LINK_STRANGERS = "link.strangers"
+    """Strangers sent more than all of them together may, or one sent too much; the text says how often."""
     """This server closed a connection that did not authenticate, or whose route does not exist."""
     LINK_WRONG_KEY = "link.wrong_key"
     """This server refused a client that has another key."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from rsb_bridge.model.strangers import Strangers
 from rsb_bridge.transport.rfcomm import Rfcomm
 from rsb_bridge.transport.tcp import Tcp
 from rsb_bridge.transport.transport import StreamTransport
@@ -24,6 +25,7 @@ class Transports:
 
     Attributes:
         network: the Zenoh network that they are in; None: none.
+        strangers: the budget of all who have not proven yet that they have a key.
 
     A test makes one of its own, for example ``Transports(SimulatedTcp(network), SimulatedUdp(network))``, and passes it
     to `rsb_bridge.engine.Engine`.
@@ -33,6 +35,7 @@ class Transports:
         """Register transports; for an address that several carry links to, the first is used."""
         self._by_name: dict[str, Transport] = {transport.name: transport for transport in transports}
         self.network: Network | None = None
+        self.strangers = Strangers()
 
     def __getitem__(self, name: str) -> Transport:
         return self._by_name[name]
@@ -70,4 +73,5 @@ def transports_of(session: Session, base: Path, random: Random) -> Transports:
     links = Links(network, session.name)
     found = Transports(Rfcomm(), Zenoh(links), ZenohDrop(links), Tcp(), Udp())
     found.network = network
+    found.strangers = network.strangers
     return found

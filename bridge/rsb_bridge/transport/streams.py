@@ -23,6 +23,10 @@ CLOSED_BY_PEER = "closed by the other side"
 BATCH_BYTES = 256 * 1024
 """As much as is worth one call, where the link is not slow."""
 
+_STRANGER_READS = 4096
+"""Bytes that are read at a time from a stranger: as long as a handshake takes, little of it waits here."""
+_READS = 256 * 1024
+"""Likewise from a peer."""
 _LINGER = 2.0
 _RETRANSMITS = struct.Struct("2xB")
 """The third field of the kernel's tcp_info: how often in a row it has sent the oldest bytes again."""
@@ -84,6 +88,7 @@ class Stream(asyncio.Protocol):
         self._when_gone: Callable[[], None] = _nothing
         self._reason = ""
         self._given_up_after = 0.0
+        self._lingering: asyncio.TimerHandle | None = None
 
     def write(self, data: bytes | memoryview) -> None:
         """Send, or keep until the socket takes it. Nothing happens on a stream that is over.
@@ -99,8 +104,9 @@ class Stream(asyncio.Protocol):
         if self._transport is not None:
             self._reason = self._reason or reason
             self._transport.close()
-            # Not the transport's own abort: on one that has ended, it would end it a second time.
-            asyncio.get_running_loop().call_later(_LINGER, self.abort, reason)
+            if self._lingering is None:
+                # Not the transport's own abort: on one that has ended, it would end it a second time.
+                self._lingering = asyncio.get_running_loop().call_later(_LINGER, self.abort, reason)
 
     def abort(self, reason: str) -> None:
         """Close now; what waits is lost."""
@@ -117,6 +123,10 @@ class Stream(asyncio.Protocol):
         """Take in again what the peer sends."""
         if self._transport is not None and not self._transport.is_closing():
             self._transport.resume_reading()
+
+    def trust(self) -> None:
+        """Read as much as comes: the other end has proven that it has the key. Until then, little is read at a time."""
+        _read_at_a_time(self._transport, _READS)
 
     def give_up_after(self, seconds: float) -> None:
         """Have the kernel give it up once nothing is acknowledged for so long; only TCP does. May be called again."""
@@ -161,6 +171,7 @@ class Stream(asyncio.Protocol):
         self._transport.set_write_buffer_limits(high=self.high_water)
         self.address = transport.get_extra_info("peername") or self.address
         self.own_address = str((transport.get_extra_info("sockname") or [""])[0])  # a socketpair has no name
+        _read_at_a_time(transport, _STRANGER_READS)
         self.handler.connected(self)
 
     @property
@@ -191,9 +202,25 @@ class Stream(asyncio.Protocol):
         self._reason = self._reason or CLOSED_BY_PEER
 
     def connection_lost(self, error: Exception | None) -> None:
+        if self._lingering is not None:
+            self._lingering.cancel()
+        _free(self._transport)
         self._transport = None
         self._when_gone()
-        self.handler.closed(self._reason or (os_error_message(error) if error else "closed"))
+        handler, self.handler = self.handler, StreamHandler()
+        handler.closed(self._reason or (os_error_message(error) if error else "closed"))
+
+
+def _read_at_a_time(transport: asyncio.BaseTransport | None, size: int) -> None:
+    """Limit what asyncio reads from a socket in one call. Transports of other kinds have limits of their own."""
+    if hasattr(transport, "max_size"):
+        transport.max_size = size
+
+
+def _free(transport: asyncio.Transport | None) -> None:
+    """Have a socket's transport freed at once: asyncio leaves a method of its own bound in it, which is a cycle."""
+    if hasattr(transport, "_read_ready_cb"):
+        transport._read_ready_cb = None
 
 
 def _nothing() -> None:

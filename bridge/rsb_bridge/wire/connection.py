@@ -223,6 +223,8 @@ class ServerConnection(_Control):
             multiplexed: data frames share the stream (Bluetooth).
         """
         super().__init__(multiplexed=multiplexed)
+        self.name = ""
+        """The name that the client says, which is not authenticated before `Established`."""
         self._identity = identity
         self._make_welcome = make_welcome
         self._aes = aes
@@ -263,6 +265,7 @@ class ServerConnection(_Control):
                 raise ProtocolError(f"unexpected {kind.name} frame in the preamble")
 
     def _on_offer(self, offer: ControlPreamble) -> None:
+        self.name = offer.name
         keys, replays = self._identity(offer.name)
         if not keys and offer.suite is not Suite.PLAIN:
             raise Refusal(

@@ -42,6 +42,8 @@ HEADER = struct.Struct(">BBIQ")
 """type, flags, route, stamp."""
 _HEADER_SIZE = HEADER.size
 _LENGTH_SIZE = LENGTH.size
+STRANGER_LIMIT = PREAMBLE_LIMIT + _LENGTH_SIZE
+"""Bytes that are kept of somebody who has not proven to have a key: a preamble frame with its length."""
 _unpack_header = HEADER.unpack
 _UNKNOWN_FLAGS = 0xFF & ~(ZSTD | MORE | HISTORY | LEASED | SOURCE_FLAGS)
 

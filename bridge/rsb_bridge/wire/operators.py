@@ -222,6 +222,8 @@ class OperatorEngine(_Sealed):
             identity: the credential of an operator by their name, which is not authenticated yet; may raise `Refusal`.
         """
         super().__init__()
+        self.operator = ""
+        """The operator's name as the console says it, which is not authenticated before `Admitted`."""
         self._engine = engine
         self._identity = identity
         self._admitted: Admitted | None = None  # what is so once the console has confirmed
@@ -244,6 +246,7 @@ class OperatorEngine(_Sealed):
         if offer.engine != self._engine:
             raise Refusal(RefusalCode.UNKNOWN_NAME, f"this is not the engine {offer.engine!r}")
         keys, replays = self._identity(offer.operator)
+        self.operator = offer.operator
         key = key_of(keys, offer.fingerprint, offer.operator, "console", "engine")
         handshake = NoiseHandshake(SUITE, key, offer.header)
         try:

@@ -17,22 +17,26 @@ import os
 import re
 import threading
 from collections import deque
+from functools import partial
 from typing import TYPE_CHECKING, NamedTuple, Protocol
 from urllib.parse import quote, unquote
 
 from rsb_bridge.model.text import sanitize_text
 from rsb_bridge.transport.threads import in_thread
 from rsb_bridge.transport.zenoh.outbox import Outbox
-from rsb_bridge.transport.zenoh.sample import Header, Kind
+from rsb_bridge.transport.zenoh.sample import HEADER_LENGTH, Header, Kind
+from rsb_bridge.wire.framing import STRANGER_LIMIT
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
     import zenoh
 
+    from rsb_bridge.model.strangers import Strangers
+
 ROOT = "rsb_console"
 RECEIVE_BUFFER = 32 * 1024 * 1024
-"""Bytes that may wait for the loop; what comes beyond is lost, as in a kernel's full buffer."""
+"""Bytes of peers that may wait for the loop; what comes beyond is lost, as in a kernel's full buffer."""
 ASKED_WITHIN = 2.0
 """s that announcements are waited for."""
 MOST_SEEN = 10_000
@@ -40,12 +44,19 @@ MOST_SEEN = 10_000
 
 ROUTER_LOST = "the connection to the Zenoh router is lost"
 
+DATAGRAM = 60_000
+"""Bytes of a datagram: with its key it fits one batch of Zenoh's, which loses it whole or not at all."""
+
 _DATAGRAM = "drop"
 _LABEL_LENGTH = 300
 _OVERHEAD = 500
 """Bytes that a sample takes while it waits, beyond its payload."""
 _AT_A_TIME = 256
-"""Samples that are taken in one turn of the loop."""
+"""Samples of peers that are taken in one turn of the loop."""
+_STRANGERS_AT_A_TIME = 16
+"""Likewise of strangers, each of which may be a handshake."""
+_STRANGERS_WAIT = 256
+"""Samples of strangers who have no answer yet that wait for the loop: more would be answered too late anyway."""
 _CONFIRMED = 5.0
 """s within which Zenoh has told a new subscription of all that are there."""
 _SETTLED = 0.1
@@ -68,8 +79,24 @@ class Seen(NamedTuple):
     label: str
 
 
+class _OfStranger(NamedTuple):
+    """Work that a stranger has caused; `stream` is the sender's address and the stream, or None for an announcement."""
+
+    stream: tuple[str, str] | None
+    size: int
+    work: Callable[[], None]
+
+
 class StreamEnd(Protocol):
-    """This side's end of a stream."""
+    """This side's end of a stream.
+
+    Attributes:
+        trusted: the other end has proven that it has the key.
+        longest: bytes of the longest sample that it takes now.
+    """
+
+    trusted: bool
+    longest: int
 
     def arrived(self, header: Header, payload: bytes) -> None:
         """A sample came."""
@@ -100,6 +127,7 @@ class Endpoint:
         service: str,
         label: str,
         watched: Sequence[str],
+        strangers: Strangers,
         on_close: Callable[[Endpoint], None],
     ) -> None:
         import zenoh as package  # noqa: PLC0415 (an extra)
@@ -114,10 +142,14 @@ class Endpoint:
         self._put, self._closed_error = package.SampleKind.PUT, package.ZError
         self._root = f"{ROOT}/{fleet}"
         self._service, self._label, self._watched = service, label, watched
+        self._strangers = strangers
         self._on_close = on_close
+        self._directly = package.handlers.Callback
         self._loop = asyncio.get_running_loop()
         self._streams: dict[tuple[str, str], StreamEnd] = {}
+        self._peers: dict[str, int] = {}  # addresses, and how many trusted streams each has
         self._arrivals: deque[Callable[[], None]] = deque()
+        self._of_strangers: deque[_OfStranger] = deque()
         self._waiting_bytes = 0
         self._counting = threading.Lock()
         self._woken = False
@@ -135,7 +167,8 @@ class Endpoint:
         live = session.liveliness()
         watched = [f"{root}/here/{service}/*/*" for service in self._watched]
         self._declared = [
-            session.declare_subscriber(f"{root}/at/{self.address}/*/*", self._sample),
+            # On the thread that receives: Zenoh's own queue between that one and another has no limit.
+            session.declare_subscriber(f"{root}/at/{self.address}/*/*", self._directly(self._sample, indirect=False)),
             *(live.declare_subscriber(key, self._announcement, history=True) for key in watched),
             live.declare_token(f"{root}/here/{self._service}/{self.address}/{quote(self._label, safe='') or '-'}"),
         ]
@@ -175,10 +208,27 @@ class Endpoint:
     def add(self, peer: str, stream: str, end: StreamEnd) -> None:
         """Give a stream's samples to its end."""
         self._streams[peer, stream] = end
+        if end.trusted:
+            self.trust(peer, stream)
+
+    def trust(self, peer: str, stream: str) -> None:
+        """Treat a stream as a peer's, which is marked as trusted already: what comes on it waits behind no stranger."""
+        self._peers[peer] = self._peers.get(peer, 0) + 1
+        with self._counting:
+            waiting, self._of_strangers = self._of_strangers, deque()
+            for each in waiting:
+                if each.stream == (peer, stream):
+                    self._arrivals.append(partial(self._take_of_stranger, each))
+                else:
+                    self._of_strangers.append(each)
 
     def forget(self, peer: str, stream: str) -> None:
         """The stream is over."""
-        self._streams.pop((peer, stream), None)
+        end = self._streams.pop((peer, stream), None)
+        if end is not None and end.trusted:
+            self._peers[peer] -= 1
+            if not self._peers[peer]:
+                del self._peers[peer]
 
     def cut_off(self, reason: str) -> None:
         """Nothing gets through any more: end all streams. From any thread."""
@@ -192,17 +242,34 @@ class Endpoint:
     # --- on Zenoh's threads
 
     def _sample(self, sample: zenoh.Sample) -> None:
-        payload = sample.payload.to_bytes()
-        attachment = sample.attachment
-        header = b"" if attachment is None else attachment.to_bytes()
-        key = str(sample.key_expr)
-        self._within_budget(len(payload), lambda: self._take(key, header, payload))  # a stream notices by the numbers
+        """Queue a sample for the loop, unless it is too long: nothing of that one is copied."""
+        payload, attachment = sample.payload, sample.attachment
+        length = len(payload)
+        *_, sender, stream = str(sample.key_expr).rsplit("/", 2)
+        if stream == _DATAGRAM:
+            if sender in self._peers and length <= DATAGRAM:
+                content = payload.to_bytes()
+                self._within_budget(length, lambda: self._take_datagram(sender, content))
+            return
+        end = self._streams.get((sender, stream))
+        if end is None and not (_ADDRESS.fullmatch(sender) and _ADDRESS.fullmatch(stream)):
+            return
+        if attachment is None or len(attachment) != HEADER_LENGTH:
+            return
+        if length > (STRANGER_LIMIT if end is None else end.longest):
+            self._strangers.turn_away()
+            return
+        header, content = attachment.to_bytes(), payload.to_bytes()
+        # What is lost, a stream notices by the numbers.
+        take = partial(self._take, sender, stream, header, content)
+        if (end is not None and end.trusted) or not self._queue_of_stranger(length, take, (sender, stream)):
+            self._within_budget(length, take)
 
     def _announcement(self, sample: zenoh.Sample) -> None:
         key = str(sample.key_expr)
         seen, comes = _seen(key), sample.kind == self._put
         if seen is not None:
-            self._within_budget(len(key), lambda: self._announced(seen, comes=comes))
+            self._queue_of_stranger(len(key), partial(self._announced, seen, comes=comes))
 
     def _within_budget(self, length: int, work: Callable[[], None]) -> None:
         size = length + _OVERHEAD
@@ -218,8 +285,28 @@ class Endpoint:
 
         self._soon(take)
 
+    def _queue_of_stranger(
+        self, length: int, work: Callable[[], None], stream: tuple[str, str] | None = None
+    ) -> bool:
+        """Queue what a stranger has caused, or drop it. Return False if the stream is a peer's."""
+        size = length + _OVERHEAD
+        with self._counting:  # so that what comes while the stream becomes trusted stays in order
+            end = self._streams.get(stream) if stream is not None else None
+            if end is not None and end.trusted:
+                return False
+            answered = stream is None or (end is not None and end.longest > STRANGER_LIMIT)
+            if not answered and len(self._of_strangers) >= _STRANGERS_WAIT:
+                self._strangers.turn_away()
+            elif self._strangers.take(size):
+                self._of_strangers.append(_OfStranger(stream, size, work))
+        self._wake()
+        return True
+
     def _soon(self, work: Callable[[], None]) -> None:
         self._arrivals.append(work)
+        self._wake()
+
+    def _wake(self) -> None:
         if not self._woken:
             self._woken = True
             with contextlib.suppress(RuntimeError):  # the loop has ended
@@ -232,25 +319,29 @@ class Endpoint:
         try:
             for _ in range(min(len(self._arrivals), _AT_A_TIME)):
                 self._arrivals.popleft()()
+            for _ in range(min(len(self._of_strangers), _STRANGERS_AT_A_TIME)):
+                if self._of_strangers:  # one that becomes trusted takes its further samples along
+                    self._take_of_stranger(self._of_strangers.popleft())
         finally:
-            if self._arrivals and not self._woken:
+            if (self._arrivals or self._of_strangers) and not self._woken:
                 self._woken = True
                 self._loop.call_soon(self._turn)  # others have their turn first
 
-    def _take(self, key: str, attachment: bytes, payload: bytes) -> None:
-        *_, sender, stream = key.rsplit("/", 2)
-        if not _ADDRESS.fullmatch(sender):
-            return
-        if stream == _DATAGRAM:
-            if self.on_datagram is not None:
-                self.on_datagram(sender, payload)
-            return
+    def _take_of_stranger(self, each: _OfStranger) -> None:
+        self._strangers.give(each.size)
+        each.work()
+
+    def _take_datagram(self, sender: str, payload: bytes) -> None:
+        if self.on_datagram is not None:
+            self.on_datagram(sender, payload)
+
+    def _take(self, sender: str, stream: str, attachment: bytes, payload: bytes) -> None:
         header = Header.unpack(attachment)
         if header is None:
             return
         end = self._streams.get((sender, stream))
         if end is None:
-            if header.kind != Kind.DATA or not _ADDRESS.fullmatch(stream):
+            if header.kind != Kind.DATA:
                 return
             if self.on_stream is None or header.number:
                 # Anyone can cause these, so they wait for nothing.

@@ -10,6 +10,7 @@ import os
 import threading
 from typing import TYPE_CHECKING, Any
 
+from rsb_bridge.model.strangers import Strangers
 from rsb_bridge.model.transports import HOW_TO_INSTALL_ZENOH
 from rsb_bridge.transport.threads import in_thread
 from rsb_bridge.transport.zenoh.diagnosis import TLS, UNABLE, first_sentence, why_unreachable
@@ -60,10 +61,14 @@ class Network:
         settings: where the network is.
         base: the folder that `ZenohSettings.config` is relative to.
         jitter: a number from 0 to 1, different in each process: by how much it retries later than others.
+
+    Attributes:
+        strangers: the budget of what strangers in the network send.
     """
 
     def __init__(self, settings: ZenohSettings, base: Path, jitter: float = 0.0) -> None:
         self.settings = settings
+        self.strangers = Strangers()
         self._base = base
         self._jitter = jitter
         self._lock = threading.Lock()  # never held for long: the loops take it, too
@@ -122,7 +127,7 @@ class Network:
             session = self._session
             if session is None:
                 raise OSError(f"{self.place}: closed meanwhile")
-            endpoint = Endpoint(session, self.settings.fleet, service, label, watched, self._left)
+            endpoint = Endpoint(session, self.settings.fleet, service, label, watched, self.strangers, self._left)
             self._endpoints.append(endpoint)
         try:
             await endpoint.announce()

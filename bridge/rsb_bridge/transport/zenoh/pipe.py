@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING
 
 from rsb_bridge.model.text import sanitize_text
 from rsb_bridge.transport.zenoh.sample import Header, Kind
+from rsb_bridge.wire.framing import STRANGER_LIMIT
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -27,6 +28,7 @@ WINDOW = 4 * 1024 * 1024
 SAMPLE = 1024 * 1024
 """Bytes of one sample at most; with `rsb_bridge.transport.zenoh.network.LARGEST_SAMPLE`."""
 
+_LONGEST = 2 * SAMPLE
 _SAID_EVERY = WINDOW // 8
 _ASKED_AFTER = 2.0
 """s without a window after which a sender that waits for one asks, and without more to send after which it says that
@@ -46,6 +48,12 @@ class Pipe(asyncio.Transport):
         rank: of its priority (`rsb_bridge.transport.zenoh.outbox`).
         protocol: is told what happens. Its `connection_made` is called at once.
         when_over: called once the stream is over.
+        stranger: the other end has not proven yet that it has the key; `trust` ends that.
+
+    Attributes:
+        trusted: the other end has proven it.
+        longest: bytes of the longest sample that is taken now. Until this side answers a stranger, all that comes
+            together is no longer, either.
     """
 
     def __init__(
@@ -56,6 +64,8 @@ class Pipe(asyncio.Transport):
         rank: int,
         protocol: asyncio.Protocol,
         when_over: Callable[[], None] | None = None,
+        *,
+        stranger: bool = False,
     ) -> None:
         super().__init__({"peername": (peer, 0), "sockname": (endpoint.address, 0)})
         self._endpoint = endpoint
@@ -64,6 +74,8 @@ class Pipe(asyncio.Transport):
         self._rank = rank
         self._protocol = protocol
         self._when_over = when_over
+        self.trusted = not stranger
+        self.longest = STRANGER_LIMIT if stranger else _LONGEST
         self._loop = asyncio.get_running_loop()
         self._closing = self._over = False
         self._ended: str | None = None
@@ -81,11 +93,20 @@ class Pipe(asyncio.Transport):
         endpoint.add(peer, stream, self)
         protocol.connection_made(self)
 
+    def trust(self) -> None:
+        """Take as much as of any peer: the other end has proven that it has the key."""
+        if not self.trusted and not self._over:
+            self.trusted = True
+            self.longest = _LONGEST
+            self._endpoint.trust(self._peer, self._stream)
+
     # --- asyncio.Transport
 
     def write(self, data: bytes | bytearray | memoryview[int]) -> None:
         if self._closing:
             return
+        if self._received:
+            self.longest = _LONGEST  # it is answered: what follows the proof may come before the loop has seen the proof
         for begin in range(0, len(data), SAMPLE):
             piece = data if len(data) <= SAMPLE else memoryview(data)[begin : begin + SAMPLE]
             if self._waiting or self._sent - self._taken_there >= WINDOW:
@@ -172,7 +193,10 @@ class Pipe(asyncio.Transport):
             return
         self._received_samples += 1
         self._received += len(payload)
-        if not payload:
+        if self._received > STRANGER_LIMIT == self.longest:
+            error = f"more than {STRANGER_LIMIT:,} bytes came before the handshake"
+            self._end(error, OSError(error))
+        elif not payload:
             self._say_soon()
         elif self._received - self._taken > WINDOW + SAMPLE:
             error = f"the other side sends more than the {WINDOW:,} bytes that may be under way"
@@ -279,7 +303,8 @@ class Pipe(asyncio.Transport):
         self._loop.call_soon(self._lost, error)
 
     def _lost(self, error: OSError | None) -> None:
-        self._protocol.connection_lost(error)
+        protocol, self._protocol = self._protocol, asyncio.Protocol()  # nothing leads back to whom it belonged to
+        protocol.connection_lost(error)
         if self._when_over is not None:
             self._when_over()
 

@@ -7,6 +7,7 @@ from enum import IntEnum
 from typing import NamedTuple
 
 _HEADER = struct.Struct(">BBQ")
+HEADER_LENGTH = _HEADER.size
 
 
 class Kind(IntEnum):

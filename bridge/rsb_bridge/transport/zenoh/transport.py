@@ -21,6 +21,7 @@ from rsb_bridge.transport.transport import (
     SendPath,
     StreamTransport,
 )
+from rsb_bridge.transport.zenoh.endpoint import DATAGRAM
 from rsb_bridge.transport.zenoh.outbox import LINK_RANK
 from rsb_bridge.transport.zenoh.pipe import Pipe
 from rsb_bridge.wire.framing import MESSAGE_LIMIT
@@ -34,9 +35,6 @@ if TYPE_CHECKING:
 
 SERVER, CLIENT = "server", "client"
 """The services by which the two sides of links announce themselves."""
-DATAGRAM = 60_000
-"""Bytes of a datagram: with its key it fits one batch of Zenoh's, which loses it whole or not at all."""
-
 _NAMED = 3
 _RANKS = {1: 1, 0: 2, -1: 3}
 
@@ -45,6 +43,10 @@ class ZenohStream(Stream):
     """A stream whose sender waits while too much of it is under way."""
 
     high_water = 256 * 1024
+
+    def trust(self) -> None:
+        if isinstance(self._transport, Pipe):
+            self._transport.trust()
 
     @property
     def peer(self) -> str:
@@ -110,7 +112,8 @@ class Zenoh(ZenohTraits, StreamTransport):
         endpoint = await self._links.endpoint(CLIENT, (SERVER,))
         peer = self._server(endpoint) if host == "zenoh" else host
         stream = ZenohStream(handler)
-        Pipe(endpoint, peer, os.urandom(8).hex(), _priority(rank), stream)
+        # On a route's stream the server's data may follow its answer at once.
+        Pipe(endpoint, peer, os.urandom(8).hex(), _priority(rank), stream, stranger=rank is None)
         return stream
 
     def _server(self, endpoint: Endpoint) -> str:
@@ -133,7 +136,7 @@ class Zenoh(ZenohTraits, StreamTransport):
             raise ListenError(_several(self._links.network.settings.fleet, others, own=True))
 
         def accept(sender: str, stream: str, header: Header) -> Pipe:
-            return Pipe(endpoint, sender, stream, header.rank, ZenohStream(acceptor.make_handler()))
+            return Pipe(endpoint, sender, stream, header.rank, ZenohStream(acceptor.make_handler()), stranger=True)
 
         def another(seen: Seen, comes: bool) -> None:
             if comes and seen.service == SERVER and seen.address != endpoint.address:

@@ -1,0 +1,201 @@
+"""What is kept of strangers, who have not proven that they have a key: little, within a budget, and not for long."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import functools
+import gc
+import os
+import socket
+import struct
+import weakref
+from typing import TYPE_CHECKING, Any
+
+import pytest
+from tests.support.bridge import happened, link, linked
+from tests.support.ports import free_port
+from tests.support.waiting import eventually
+
+from rsb_bridge.config.keys import read_key
+from rsb_bridge.link.pending_connections import PendingConnections
+from rsb_bridge.model.codes import EventCode
+from rsb_bridge.model.session import ZenohSettings
+from rsb_bridge.model.strangers import CONNECTION, Strangers
+from rsb_bridge.model.verdict import LinkCause
+from rsb_bridge.transport.streams import Stream, StreamHandler
+from rsb_bridge.transport.tcp import Tcp
+from rsb_bridge.transport.transport import Acceptor
+from rsb_bridge.wire.connection import ClientConnection
+from rsb_bridge.wire.framing import STRANGER_LIMIT
+from rsb_bridge.wire.messages import Hello
+from rsb_bridge.wire.sealing import Suite
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from tests.support.bridge import Bridge
+
+    from rsb_bridge.engine import Engine
+
+
+def first_message(name: str = "robot1", key: bytes | None = None) -> bytes:
+    return ClientConnection(Hello("1", name, "x", 0), key or os.urandom(32), Suite.AESGCM).start()
+
+
+SAID = {
+    "nothing": b"",
+    "rubbish": os.urandom(200_000),
+    "a frame that never ends": struct.pack(">I", 4096) + b"rsb\x02\x01",
+    "a wrong key": first_message(),
+    "a wrong key, and more": first_message() + bytes(1_000_000),
+    "an unknown name": first_message("nobody"),
+    "a stream's preamble": struct.pack(">I", 30) + b"rsb\x02\x02" + bytes(25),
+    "HTTP": b"GET / HTTP/1.1\r\n\r\n",
+}
+
+
+@pytest.fixture
+def no_collector() -> Iterator[None]:
+    """References alone free what is freed."""
+    gc.collect()
+    gc.disable()
+    yield
+    gc.enable()
+
+
+@pytest.fixture
+def arrived(monkeypatch: pytest.MonkeyPatch) -> list[weakref.ref[object]]:
+    """All that servers have made for each stream that came in."""
+    made: list[weakref.ref[object]] = []
+    arrive, connected = PendingConnections.arrive, Stream.connection_made
+
+    def arrives(self: PendingConnections) -> StreamHandler:
+        handler: Any = arrive(self)
+        made.extend((weakref.ref(handler), weakref.ref(handler._connection)))
+        return handler  # type: ignore[no-any-return]
+
+    def connects(self: Stream, transport: asyncio.BaseTransport) -> None:
+        made.extend((weakref.ref(self), weakref.ref(transport)))
+        connected(self, transport)
+
+    monkeypatch.setattr(PendingConnections, "arrive", arrives)
+    monkeypatch.setattr(Stream, "connection_made", connects)
+    return made
+
+
+def strangers_of(engine: Engine) -> Strangers:
+    return engine._transports.strangers
+
+
+@pytest.mark.parametrize("said", SAID.values(), ids=SAID)
+def test_a_refused_connection_is_freed_at_once(
+    said: bytes, bridge: Bridge, arrived: list[weakref.ref[object]], no_collector: None
+) -> None:
+    server = bridge.server()
+    for _ in range(7):  # the last ones are told late
+        with socket.create_connection(("127.0.0.1", bridge.port)) as sock:
+            sock.settimeout(10)
+            with contextlib.suppress(OSError):
+                sock.sendall(said)
+                if said:
+                    sock.shutdown(socket.SHUT_WR)
+                    while sock.recv(65_536):
+                        pass
+    eventually(lambda: len(arrived) == 7 * 4 and not any(each() for each in arrived), what="freed")
+    assert strangers_of(server).used == 0
+
+
+def test_a_refused_stream_over_zenoh_is_freed_at_once(
+    bridge: Bridge, arrived: list[weakref.ref[object]], no_collector: None
+) -> None:
+    zenoh = pytest.importorskip("zenoh")
+    from tests.support.zenoh_router import Router, stranger  # noqa: PLC0415 (it needs the package)
+
+    from rsb_bridge.transport.zenoh.endpoint import ROOT  # noqa: PLC0415
+    from rsb_bridge.transport.zenoh.sample import Header, Kind  # noqa: PLC0415
+
+    router = Router()
+    try:
+        server = bridge.server(server_ip="zenoh", zenoh=ZenohSettings(connect=(router.endpoint,)))
+        with stranger(router) as other:
+            at = eventually(lambda: [str(each.ok.key_expr) for each in other.liveliness().get(f"{ROOT}/**") if each.ok])
+            to = f"{ROOT}/fleet/at/{at[0].split('/')[4]}"
+            sent = [said[:STRANGER_LIMIT] for said in SAID.values() if said]
+            for number, said in enumerate([*sent, bytes(1_000_000)]):
+                other.put(
+                    f"{to}/{number:016x}/{'5' * 16}",
+                    said,
+                    attachment=Header(Kind.DATA, 0, 0).pack(),
+                    congestion_control=zenoh.CongestionControl.BLOCK,
+                )
+            eventually(
+                lambda: len(arrived) == len(sent) * 4 and not any(each() for each in arrived), 20, what="freed"
+            )
+            assert strangers_of(server).used == 0
+            assert strangers_of(server).turned_away == 1
+    finally:
+        bridge.close()
+        router.close()
+
+
+def test_little_is_read_at_a_time_until_the_other_end_is_trusted() -> None:
+    read: list[int] = []
+
+    class Handler(StreamHandler):
+        def connected(self, stream: Stream) -> None:
+            self.stream = stream
+
+        def received(self, data: bytes) -> None:
+            read.append(len(data))
+            if len(read) == 3:
+                self.stream.trust()
+
+    async def test() -> None:
+        port = free_port()
+        listener = await Tcp().listen("127.0.0.1", port, Acceptor(Handler, lambda *_: None, lambda _: None))
+        with socket.create_connection(("127.0.0.1", port)) as sock:
+            sock.setblocking(False)
+            async with asyncio.timeout(30):
+                while len(read) < 4 or max(read) <= 4096:
+                    with contextlib.suppress(BlockingIOError):
+                        sock.send(bytes(100_000))
+                    await asyncio.sleep(0.01)
+        listener.close()
+        await asyncio.sleep(0.01)
+
+    asyncio.run(test())
+    assert read[:3] == [4096] * 3
+    assert max(read[3:]) > 4096
+
+
+def test_a_spent_budget_closes_the_oldest_and_keeps_no_client_out(
+    bridge: Bridge, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("rsb_bridge.transport.registry.Strangers", functools.partial(Strangers, 5 * CONNECTION))
+    server = bridge.server()
+    with contextlib.ExitStack() as silent:
+        first = silent.enter_context(socket.create_connection(("127.0.0.1", bridge.port)))
+        for number in range(20):
+            source = (f"127.0.3.{number + 1}", 0)
+            silent.enter_context(socket.create_connection(("127.0.0.1", bridge.port), source_address=source))
+        first.settimeout(30)
+        while first.recv(4096):
+            pass
+        eventually(lambda: strangers_of(server).turned_away == 16)
+        assert strangers_of(server).used <= 5 * CONNECTION
+        eventually(lambda: happened(server, EventCode.LINK_STRANGERS))
+        client = bridge.client()
+        eventually(lambda: linked(client) and linked(server))
+    eventually(lambda: strangers_of(server).used == 0)
+    assert link(server).cause == LinkCause.NONE
+
+
+def test_a_client_that_is_linked_is_no_stranger(bridge: Bridge) -> None:
+    server, _ = bridge.both()
+    eventually(lambda: strangers_of(server).used == 0)
+    secret = read_key(bridge.folder / bridge.key_file).secret
+    with socket.create_connection(("127.0.0.1", bridge.port)) as recorded:
+        recorded.sendall(first_message(key=secret))
+        eventually(lambda: strangers_of(server).used == CONNECTION)
+    eventually(lambda: strangers_of(server).used == 0)
