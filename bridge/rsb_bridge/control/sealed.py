@@ -24,6 +24,7 @@ from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.snapshot import Level
 from rsb_bridge.model.text import sanitize_text
 from rsb_bridge.model.token_bucket import TokenBucket
+from rsb_bridge.transport.streams import OpenNetworkTransport
 from rsb_bridge.wire.connection import Credential
 from rsb_bridge.wire.events import Admitted, Failed, Opened, Refused
 from rsb_bridge.wire.operators import OperatorEngine
@@ -159,7 +160,7 @@ class SealedConsole(asyncio.Protocol):
         self.operator = ""
         self._acceptor = acceptor
         self._loop = acceptor.server.loop
-        self._machine = OperatorEngine(acceptor.access.name, self._identify)
+        self._machine: OperatorEngine
         self._peer = self._host = ""
         self._transport: asyncio.Transport
         self._deadline: asyncio.TimerHandle | None = None
@@ -172,6 +173,8 @@ class SealedConsole(asyncio.Protocol):
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         self._transport = cast("asyncio.Transport", transport)
         self._host, self._peer = _origin(transport.get_extra_info("peername"))
+        at = transport.get_extra_info("sockname")[0] if isinstance(transport, OpenNetworkTransport) else ""
+        self._machine = OperatorEngine(self._acceptor.access.name, self._identify, at)
         if not self._acceptor.add(self):
             self.abort()
             return
@@ -182,6 +185,7 @@ class SealedConsole(asyncio.Protocol):
             return
         events = self._machine.receive_data(data)
         answer = self._machine.data_to_send()
+        admitting = self._machine.accepted and self.stage is _Stage.WAITING
         if self._machine.accepted:
             self.stage = max(self.stage, _Stage.ACCEPTED)
         for event in events:
@@ -199,6 +203,9 @@ class SealedConsole(asyncio.Protocol):
                     raise AssertionError("an event of links")
         if not events:
             self._transport.write(answer)
+            secret = self._machine.sample_secret
+            if admitting and secret is not None and isinstance(self._transport, OpenNetworkTransport):
+                self._transport.authenticate(secret, opener=False)
 
     def eof_received(self) -> bool:
         return False  # nobody stays who hears only

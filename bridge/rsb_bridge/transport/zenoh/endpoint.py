@@ -76,7 +76,11 @@ class StreamEnd(Protocol):
         ...
 
     def cut_off(self, reason: str) -> None:
-        """The other end is gone, or cannot be reached any more."""
+        """End: the other end is gone, or cannot be reached any more."""
+        ...
+
+    def doubt(self, reason: str) -> None:
+        """End unless a sample of the other side comes soon: somebody says that the other end is gone."""
         ...
 
 
@@ -184,10 +188,9 @@ class Endpoint:
         """Nothing gets through any more: end all streams. From any thread."""
         self._soon(lambda: self._end_all(reason))
 
-    def _end_all(self, reason: str, peer: str = "") -> None:
-        for (address, _), end in tuple(self._streams.items()):
-            if peer in ("", address):
-                end.cut_off(reason)
+    def _end_all(self, reason: str) -> None:
+        for end in tuple(self._streams.values()):
+            end.cut_off(reason)
 
     # --- on Zenoh's threads
 
@@ -281,8 +284,11 @@ class Endpoint:
             self._announced(self.seen[address], comes=False)
 
     def _gone(self, address: str) -> None:
-        here = bool(self._session.info.transports())
-        self._end_all("the other side has left the Zenoh network" if here else ROUTER_LOST, address)
+        """Have the streams of an endpoint ask whether it is there: anybody may declare its token, and undeclare it."""
+        reason = "the other side has left the Zenoh network" if self._session.info.transports() else ROUTER_LOST
+        for (peer, _), end in tuple(self._streams.items()):
+            if peer == address:
+                end.doubt(reason)
 
 
 def _seen(key: str) -> Seen | None:
