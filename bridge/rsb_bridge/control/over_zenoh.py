@@ -212,6 +212,14 @@ class FleetWay:
     def text(self) -> str:
         return self._engine or f"the fleet {self._file.zenoh.fleet}"
 
+    @property
+    def warning(self) -> str:
+        """The warning that engines of the name did not prove the key, or an empty string."""
+        if not self.unproven:
+            return ""
+        what = "1 other engine has" if self.unproven == 1 else f"{self.unproven} other engines have"
+        return f"{what} this one's name and no key: set access control on the router (docs/zenoh.md)"
+
     async def open(self, within: float) -> Connection:
         """Find it, and connect."""
         presence = FleetPresence(self._file)

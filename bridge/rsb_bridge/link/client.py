@@ -149,9 +149,7 @@ class ClientLink(Link):
         secret = key.secret if key else None
 
         def begin(suite: Suite | None) -> ClientConnection:
-            return ClientConnection(
-                self._hello, secret, suite or self._suite, multiplexed=self.transport.multiplexed
-            )
+            return ClientConnection(self._hello, secret, suite or self._suite, multiplexed=self.transport.multiplexed)
 
         if key is not None:
             try:
@@ -313,6 +311,8 @@ class ClientLink(Link):
 
     def tick(self) -> None:
         super().tick()
+        if self._unproven:
+            self._unproven = min(self._unproven, max(0, self.transport.announced_servers - 1))
         if self.control is None or self.keepalive.quiet < _MOVED_AND_QUIET:
             return
         stream = self.control.stream

@@ -15,8 +15,8 @@ from rsb_bridge.link.descriptor_share import DescriptorShare
 from rsb_bridge.link.pending_connections import PendingConnections
 from rsb_bridge.link.refused import CAUSES
 from rsb_bridge.link.refused_clients import RefusedClients
-from rsb_bridge.link.server_search import ServerSearch
 from rsb_bridge.link.server_link import UNKNOWN_ROUTE, ServerLink
+from rsb_bridge.link.server_search import ServerSearch
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.snapshot import Level
 from rsb_bridge.model.verdict import LinkCause

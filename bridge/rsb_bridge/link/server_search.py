@@ -27,8 +27,8 @@ _REMEDY = "set access control on the router (docs/zenoh.md)"
 
 def unproven_servers(count: int) -> str:
     """Return the warning for an operator that so many announced servers did not prove the key."""
-    what = "1 other announced server does" if count == 1 else f"{count} other announced servers do"
-    return f"{what} not prove the key: {_REMEDY}"
+    what = "1 other announced server has" if count == 1 else f"{count} other announced servers have"
+    return f"{what} not proven the key: {_REMEDY}"
 
 
 def failure_of_search(transport: StreamTransport, hosts: list[str], failures: list[Failure]) -> Failure:

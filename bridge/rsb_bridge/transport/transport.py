@@ -188,6 +188,11 @@ class StreamTransport(_Transport):
         """
         return None
 
+    @property
+    def announced_servers(self) -> int:
+        """The number of servers that are announced now, as far as is known without asking."""
+        return 0
+
     def several(self, hosts: Sequence[str]) -> str:
         """Return what an operator is told of several servers that prove one key."""
         return f"several servers have this link's key: {', '.join(hosts)}"

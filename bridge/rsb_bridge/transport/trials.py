@@ -144,4 +144,3 @@ class Trials(Generic[T]):
         ordered = sorted(announced, key=lambda each: (each not in self._proven, self._failed.get(each, nothing)))
         due = [each for each in ordered if self._failed.get(each, nothing)[1] <= now]
         return ordered[:_FEW] if len(due) < _FEW else due[:MOST_TRIED]
-

@@ -52,21 +52,21 @@ class OperatorPreamble(NamedTuple):
 
     Attributes:
         version: of the control protocol that the console speaks.
-        tags: it takes sample tags.
         operator: who wants to attach.
         engine: the engine that is meant.
         fingerprint: of the operator's key, as the console says: 8 bytes.
         header: the frame up to the handshake message: the handshake's prologue.
         message: the first handshake message.
+        tags: the console takes sample tags.
     """
 
     version: int
-    tags: bool
     operator: str
     engine: str
     fingerprint: bytes
     header: bytes
     message: bytes
+    tags: bool = False
 
 
 def operator_header(version: int, operator: str, engine: str, fingerprint: bytes) -> bytes:
@@ -99,7 +99,8 @@ def parse_operator(frame: bytes) -> OperatorPreamble:
     if len(frame) < end:
         raise ProtocolError("an OPERATOR frame ends before its fingerprint does")
     (version,) = _VERSION.unpack_from(frame, PREFIX_LENGTH)
-    return OperatorPreamble(version & ~_TAGS, bool(version & _TAGS), operator, engine, frame[at:end], frame[:end], frame[end:])
+    tags = bool(version & _TAGS)
+    return OperatorPreamble(version & ~_TAGS, operator, engine, frame[at:end], frame[:end], frame[end:], tags)
 
 
 def _name(frame: bytes, at: int) -> tuple[str, int]:

@@ -47,4 +47,5 @@ class Header(NamedTuple):
         """Read an attachment; return None if it is not that of a stream's sample."""
         if len(attachment) not in _LENGTHS:
             return None
-        return cls(*_HEADER.unpack_from(attachment), attachment[_HEADER.size :])
+        kind, rank, number = _HEADER.unpack_from(attachment)
+        return cls(kind, rank, number, attachment[_HEADER.size :])

@@ -90,6 +90,11 @@ class Links:
             raise OSError("not in the Zenoh network")
         return self._endpoint
 
+    @property
+    def servers(self) -> int:
+        """The number of servers that are announced, without this side."""
+        return 0 if self._endpoint is None else len(_servers(self._endpoint))
+
     def close(self) -> None:
         """Close the endpoint; the next one has another address."""
         if self._endpoint is not None:
@@ -110,6 +115,10 @@ class Zenoh(ZenohTraits, StreamTransport):
 
     async def servers(self) -> list[str]:
         return [seen.address for seen in self._announced(await self._links.endpoint(CLIENT, (SERVER,)))]
+
+    @property
+    def announced_servers(self) -> int:
+        return self._links.servers
 
     def several(self, hosts: Sequence[str]) -> str:
         seen = self._links.endpoint_if_open().seen
@@ -280,9 +289,7 @@ def _priority(rank: int | None) -> int:
 
 def _servers(endpoint: Endpoint) -> list[Seen]:
     """Return the servers that are announced, without this one."""
-    return [
-        seen for seen in endpoint.seen.values() if seen.service == SERVER and seen.address != endpoint.address
-    ]
+    return [seen for seen in endpoint.seen.values() if seen.service == SERVER and seen.address != endpoint.address]
 
 
 def _others(fleet: str, servers: Sequence[Seen]) -> str:
