@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import time
 from contextlib import closing
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import pytest
 
@@ -19,15 +19,16 @@ from tests.support.waiting import eventually
 from tests.support.zenoh_attacker import Attacker, Stranger
 from tests.support.zenoh_router import Router
 
+from rsb_bridge.link import roles
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.session import Topic, ZenohSettings
 from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.verdict import LinkCause
 from rsb_bridge.transport.zenoh.endpoint import ROOT
+from rsb_bridge.wire import sample_tags
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
-    from typing import Any
 
     from tests.support.bridge import Bridge
     from tests.support.domain import Domain
@@ -116,7 +117,7 @@ def test_announced_servers_that_are_none_cost_seconds_and_no_link(bridge: Bridge
         assert now(server).running
     finally:
         del tokens
-        stranger.session.close()
+        stranger.close()
 
 
 def test_tokens_that_come_and_go_all_the_time_keep_no_client_out(bridge: Bridge, router: Router) -> None:
@@ -130,3 +131,92 @@ def test_tokens_that_come_and_go_all_the_time_keep_no_client_out(bridge: Bridge,
     assert linked(client)
     for engine in (server, client):
         assert len(engine.events()) < 40
+
+
+@pytest.mark.parametrize("older", ["server", "client"])
+def test_a_side_without_tags_links_and_carries(
+    older: str, bridge: Bridge, router: Router, robot: Domain, pc: Domain, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    there, out = pc.listener("/odom"), robot.publisher("/odom")
+    known = tuple(each for each in roles.FEATURES if each != sample_tags.FEATURE)
+
+    def begin(side: str) -> Engine:
+        with monkeypatch.context() as patch:
+            if side == older:
+                patch.setattr(roles, "FEATURES", known)
+            if side == "server":
+                return bridge.server(**over(router))
+            return bridge.client(Topic("/odom", "transmit"), **over(router))
+
+    server, client = begin("server"), begin("client")
+    eventually(lambda: linked(server) and linked(client), what="linked")
+    carries([out], server, ["/odom"])
+    out.publish(text("across"))
+    eventually(lambda: text("across") in there.payloads)
+    client.stop()
+    eventually(lambda: not linked(server))
+
+
+def test_a_stranger_who_passes_on_what_a_server_says_is_not_taken_for_it(bridge: Bridge, router: Router) -> None:
+    """It could hold up or drop what it likes, and the client could not tell it from a second server."""
+    relay = Relay(router.endpoint)
+    try:
+        server = bridge.server(**over(router))
+        eventually(lambda: relay.server)
+        client = bridge.client(**over(router))
+        eventually(lambda: linked(client), what="linked")
+        eventually(lambda: relay.passed_on)
+        assert link(client).peer == f"zenoh ({router.endpoint})"
+        assert connections(server) == 1
+        relay.drop()
+        time.sleep(8.0)
+        assert linked(client)
+        assert connections(server) == 1
+    finally:
+        relay.close()
+
+
+class Relay:
+    """A stranger that announces a server, and passes everything on between clients and the genuine server.
+
+    Attributes:
+        server: address of the genuine one.
+        passed_on: keys of what it has passed on.
+    """
+
+    ADDRESS = "f" * 16
+
+    def __init__(self, endpoint: str) -> None:
+        self.server = ""
+        self.passed_on: list[str] = []
+        self._client = ""
+        self._drops = False
+        self._stranger = Stranger(endpoint, "fleet")
+        session = self._stranger.session
+        self._token = self._stranger.declare(f"{ROOT}/fleet/here/server/{self.ADDRESS}/fake")
+        self._seen = session.liveliness().declare_subscriber(f"{ROOT}/fleet/here/server/*/*", self._see, history=True)
+        self._heard = session.declare_subscriber(f"{ROOT}/fleet/at/{self.ADDRESS}/*/*", self._pass_on)
+
+    def _see(self, sample: Any) -> None:
+        address = str(sample.key_expr).split("/")[4]
+        if address != self.ADDRESS:
+            self.server = address
+
+    def _pass_on(self, sample: Any) -> None:
+        sender, stream = str(sample.key_expr).split("/")[4:]
+        if self._drops:
+            return
+        if sender != self.server:
+            self._client = sender
+        to = self._client if sender == self.server else self.server
+        attachment = None if sample.attachment is None else sample.attachment.to_bytes()
+        key = f"{ROOT}/fleet/at/{to}/{self.ADDRESS}/{stream}"
+        self._stranger.session.put(key, sample.payload.to_bytes(), attachment=attachment)
+        self.passed_on.append(key)
+
+    def drop(self) -> None:
+        """Pass nothing on any more."""
+        self._drops = True
+
+    def close(self) -> None:
+        self._stranger.close()

@@ -85,6 +85,10 @@ class Stranger:
                 for tag in (b"", TAG):
                     self.put(each, Header(kind, newest.rank, number(known), tag), payload)
 
+    def close(self) -> None:
+        """Leave the network."""
+        self.session.close()  # type: ignore[no-untyped-call]
+
     def declare(self, key: str) -> Any:
         self._own.add(key)
         self.sent["tokens"] += 1

@@ -123,16 +123,17 @@ class _Sealed(asyncio.Protocol):
     def _prove(self, transport: OpenNetworkTransport, data: bytes) -> bool:
         """Whether an answer proves the key; anybody in the network may answer, also in the engine's name."""
         machine = self._machine.fork()
-        (event, *_) = machine.receive_data(data) or [None]
+        events = machine.receive_data(data)
         if machine.proven and machine.at in ("", self._at):
             transport.adopt()
             self._machine, self._trial = self._machine.fork(), None
             if machine.sample_secret is not None:
                 transport.authenticate(machine.sample_secret, opener=True)
             return True
-        if isinstance(event, Refused | Failed) and not self._refused:
-            self._refused = True
-            asyncio.get_running_loop().call_later(_REFUSED_AFTER, self._refuse, event)
+        for event in events:
+            if isinstance(event, Refused | Failed) and not self._refused:
+                self._refused = True
+                asyncio.get_running_loop().call_later(_REFUSED_AFTER, self._refuse, event)
         return False
 
     def _refuse(self, event: Refused | Failed) -> None:

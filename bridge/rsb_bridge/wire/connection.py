@@ -170,7 +170,8 @@ class ClientConnection(_Control):
 
     def fork(self) -> ClientConnection:
         """Return a copy to take one of several answers to the first message, which strangers may answer, too."""
-        other, other._handshake = self._fork(self._handshake)
+        other, handshake = self._fork(self._handshake)
+        other._handshake = handshake
         return other
 
     def start(self) -> bytes:
@@ -221,7 +222,9 @@ class ClientConnection(_Control):
             raise Refusal(RefusalCode.WRONG_KEY, "this side's key does not open the server's answer") from None
         keys = self._handshake.split()
         self._proven, self._at = self._key is not None, welcome.at
-        if keys.export is not None and sample_tags.FEATURE in welcome.features:
+        if keys.export is not None and all(
+            sample_tags.FEATURE in each for each in (self._hello.features, welcome.features)
+        ):
             self._sample_secret = sample_tags.derive_sample_secret(keys.export)
         self._start_sealing(self._suite, keys.client, keys.server)
         self._write(b"")  # the confirmation, which a replay of a recorded first message can't give

@@ -204,7 +204,8 @@ class OperatorConsole(_Sealed):
 
     def fork(self) -> OperatorConsole:
         """Return a copy to take one of several answers to the first message, which strangers may answer, too."""
-        other, other._handshake = self._fork(self._handshake)
+        other, handshake = self._fork(self._handshake)
+        other._handshake = handshake
         return other
 
     def start(self) -> bytes:
