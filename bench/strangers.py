@@ -22,8 +22,9 @@ from collections import Counter, deque
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
-from bench import bed
 from bench.zenoh import router
+
+from bench import bed
 from rsb_bridge.transport.zenoh.endpoint import ROOT
 from rsb_bridge.transport.zenoh.sample import Header, Kind
 from rsb_bridge.wire.connection import ClientConnection

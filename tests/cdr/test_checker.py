@@ -12,6 +12,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from rclpy.serialization import serialize_message
+from rosidl_parser.definition import AbstractGenericString as AnyString
 from rosidl_parser.definition import (
     AbstractNestedType,
     Array,
@@ -19,7 +20,6 @@ from rosidl_parser.definition import (
     BoundedSequence,
     NamespacedType,
 )
-from rosidl_parser.definition import AbstractGenericString as AnyString
 from tests.cdr.test_decoder import TYPES, described, of
 from tests.support.filled import filled
 

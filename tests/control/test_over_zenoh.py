@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
+import time
+from contextlib import closing
 from typing import TYPE_CHECKING
 
 import pytest
 from tests.support.operators import ANNA, BOB, granted
 from tests.support.waiting import eventually
-from tests.support.zenoh_fleet import Fleet
+from tests.support.zenoh_attacker import Attacker
+from tests.support.zenoh_fleet import Fleet, announced
 from tests.support.zenoh_router import stranger
 
 from rsb_bridge.api import EngineError
+from rsb_bridge.control.client import RemoteEngine
 from rsb_bridge.control.folders import UnclearError
+from rsb_bridge.control.over_zenoh import FleetWay
 from rsb_bridge.control.summaries import Summaries
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.robot_summary import RobotState, decode
@@ -222,6 +227,60 @@ def test_who_has_no_key_keeps_no_operator_out_by_a_robots_name(fleet: Fleet) -> 
         fleet.attach("robot1").retry().result(60)
         assert fleet.engines["robot1"].commands == [("retry", "")]
         del token
+
+
+@pytest.mark.parametrize("count", [30, 300])
+def test_many_engines_of_a_name_without_a_key_keep_no_operator_out(fleet: Fleet, count: int) -> None:
+    with stranger(fleet.router) as somebody, stranger(fleet.router) as another:
+        live = somebody.liveliness()
+        key = "rsb_console/lab/here/engine/{:016x}/client%200.1%20robot1"
+        tokens = [live.declare_token(key.format(number)) for number in range(count)]
+        fleet.add("robot1")
+        eventually(lambda: len(announced(another)) == count + 1)
+        way = FleetWay(fleet.file(), "robot1")
+        began = time.monotonic()
+        engine = RemoteEngine(way)
+        engine.start()
+        assert time.monotonic() - began < 3.0 + count / 100
+        engine.retry().result(60)
+        engine.stop()
+        assert fleet.engines["robot1"].commands == [("retry", "")]
+        assert way.unproven == count
+        seen = fleet.seen_by()
+        eventually(lambda: any(has_spoken(seen, each.name) for each in seen.robots()), within=15.0)
+        del tokens
+
+
+def test_an_engine_that_is_called_like_others_is_named_where_none_proves_the_key(fleet: Fleet) -> None:
+    with stranger(fleet.router) as somebody:
+        live = somebody.liveliness()
+        key = "rsb_console/lab/here/engine/{:016x}/client%200.1%20robot1"
+        tokens = [live.declare_token(key.format(number)) for number in range(3)]
+        fleet.add("robot1")
+        with pytest.raises(EngineError, match="none of 4 engines"):
+            fleet.attach("robot1", "anna", BOB)
+        del tokens
+
+
+def test_an_operator_attaches_though_a_stranger_answers_each_stream(fleet: Fleet) -> None:
+    fleet.add("robot1")
+    with closing(Attacker(fleet.router.endpoint, "answers", fleet="lab")) as attacker:
+        fleet.attach("robot1").retry().result(60)
+        assert attacker.stop()["samples"] > 0
+    assert fleet.engines["robot1"].commands == [("retry", "")]
+
+
+@pytest.mark.parametrize("attack", ["ends", "following", "windows", "deletes"])
+def test_an_operator_stays_attached_under_forged_samples(fleet: Fleet, attack: str) -> None:
+    fleet.add("robot1")
+    remote = fleet.attach("robot1")
+    with closing(Attacker(fleet.router.endpoint, attack, fleet="lab")) as attacker:
+        until = time.monotonic() + 5.0
+        while time.monotonic() < until:
+            remote.retry().result(10)
+            assert not remote.unreachable
+            time.sleep(0.05)
+        assert sum(attacker.stop().values()) > 50
 
 
 def test_a_robot_that_is_started_again_has_its_line_and_its_console_again(fleet: Fleet) -> None:

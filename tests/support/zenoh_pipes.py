@@ -7,11 +7,13 @@ from typing import TYPE_CHECKING, NamedTuple, cast
 
 from rsb_bridge.transport.zenoh.pipe import Pipe
 from rsb_bridge.transport.zenoh.sample import Header, Kind
+from rsb_bridge.wire.sample_tags import SampleTags
 
 if TYPE_CHECKING:
     from rsb_bridge.transport.zenoh.endpoint import Endpoint
 
 STREAM = "5" * 16
+SECRET = bytes(range(32))
 
 
 class Sent(NamedTuple):
@@ -120,21 +122,43 @@ class Side:
         self.network = FakeEndpoint(address)
         self.told = Recorder()
         self.pipe = Pipe(cast("Endpoint", self.network), peer, STREAM, 1, self.told, stranger=stranger)
+        self._tags: SampleTags | None = None
+
+    def authenticate(self, *, opener: bool) -> None:
+        """Tag what the pipe sends, and what `arrive` has come."""
+        self.pipe.authenticate(SECRET, opener=opener)
+        self._tags = SampleTags(SECRET, STREAM, opener=not opener)
 
     def arrive(self, kind: int, number: int, payload: bytes = b"") -> None:
-        """Have a sample come."""
-        self.pipe.arrived(Header(kind, 1, number), payload)
+        """Have a sample of the other side come."""
+        tag = b"" if self._tags is None else self._tags.tag(kind, number, payload)
+        self.pipe.arrived(Header(kind, 1, number, tag), payload)
+
+    def forge(self, kind: int, number: int, payload: bytes = b"", tag: bytes = b"") -> None:
+        """Have a stranger's sample come."""
+        self.pipe.arrived(Header(kind, 1, number, tag), payload)
 
     def sent(self, kind: Kind) -> list[Sent]:
-        """What is on its way, of a kind."""
-        return [each for each in self.network.on_its_way if each.header.kind == kind]
+        """Return what is on its way, of a kind, without tags."""
+        return [
+            Sent(each.header._replace(tag=b""), each.payload)
+            for each in self.network.on_its_way
+            if each.header.kind == kind
+        ]
 
 
 class Pair:
-    """Both ends. Nothing crosses until `carry`."""
+    """Both ends. Nothing crosses until `carry`.
 
-    def __init__(self) -> None:
+    Args:
+        authenticated: both sides have proven their keys.
+    """
+
+    def __init__(self, *, authenticated: bool = True) -> None:
         self.near, self.far = Side("a" * 16, "b" * 16), Side("b" * 16, "a" * 16)
+        if authenticated:
+            self.near.authenticate(opener=True)
+            self.far.authenticate(opener=False)
 
     def carry(self) -> bool:
         """Bring what is on its way, of both sides; says whether there was anything."""

@@ -83,6 +83,9 @@ class End:
     def cut_off(self, reason: str) -> None:
         self.cut.append(reason)
 
+    def doubt(self, reason: str) -> None:
+        self.cut.append(reason)
+
 
 def _kept(asked: list[str], what: str) -> End:
     asked.append(what)

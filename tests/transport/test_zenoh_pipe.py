@@ -498,3 +498,176 @@ def test_nothing_leads_from_a_pipe_that_is_over_to_its_protocol() -> None:
         run(test())
     finally:
         gc.enable()
+
+
+# --- strangers
+
+FORGED = [
+    (Kind.END, 0, b""),
+    (Kind.END, 2**60, b"gone"),
+    (Kind.DATA, 0, b"another first"),
+    (Kind.DATA, 1, b"the next"),
+    (Kind.DATA, 1, b""),
+    (Kind.DATA, 2**63, b"far ahead"),
+    (Kind.WINDOW, 2**63, b""),
+]
+
+
+@pytest.mark.parametrize("tag", [b"", bytes(16)], ids=["untagged", "tagged"])
+@pytest.mark.parametrize("forged", FORGED, ids=str)
+def test_a_forged_sample_changes_nothing_while_the_stream_lives(forged: tuple[Kind, int, bytes], tag: bytes) -> None:
+    async def test() -> None:
+        pair = Pair()
+        pair.near.pipe.write(b"0")
+        await pair.settle()
+        for number in range(20):
+            for side in (pair.near, pair.far):
+                side.forge(*forged, tag=tag)
+            pair.near.pipe.write(b"1")
+            await pair.settle()
+            await asyncio.sleep(0.5)
+            assert len(pair.far.told.data) == 2 + number
+        assert set(pair.near.told.calls + pair.far.told.calls) == {"made"}
+
+    run(test())
+
+
+def test_samples_that_are_played_again_on_the_other_side_change_nothing() -> None:
+    async def test() -> None:
+        pair = Pair()
+        pair.near.pipe.write(b"0")
+        captured = list(pair.near.network.on_its_way)
+        await pair.settle()
+        for sample in captured:
+            pair.near.pipe.arrived(*sample)
+        assert pair.near.told.data == b""
+
+    run(test())
+
+
+def test_an_end_that_is_not_proven_is_believed_once_nothing_comes() -> None:
+    """A peer that was started again knows no key of the stream."""
+
+    async def test() -> None:
+        pair = Pair()
+        pair.near.pipe.write(b"0")
+        await pair.settle()
+        pair.near.forge(Kind.END, 0, b"there is no such stream any more")
+        await asyncio.sleep(2.5)
+        assert pair.near.told.calls == ["made"]
+        await asyncio.sleep(1.0)
+        assert pair.near.told.calls == ["made", "lost"]
+
+    run(test())
+
+
+def test_a_stream_at_rest_outlives_forged_ends_because_the_other_side_answers() -> None:
+    async def test() -> None:
+        pair, asked = Pair(), 0
+        pair.near.pipe.write(b"0")
+        await pair.settle()
+        for _ in range(1000):
+            pair.near.forge(Kind.END, 0)
+            asked += len(pair.near.sent(Kind.DATA))
+            await pair.settle()
+            await asyncio.sleep(0.01)
+        assert pair.near.told.calls == ["made"]
+        assert asked <= 10  # within 10 s
+
+    run(test())
+
+
+def test_a_token_that_goes_ends_a_stream_only_if_its_owner_has_gone() -> None:
+    async def test() -> None:
+        pair = Pair()
+        pair.near.pipe.write(b"0")
+        await pair.settle()
+        pair.near.pipe.doubt("it has left")
+        for _ in range(8):
+            await asyncio.sleep(0.5)
+            await pair.settle()
+        assert pair.near.told.calls == ["made"]
+        pair.near.pipe.doubt("it has left")
+        await asyncio.sleep(4.0)
+        assert pair.near.told.calls == ["made", "lost"]
+        assert str(pair.near.told.error) == "it has left"
+
+    run(test())
+
+
+def test_what_was_under_way_does_not_hide_that_a_peer_has_died() -> None:
+    async def test() -> None:
+        pair = Pair()
+        pair.near.pipe.write(b"0")
+        await pair.settle()
+        pair.far.pipe.write(b"last words")
+        pair.near.pipe.doubt("it has left")
+        await asyncio.sleep(0.2)
+        pair.carry()
+        pair.near.network.on_its_way.clear()
+        pair.far.network.on_its_way.clear()
+        await asyncio.sleep(7.0)
+        assert pair.near.told.calls == ["made", "lost"]
+
+    run(test())
+
+
+@pytest.mark.parametrize("kind", [Kind.END, Kind.WINDOW])
+def test_a_client_takes_further_answers_until_one_is_adopted(kind: Kind) -> None:
+    async def test() -> None:
+        pair = Pair(authenticated=False)
+        near = pair.near
+        near.pipe.begin_trial()
+        near.pipe.write(b"first")
+        near.forge(kind, 2**60)
+        near.forge(Kind.DATA, 0, b"forged")
+        near.forge(Kind.DATA, 7, b"forged too")
+        near.told.pieces.clear()
+
+        def take(data: bytes) -> None:
+            near.pipe.adopt()
+
+        deliver = near.told.data_received
+        near.told.data_received = take  # type: ignore[method-assign]
+        near.arrive(Kind.DATA, 0, b"answer")
+        near.told.data_received = deliver  # type: ignore[method-assign]
+        near.authenticate(opener=True)
+        pair.far.authenticate(opener=False)
+        near.arrive(Kind.DATA, 0, b"again")
+        near.arrive(Kind.DATA, 1, b"second")
+        assert near.told.data == b"second"
+        assert near.told.calls == ["made"]
+
+    run(test())
+
+
+def test_answers_of_strangers_are_bounded() -> None:
+    async def test() -> None:
+        pair = Pair(authenticated=False)
+        pair.near.pipe.begin_trial()
+        for _ in range(10_000):
+            pair.near.forge(Kind.DATA, 0, b"forged")
+        assert len(pair.near.told.pieces) <= 64
+
+    run(test())
+
+
+def test_without_tags_an_end_is_believed_once_nothing_comes() -> None:
+    """An older peer sends none."""
+
+    async def test() -> None:
+        pair = Pair(authenticated=False)
+        pair.near.pipe.write(b"0")
+        await pair.settle()
+        for _ in range(10):
+            pair.far.forge(Kind.END, 1)
+            pair.near.pipe.write(b"1")
+            await pair.settle()
+            await asyncio.sleep(1.0)
+        assert pair.far.told.calls == ["made"]
+        pair.near.pipe.close()
+        await pair.settle()
+        await asyncio.sleep(4.0)
+        assert pair.far.told.calls == ["made", "eof", "lost"]
+
+    run(test())

@@ -239,9 +239,7 @@ class _TooLongError(IndexError):
     """A length is beyond its bound, or beyond what the bytes can hold."""
 
 
-def _walk(
-    words: memoryview | _Words, body: tuple[Any, ...], count: int, at: int, end: int, spent: list[int]
-) -> int:
+def _walk(words: memoryview | _Words, body: tuple[Any, ...], count: int, at: int, end: int, spent: list[int]) -> int:
     """Return the place behind `count` elements, from behind the encapsulation header; it may lie beyond the end.
 
     A place beyond the end is found by reading the next length there, which raises IndexError, or by the caller.
@@ -263,12 +261,12 @@ def _walk(
                     at += words[at >> 2]
                 continue
             at += sizes[at & 7]
-            length = bound if kind == 4 else words[at >> 2]  # noqa: PLR2004 (an attribute takes twice as long)
+            length = bound if kind == 4 else words[at >> 2]
             if length > bound:
                 raise _TooLongError
             if kind == 1:
                 at += length * content
-            elif kind == 2:  # noqa: PLR2004
+            elif kind == 2:
                 at += content[at & 7].size(length)
             else:
                 spent[0] += length * lengths

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import os
+import time
 from random import Random
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -17,6 +18,7 @@ from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.limits import NAME_BYTES
 from rsb_bridge.model.snapshot import Level
 from rsb_bridge.model.text import join_first
+from rsb_bridge.transport.trials import Trials, UnprovenError
 from rsb_bridge.transport.zenoh.endpoint import ROUTER_LOST
 from rsb_bridge.transport.zenoh.network import Network
 from rsb_bridge.transport.zenoh.outbox import LINK_RANK
@@ -36,8 +38,6 @@ if TYPE_CHECKING:
 ENGINE, CONSOLE = "engine", "console"
 """The services by which engines and consoles announce themselves."""
 
-_TRIED = 8
-"""Engines of one name that are asked for a proof."""
 _NAMES = 20
 """That a message names."""
 _FIRST_PAUSE, _LONGEST_PAUSE = 1.0, 10.0
@@ -168,7 +168,7 @@ class FleetPresence:
             assert self._endpoint is not None
             Pipe(self._endpoint, member.address, os.urandom(8).hex(), LINK_RANK, protocol)
 
-        return Sealed(connect, self._file.operator, self._file.key, member.name)
+        return Sealed(connect, self._file.operator, self._file.key, member.name, member.address)
 
     def close(self) -> None:
         """Leave the network."""
@@ -198,17 +198,30 @@ class FleetWay:
     Args:
         file: names the fleet, and the operator.
         engine: the name of its session; empty: the only one that there is.
+
+    Attributes:
+        unproven: engines of the name that did not prove the key when the last connection was made.
     """
 
     same_machine = False
 
     def __init__(self, file: FleetFile, engine: str) -> None:
+        self.unproven = 0
         self._file = file
         self._engine = engine
+        self._trials: Trials[Connection] = Trials(time.monotonic)
 
     @property
     def text(self) -> str:
         return self._engine or f"the fleet {self._file.zenoh.fleet}"
+
+    @property
+    def warning(self) -> str:
+        """The warning that engines of the name did not prove the key, or an empty string."""
+        if not self.unproven:
+            return ""
+        what = "1 other engine has" if self.unproven == 1 else f"{self.unproven} other engines have"
+        return f"{what} this one's name and no key: set access control on the router (docs/zenoh.md)"
 
     async def open(self, within: float) -> Connection:
         """Find it, and connect."""
@@ -238,7 +251,7 @@ class FleetWay:
         if not found:
             raise ControlError(f"no engine {engine!r} is in the fleet {fleet}{known}" if engine else
                                f"no engine is in the fleet {fleet}")  # fmt: skip
-        if len(found) > 1 and not engine:
+        if len({member.name for member in found}) > 1 and not engine:
             raise UnclearError(f"several engines are in the fleet {fleet}: say which{known}")
         return found
 
@@ -249,10 +262,17 @@ class FleetWay:
             UnclearError: several do.
             ControlError: none does.
         """
-        opened = await asyncio.gather(
-            *(presence.sealed(member).open(within) for member in members[:_TRIED]), return_exceptions=True
-        )
-        connections = [each for each in opened if not isinstance(each, BaseException)]
+        by_address = {member.address: member for member in members}
+
+        async def attempt(address: str) -> Connection:
+            try:
+                return await presence.sealed(by_address[address]).open(within)
+            except (ControlError, OSError) as error:
+                raise UnprovenError(error) from None
+
+        results = await self._trials.search(by_address, attempt, lambda late: late.abort())
+        connections = list(results.proven.values())
+        self.unproven = results.others if connections else 0
         if len(connections) == 1:
             return connections[0]
         for connection in connections:
@@ -262,7 +282,14 @@ class FleetWay:
                 f"{len(connections)} engines of the fleet {self._file.zenoh.fleet} are called {self._engine!r}: "
                 "give them names of their own"
             )
-        raise next(each for each in opened if isinstance(each, BaseException))
+        failures = [failure.args[0] for failure in results.failures] or [TimeoutError()]
+        if len(members) == 1:
+            raise failures[0]
+        said = next((str(each) for each in failures if isinstance(each, ControlError)), "no answer")
+        raise ControlError(
+            f"none of {len(members)} engines that call themselves {members[0].name!r} proves the key: "
+            f"set access control on the router (docs/zenoh.md); one says: {said}"
+        )
 
 
 class _Leaving:

@@ -25,6 +25,7 @@ from rsb_bridge.model.snapshot import Level
 from rsb_bridge.model.strangers import CONNECTION
 from rsb_bridge.model.text import sanitize_text
 from rsb_bridge.model.token_bucket import TokenBucket
+from rsb_bridge.transport.streams import OpenNetworkTransport
 from rsb_bridge.wire.connection import Credential
 from rsb_bridge.wire.events import Admitted, Failed, Opened, Refused
 from rsb_bridge.wire.operators import OperatorEngine
@@ -175,7 +176,7 @@ class SealedConsole(asyncio.Protocol):
         self.operator = ""
         self._acceptor = acceptor
         self._loop = acceptor.server.loop
-        self._machine = OperatorEngine(acceptor.access.name, acceptor.credential)
+        self._machine: OperatorEngine
         self._peer = self._host = ""
         self._transport: asyncio.Transport
         self._deadline: asyncio.TimerHandle | None = None
@@ -189,6 +190,8 @@ class SealedConsole(asyncio.Protocol):
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         self._transport = cast("asyncio.Transport", transport)
         self._host, self._peer = _origin(transport.get_extra_info("peername"))
+        at = transport.get_extra_info("sockname")[0] if isinstance(transport, OpenNetworkTransport) else ""
+        self._machine = OperatorEngine(self._acceptor.access.name, self._acceptor.credential, at)
         if not self._acceptor.add(self):
             self.abort()
             return
@@ -201,6 +204,7 @@ class SealedConsole(asyncio.Protocol):
         events = self._machine.receive_data(data)
         self.name = self._machine.operator
         answer = self._machine.data_to_send()
+        admitting = self._machine.accepted and self.stage is _Stage.WAITING
         if self._machine.accepted:
             self.stage = max(self.stage, _Stage.ACCEPTED)
         for event in events:
@@ -218,6 +222,9 @@ class SealedConsole(asyncio.Protocol):
                     raise AssertionError("an event of links")
         if not events:
             self._transport.write(answer)
+            secret = self._machine.sample_secret
+            if admitting and secret is not None and isinstance(self._transport, OpenNetworkTransport):
+                self._transport.authenticate(secret, opener=False)
 
     def eof_received(self) -> bool:
         return False  # nobody stays who hears only

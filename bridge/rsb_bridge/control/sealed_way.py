@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, TypeAlias, cast
 
 from rsb_bridge.control import protocol
 from rsb_bridge.control.folders import ControlError
+from rsb_bridge.transport.streams import OpenNetworkTransport
 from rsb_bridge.wire.events import Admitted, Failed, Opened, Refused
 from rsb_bridge.wire.operators import OperatorConsole
 from rsb_bridge.wire.preamble import RefusalCode
@@ -22,6 +23,8 @@ Connect: TypeAlias = Callable[[asyncio.Protocol], Awaitable[object]]
 stream is what asyncio calls a transport, as in `rsb_bridge.control.sealed`. What goes wrong is an OSError or a
 ControlError."""
 
+_REFUSED_AFTER = 1.5
+"""s from a refusal, which anybody in a Zenoh network can forge, until it counts: the engine's answer may follow."""
 _READ_SIZE = 256 << 10
 _HELD = 1 << 20
 """Bytes that wait to be read, of which twice as many stop the stream."""
@@ -39,15 +42,17 @@ class Sealed:
         operator: as the engine's session names them.
         key: the operator's.
         engine: the name of the session that is meant: no other one can answer in its place.
+        at: the engine's address in a Zenoh network, or empty.
     """
 
     same_machine = False
 
-    def __init__(self, connect: Connect, operator: str, key: Key, engine: str) -> None:
+    def __init__(self, connect: Connect, operator: str, key: Key, engine: str, at: str = "") -> None:
         self._connect = connect
         self._operator = operator
         self._key = key
         self._engine = engine
+        self._at = at
 
     @property
     def text(self) -> str:
@@ -58,7 +63,7 @@ class Sealed:
         console = OperatorConsole(
             self._operator, self._key.secret, self._engine, version=protocol.VERSION, host=socket.gethostname()
         )
-        connection = _Sealed(console, self._engine)
+        connection = _Sealed(console, self._engine, self._at)
         try:
             async with asyncio.timeout(within):
                 await self._connect(connection)
@@ -72,11 +77,14 @@ class Sealed:
 class _Sealed(asyncio.Protocol):
     """One connection: what comes is opened and waits to be read."""
 
-    def __init__(self, machine: OperatorConsole, engine: str) -> None:
+    def __init__(self, machine: OperatorConsole, engine: str, at: str) -> None:
         loop = asyncio.get_running_loop()
         self.admitted: asyncio.Future[None] = loop.create_future()
         self._machine = machine
         self._engine = engine
+        self._at = at
+        self._trial: OpenNetworkTransport | None = None
+        self._refused = False
         self._reader = asyncio.StreamReader(_HELD, loop)
         self._transport: asyncio.Transport | None = None
         self._ended = False
@@ -87,12 +95,17 @@ class _Sealed(asyncio.Protocol):
             self._transport.abort()
             return
         self._reader.set_transport(self._transport)
+        if isinstance(transport, OpenNetworkTransport):
+            self._trial = transport
+            transport.begin_trial()
         self._transport.write(self._machine.start())
 
     def data_received(self, data: bytes) -> None:
         if self._ended:
             return
         assert self._transport is not None
+        if self._trial is not None and not self._prove(self._trial, data):
+            return
         events = self._machine.receive_data(data)
         self._transport.write(self._machine.data_to_send())
         for event in events:
@@ -102,13 +115,37 @@ class _Sealed(asyncio.Protocol):
                         self.admitted.set_result(None)
                 case Opened(content):
                     self._reader.feed_data(content)
-                case Refused(code, message):
-                    remedy = f": {_REMEDIES[code]}" if code in _REMEDIES else ""
-                    self._end(f"{self._engine} refuses: {message}{remedy}")
-                case Failed(reason):
-                    self._end(f"{self._engine}: {reason}")
+                case Refused() | Failed():
+                    self._end(self._reason_of(event))
                 case _:
                     raise AssertionError("an event of links")
+
+    def _prove(self, transport: OpenNetworkTransport, data: bytes) -> bool:
+        """Whether an answer proves the key; anybody in the network may answer, also in the engine's name."""
+        machine = self._machine.fork()
+        events = machine.receive_data(data)
+        if machine.proven and machine.at in ("", self._at):
+            transport.adopt()
+            self._machine, self._trial = self._machine.fork(), None
+            if machine.sample_secret is not None:
+                transport.authenticate(machine.sample_secret, opener=True)
+            return True
+        for event in events:
+            if isinstance(event, Refused | Failed) and not self._refused:
+                self._refused = True
+                asyncio.get_running_loop().call_later(_REFUSED_AFTER, self._refuse, event)
+        return False
+
+    def _refuse(self, event: Refused | Failed) -> None:
+        """Take a refusal that nothing better has followed."""
+        if self._trial is not None and not self._ended:
+            self._end(self._reason_of(event))
+
+    def _reason_of(self, event: Refused | Failed) -> str:
+        if isinstance(event, Refused):
+            remedy = f": {_REMEDIES[event.code]}" if event.code in _REMEDIES else ""
+            return f"{self._engine} refuses: {event.message}{remedy}"
+        return f"{self._engine}: {event.reason}"
 
     def eof_received(self) -> bool:
         return False

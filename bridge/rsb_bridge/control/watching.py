@@ -15,9 +15,10 @@ from rsb_bridge.model.robot_summary import SUMMARY_BYTES
 if TYPE_CHECKING:
     from collections.abc import AsyncGenerator
 
-    from rsb_bridge.control.ways import Way
+    from rsb_bridge.control.ways import Connection, Way
 
 ANSWERS_WITHIN = 5.0
+_HELD_FOR = 0.25
 _SILENT_FOR = 3 * protocol.SIGN_OF_LIFE_EVERY
 
 
@@ -26,7 +27,7 @@ async def watch(way: Way, may_open: asyncio.Semaphore | None = None) -> AsyncGen
 
     Args:
         way: leads to the engine.
-        may_open: held while the connection is made; None: nothing is.
+        may_open: held while the connection is made, for 0.25 s at most, or None.
 
     Yields:
         The content of each `rsb_bridge.control.protocol.Summary`. It is the engine's word, and not checked yet.
@@ -35,8 +36,7 @@ async def watch(way: Way, may_open: asyncio.Semaphore | None = None) -> AsyncGen
         ControlError: it cannot be watched, or not any more, and this is why.
     """
     try:
-        async with may_open or contextlib.nullcontext():
-            connection = await way.open(ANSWERS_WITHIN)
+        connection = await _open(way, may_open)
         with contextlib.ExitStack() as leaving:
             leaving.callback(connection.abort)
             connection.write(protocol.encode(hello(read_only=True)))
@@ -60,3 +60,19 @@ async def watch(way: Way, may_open: asyncio.Semaphore | None = None) -> AsyncGen
         raise ControlError(f"{way.text}: {error}") from None
     except OSError as error:
         raise ControlError(f"{way.text}: {error.strerror or error}") from None
+
+
+async def _open(way: Way, may_open: asyncio.Semaphore | None) -> Connection:
+    """Connect; engines that do not answer, which strangers may announce, soon give place to others."""
+    async with may_open or contextlib.nullcontext():
+        opening = asyncio.create_task(way.open(ANSWERS_WITHIN))
+        try:
+            await asyncio.wait([opening], timeout=_HELD_FOR)
+        except asyncio.CancelledError:
+            opening.cancel()
+            raise
+    try:
+        return await opening
+    except asyncio.CancelledError:
+        opening.cancel()
+        raise

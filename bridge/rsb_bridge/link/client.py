@@ -15,6 +15,7 @@ from rsb_bridge.link.control_channel import ControlChannel
 from rsb_bridge.link.duplicate_client import NAME_TRIED_EVERY, DuplicateClients
 from rsb_bridge.link.link import Link
 from rsb_bridge.link.refused import with_remedy
+from rsb_bridge.link.server_search import ServerSearch, failure_of_search, unproven_servers
 from rsb_bridge.link.shut_down import ASKED_EVERY, told_by_server
 from rsb_bridge.model.backoff import Backoff
 from rsb_bridge.model.codes import EventCode
@@ -22,12 +23,15 @@ from rsb_bridge.model.snapshot import Level
 from rsb_bridge.model.verdict import LinkCause
 from rsb_bridge.transport import descriptors
 from rsb_bridge.transport.streams import Stream, os_error_message
+from rsb_bridge.wire import sample_tags
 from rsb_bridge.wire.connection import ClientConnection, DataConnection
 from rsb_bridge.wire.events import Accepted, Established, Event
 from rsb_bridge.wire.messages import Welcome
 from rsb_bridge.wire.preamble import RefusalCode
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from rsb_bridge.config.rights import Rights
     from rsb_bridge.context import Context
     from rsb_bridge.model.session import Identity, Kind, Topic
@@ -81,6 +85,8 @@ class ClientLink(Link):
         self._udp_retry: asyncio.TimerHandle | None = None
         self._backoff = Backoff(_FIRST_DELAY, _LONGEST_DELAY, context.random, _JITTER)
         self._asking = Backoff(ASKED_EVERY, ASKED_EVERY, context.random)
+        self._search = ServerSearch(self.transport, context.now)
+        self._unproven = 0  # servers that were announced when the link was made, and did not prove the key
         self._streams_opening: dict[int, asyncio.Task[None]] = {}
         self._may_open = asyncio.Semaphore(_STREAMS_AT_ONCE)
         self._waiting: dict[int, dict[int, Route]] = {}  # by channel and id: for the stream that is being opened
@@ -92,6 +98,10 @@ class ClientLink(Link):
     @property
     def fingerprints(self) -> tuple[str, str]:
         return fingerprint(self.key) if self.key is not None else "", ""
+
+    @property
+    def sample_secret(self) -> bytes | None:
+        return super().sample_secret if sample_tags.FEATURE in self._hello.features else None
 
     def shared_port(self) -> int:
         return self.port
@@ -127,10 +137,7 @@ class ClientLink(Link):
             self.log(Level.INFO, EventCode.LINK_CONNECTING, f"connecting to {self.peer_at}", link_status=True)
         else:
             self.status.retry_at = self.context.now()
-        secret = key.secret if key else None
-        connection = ClientConnection(self._hello, secret, self._suite, multiplexed=self.transport.multiplexed)
-        host = self.transport.host(self.context.session)
-        failure = await self._open(self.transport, host, self.port, connection, partial(self._linked, connection))
+        failure = await self._connect(key)
         if failure is not None:
             self._failed(failure)
             return
@@ -142,6 +149,52 @@ class ClientLink(Link):
             self.control.shut_down(_KEY_CHANGED, retry_after=0.0)
         await self._ended.wait()
 
+    async def _connect(self, key: Key | None) -> Failure | None:
+        """Connect to the server, or to the announced one that proves the key; None: the link is up."""
+        secret = key.secret if key else None
+
+        def begin(suite: Suite | None) -> ClientConnection:
+            return ClientConnection(self._hello, secret, suite or self._suite, multiplexed=self.transport.multiplexed)
+
+        if key is not None:
+            try:
+                hosts = await self.transport.servers()
+            except OSError as error:
+                return _not_connected(self.address, error)
+            if hosts is not None:
+                return await self._find(hosts, begin)
+        connection, host = begin(None), self.transport.host(self.context.session)
+        return await self._open(self.transport, host, self.port, connection, partial(self._linked, connection))
+
+    async def _find(self, hosts: list[str], begin: Callable[[Suite | None], ClientConnection]) -> Failure | None:
+        """Connect to the announced server that proves the key; None: the link is up."""
+        remedied = partial(with_remedy, name=self.name, has_key=True)
+        proven, failures, unproven = await self._search.find(hosts, begin, remedied)
+        self._note_unproven(unproven if proven else 0)
+        accepting = [each for each in proven if each.refusal is None]
+        if len(accepting) == 1:
+            server = accepting[0]
+            established, more = server.confirm()
+            self._linked(server.connection, server.stream, established, more)
+            return None
+        for each in accepting:
+            each.give_up()
+        if accepting:
+            return Failure(self.transport.several([str(each.stream.address[0]) for each in accepting]))
+        refusals = [each.refusal for each in proven if each.refusal is not None]
+        return refusals[0] if refusals else failure_of_search(self.transport, hosts, failures)
+
+    def _note_unproven(self, count: int) -> None:
+        """Tell the operator once that servers are announced that do not prove the key."""
+        if count and not self._unproven:
+            text = unproven_servers(count)
+            self.log(Level.WARNING, EventCode.LINK_UNPROVEN_SERVERS, text, link_status=True)
+        self._unproven = count
+
+    @property
+    def unproven(self) -> str:
+        return unproven_servers(self._unproven) if self._unproven else ""
+
     async def _open(
         self,
         transport: StreamTransport,
@@ -150,10 +203,12 @@ class ClientLink(Link):
         connection: ClientConnection | DataConnection,
         let_in: LetIn,
         rank: int | None = None,
+        sample_secret: bytes | None = None,
     ) -> Failure | None:
         """Connect, and wait for the server's answer; None: the server accepted the stream."""
         remedied = partial(with_remedy, name=self.name, has_key=self.key is not None)
-        attempt = ConnectAttempt(connection, transport.format_address((host, port)), remedied, let_in)
+        address = transport.format_address((host, port))
+        attempt = ConnectAttempt(connection, address, remedied, let_in, sample_secret)
         try:
             await transport.connect(host, port, attempt, rank)
             async with asyncio.timeout(_HANDSHAKE_TIMEOUT):
@@ -261,6 +316,8 @@ class ClientLink(Link):
 
     def tick(self) -> None:
         super().tick()
+        if self._unproven:
+            self._unproven = min(self._unproven, max(0, self.transport.announced_servers - 1))
         if self.control is None or self.keepalive.quiet < _MOVED_AND_QUIET:
             return
         stream = self.control.stream
@@ -322,7 +379,8 @@ class ClientLink(Link):
 
         # The address that the control connection reached: the server's name may resolve to another by now.
         host = self.control.stream.host if transport is self.transport else transport.host(self.context.session)
-        return await self._open(transport, host, route.proposal.port or self.port, connection, let_in, route.rank)
+        port = route.proposal.port or self.port
+        return await self._open(transport, host, port, connection, let_in, route.rank, self.sample_secret)
 
     def _share_stream(self, route: Route, transport: StreamTransport) -> None:
         """Join the stream of the route's channel, or open it if nobody has begun to."""

@@ -52,6 +52,7 @@ class ConnectAttempt(StreamHandler):
         address: of the server, for messages.
         refusal_message: what an operator is told of a refusal.
         let_in: called when the server accepts the stream.
+        sample_secret: both sides have it already, or None.
 
     Attributes:
         outcome: the failure, or None if the server accepted the stream.
@@ -63,7 +64,9 @@ class ConnectAttempt(StreamHandler):
         address: str,
         refusal_message: Callable[[RefusalCode, str], str],
         let_in: LetIn,
+        sample_secret: bytes | None = None,
     ) -> None:
+        self._sample_secret = sample_secret
         self.outcome: asyncio.Future[Failure | None] = asyncio.get_running_loop().create_future()
         self._connection = connection
         self._address = address
@@ -80,6 +83,7 @@ class ConnectAttempt(StreamHandler):
     def connected(self, stream: Stream) -> None:
         self._stream = stream
         stream.write(self._connection.start())
+        stream.authenticate(self._sample_secret, opener=True)
 
     def received(self, data: bytes) -> None:
         stream = self._stream
@@ -96,15 +100,11 @@ class ConnectAttempt(StreamHandler):
                     stream.trust()
                     self._let_in(stream, event, events[index + 1 :])
                     return
-                case Refused(code, message):
+                case Refused():
                     stream.close("refused")  # not before what is left to send is sent
-                    cause = CAUSES.get(code, LinkCause.REFUSED)
-                    self._finish(Failure(self._refusal_message(code, message), cause, code))
-                case Failed(_, str() as foreign):
-                    self._finish(Failure(_not_a_bridge(self._address, foreign), LinkCause.NOT_A_BRIDGE))
-                case Failed(reason):
-                    text = f"{self._address} does not speak this protocol: {reason}"
-                    self._finish(Failure(text, LinkCause.NOT_A_BRIDGE))
+                    self._finish(failure_of(event, self._address, self._refusal_message))
+                case Failed():
+                    self._finish(failure_of(event, self._address, self._refusal_message))
                 case _:
                     pass
 
@@ -131,9 +131,7 @@ class ConnectAttempt(StreamHandler):
                         return answer
         if self._heard:
             return Failure(_not_a_bridge(self._address, ""), LinkCause.NOT_A_BRIDGE)
-        remedy = "check there that rsb-console runs and does not hang (ss -lntp there)"
-        text = f"{self._address} accepts, but does not answer: {remedy}"
-        return Failure(text, LinkCause.NO_ANSWER)
+        return Failure(no_answer(self._address), LinkCause.NO_ANSWER)
 
     @property
     def _heard(self) -> bool:
@@ -147,6 +145,31 @@ class ConnectAttempt(StreamHandler):
     def _finish(self, outcome: Failure | None) -> None:
         if not self.outcome.done():
             self.outcome.set_result(outcome)
+
+
+def no_answer(address: str) -> str:
+    """Return what an operator is told of a server that does not answer."""
+    remedy = "check there that rsb-console runs and does not hang (ss -lntp there)"
+    return f"{address} accepts, but does not answer: {remedy}"
+
+
+def failure_of(event: Event, address: str, refusal_message: Callable[[RefusalCode, str], str]) -> Failure:
+    """Return the failure that an event of the handshake means.
+
+    Args:
+        event: says why the handshake has failed.
+        address: of the server.
+        refusal_message: what an operator is told of a refusal.
+    """
+    match event:
+        case Refused(code, message):
+            return Failure(refusal_message(code, message), CAUSES.get(code, LinkCause.REFUSED), code)
+        case Failed(_, str() as foreign):
+            return Failure(_not_a_bridge(address, foreign), LinkCause.NOT_A_BRIDGE)
+        case Failed(reason):
+            return Failure(f"{address} does not speak this protocol: {reason}", LinkCause.NOT_A_BRIDGE)
+        case _:
+            return Failure(f"{address}: unexpected {type(event).__name__}", LinkCause.NOT_A_BRIDGE)
 
 
 def _not_a_bridge(address: str, protocol: str) -> str:

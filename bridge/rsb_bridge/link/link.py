@@ -35,6 +35,7 @@ from rsb_bridge.route.peer_budget import PeerBudget
 from rsb_bridge.tasks import Tasks
 from rsb_bridge.transport.streams import CLOSED_BY_PEER
 from rsb_bridge.transport.transport import StreamTransport
+from rsb_bridge.wire import sample_tags
 from rsb_bridge.wire.benchmark import BenchAnswer, BenchAsk
 from rsb_bridge.wire.following import Follow, Followed
 from rsb_bridge.wire.framing import ProtocolError
@@ -221,6 +222,13 @@ class Link(ABC):
     def features(self) -> tuple[str, ...]:
         """What the peer, present or last, can do beyond version 2 of the wire format."""
         return self.peer.features if self.peer is not None else ()
+
+    @property
+    def sample_secret(self) -> bytes | None:
+        """The secret of the sample tags of routes' streams, or None if the peer sends none."""
+        if self.keys is None or sample_tags.FEATURE not in self.features:
+            return None
+        return self.keys.sample_secret
 
     @property
     def _peer_role(self) -> str:
@@ -476,7 +484,12 @@ class Link(ABC):
         if not self.linked:
             return ""
         taken = self.duplicates.warning(self.context.now(), self.context.wall())
-        return "; ".join(filter(None, (taken, self.fullness.warning(self._peer_name))))
+        return "; ".join(filter(None, (taken, self.fullness.warning(self._peer_name), self.unproven)))
+
+    @property
+    def unproven(self) -> str:
+        """The warning that announced servers did not prove the key, or an empty string."""
+        return ""
 
     def warning_since(self) -> float | None:
         """Return s since the epoch, when the present warning began, or None without one. Called once a second."""
@@ -492,8 +505,9 @@ class Link(ABC):
             return self.status.cause
         if self.duplicates.warning(self.context.now(), self.context.wall()):
             return LinkCause.NAME_TAKEN
-        full = self.fullness.out is not None or self.fullness.into is not None
-        return LinkCause.FULL if full else self.status.cause
+        if self.fullness.out is not None or self.fullness.into is not None:
+            return LinkCause.FULL
+        return LinkCause.UNPROVEN_SERVERS if self.unproven else self.status.cause
 
     @property
     def full_out(self) -> Fullness | None:

@@ -274,6 +274,7 @@ class _PendingConnection(StreamHandler):
                     pass
         stream.write(answer)
         if connection.accepted and self.stage < _Stage.ACCEPTED:
+            stream.authenticate(connection.sample_secret, opener=False)
             self.stage = _Stage.ACCEPTED
             self._pending.accepted(self)
 

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import msgspec
 
+from rsb_bridge import __version__
 from rsb_bridge.channel.udp_channel import ServerUdpChannel, UdpDemultiplexer
 from rsb_bridge.link.control_channel import ControlChannel
 from rsb_bridge.link.descriptor_share import DescriptorShare
@@ -15,14 +16,16 @@ from rsb_bridge.link.pending_connections import PendingConnections
 from rsb_bridge.link.refused import CAUSES
 from rsb_bridge.link.refused_clients import RefusedClients
 from rsb_bridge.link.server_link import UNKNOWN_ROUTE, ServerLink
+from rsb_bridge.link.server_search import ServerSearch
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.snapshot import Level
 from rsb_bridge.model.verdict import LinkCause
 from rsb_bridge.transport.ports import Ports
 from rsb_bridge.transport.transport import Acceptor
-from rsb_bridge.wire.connection import Credential, ServerConnection
+from rsb_bridge.wire.connection import ClientConnection, Credential, ServerConnection
 from rsb_bridge.wire.messages import Hello, Welcome
 from rsb_bridge.wire.preamble import LINK_ID_LENGTH, Refusal, RefusalCode
+from rsb_bridge.wire.sealing import Suite
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -34,6 +37,8 @@ if TYPE_CHECKING:
     from rsb_bridge.wire.events import Attach, Established
 
 _SESSION_CHANGED = "the server's session has changed: try again"
+_ASKED_AS = 3
+"""Clients as which other servers are asked whether they have the key."""
 _SHUT_DOWN = "the server shuts its links down: try again"
 _REPLACED_PAUSE = 10.0
 """s that a replaced client waits, which was silent for a moment: it would find its name taken."""
@@ -58,7 +63,9 @@ class Server:
         self.refused_clients = RefusedClients(context)
         self._transport = context.transports.of_link(context.session.server_ip)
         datagrams = UdpDemultiplexer(self._new_udp_channel).received
-        acceptor = Acceptor(self._pending.arrive, datagrams, self._pending.shortage)
+        acceptor = Acceptor(
+            self._pending.arrive, datagrams, self._pending.shortage, self._with_a_key_of_ours, self._tell_of_others
+        )
         self._ports = Ports(context.session, context.transports, acceptor)
         self.entries = {entry.client.name: entry for entry in entries}
         self.links: dict[str, ServerLink] = {}
@@ -77,6 +84,32 @@ class Server:
             await self._ports.open(name, session.server_port)
         address = self._transport.format_address((session.server_ip, session.server_port))
         self.context.log(Level.INFO, EventCode.ENGINE_LISTENING, f"listening on {address} ({' and '.join(names)})")
+
+    async def _with_a_key_of_ours(self, hosts: list[str]) -> list[str]:
+        """Return which servers have a client's key, so that the client could not tell them from this one.
+
+        It asks as the client does, and goes no further than the server's proof.
+        """
+        keyed = [entry for entry in self.entries.values() if entry.keys][:_ASKED_AS]
+        if not keyed:
+            return hosts  # no server without encryption can be told from another
+        found: set[str] = set()
+        for entry in keyed:
+            hello = Hello(__version__, entry.client.name, os.urandom(8).hex(), 0)
+            secret = entry.keys[-1].secret
+
+            def begin(suite: Suite | None, hello: Hello = hello, secret: bytes = secret) -> ClientConnection:
+                return ClientConnection(hello, secret, suite or Suite.AESGCM)
+
+            search = ServerSearch(self._transport, self.context.now)
+            proven, _, _ = await search.find(hosts, begin, lambda _, message: message)
+            found |= {str(each.stream.address[0]) for each in proven}
+            for each in proven:
+                each.give_up()
+        return sorted(found)
+
+    def _tell_of_others(self, message: str) -> None:
+        self.context.log(Level.WARNING, EventCode.ENGINE_OTHER_SERVERS, message)
 
     def stop(self) -> None:
         """Stop accepting connections, and reject those that are pending."""
@@ -154,6 +187,8 @@ class Server:
     def _welcome(self, hello: Hello) -> Welcome:
         link = self.links[hello.name]
         welcome = self._make_welcome(os.urandom(LINK_ID_LENGTH), link.use_name)
+        if at := self._transport.announced_at:
+            welcome = msgspec.structs.replace(welcome, at=at)
         if link.keeps_name_from(hello):
             return msgspec.structs.replace(welcome, taken=link.name_taken())
         if link.shut_down_by is not None:
@@ -183,6 +218,7 @@ class Server:
         link = self._link_of(event.link_id)
         if link is None:
             raise Refusal(RefusalCode.NO_SUCH_ROUTE, UNKNOWN_ROUTE)
+        stream.authenticate(link.sample_secret, opener=False)
         route, _ = link.waiting_route(event)
         if refusal := link.descriptors.refusal:
             raise Refusal(RefusalCode.BUSY, refusal)

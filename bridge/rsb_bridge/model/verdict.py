@@ -112,6 +112,8 @@ class LinkCause(StrEnum):
     """Two machines have its name."""
     FULL = "full"
     """It is up and carries less than its topics ask for."""
+    UNPROVEN_SERVERS = "unproven_servers"
+    """It is up, and other servers are announced in its Zenoh network that did not prove the key."""
     SHUT_DOWN = "shut_down"
     """An operator has shut it down on the server, which refuses the client until the link is restarted there."""
 

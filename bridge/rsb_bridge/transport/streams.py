@@ -8,7 +8,7 @@ import errno
 import os
 import socket
 import struct
-from typing import TYPE_CHECKING, Any, ClassVar, TypeAlias
+from typing import TYPE_CHECKING, Any, ClassVar, Protocol, TypeAlias, runtime_checkable
 
 from rsb_bridge.transport.descriptors import MORE_DESCRIPTORS
 
@@ -36,6 +36,23 @@ _REMEDIES = {
     errno.ECONNREFUSED: "is the server running there?",
     errno.EMFILE: f"this process needs more file descriptors: {MORE_DESCRIPTORS}",
 }
+
+
+@runtime_checkable
+class OpenNetworkTransport(Protocol):
+    """An asyncio transport in a network where anybody may send to either end."""
+
+    def begin_trial(self) -> None:
+        """Take several answers to this side's first bytes, each as if no other had come, until `adopt`."""
+        ...
+
+    def adopt(self) -> None:
+        """Go on with the answer that the protocol has just been given."""
+        ...
+
+    def authenticate(self, secret: bytes, *, opener: bool) -> None:
+        """Take only what the peer proves to have sent; `opener` says whether this side opened the stream."""
+        ...
 
 
 class StreamHandler:
@@ -127,6 +144,28 @@ class Stream(asyncio.Protocol):
     def trust(self) -> None:
         """Read as much as comes: the other end has proven that it has the key. Until then, little is read at a time."""
         _read_at_a_time(self._transport, _READS)
+
+    def begin_trial(self) -> bool:
+        """Take several answers to this side's first bytes, until `adopt`; return False where only the peer answers."""
+        if isinstance(self._transport, OpenNetworkTransport):
+            self._transport.begin_trial()
+            return True
+        return False
+
+    def adopt(self) -> None:
+        """Go on with the answer that the handler has just been given."""
+        if isinstance(self._transport, OpenNetworkTransport):
+            self._transport.adopt()
+
+    def authenticate(self, secret: bytes | None, *, opener: bool) -> None:
+        """Take only what the peer proves to have sent, where others could send, too.
+
+        Args:
+            secret: of both sides (`rsb_bridge.wire.sample_tags`), or None if the peer proves nothing.
+            opener: this side opened the stream.
+        """
+        if secret is not None and isinstance(self._transport, OpenNetworkTransport):
+            self._transport.authenticate(secret, opener=opener)
 
     def give_up_after(self, seconds: float) -> None:
         """Have the kernel give it up once nothing is acknowledged for so long; only TCP does. May be called again."""

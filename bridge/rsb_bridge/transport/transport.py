@@ -23,7 +23,7 @@ from rsb_bridge.model.transports import TransportTraits
 from rsb_bridge.transport.streams import Address, format_address
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Awaitable, Callable, Sequence
 
     from rsb_bridge.model.session import Session
     from rsb_bridge.transport.streams import Stream, StreamHandler
@@ -94,6 +94,15 @@ Datagrams: TypeAlias = list[tuple[bytes | memoryview, Address]]
 """Datagrams, each with the address it came from."""
 
 
+async def _none_of(_: list[str]) -> list[str]:
+    """Return that no host has a key of this server."""
+    return []
+
+
+def _ignore(_: str) -> None:
+    """Tell nobody."""
+
+
 @dataclass(frozen=True, slots=True)
 class Acceptor:
     """What a listening transport does with what arrives.
@@ -103,11 +112,15 @@ class Acceptor:
         datagrams: called with the datagrams that one wake-up of a socket brought.
         shortage: called with a message each time that streams cannot be accepted, because the process may have no more
             descriptors or the like; they wait, and accepting them is tried again.
+        prove: finds out which of the hosts that announce themselves as servers have a key of this one.
+        others: called with a message if other servers are announced that have none.
     """
 
     make_handler: Callable[[], StreamHandler]
     datagrams: Callable[[DatagramSocket, Datagrams], None]
     shortage: Callable[[str], None]
+    prove: Callable[[list[str]], Awaitable[list[str]]] = _none_of
+    others: Callable[[str], None] = _ignore
 
 
 class Listener(Protocol):
@@ -166,6 +179,28 @@ class StreamTransport(_Transport):
         Raises:
             OSError: there is no connection; `rsb_bridge.transport.streams.os_error_message` says why.
         """
+
+    async def servers(self) -> list[str] | None:
+        """Return the hosts that announce a server, or None where the session names the only one.
+
+        Raises:
+            OSError: nobody can be asked, or no server is announced.
+        """
+        return None
+
+    @property
+    def announced_servers(self) -> int:
+        """The number of servers that are announced now, as far as is known without asking."""
+        return 0
+
+    def several(self, hosts: Sequence[str]) -> str:
+        """Return what an operator is told of several servers that prove one key."""
+        return f"several servers have this link's key: {', '.join(hosts)}"
+
+    @property
+    def announced_at(self) -> str:
+        """The host by which clients find this server, or an empty string where it does not announce itself."""
+        return ""
 
     @property
     def problem(self) -> str:

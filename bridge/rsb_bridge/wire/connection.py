@@ -9,6 +9,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, NamedTuple
 
 from rsb_bridge.model.fingerprints import FINGERPRINT_LENGTH, fingerprint_of
+from rsb_bridge.wire import sample_tags
 from rsb_bridge.wire.codec import decode, decode_hello, decode_welcome, encode
 from rsb_bridge.wire.events import (
     Accepted,
@@ -143,6 +144,35 @@ class ClientConnection(_Control):
         self._suite = Suite.PLAIN if key is None else suite
         self._handshake: Handshake = PlainHandshake()
         self._heard = False  # a sealed frame: so the server has this side's confirmation
+        self._proven = False
+        self._at = ""
+        self._sample_secret: bytes | None = None
+
+    @property
+    def proven(self) -> bool:
+        """Whether the server has proven that it has the key; one without encryption proves nothing."""
+        return self._proven
+
+    @property
+    def at(self) -> str:
+        """The server's address in a Zenoh network, as it says, or an empty string."""
+        return self._at
+
+    @property
+    def sample_secret(self) -> bytes | None:
+        """The secret of the stream's sample tags, or None before the handshake, or if the server sends none."""
+        return self._sample_secret
+
+    @property
+    def suite(self) -> Suite:
+        """The cipher suite that was offered last; the server may have asked for another than at first."""
+        return self._suite
+
+    def fork(self) -> ClientConnection:
+        """Return a copy to take one of several answers to the first message, which strangers may answer, too."""
+        other, handshake = self._fork(self._handshake)
+        other._handshake = handshake
+        return other
 
     def start(self) -> bytes:
         """The bytes to write first.
@@ -191,6 +221,11 @@ class ClientConnection(_Control):
         except SealError:
             raise Refusal(RefusalCode.WRONG_KEY, "this side's key does not open the server's answer") from None
         keys = self._handshake.split()
+        self._proven, self._at = self._key is not None, welcome.at
+        if keys.export is not None and all(
+            sample_tags.FEATURE in each for each in (self._hello.features, welcome.features)
+        ):
+            self._sample_secret = sample_tags.derive_sample_secret(keys.export)
         self._start_sealing(self._suite, keys.client, keys.server)
         self._write(b"")  # the confirmation, which a replay of a recorded first message can't give
         if welcome.taken:
@@ -231,11 +266,17 @@ class ServerConnection(_Control):
         self._retried = False
         self._fingerprint = b""
         self._unconfirmed: Established | Refused | None = None  # what is so once the client has confirmed
+        self._sample_secret: bytes | None = None
 
     @property
     def accepted(self) -> bool:
         """Whether the client's first message opens under its key. Somebody may have recorded and sent it again."""
         return self._is(Phase.SEALED)
+
+    @property
+    def sample_secret(self) -> bytes | None:
+        """The secret of the stream's sample tags, or None if the client is not accepted, or sends none."""
+        return self._sample_secret
 
     @property
     def fingerprint(self) -> bytes:
@@ -308,6 +349,8 @@ class ServerConnection(_Control):
         keys = handshake.split()
         self._start_sealing(offer.suite, keys.server, keys.client)
         self._fingerprint = b"" if key is None else offer.fingerprint
+        if keys.export is not None and sample_tags.FEATURE in hello.features:
+            self._sample_secret = sample_tags.derive_sample_secret(keys.export)
         if welcome.taken:
             self._unconfirmed = Refused(RefusalCode.NAME_TAKEN, welcome.taken, hello)
         elif welcome.shut_down:

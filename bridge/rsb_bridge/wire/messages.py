@@ -90,6 +90,7 @@ class Welcome(_Message, frozen=True):
         use_name: it puts the client's name before the names of this client's topics.
         taken: who has the client's name, for an operator: the client confirms, and is refused; empty: nobody.
         shut_down: who has shut the link down, for an operator: likewise.
+        at: its address in a Zenoh network, or empty. A client that reached it at another one was led there by somebody.
     """
 
     version: Name
@@ -101,6 +102,7 @@ class Welcome(_Message, frozen=True):
     use_name: bool = False
     taken: Reason = ""
     shut_down: Reason = ""
+    at: Name = ""
 
 
 class Propose(_Message, frozen=True, kw_only=True):

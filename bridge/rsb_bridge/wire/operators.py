@@ -25,12 +25,14 @@ from rsb_bridge.wire.preamble import (
     take_frame,
 )
 from rsb_bridge.wire.preamble_stream import Phase, PreambleStream
+from rsb_bridge.wire.sample_tags import derive_sample_secret
 from rsb_bridge.wire.sealing import Sealer, SealError, StreamOpener, Suite
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
     from rsb_bridge.wire.connection import Credential
+    from rsb_bridge.wire.handshake import Handshake
     from rsb_bridge.wire.sealing import Buffer
 
 SUITE = Suite.CHACHAPOLY
@@ -39,7 +41,10 @@ RECORD_CONTENT = 16 << 10
 RECORD_LIMIT = RECORD_CONTENT + SUITE.tag_length
 HOST_BYTES = 64
 """Bytes of the console's host name in UTF-8."""
+_AT_BYTES = 64
 _VERSION = struct.Struct(">H")
+_TAGS = 0x8000
+"""The bit of a console's version that says that it takes sample tags (`rsb_bridge.wire.sample_tags`)."""
 
 
 class OperatorPreamble(NamedTuple):
@@ -52,6 +57,7 @@ class OperatorPreamble(NamedTuple):
         fingerprint: of the operator's key, as the console says: 8 bytes.
         header: the frame up to the handshake message: the handshake's prologue.
         message: the first handshake message.
+        tags: the console takes sample tags.
     """
 
     version: int
@@ -60,6 +66,7 @@ class OperatorPreamble(NamedTuple):
     fingerprint: bytes
     header: bytes
     message: bytes
+    tags: bool = False
 
 
 def operator_header(version: int, operator: str, engine: str, fingerprint: bytes) -> bytes:
@@ -68,7 +75,7 @@ def operator_header(version: int, operator: str, engine: str, fingerprint: bytes
     Raises:
         ValueError: a name is too long.
     """
-    body = _VERSION.pack(version)
+    body = _VERSION.pack(version | _TAGS)
     for name in (operator, engine):
         encoded = name.encode()
         if len(encoded) > NAME_BYTES:
@@ -92,7 +99,8 @@ def parse_operator(frame: bytes) -> OperatorPreamble:
     if len(frame) < end:
         raise ProtocolError("an OPERATOR frame ends before its fingerprint does")
     (version,) = _VERSION.unpack_from(frame, PREFIX_LENGTH)
-    return OperatorPreamble(version, operator, engine, frame[at:end], frame[:end], frame[end:])
+    tags = bool(version & _TAGS)
+    return OperatorPreamble(version & ~_TAGS, operator, engine, frame[at:end], frame[:end], frame[end:], tags)
 
 
 def _name(frame: bytes, at: int) -> tuple[str, int]:
@@ -118,6 +126,12 @@ class _Sealed(PreambleStream):
         self._records = FrameReader(RECORD_LIMIT)
         self._sealer: Sealer | None = None
         self._opener: StreamOpener | None = None
+        self._sample_secret: bytes | None = None
+
+    @property
+    def sample_secret(self) -> bytes | None:
+        """The secret of the stream's sample tags, or None before the handshake, or if the other end sends none."""
+        return self._sample_secret
 
     def send(self, content: bytes) -> bytes:
         """Seal the next bytes for the other end, in as many records as they take.
@@ -174,8 +188,25 @@ class OperatorConsole(_Sealed):
         mark = fingerprint_of(key)
         self._mark = format_fingerprint(mark)
         self._header = operator_header(version, operator, engine, mark)
-        self._handshake = NoiseHandshake(SUITE, key, self._header)
+        self._handshake: Handshake = NoiseHandshake(SUITE, key, self._header)
+        self._at = ""
         self._host = host.encode(errors="replace")[:HOST_BYTES]
+
+    @property
+    def at(self) -> str:
+        """The engine's address in a Zenoh network, as it says, or an empty string."""
+        return self._at
+
+    @property
+    def proven(self) -> bool:
+        """Whether the engine has proven that it has the key."""
+        return self._is(Phase.SEALED)
+
+    def fork(self) -> OperatorConsole:
+        """Return a copy to take one of several answers to the first message, which strangers may answer, too."""
+        other, handshake = self._fork(self._handshake)
+        other._handshake = handshake
+        return other
 
     def start(self) -> bytes:
         """The bytes to write first."""
@@ -192,7 +223,7 @@ class OperatorConsole(_Sealed):
 
     def _on_accept(self, message: bytes) -> None:
         try:
-            self._handshake.read(message)
+            self._at = self._handshake.read(message)[:_AT_BYTES].decode(errors="replace")
         except SealError:
             raise Refusal(
                 RefusalCode.WRONG_KEY,
@@ -201,6 +232,8 @@ class OperatorConsole(_Sealed):
             ) from None
         keys = self._handshake.split()
         self._start_sealing(keys.client, keys.server)
+        if self._at and keys.export is not None:
+            self._sample_secret = derive_sample_secret(keys.export)
         assert self._sealer is not None
         self._outbox += pack_frame(self._sealer.seal(b"", b""))  # the confirmation, which no replay can give
         self._events.append(Admitted())
@@ -214,16 +247,18 @@ class OperatorEngine(_Sealed):
 
     _is_server = True
 
-    def __init__(self, engine: str, identity: Callable[[str], Credential]) -> None:
+    def __init__(self, engine: str, identity: Callable[[str], Credential], at: str = "") -> None:
         """Wait for a console.
 
         Args:
             engine: this engine's name.
             identity: the credential of an operator by their name, which is not authenticated yet; may raise `Refusal`.
+            at: this engine's address in a Zenoh network, or empty on a stream that takes no sample tags.
         """
         super().__init__()
         self.operator = ""
         """The operator's name as the console says it, which is not authenticated before `Admitted`."""
+        self._at = at
         self._engine = engine
         self._identity = identity
         self._admitted: Admitted | None = None  # what is so once the console has confirmed
@@ -261,9 +296,11 @@ class OperatorEngine(_Sealed):
             raise ProtocolError("the console's host name is too long")
         if not replays.is_new(offer.message):
             raise ProtocolError(f"the first message of {offer.operator!r} came before: somebody has recorded it")
-        self._outbox += pack_frame(preamble_frame(Kind.ACCEPT, handshake.write(b"")))
+        self._outbox += pack_frame(preamble_frame(Kind.ACCEPT, handshake.write(self._at.encode())))
         split = handshake.split()
         self._start_sealing(split.server, split.client)
+        if self._at and offer.tags and split.export is not None:
+            self._sample_secret = derive_sample_secret(split.export)
         self._admitted = Admitted(offer.operator, sanitize_text(host.decode(errors="replace")), key)
 
     def _open_records(self) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from abc import ABC, abstractmethod
 from enum import Enum, auto
 from typing import TYPE_CHECKING
@@ -13,6 +14,9 @@ from rsb_bridge.wire.protocol_error import ForeignProtocolError
 from rsb_bridge.wire.sealing import SealError
 
 if TYPE_CHECKING:
+    from typing import Self
+
+    from rsb_bridge.wire.handshake import Handshake
     from rsb_bridge.wire.sealing import Buffer
 
 
@@ -50,6 +54,12 @@ class PreambleStream(ABC):
             foreign = error.protocol if isinstance(error, ForeignProtocolError) else None
             self._end(Failed(str(error), foreign))
         return self._events
+
+    def _fork(self, handshake: Handshake) -> tuple[Self, Handshake]:
+        """Return a copy of a client's end that has sent its first message, and of its handshake."""
+        other = copy.copy(self)
+        other._inbox, other._outbox, other._events = bytearray(), bytearray(), []
+        return other, copy.copy(handshake)
 
     def data_to_send(self) -> bytes:
         """The bytes to write now; returned once."""

@@ -12,6 +12,8 @@ from cryptography.hazmat.primitives.ciphers.aead import AESGCM, ChaCha20Poly1305
 from cryptography.hazmat.primitives.hashes import SHA256
 from cryptography.hazmat.primitives.kdf.hkdf import HKDFExpand
 
+from rsb_bridge.wire.sample_tags import derive_sample_secret
+
 Buffer: TypeAlias = bytes | bytearray | memoryview
 Role = Literal["client", "server"]
 
@@ -300,6 +302,11 @@ class SessionKeys:
     def datagram_opener(self, route: int, sending_role: Role) -> DatagramOpener:
         """Opens a route's datagrams; `sending_role` is the peer's."""
         return DatagramOpener(self.suite, self._data_key(route, sending_role))
+
+    @property
+    def sample_secret(self) -> bytes | None:
+        """The secret of sample tags (`rsb_bridge.wire.sample_tags`), or None without encryption."""
+        return None if self._export is None else derive_sample_secret(self._export)
 
     def attach_proof(self, header: bytes, route: int) -> bytes:
         """A client's proof that a data stream is its own, over the preamble frame up to the proof."""

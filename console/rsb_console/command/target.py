@@ -148,8 +148,11 @@ def attach_in_fleet(arguments: Namespace, *, read_only: bool) -> RemoteEngine:
     """
     from rsb_bridge.control.over_zenoh import FleetWay  # noqa: PLC0415 -- not needed elsewhere
 
-    engine = RemoteEngine(FleetWay(fleet_file(arguments), arguments.bridge or ""), read_only=read_only)
+    way = FleetWay(fleet_file(arguments), arguments.bridge or "")
+    engine = RemoteEngine(way, read_only=read_only)
     engine.start()
+    if way.warning:
+        print_error(way.warning)
     return engine
 
 

@@ -31,8 +31,8 @@ MOST = 2000
 """Engines that are watched, and rows; anybody in the network may announce any number of engines."""
 _LEFT = "it has left the Zenoh network"
 _FIRST_PAUSE, _LONGEST_PAUSE = 1.0, 30.0
-_AT_ONCE = 16
-"""Connections that are being made: 200 handshakes would take a core for a moment."""
+_AT_ONCE = 64
+"""Connections that begin at a time: 200 handshakes would take a core for a moment."""
 
 
 class ZenohFleet:

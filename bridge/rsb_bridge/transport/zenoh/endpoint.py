@@ -24,7 +24,7 @@ from urllib.parse import quote, unquote
 from rsb_bridge.model.text import sanitize_text
 from rsb_bridge.transport.threads import in_thread
 from rsb_bridge.transport.zenoh.outbox import Outbox
-from rsb_bridge.transport.zenoh.sample import HEADER_LENGTH, Header, Kind
+from rsb_bridge.transport.zenoh.sample import LENGTHS, Header, Kind
 from rsb_bridge.wire.framing import STRANGER_LIMIT
 
 if TYPE_CHECKING:
@@ -103,7 +103,11 @@ class StreamEnd(Protocol):
         ...
 
     def cut_off(self, reason: str) -> None:
-        """The other end is gone, or cannot be reached any more."""
+        """End: the other end is gone, or cannot be reached any more."""
+        ...
+
+    def doubt(self, reason: str) -> None:
+        """End unless a sample of the other side comes soon: somebody says that the other end is gone."""
         ...
 
 
@@ -234,10 +238,9 @@ class Endpoint:
         """Nothing gets through any more: end all streams. From any thread."""
         self._soon(lambda: self._end_all(reason))
 
-    def _end_all(self, reason: str, peer: str = "") -> None:
-        for (address, _), end in tuple(self._streams.items()):
-            if peer in ("", address):
-                end.cut_off(reason)
+    def _end_all(self, reason: str) -> None:
+        for end in tuple(self._streams.values()):
+            end.cut_off(reason)
 
     # --- on Zenoh's threads
 
@@ -254,7 +257,7 @@ class Endpoint:
         end = self._streams.get((sender, stream))
         if end is None and not (_ADDRESS.fullmatch(sender) and _ADDRESS.fullmatch(stream)):
             return
-        if attachment is None or len(attachment) != HEADER_LENGTH:
+        if attachment is None or len(attachment) not in LENGTHS:
             return
         if length > (STRANGER_LIMIT if end is None else end.longest):
             self._strangers.turn_away()
@@ -285,9 +288,7 @@ class Endpoint:
 
         self._soon(take)
 
-    def _queue_of_stranger(
-        self, length: int, work: Callable[[], None], stream: tuple[str, str] | None = None
-    ) -> bool:
+    def _queue_of_stranger(self, length: int, work: Callable[[], None], stream: tuple[str, str] | None = None) -> bool:
         """Queue what a stranger has caused, or drop it. Return False if the stream is a peer's."""
         size = length + _OVERHEAD
         with self._counting:  # so that what comes while the stream becomes trusted stays in order
@@ -372,8 +373,11 @@ class Endpoint:
             self._announced(self.seen[address], comes=False)
 
     def _gone(self, address: str) -> None:
-        here = bool(self._session.info.transports())
-        self._end_all("the other side has left the Zenoh network" if here else ROUTER_LOST, address)
+        """Have the streams of an endpoint ask whether it is there: anybody may declare its token, and undeclare it."""
+        reason = "the other side has left the Zenoh network" if self._session.info.transports() else ROUTER_LOST
+        for (peer, _), end in tuple(self._streams.items()):
+            if peer == address:
+                end.doubt(reason)
 
 
 def _seen(key: str) -> Seen | None:

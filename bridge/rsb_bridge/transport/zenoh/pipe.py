@@ -6,6 +6,10 @@ has a number, and a stream that misses one is over: what follows would not open.
 The receiving end says how much it has taken in. No more than `WINDOW` bytes are under way beyond that, so that a
 receiver that reads slowly holds up its own streams only, not all that a router carries. Whatever it says, it cannot
 have taken in what still waits here for Zenoh: so nobody can make that grow.
+
+Anybody in the network may publish a sample of any stream. Once both sides have proven their keys, `Pipe.authenticate`
+gives the samples tags, and a sample without the right one only makes this side ask whether the other one is there.
+Before that, a client takes any number of answers to its first sample, of which one proves the key (`Pipe.begin_trial`).
 """
 
 from __future__ import annotations
@@ -17,6 +21,7 @@ from typing import TYPE_CHECKING
 from rsb_bridge.model.text import sanitize_text
 from rsb_bridge.transport.zenoh.sample import Header, Kind
 from rsb_bridge.wire.framing import STRANGER_LIMIT
+from rsb_bridge.wire.sample_tags import SampleTags
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -36,6 +41,12 @@ it has said all: else the loss of the last sample would show with the next one o
 _AT_A_TIME = 256 * 1024
 """Bytes that are delivered in one turn of the loop, of what was held while reading was paused."""
 _REASON = 200
+_DOUBT = 3.0
+"""s without a sample after which a stream ends whose end is not proven: a link's own stream has one a second."""
+_UNDER_WAY = 0.5
+"""s after such an end in which samples may come that the peer sent before."""
+_ANSWERS = 64
+"""Answers to a first sample that are tried; anybody can send them, and one costs about 0.1 ms."""
 
 
 class Pipe(asyncio.Transport):
@@ -79,7 +90,12 @@ class Pipe(asyncio.Transport):
         self._loop = asyncio.get_running_loop()
         self._closing = self._over = False
         self._ended: str | None = None
-        """Why the other side has ended it; empty: it has sent all."""
+        """The reason for which the other side has ended it, or an empty string if it has sent all."""
+        self._tags: SampleTags | None = None
+        self._trial = False
+        self._answers = 0
+        self._heard = False
+        self._doubting: asyncio.TimerHandle | None = None
         self._high = 64 * 1024
         self._paused_writing = False
         self._waiting: deque[bytes] = deque()
@@ -106,7 +122,9 @@ class Pipe(asyncio.Transport):
         if self._closing:
             return
         if self._received:
-            self.longest = _LONGEST  # it is answered: what follows the proof may come before the loop has seen the proof
+            self.longest = (
+                _LONGEST  # it is answered: what follows the proof may come before the loop has seen the proof
+            )
         for begin in range(0, len(data), SAMPLE):
             piece = data if len(data) <= SAMPLE else memoryview(data)[begin : begin + SAMPLE]
             if self._waiting or self._sent - self._taken_there >= WINDOW:
@@ -161,32 +179,107 @@ class Pipe(asyncio.Transport):
     def can_write_eof(self) -> bool:
         return False
 
+    # --- who sends
+
+    def begin_trial(self) -> None:
+        """Take several answers to this side's first sample, until `adopt`: strangers may answer it, too.
+
+        The protocol is given each of them, as if no other had come.
+        """
+        self._trial = True
+
+    def adopt(self) -> None:
+        """Go on with the answer that the protocol has just been given: it proves the key."""
+        self._trial = False
+        self.longest = _LONGEST
+
+    def authenticate(self, secret: bytes, *, opener: bool) -> None:
+        """Tag all samples from now on, and take only those that the peer has tagged.
+
+        Args:
+            secret: of both sides (`rsb_bridge.wire.sample_tags`).
+            opener: this side opened the stream.
+        """
+        self._tags = SampleTags(secret, self._stream, opener=opener)
+
     # --- what comes
 
     def arrived(self, header: Header, payload: bytes) -> None:
-        """A sample came."""
+        """Take a sample."""
         if self._over:
             return
+        if self._tags is not None:
+            if self._tags.proves(header.kind, header.number, payload, header.tag):
+                self._proven(header, payload)
+            elif header.kind == Kind.END:  # a peer that has forgotten the stream has no key for it either
+                self._doubt(_reason(payload))
+        elif self._trial:
+            if header.kind == Kind.DATA:
+                self._try(header.number, payload)
+        elif header.kind == Kind.END:
+            missing = header.number - self._received_samples
+            self._doubt(_missing(missing) if missing > 0 else _reason(payload))
+        else:
+            self._proven(header, payload)
+
+    def _proven(self, header: Header, payload: bytes) -> None:
+        """Take a sample that the peer has sent, as far as that can be known."""
         if header.kind == Kind.DATA:
             self._data(header.number, payload)
         elif header.kind == Kind.WINDOW:
+            self._heard = True
             there = min(header.number, self._sent - self._endpoint.outbox.waiting(self._key, self._rank))
             self._taken_there = max(self._taken_there, there)
             self._go_on()
         elif header.kind == Kind.END and self._ended is None:
             missing = header.number - self._received_samples
-            self._ended = _missing(missing) if missing > 0 else _reason(payload)
-            if not self._held:
-                self._finish()
+            self._take_end(_missing(missing) if missing > 0 else _reason(payload))
+
+    def _take_end(self, reason: str) -> None:
+        self._ended = reason
+        if not self._held:
+            self._finish()
+
+    def _try(self, number: int, payload: bytes) -> None:
+        """Give the protocol one of several answers."""
+        if number or self._answers >= _ANSWERS:
+            return
+        self._answers += 1
+        self._protocol.data_received(payload)
+        if not self._trial:
+            self._received_samples = 1
+            self._received = self._taken = len(payload)
 
     def cut_off(self, reason: str) -> None:
-        """The other end is gone, or cannot be reached any more."""
+        """End: the other end is gone, or cannot be reached any more."""
         self._closing = True
         self._end("", OSError(reason))
+
+    def doubt(self, reason: str) -> None:
+        """End unless a sample of the other side comes soon: somebody says that the other end is gone."""
+        if not self._over:
+            self._doubt(reason)
+
+    def _doubt(self, reason: str) -> None:
+        if self._doubting is None and self._ended is None:
+            self._doubting = self._loop.call_later(_UNDER_WAY, self._ask_in_doubt, reason)
+
+    def _ask_in_doubt(self, reason: str) -> None:
+        self._heard = False
+        self._doubting = self._loop.call_later(_DOUBT - _UNDER_WAY, self._believe, reason)
+        if self._sent_samples and not self._closing:
+            self._put(b"")  # which the other side answers by a window
+
+    def _believe(self, reason: str) -> None:
+        """End, unless the other side was heard."""
+        self._doubting = None
+        if not self._heard:
+            self._take_end(reason)
 
     def _data(self, number: int, payload: bytes) -> None:
         if number < self._received_samples or self._ended is not None:
             return  # somebody plays it again
+        self._heard = True
         if number > self._received_samples:
             error = _missing(number - self._received_samples)
             self._end(error, OSError(error))
@@ -249,7 +342,7 @@ class Pipe(asyncio.Transport):
 
     def _say(self) -> None:
         self._said = self._taken
-        self._endpoint.outbox.put(self._key, b"", Header(Kind.WINDOW, self._rank, self._taken))
+        self._put_sample(Kind.WINDOW, self._taken, b"")
 
     # --- what goes
 
@@ -260,8 +353,12 @@ class Pipe(asyncio.Transport):
             self._ask_later()
 
     def _put(self, data: bytes | bytearray | memoryview[int]) -> None:
-        self._endpoint.outbox.put(self._key, data, Header(Kind.DATA, self._rank, self._sent_samples))
+        self._put_sample(Kind.DATA, self._sent_samples, data)
         self._sent_samples += 1
+
+    def _put_sample(self, kind: Kind, number: int, payload: bytes | bytearray | memoryview[int]) -> None:
+        tag = b"" if self._tags is None else self._tags.tag(kind, number, payload)
+        self._endpoint.outbox.put(self._key, payload, Header(kind, self._rank, number, tag))
 
     def _ask_later(self) -> None:
         self._asking = self._loop.call_later(_ASKED_AFTER, self._ask, self._sent_samples, self._taken_there)
@@ -292,11 +389,12 @@ class Pipe(asyncio.Transport):
             return
         self._over = self._closing = True
         if self._ended is None:
-            end = Header(Kind.END, self._rank, self._sent_samples)
-            self._endpoint.outbox.put(self._key, told.encode()[:_REASON], end)
+            self._put_sample(Kind.END, self._sent_samples, told.encode()[:_REASON])
         self._endpoint.forget(self._peer, self._stream)
         if self._asking is not None:
             self._asking.cancel()
+        if self._doubting is not None:
+            self._doubting.cancel()
         self._waiting.clear()
         self._held.clear()
         self._waiting_bytes = 0

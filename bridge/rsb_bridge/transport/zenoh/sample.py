@@ -6,8 +6,11 @@ import struct
 from enum import IntEnum
 from typing import NamedTuple
 
+from rsb_bridge.wire.sample_tags import TAG_LENGTH
+
 _HEADER = struct.Struct(">BBQ")
-HEADER_LENGTH = _HEADER.size
+LENGTHS = (_HEADER.size, _HEADER.size + TAG_LENGTH)
+"""Bytes of attachments, without a tag and with one."""
 
 
 class Kind(IntEnum):
@@ -22,23 +25,28 @@ class Kind(IntEnum):
 
 
 class Header(NamedTuple):
-    """What a sample's attachment says.
+    """The attachment of a sample of a stream.
 
     Attributes:
         kind: a `Kind`; other numbers are passed over.
         rank: of the stream's priority; `Outbox` has the ranks.
         number: by the kind.
+        tag: proves that the peer sent the sample, or is empty.
     """
 
     kind: int
     rank: int
     number: int
+    tag: bytes = b""
 
     def pack(self) -> bytes:
-        """The attachment."""
-        return _HEADER.pack(*self)
+        """Return the attachment."""
+        return _HEADER.pack(*self[:3]) + self.tag
 
     @classmethod
     def unpack(cls, attachment: bytes) -> Header | None:
-        """What an attachment says; None: it is none of a stream's sample."""
-        return cls._make(_HEADER.unpack(attachment)) if len(attachment) == _HEADER.size else None
+        """Read an attachment; return None if it is not that of a stream's sample."""
+        if len(attachment) not in LENGTHS:
+            return None
+        kind, rank, number = _HEADER.unpack_from(attachment)
+        return cls(kind, rank, number, attachment[_HEADER.size :])

@@ -36,6 +36,8 @@ if TYPE_CHECKING:
 SERVER, CLIENT = "server", "client"
 """The services by which the two sides of links announce themselves."""
 _NAMED = 3
+_TOLD_EVERY = 3600.0
+"""s between two messages about other servers: strangers may announce any number."""
 _RANKS = {1: 1, 0: 2, -1: 3}
 
 
@@ -90,6 +92,11 @@ class Links:
             raise OSError("not in the Zenoh network")
         return self._endpoint
 
+    @property
+    def servers(self) -> int:
+        """The number of servers that are announced, without this side."""
+        return 0 if self._endpoint is None else len(_servers(self._endpoint))
+
     def close(self) -> None:
         """Close the endpoint; the next one has another address."""
         if self._endpoint is not None:
@@ -108,6 +115,21 @@ class Zenoh(ZenohTraits, StreamTransport):
     def format_address(self, address: Address) -> str:
         return f"zenoh ({self._links.network.place})" if address[0] == "zenoh" else _format_address(address)
 
+    async def servers(self) -> list[str]:
+        return [seen.address for seen in self._announced(await self._links.endpoint(CLIENT, (SERVER,)))]
+
+    @property
+    def announced_servers(self) -> int:
+        return self._links.servers
+
+    def several(self, hosts: Sequence[str]) -> str:
+        seen = self._links.endpoint_if_open().seen
+        return _several(self._links.network.settings.fleet, [seen[each] for each in hosts if each in seen])
+
+    @property
+    def announced_at(self) -> str:
+        return self._links.endpoint_if_open().address
+
     async def connect(self, host: str, port: int, handler: StreamHandler, rank: int | None = None) -> Stream:
         endpoint = await self._links.endpoint(CLIENT, (SERVER,))
         peer = self._server(endpoint) if host == "zenoh" else host
@@ -116,13 +138,23 @@ class Zenoh(ZenohTraits, StreamTransport):
         Pipe(endpoint, peer, os.urandom(8).hex(), _priority(rank), stream, stranger=rank is None)
         return stream
 
-    def _server(self, endpoint: Endpoint) -> str:
-        servers = _servers(endpoint)
+    def _announced(self, endpoint: Endpoint) -> list[Seen]:
+        """Return the other servers.
+
+        Raises:
+            OSError: there is none.
+        """
         fleet = self._links.network.settings.fleet
+        servers = _servers(endpoint)
         if not servers:
             raise OSError(f"the Zenoh network has no server of the fleet {fleet!r}: is it running, with that fleet?")
+        return servers
+
+    def _server(self, endpoint: Endpoint) -> str:
+        """Return the only server of a link without encryption, which could not tell servers apart."""
+        servers = self._announced(endpoint)
         if len(servers) > 1:
-            raise OSError(_several(fleet, servers))
+            raise OSError(_several(self._links.network.settings.fleet, servers))
         return servers[0].address
 
     async def listen(self, host: str, port: int, acceptor: Acceptor) -> Listener:
@@ -131,16 +163,24 @@ class Zenoh(ZenohTraits, StreamTransport):
         except OSError as error:
             self._links.close()
             raise ListenError(str(error)) from None
-        if others := [seen for seen in _servers(endpoint) if seen.address != endpoint.address]:
-            self._links.close()
-            raise ListenError(_several(self._links.network.settings.fleet, others, own=True))
+        fleet, others = self._links.network.settings.fleet, _servers(endpoint)
+        if others:
+            same = await acceptor.prove([seen.address for seen in others])
+            if found := [seen for seen in others if seen.address in same]:
+                self._links.close()
+                raise ListenError(_several(fleet, found, own=True))
+            acceptor.others(_others(fleet, others))
+        told_at = asyncio.get_running_loop().time()
 
         def accept(sender: str, stream: str, header: Header) -> Pipe:
             return Pipe(endpoint, sender, stream, header.rank, ZenohStream(acceptor.make_handler()), stranger=True)
 
         def another(seen: Seen, comes: bool) -> None:
-            if comes and seen.service == SERVER and seen.address != endpoint.address:
-                acceptor.shortage(_several(self._links.network.settings.fleet, [seen], own=True))
+            nonlocal told_at
+            now = asyncio.get_running_loop().time()
+            if comes and seen.service == SERVER and now >= told_at:
+                told_at = now + _TOLD_EVERY
+                acceptor.others(_others(fleet, _servers(endpoint)))
 
         endpoint.on_stream = accept
         endpoint.on_seen = another
@@ -251,7 +291,17 @@ def _priority(rank: int | None) -> int:
 
 
 def _servers(endpoint: Endpoint) -> list[Seen]:
-    return [seen for seen in endpoint.seen.values() if seen.service == SERVER]
+    """Return the servers that are announced, without this one."""
+    return [seen for seen in endpoint.seen.values() if seen.service == SERVER and seen.address != endpoint.address]
+
+
+def _others(fleet: str, servers: Sequence[Seen]) -> str:
+    names = join_first(sorted(seen.label for seen in servers), _NAMED)
+    count = f"{len(servers)} other servers are" if len(servers) > 1 else "another server is"
+    return (
+        f"{count} announced in the fleet {fleet!r}: {names}: clients try each, and link with the one that has their "
+        "key; if they are none of yours, set access control on the router (docs/zenoh.md)"
+    )
 
 
 def _several(fleet: str, servers: Iterable[Seen], *, own: bool = False) -> str:

@@ -1,0 +1,146 @@
+"""Tries of announced addresses, of which anybody in a network may announce any number.
+
+Each address is tried by a handshake, many at once, until one has proven a key. Addresses that have not are remembered,
+and tried less and less often.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from typing import TYPE_CHECKING, Generic, NamedTuple, TypeVar
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Collection, Coroutine, Iterable
+
+T = TypeVar("T")
+
+AT_ONCE = 128
+"""Addresses whose tries begin at once; one costs about 0.5 ms."""
+MOST_TRIED = 1024
+"""Addresses of one search."""
+_WAVE = 0.25
+"""s between two times that `AT_ONCE` tries begin."""
+_PATIENCE = 5.0
+"""s that the last of them have: a handshake over a slow network."""
+_OTHERS = 0.3
+"""s that others have once one has proven the key, so that a second one shows."""
+_FIRST_PAUSE, _LONGEST_PAUSE = 2.0, 60.0
+_FEW = 8
+"""Addresses that are always tried, however often they have failed."""
+
+
+class UnprovenError(Exception):
+    """An address did not prove the key; the arguments say why."""
+
+
+class Results(NamedTuple, Generic[T]):
+    """The outcome of a search.
+
+    Attributes:
+        proven: results of the addresses that proved the key, by address.
+        failures: reasons of those that did not, as far as they have answered.
+        others: announced addresses that have not proven the key, whether they were tried or not.
+    """
+
+    proven: dict[str, T]
+    failures: list[UnprovenError]
+    others: int
+
+
+class Trials(Generic[T]):
+    """Searches among announced addresses; remembers what did not prove the key, for as long as it is announced.
+
+    Args:
+        now: the time, in s.
+    """
+
+    def __init__(self, now: Callable[[], float]) -> None:
+        self._now = now
+        self._failed: dict[str, tuple[int, float]] = {}  # how often, and when to try again
+        self._proven: set[str] = set()
+
+    async def search(
+        self,
+        announced: Collection[str],
+        attempt: Callable[[str], Coroutine[None, None, T]],
+        discard: Callable[[T], None],
+    ) -> Results[T]:
+        """Try addresses until one or more have proven the key, or none can.
+
+        Args:
+            announced: all that there are.
+            attempt: tries one; raises `UnprovenError`.
+            discard: takes what an attempt returned that comes too late.
+        """
+        self._forget(announced)
+        queue = self._due(announced)
+        running: dict[asyncio.Task[T], str] = {}
+        results = Results[T]({}, [], 0)
+        try:
+            await self._try_all(queue, attempt, running, results)
+        except BaseException:
+            for each in results.proven.values():
+                discard(each)
+            raise
+        finally:
+            for task, address in running.items():
+                if task.cancel():
+                    self._fail(address)
+            for left in await asyncio.gather(*running, return_exceptions=True):
+                if not isinstance(left, BaseException):
+                    discard(left)
+        return results._replace(others=len(set(announced) - results.proven.keys()))
+
+    async def _try_all(
+        self,
+        queue: list[str],
+        attempt: Callable[[str], Coroutine[None, None, T]],
+        running: dict[asyncio.Task[T], str],
+        results: Results[T],
+    ) -> None:
+        now = next_wave = self._now()
+        ends = now + _PATIENCE
+        while (queue or running) and now < ends:
+            if queue and now >= next_wave:
+                running |= {asyncio.create_task(attempt(each)): each for each in queue[:AT_ONCE]}
+                queue, next_wave, ends = queue[AT_ONCE:], now + _WAVE, now + _PATIENCE
+            until = next_wave if queue else ends
+            done: set[asyncio.Task[T]] = set()
+            if running:
+                done, _ = await asyncio.wait(running, timeout=until - now, return_when=asyncio.FIRST_COMPLETED)
+            else:
+                await asyncio.sleep(until - now)
+            for task in done:
+                self._take(task, running.pop(task), results)
+            now = self._now()
+            if results.proven and done:
+                queue, ends = [], min(ends, now + _OTHERS)
+
+    def _take(self, task: asyncio.Task[T], address: str, results: Results[T]) -> None:
+        try:
+            results.proven[address] = task.result()
+        except UnprovenError as error:
+            results.failures.append(error)
+            self._fail(address)
+        else:
+            self._failed.pop(address, None)
+            self._proven.add(address)
+
+    def _fail(self, address: str) -> None:
+        count = self._failed.get(address, (0, 0.0))[0] + 1
+        pause = min(_FIRST_PAUSE * 2.0 ** min(count - 1, 10), _LONGEST_PAUSE)
+        self._failed[address] = count, self._now() + pause
+        self._proven.discard(address)
+
+    def _forget(self, announced: Collection[str]) -> None:
+        """Forget the addresses that are not announced any more: so the memory has the bound of announcements."""
+        present = set(announced)
+        self._proven &= present
+        self._failed = {each: failed for each, failed in self._failed.items() if each in present}
+
+    def _due(self, announced: Iterable[str]) -> list[str]:
+        """Return the addresses to try, first those that proved the key before, then those that failed least often."""
+        now, nothing = self._now(), (0, 0.0)
+        ordered = sorted(announced, key=lambda each: (each not in self._proven, self._failed.get(each, nothing)))
+        due = [each for each in ordered if self._failed.get(each, nothing)[1] <= now]
+        return ordered[:_FEW] if len(due) < _FEW else due[:MOST_TRIED]

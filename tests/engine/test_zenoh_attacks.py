@@ -1,0 +1,222 @@
+"""Bridges in a Zenoh network in which somebody without a key publishes and announces anything.
+
+What crosses is counted by the publishers and the listeners, outside of the bridges.
+"""
+
+from __future__ import annotations
+
+import time
+from contextlib import closing
+from typing import TYPE_CHECKING, Any
+
+import pytest
+
+pytest.importorskip("zenoh")  # an extra
+
+from tests.support.bridge import carries, connections, happened, link, linked, now
+from tests.support.domain import text
+from tests.support.waiting import eventually
+from tests.support.zenoh_attacker import Attacker, Stranger
+from tests.support.zenoh_router import Router
+
+from rsb_bridge.link import roles
+from rsb_bridge.model.codes import EventCode
+from rsb_bridge.model.session import Topic, ZenohSettings
+from rsb_bridge.model.snapshot import State
+from rsb_bridge.model.verdict import LinkCause
+from rsb_bridge.transport.zenoh.endpoint import ROOT
+from rsb_bridge.wire import sample_tags
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from tests.support.bridge import Bridge
+    from tests.support.domain import Domain
+
+    from rsb_bridge.engine import Engine
+
+SECONDS = 6.0
+LOST = (EventCode.LINK_LOST, EventCode.LINK_CLOSED, EventCode.LINK_CLOSED_BY_PEER, EventCode.ROUTE_CHANNEL_LOST)
+
+
+@pytest.fixture
+def router() -> Iterator[Router]:
+    made = Router()
+    yield made
+    made.close()
+
+
+def over(router: Router) -> dict[str, Any]:
+    return {"server_ip": "zenoh", "server_port": 0, "zenoh": ZenohSettings(connect=(router.endpoint,))}
+
+
+def losses(engine: Engine) -> list[str]:
+    return [event.text for event in engine.events() if event.code in LOST]
+
+
+@pytest.mark.parametrize(
+    "attack", ["ends", "first_ends", "firsts", "following", "ahead", "windows", "deletes", "churn"]
+)
+def test_a_link_that_is_up_stays_up_and_loses_nothing(
+    attack: str, bridge: Bridge, router: Router, robot: Domain, pc: Domain
+) -> None:
+    there, out = pc.listener("/odom"), robot.publisher("/odom")
+    server, client = bridge.both(Topic("/odom", "transmit", qos={"depth": 100}), **over(router))
+    carries([out], server, ["/odom"])
+    before, attacker, published = connections(server), Attacker(router.endpoint, attack), 0
+    with closing(attacker):
+        until = time.monotonic() + SECONDS
+        while time.monotonic() < until:
+            out.publish(text(f"odom {published}"))
+            published += 1
+            time.sleep(0.02)
+        sent = attacker.stop()
+    assert sum(sent.values()) > 100
+    assert losses(server) == losses(client) == []
+    assert connections(server) == before
+    eventually(lambda: [each for each in there.payloads if b"odom" in each] == [
+        text(f"odom {number}") for number in range(published)
+    ])  # fmt: skip
+
+
+def test_a_link_comes_up_though_each_of_its_streams_is_answered_by_a_stranger(
+    bridge: Bridge, router: Router, robot: Domain, pc: Domain
+) -> None:
+    there, out = pc.listener("/odom"), robot.publisher("/odom")
+    with closing(Attacker(router.endpoint, "answers")) as attacker:
+        server, client = bridge.server(**over(router)), bridge.client(Topic("/odom", "transmit"), **over(router))
+        began = time.monotonic()
+        eventually(lambda: linked(server) and linked(client), within=10.0, what="linked")
+        assert time.monotonic() - began < 10.0
+        carries([out], server, ["/odom"])
+        out.publish(text("through"))
+        eventually(lambda: text("through") in there.payloads)
+        assert attacker.stop()["samples"] > 0
+    assert connections(server) == 1
+
+
+@pytest.mark.parametrize("count", [1, 30, 1000])
+def test_announced_servers_that_are_none_cost_seconds_and_no_link(bridge: Bridge, router: Router, count: int) -> None:
+    stranger = Stranger(router.endpoint, "fleet")
+    tokens = [stranger.declare(f"{ROOT}/fleet/here/server/{number:016x}/fake") for number in range(count)]
+    try:
+        server = bridge.server(**over(router))
+        eventually(lambda: happened(server, EventCode.ENGINE_LISTENING), within=30.0)
+        began = time.monotonic()
+        client = bridge.client(**over(router))
+        eventually(lambda: linked(client), within=30.0, what="linked")
+        took = time.monotonic() - began
+        assert took < 2.0 + count / 200
+        told = [each for each in client.events() if each.code == EventCode.LINK_UNPROVEN_SERVERS]
+        assert len(told) == 1
+        assert str(count) in told[0].text
+        eventually(lambda: link(client).cause == LinkCause.UNPROVEN_SERVERS)
+        assert link(client).state is State.OK
+        assert str(count) in link(client).warning
+        assert len([each for each in server.events() if each.code == EventCode.ENGINE_OTHER_SERVERS]) == 1
+        assert now(server).running
+    finally:
+        del tokens
+        stranger.close()
+
+
+def test_tokens_that_come_and_go_all_the_time_keep_no_client_out(bridge: Bridge, router: Router) -> None:
+    server = bridge.server(**over(router))
+    with closing(Attacker(router.endpoint, "churn", hz=100.0)) as attacker:
+        eventually(lambda: happened(server, EventCode.ENGINE_OTHER_SERVERS))
+        client = bridge.client(**over(router))
+        eventually(lambda: linked(client), within=15.0, what="linked")
+        time.sleep(SECONDS)
+        assert attacker.stop()["tokens"] > 500
+    assert linked(client)
+    for engine in (server, client):
+        assert len(engine.events()) < 40
+
+
+@pytest.mark.parametrize("older", ["server", "client"])
+def test_a_side_without_tags_links_and_carries(
+    older: str, bridge: Bridge, router: Router, robot: Domain, pc: Domain, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    there, out = pc.listener("/odom"), robot.publisher("/odom")
+    known = tuple(each for each in roles.FEATURES if each != sample_tags.FEATURE)
+
+    def begin(side: str) -> Engine:
+        with monkeypatch.context() as patch:
+            if side == older:
+                patch.setattr(roles, "FEATURES", known)
+            if side == "server":
+                return bridge.server(**over(router))
+            return bridge.client(Topic("/odom", "transmit"), **over(router))
+
+    server, client = begin("server"), begin("client")
+    eventually(lambda: linked(server) and linked(client), what="linked")
+    carries([out], server, ["/odom"])
+    out.publish(text("across"))
+    eventually(lambda: text("across") in there.payloads)
+    client.stop()
+    eventually(lambda: not linked(server))
+
+
+def test_a_stranger_who_passes_on_what_a_server_says_is_not_taken_for_it(bridge: Bridge, router: Router) -> None:
+    """It could hold up or drop what it likes, and the client could not tell it from a second server."""
+    relay = Relay(router.endpoint)
+    try:
+        server = bridge.server(**over(router))
+        eventually(lambda: relay.server)
+        client = bridge.client(**over(router))
+        eventually(lambda: linked(client), what="linked")
+        eventually(lambda: relay.passed_on)
+        assert link(client).peer == f"zenoh ({router.endpoint})"
+        assert connections(server) == 1
+        relay.drop()
+        time.sleep(8.0)
+        assert linked(client)
+        assert connections(server) == 1
+    finally:
+        relay.close()
+
+
+class Relay:
+    """A stranger that announces a server, and passes everything on between clients and the genuine server.
+
+    Attributes:
+        server: address of the genuine one.
+        passed_on: keys of what it has passed on.
+    """
+
+    ADDRESS = "f" * 16
+
+    def __init__(self, endpoint: str) -> None:
+        self.server = ""
+        self.passed_on: list[str] = []
+        self._client = ""
+        self._drops = False
+        self._stranger = Stranger(endpoint, "fleet")
+        session = self._stranger.session
+        self._token = self._stranger.declare(f"{ROOT}/fleet/here/server/{self.ADDRESS}/fake")
+        self._seen = session.liveliness().declare_subscriber(f"{ROOT}/fleet/here/server/*/*", self._see, history=True)
+        self._heard = session.declare_subscriber(f"{ROOT}/fleet/at/{self.ADDRESS}/*/*", self._pass_on)
+
+    def _see(self, sample: Any) -> None:
+        address = str(sample.key_expr).split("/")[4]
+        if address != self.ADDRESS:
+            self.server = address
+
+    def _pass_on(self, sample: Any) -> None:
+        sender, stream = str(sample.key_expr).split("/")[4:]
+        if self._drops:
+            return
+        if sender != self.server:
+            self._client = sender
+        to = self._client if sender == self.server else self.server
+        attachment = None if sample.attachment is None else sample.attachment.to_bytes()
+        key = f"{ROOT}/fleet/at/{to}/{self.ADDRESS}/{stream}"
+        self._stranger.session.put(key, sample.payload.to_bytes(), attachment=attachment)
+        self.passed_on.append(key)
+
+    def drop(self) -> None:
+        """Pass nothing on any more."""
+        self._drops = True
+
+    def close(self) -> None:
+        self._stranger.close()

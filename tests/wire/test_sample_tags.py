@@ -1,0 +1,99 @@
+"""Tags of samples of Zenoh streams, and the secrets that both sides of a handshake derive for them."""
+
+from __future__ import annotations
+
+import msgspec
+import pytest
+from tests.wire.links import HELLO, KEY, WELCOME
+
+from rsb_bridge.wire.connection import ClientConnection, Credential, ServerConnection
+from rsb_bridge.wire.operators import OperatorConsole, OperatorEngine, operator_header, parse_operator
+from rsb_bridge.wire.replay_cache import ReplayCache
+from rsb_bridge.wire.sample_tags import FEATURE, TAG_LENGTH, SampleTags
+from rsb_bridge.wire.sealing import Suite
+
+SECRET, STREAM = bytes(range(32)), "5" * 16
+
+
+def both() -> tuple[SampleTags, SampleTags]:
+    return SampleTags(SECRET, STREAM, opener=True), SampleTags(SECRET, STREAM, opener=False)
+
+
+@pytest.mark.parametrize("payload", [b"", b"x", bytes(1 << 20)], ids=len)
+def test_a_tag_proves_a_sample_to_the_other_side_only(payload: bytes) -> None:
+    near, far = both()
+    tag = near.tag(1, 7, payload)
+    assert len(tag) == TAG_LENGTH
+    assert far.proves(1, 7, memoryview(payload), tag)
+    assert not near.proves(1, 7, payload, tag)
+
+
+def test_a_tag_is_of_one_kind_number_payload_stream_and_secret() -> None:
+    near, far = both()
+    tag = near.tag(1, 7, b"payload")
+    forged = [(2, 7, b"payload", tag), (1, 8, b"payload", tag), (1, 7, b"another", tag), (1, 7, b"payload", b""),
+              (1, 7, b"payload", tag[:-1]), (1, 7, b"payload", bytes(TAG_LENGTH))]  # fmt: skip
+    assert not any(far.proves(*each) for each in forged)
+    assert not SampleTags(SECRET, "6" * 16, opener=False).proves(1, 7, b"payload", tag)
+    assert not SampleTags(bytes(32), STREAM, opener=False).proves(1, 7, b"payload", tag)
+
+
+def linked(*, client_has: bool, server_has: bool) -> tuple[ClientConnection, ServerConnection]:
+    hello = msgspec.structs.replace(HELLO, features=(FEATURE,) if client_has else ())
+    welcome = msgspec.structs.replace(WELCOME, features=(FEATURE,) if server_has else (), at="a" * 16)
+    client = ClientConnection(hello, KEY, Suite.AESGCM)
+    server = ServerConnection(lambda _: Credential((KEY,), ReplayCache()), lambda _: welcome, aes=True)
+    server.receive_data(client.start())
+    client.receive_data(server.data_to_send())
+    return client, server
+
+
+def test_both_sides_of_a_link_have_one_secret() -> None:
+    client, server = linked(client_has=True, server_has=True)
+    assert client.sample_secret is not None
+    assert client.sample_secret == server.sample_secret
+    assert (client.proven, client.at) == (True, "a" * 16)
+
+
+def test_an_older_side_has_no_tags() -> None:
+    assert linked(client_has=False, server_has=True)[1].sample_secret is None
+    assert linked(client_has=True, server_has=False)[0].sample_secret is None
+
+
+def test_a_fork_takes_an_answer_and_leaves_the_first_untouched() -> None:
+    client = ClientConnection(HELLO, KEY, Suite.AESGCM)
+    server = ServerConnection(lambda _: Credential((KEY,), ReplayCache()), lambda _: WELCOME, aes=True)
+    server.receive_data(client.start())
+    answer = server.data_to_send()
+    for forged in (b"forged", answer[:-1] + b"?", b"\0\0\0\5rsb\2\7", b""):
+        fork = client.fork()
+        fork.receive_data(forged)
+        assert not fork.proven
+    fork = client.fork()
+    fork.receive_data(answer)
+    assert fork.proven
+    assert not client.proven
+    server.receive_data(fork.data_to_send())
+    assert server.accepted
+
+
+@pytest.mark.parametrize("at", ["", "a" * 16])
+def test_an_operator_and_an_engine_in_a_zenoh_network_have_one_secret(at: str) -> None:
+    console = OperatorConsole("anna", KEY, "robot1", version=7)
+    engine = OperatorEngine("robot1", lambda _: Credential((KEY,), ReplayCache()), at)
+    first = console.start()
+    engine.receive_data(first)
+    answer = engine.data_to_send()
+    fork = console.fork()
+    fork.receive_data(b"forged")
+    assert not fork.proven
+    console.receive_data(answer)
+    assert console.proven
+    assert console.at == at
+    assert console.sample_secret == engine.sample_secret
+    assert (console.sample_secret is None) == (not at)
+
+
+def test_a_console_says_that_it_takes_tags_beside_its_version() -> None:
+    offer = parse_operator(operator_header(7, "anna", "robot1", bytes(8)) + b"message")
+    assert (offer.version, offer.tags) == (7, True)
