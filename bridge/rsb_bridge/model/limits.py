@@ -41,8 +41,9 @@ DDS_PORTS = 250
 _MULTICAST = (0, 1)
 """Of a domain's ports, those that all its nodes share for discovery and for data (section 9.6.1.1: d0 0, d2 1)."""
 _UNICAST = Range(10, 75)
-"""Of a domain's ports, those of its first 33 participants, two each (d1 10, d3 11, PG 2). Nodes that discover each other
-without multicast look for no more: 32 with Fast DDS, 33 with Cyclone DDS (`ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST`)."""
+"""Of a domain's ports, those of its first 33 participants, two each (d1 10, d3 11, PG 2). Nodes that discover
+each other without multicast look for so many at most: 4 with Fast DDS's defaults, 10 with those of Cyclone DDS, some
+dozens where a user raises that. Later participants take what is free."""
 CHANNEL = Range(1, 30)
 """RFCOMM server channels (Bluetooth RFCOMM 1.2, section 5.4)."""
 

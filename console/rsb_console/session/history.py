@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.history import KEPT_FOR
-from rsb_bridge.model.text import plural
+from rsb_bridge.model.text import escape_json, plural
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
@@ -262,7 +262,7 @@ def _moment(report: HistoryReport, moment: float) -> str:
 def json_report(report: HistoryReport) -> str:
     """All of it as one object."""
     tracks = [{**asdict(track), "up_ratio": track.up_ratio} for track in report.tracks]
-    return json.dumps({**asdict(report), "start": report.start, "tracks": tracks}, ensure_ascii=False)
+    return escape_json(json.dumps({**asdict(report), "start": report.start, "tracks": tracks}, ensure_ascii=False))
 
 
 def csv_report(report: HistoryReport) -> str:

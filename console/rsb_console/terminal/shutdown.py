@@ -12,6 +12,8 @@ from typing import TYPE_CHECKING
 
 from platformdirs import user_log_path
 
+from rsb_bridge.model.text import several_lines
+
 if TYPE_CHECKING:
     from collections.abc import Callable
     from pathlib import Path
@@ -100,4 +102,4 @@ def record_crash() -> None:
         path.parent.mkdir(parents=True, exist_ok=True)
         path.unlink(missing_ok=True)  # one of before may be open to others
         with open(path, "w", encoding="utf-8", opener=owner_only) as file:
-            file.write(traceback.format_exc())
+            file.write(several_lines(traceback.format_exc()))
