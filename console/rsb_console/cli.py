@@ -114,9 +114,9 @@ def _unexpected(error: Exception, *, show: bool) -> int:
         return FAILURE
     from platformdirs import user_state_path
 
+    from rsb_bridge.config.files import owner_only
     from rsb_bridge.model.shortage import why_not_written
     from rsb_bridge.model.text import several_lines
-    from rsb_console.terminal.shutdown import owner_only
 
     log = user_state_path("rsb-console") / "crash.log"
     message = f"unexpected {type(error).__name__}: {error}".splitlines()[0]
@@ -124,7 +124,6 @@ def _unexpected(error: Exception, *, show: bool) -> int:
         log.parent.mkdir(parents=True, exist_ok=True)
         mode = "a" if log.exists() and log.stat().st_size < _CRASHES else "w"
         with open(log, mode, encoding="utf-8", opener=owner_only) as file:
-            os.fchmod(file.fileno(), 0o600)  # one of before may be open to others
             file.writelines(map(several_lines, traceback.format_exception(error)))
     except OSError as full:
         print_error(f"{message} (details: again with --debug; {log}: {why_not_written(full, log)})")

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 
 from platformdirs import user_log_path
 
+from rsb_bridge.config.files import owner_only
 from rsb_bridge.model.text import several_lines
 
 if TYPE_CHECKING:
@@ -88,11 +89,6 @@ def crash_path() -> Path:
 def output_path() -> Path:
     """The file that libraries' own output goes to while the app has the terminal."""
     return user_log_path("rsb-console") / "output.txt"
-
-
-def owner_only(path: str, flags: int) -> int:
-    """Open a file, a new one with mode 0600: an opener for `open`."""
-    return os.open(path, flags | os.O_NOFOLLOW, 0o600)
 
 
 def record_crash() -> None:
