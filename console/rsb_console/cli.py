@@ -12,7 +12,7 @@ import os
 import signal
 import sys
 
-from rsb_console.command.shell import FAILURE, INTERRUPTED, TERMINATED, USAGE, print_error
+from rsb_console.command.shell import FAILURE, INTERRUPTED, TERMINATED, USAGE, CleanErrors, print_error
 
 TYPE_CHECKING = False  # without typing, which takes a while
 if TYPE_CHECKING:
@@ -35,6 +35,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     for name in ("stdout", "stderr"):
         if getattr(sys, name) is None:  # closed by whoever started us: what is said goes nowhere
             setattr(sys, name, open(os.devnull, "w", encoding="utf-8"))  # noqa: PTH123, SIM115 -- as long as the process
+    sys.stderr = CleanErrors(sys.stderr)  # type: ignore[assignment]  # it has all that a stream has
     signal.signal(signal.SIGTERM, _terminated)  # until the command handles it, which a bridge does once it is loaded
     try:
         return _run(sys.argv[1:] if argv is None else list(argv))
@@ -113,8 +114,9 @@ def _unexpected(error: Exception, *, show: bool) -> int:
         return FAILURE
     from platformdirs import user_state_path
 
+    from rsb_bridge.config.files import owner_only
     from rsb_bridge.model.shortage import why_not_written
-    from rsb_console.terminal.shutdown import owner_only
+    from rsb_bridge.model.text import several_lines
 
     log = user_state_path("rsb-console") / "crash.log"
     message = f"unexpected {type(error).__name__}: {error}".splitlines()[0]
@@ -122,8 +124,7 @@ def _unexpected(error: Exception, *, show: bool) -> int:
         log.parent.mkdir(parents=True, exist_ok=True)
         mode = "a" if log.exists() and log.stat().st_size < _CRASHES else "w"
         with open(log, mode, encoding="utf-8", opener=owner_only) as file:
-            os.fchmod(file.fileno(), 0o600)  # one of before may be open to others
-            file.writelines(traceback.format_exception(error))
+            file.writelines(map(several_lines, traceback.format_exception(error)))
     except OSError as full:
         print_error(f"{message} (details: again with --debug; {log}: {why_not_written(full, log)})")
     else:

@@ -7,18 +7,22 @@ from typing import TYPE_CHECKING, Any
 
 import msgspec
 import pytest
+import zstandard
 from tests.support.ports import free_port
+from tests.support.rogue import Rogue
 from tests.support.waiting import eventually
 
 from rsb_bridge.api import EngineError
-from rsb_bridge.config.keys import write_key
+from rsb_bridge.config.keys import read_key, write_key
 from rsb_bridge.engine import Engine
 from rsb_bridge.link.errors import LinkError
-from rsb_bridge.model.benchmark import ENDED_BY_PEER, Leave, Order
+from rsb_bridge.model.benchmark import ENDED_BY_PEER, TYPE, TYPE_HASH, Leave, Order, bench_topic
+from rsb_bridge.model.qos import Qos
 from rsb_bridge.model.session import Client, Session
 from rsb_bridge.model.snapshot import State
 from rsb_bridge.ros.no_ros import NoRos
 from rsb_bridge.ros.synthetic import synthetic_of
+from rsb_bridge.wire.framing import MORE, ZSTD
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -283,3 +287,75 @@ def test_what_cannot_be_ordered(pair: Callable[..., Pair], wrong: dict[str, Any]
     both = pair(to_client=LEAVE)
     assert both.refused(both.client, **wrong)
     assert not both.topics()
+
+
+MEGABYTE = 1_000_000
+
+
+def let_in(server: Engine) -> tuple[int, int, int]:
+    """What a peer that measures has got in: bytes as they came, unpacked, and those of messages that are not whole."""
+
+    async def ask(bridge: Bridge) -> tuple[int, int, int]:
+        (link,) = bridge.links()
+        budget = link.bench._budget
+        return budget._wire, budget._payload, link.budget.unfinished.held
+
+    return server._command(ask).result(WITHIN)
+
+
+def storm(rogue: Rogue, transport: str, what: str, size: int) -> int:
+    """Send 20 MB on a topic that measures, as fast as the server takes them; the bytes that went out."""
+    route = rogue.route(bench_topic(transport, "transmit"), transport, Qos(), (TYPE, TYPE_HASH))
+    messages, sent = 20 * MEGABYTE // size, 0
+    content = zstandard.ZstdCompressor(1).compress(bytes(MEGABYTE)) if what == "compressed" else bytes(size)
+    try:
+        if transport == "udp":
+            rogue.probe()
+            writer = rogue.datagrams(route)
+            for _ in range(messages):
+                for datagram in writer.write(content, 0, 0, 1400):
+                    rogue.udp.send(datagram)
+                    sent += len(datagram)
+            return sent
+        stream, frames = rogue.stream(route)
+        for _ in range(messages):
+            flags = ZSTD if what == "compressed" else MORE if what == "chunks" else 0
+            stream.sendall(frame := frames.write(content, 0, flags))
+            sent += len(frame)
+    except OSError:
+        pass
+    return sent
+
+
+@pytest.mark.parametrize(
+    ("transport", "what", "size"),
+    [
+        ("tcp", "small", 100),
+        ("tcp", "whole", 500_000),
+        ("tcp", "one", 20 * MEGABYTE),
+        ("tcp", "chunks", 100_000),
+        ("tcp", "compressed", 50_000),
+        ("udp", "small", 1_000),
+        ("udp", "large", 300_000),
+    ],
+)
+def test_no_byte_beyond_the_leave_is_let_in(
+    pair: Callable[..., Pair], tmp_path: Path, transport: str, what: str, size: int
+) -> None:
+    """Over several connections, since the leave is for an hour."""
+    both = pair(to_client=Leave(megabytes=1.0, max_rate=1e6))
+    both.client.stop()
+    port = both.server.session.server_port
+    refused = 0
+    for _ in range(3):
+        eventually(lambda: not any(link.state is State.OK for link in both.server.snapshot().links), WITHIN)
+        with Rogue(port, read_key(tmp_path / "k.key").secret) as rogue:
+            try:
+                storm(rogue, transport, what, size)
+            except AssertionError:  # it may not propose the topic any more
+                refused += 1
+            eventually(lambda: not both.server.snapshot().routes, WITHIN)
+            wire, payload, unfinished = let_in(both.server)
+            assert max(wire, payload) <= MEGABYTE
+            assert unfinished <= MEGABYTE
+    assert refused >= 1

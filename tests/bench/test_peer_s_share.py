@@ -30,6 +30,7 @@ class Here:
         self.time = 0.0
         self.ros = Synthetic(cast("Any", NoRos()), Time())
         self.denied: list[str] = []
+        loop = SimpleNamespace(call_soon=lambda work: work())
         self.routes: dict[str, Any] = {}
         ids = SimpleNamespace(open_route=lambda number: list(self.routes.values())[number])
         table = SimpleNamespace(deny=lambda _, reason: self.denied.append(reason), ids=ids)
@@ -38,7 +39,7 @@ class Here:
                 "Link",
                 SimpleNamespace(
                     name=PEER,
-                    context=SimpleNamespace(ros=self.ros, now=lambda: self.time),
+                    context=SimpleNamespace(ros=self.ros, now=lambda: self.time, loop=loop),
                     send=lambda _: None,
                     spawn=lambda _: None,
                     rights=SimpleNamespace(bench=Leave(seconds=10.0, max_rate=100.0, megabytes=1.0)),
@@ -138,3 +139,16 @@ def test_a_peer_whose_count_goes_on_growing_is_not_waited_for_for_ever(monkeypat
     monkeypatch.setattr(here.bench, "_ask", ask)
     order = Order("run", PEER, "tcp", "transmit", 100, 100_000.0, 1_000_000)
     assert asyncio.run(here.bench._settled_there(cast("Route", None), 1, order)).received == received
+
+
+def test_no_message_beyond_the_leave_is_taken_whatever_its_size() -> None:
+    here = Here()
+    drain = here.open(UP)
+    publish(drain, 10, 100_000)
+    assert not here.denied
+    publish(drain, 1, 1)
+    assert here.denied
+    assert (drain.messages, drain.bytes) == (10, 1_000_000)
+    here.time += 3600.0
+    publish(here.open(UP), 1, 900_000)
+    assert not here.bench.refusal(UP, Leave(seconds=10.0, max_rate=100.0, megabytes=1.0))

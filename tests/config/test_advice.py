@@ -33,6 +33,8 @@ def many(count: int, port: int | None = None) -> list[Topic]:
         ({**SERVER, "server_port": 80}, None, "server_port", "ports below 1024 need root"),
         ({**SERVER, "server_port": 7649, "domain_id": 0}, None, "server_port", "ROS domain 0 (7400 to 7649)"),
         ({**SERVER, "ports": (12001, 7650)}, "1", "ports[1]", "7650 belongs to ROS domain 1 (7650 to 7899)"),
+        ({**SERVER, "server_port": 9900, "domain_id": 0}, None, "server_port", "domain 10"),
+        (topics(Topic("/a", "transmit", port=7660)), None, "topics[0].port", "domain 1's"),
         ({**CLIENT, "metrics": "0.0.0.0:9464"}, None, "metrics", "no password protects them"),
         (topics(Topic("/shutdown", "transmit")), None, "topics[0]", "it closes the bridge, too"),
         (topics(Topic("/a", "transmit", port=80)), None, "topics[0].port", "refuses ports below 1024"),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import socket
 import stat
@@ -16,9 +17,12 @@ from tests.console.scripted import SESSION, ScriptedEngine
 
 from rsb_bridge.control import bridges, folders
 from rsb_bridge.control.bridges import AlreadyRunningError
-from rsb_bridge.control.folders import ControlError, Listener, TakenError
+from rsb_bridge.control.client import RemoteEngine
+from rsb_bridge.control.folders import ControlError, Listener, StrangerError, TakenError
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
+
     from tests.support.control import Machine
 
 as_root = pytest.mark.skipif(os.geteuid() != 0, reason="needs root, to be somebody else")
@@ -44,51 +48,97 @@ def test_only_its_user_may_use_a_socket(machine: Machine) -> None:
     assert mode(machine.folder / "robot1.sock") == 0o600
 
 
-@as_root
-def test_another_user_is_refused_even_where_the_files_let_them_in(tmp_path: Path) -> None:
-    """The kernel says who connects; root's bridge serves root, and a user's serves that user and root."""
-    script = f"""
+SAYS_HELLO = f"""
 import os, socket, sys
 sys.path[:0] = {sys.path!r}
-from rsb_bridge.control.protocol import VERSION, Hello, encode
-os.setuid(65534)
+from rsb_bridge.control.protocol import VERSION, Hello, Refused, Welcome, encode, frames_to_console
+os.setuid(int(sys.argv[2]))
 connection = socket.socket(socket.AF_UNIX)
 connection.connect(sys.argv[1])
 connection.sendall(encode(Hello(VERSION, "0.1.0")))
-print(connection.recv(1000))
+for message in frames_to_console().feed(connection.recv(100_000)):
+    if isinstance(message, (Refused, Welcome)):
+        print(type(message).__name__)
 """
-    server_script = f"""
+SERVES = f"""
 import os, sys
 sys.path[:0] = {sys.path!r}
 from pathlib import Path
 from tests.console.scripted import SESSION, ScriptedEngine
 from rsb_bridge.control import bridges
-os.setuid(1234)
+os.setuid(int(sys.argv[2]))
 server = bridges.serve(ScriptedEngine(), SESSION, file=None, control=Path(sys.argv[1]), on_stop=lambda: None)
 os.chmod(sys.argv[1], 0o666)
 print("ready", flush=True)
 sys.stdin.read()
 server.close()
 """
+SOMEBODY = 1234
+
+
+@contextlib.contextmanager
+def served_by(uid: int) -> Iterator[Path]:
+    """A bridge of a user, in a folder and on a socket that everybody may use."""
     folder = Path("/tmp") / f"rsb-console-test-{os.getpid()}"
     folder.mkdir(mode=0o755)
-    os.chown(folder, 1234, 1234)
+    os.chown(folder, uid, uid)
     path = folder / "robot1.sock"
     try:
         with subprocess.Popen(
-            [sys.executable, "-c", server_script, str(path)], stdin=subprocess.PIPE, stdout=subprocess.PIPE
+            [sys.executable, "-c", SERVES, str(path), str(uid)], stdin=subprocess.PIPE, stdout=subprocess.PIPE
         ) as server:
             assert server.stdout
             assert server.stdin
             assert server.stdout.readline() == b"ready\n"
-            run = subprocess.run(
-                [sys.executable, "-c", script, str(path)], capture_output=True, text=True, timeout=60, check=True
-            )
-            assert "another user" in run.stdout
-            assert bridges.ask(path).info is not None, "root may"
+            yield path
             server.stdin.close()
     finally:
         folder.rmdir()
+
+
+def answer_to(uid: int, path: Path) -> str:
+    """What the bridge answers to a console of a user."""
+    command = [sys.executable, "-c", SAYS_HELLO, str(path), str(uid)]
+    return subprocess.run(command, capture_output=True, text=True, timeout=60, check=True).stdout.strip()
+
+
+@as_root
+@pytest.mark.parametrize("of", [0, SOMEBODY])
+def test_another_user_is_refused_even_where_the_files_let_them_in(of: int) -> None:
+    """The kernel says who connects; root's bridge serves root, and a user's serves that user and root."""
+    with served_by(of) as path:
+        assert answer_to(NOBODY, path) == "Refused"
+        assert answer_to(of, path) == "Welcome"
+        assert answer_to(0, path) == "Welcome"
+
+
+@as_root
+def test_roots_console_does_not_trust_another_users_process(monkeypatch: pytest.MonkeyPatch) -> None:
+    """It could have root's console save a session wherever it likes. A service's folder is root's own doing."""
+    with served_by(SOMEBODY) as path:
+        with pytest.raises(StrangerError) as refused:
+            bridges.ask(path)
+        assert refused.value.uid == SOMEBODY
+        with pytest.raises(StrangerError):
+            RemoteEngine(path).start()
+        monkeypatch.setattr(folders, "SERVICES", path.parent)
+        assert bridges.ask(path).info is not None
+        os.chown(path.parent, NOBODY, NOBODY)
+        with pytest.raises(StrangerError):
+            bridges.ask(path)
+        os.chown(path.parent, SOMEBODY, SOMEBODY)
+
+
+@as_root
+def test_root_does_not_look_into_a_folder_that_another_user_has_made(machine: Machine) -> None:
+    """Anybody can make /tmp/rsb-console-0 before root does."""
+    machine.serve()
+    assert folders.find_sockets(machine.environ)
+    assert folders.hidden_bridges(machine.environ) is None
+    os.chown(machine.folder, SOMEBODY, SOMEBODY)
+    assert not folders.find_sockets(machine.environ)
+    assert folders.hidden_bridges(machine.environ) == SOMEBODY
+    os.chown(machine.folder, 0, 0)
 
 
 @as_root
@@ -97,7 +147,7 @@ def test_a_console_does_not_trust_another_users_process(monkeypatch: pytest.Monk
     monkeypatch.setattr(folders, "peer_of", lambda _: (1, NOBODY, NOBODY))
     monkeypatch.setattr(os, "geteuid", lambda: 1234)
     monkeypatch.setattr(folders, "_folder_problem", lambda *_, **__: "")
-    with pytest.raises(ControlError, match="another user's"):
+    with pytest.raises(StrangerError):
         bridges.ask(machine.folder / "robot1.sock")
 
 

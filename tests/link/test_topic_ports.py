@@ -13,7 +13,7 @@ from tests.support.waiting import eventually
 from rsb_bridge.config.keys import read_key
 from rsb_bridge.link.topic_ports import TopicPorts, check_topic_port
 from rsb_bridge.model.codes import EventCode
-from rsb_bridge.model.limits import PORTS_PER_CLIENT
+from rsb_bridge.model.limits import DEFAULT_PORT, PORTS_PER_CLIENT, discovery_domain
 from rsb_bridge.model.session import Session, Topic
 from rsb_bridge.model.transports import named
 from rsb_bridge.transport.transport import ListenError
@@ -52,7 +52,7 @@ def test_a_port_of_the_servers_domain_is_refused_on_both_sides(protocol: Any, br
 
 @pytest.mark.parametrize(
     ("domain", "port", "is_free"),
-    [(0, 7399, True), (0, 7400, False), (0, 7649, False), (0, 7650, True), (1, 7400, True), (18, 12001, False)]
+    [(0, 7399, True), (0, 7400, False), (0, 7649, False), (0, 7652, True), (1, 7649, True), (18, 12001, False)]
     + [(domain, port, True) for domain in (0, 1, 17, 19) for port in (12001, 12012)],
 )
 def test_the_ports_of_a_domain(domain: int, port: int, is_free: bool) -> None:
@@ -65,6 +65,33 @@ def test_the_ports_of_a_domain(domain: int, port: int, is_free: bool) -> None:
                 check_topic_port(domain, transport, port)
     with pytest.raises(ListenError, match="1024 to 65535; give one of these"):
         check_topic_port(domain, TCP, 1023)
+
+
+@pytest.mark.parametrize("domain", [0, 1, 17, 101, 102, 232])
+@pytest.mark.parametrize("offset", [0, 1, 10, 11, 74, 75])
+def test_a_discovery_port_of_any_domain_is_refused(domain: int, offset: int) -> None:
+    """Other domains may have nodes on the server's machine, which would no longer find each other."""
+    port = 7400 + 250 * domain + offset
+    assert discovery_domain(port) == domain
+    for transport in (TCP, UDP):
+        with pytest.raises(ListenError):
+            check_topic_port(18, transport, port)
+
+
+@pytest.mark.parametrize("port", [DEFAULT_PORT, 7061, 7399, 12001, 12012, 49152, 49153, 65535])
+def test_ports_of_samples_and_of_the_thesis_are_no_discovery_ports(port: int) -> None:
+    assert discovery_domain(port) is None
+    check_topic_port(0, UDP, port)
+
+
+def test_a_peer_gets_no_discovery_port_of_another_domain(bridge: Bridge) -> None:
+    bridge.server(ports=tuple(range(7400, 7700)))  # a list does not allow it either
+    other = 1 if bridge.pc.id != 1 else 2
+    with Rogue(bridge.port, read_key(bridge.folder / bridge.key_file).secret) as rogue:
+        for at, offset in enumerate((0, 1, 10, 11)):
+            answer = asks(rogue, 2 * at + 1, 7400 + 250 * other + offset)
+            assert isinstance(answer, Refuse)
+            assert answer.code == "port_taken"
 
 
 def test_a_client_has_so_many_however_it_asks(bridge: Bridge) -> None:

@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING
 
 from tests.support.locks import locked
 
+from rsb_bridge.model.limits import discovery_domain
+
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
@@ -18,8 +20,8 @@ _BLOCKS = range(8_000, 12_000, _BLOCK)
 
 
 def free_port(host: str = "127.0.0.1") -> int:
-    """A port that neither TCP nor UDP has in use."""
-    return next(port for port in _ports() if _is_free(host, port))
+    """A port that neither TCP nor UDP has in use, and that no ROS domain needs for discovery."""
+    return next(port for port in _ports() if discovery_domain(port) is None and _is_free(host, port))
 
 
 @functools.cache

@@ -24,6 +24,7 @@ from rsb_bridge.model.limits import (
     SAFE_DOMAIN,
     TOPIC_PORT,
     dds_ports,
+    discovery_domain,
 )
 from rsb_bridge.model.qos import AUTO
 from rsb_bridge.model.session import Problem
@@ -92,6 +93,8 @@ def _domain(session: Session, variable: str | None) -> Iterator[Problem]:
         if port in taken:
             message = f"{port} belongs to ROS domain {domain} ({taken}): its nodes may fail to discover each other"
             yield Problem(location, message)
+        elif (other := discovery_domain(port)) is not None:
+            yield Problem(location, f"{port} is reserved for discovery in ROS domain {other}: give another port")
     if domain not in SAFE_DOMAIN:
         yield Problem("domain_id", f"domain {domain} can collide with other programs' ports; {SAFE_DOMAIN} cannot")
 
@@ -117,6 +120,12 @@ def _topics(topics: Sequence[Topic], where: str, session: Session) -> Iterator[P
             yield Problem(
                 join(location, "port"),
                 f"a server refuses {transport.port_kind}s below {transport.topic_ports.low} for topics",
+                place=f"{place}, port",
+            )
+        elif topic.port is not None and transport.ip_ports and (domain := discovery_domain(topic.port)) is not None:
+            yield Problem(
+                join(location, "port"),
+                f"a server refuses ports by which nodes discover each other: {topic.port} is ROS domain {domain}'s",
                 place=f"{place}, port",
             )
         for message in _depth(topic):

@@ -10,6 +10,8 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, TextIO
 
+from rsb_bridge.model.text import several_lines
+
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
@@ -45,8 +47,10 @@ def replace_file(path: Path, content: bytes, *, like: Path | None = None) -> Non
             the file that is replaced. Both are as far as this user may give them.
 
     Raises:
-        OSError: the file cannot be written, or the path leads to something else (a device, a FIFO, a folder).
+        OSError: the file cannot be written, or the path leads to something else (a device, a FIFO, a folder), or it is
+            a symbolic link of another user, which could lead to any file of this one.
     """
+    _check_link(path)
     target = Path(os.path.realpath(path))
     if target.exists() and not target.is_file():
         raise OSError(errno.EINVAL, f"is {kind_of_file(target.stat().st_mode)}, not a file", str(path))
@@ -69,35 +73,55 @@ def replace_file(path: Path, content: bytes, *, like: Path | None = None) -> Non
     _sync_folder(target.parent)
 
 
+def _check_link(path: Path) -> None:
+    """Refuse a symbolic link that another user has put there.
+
+    The kernel's own check (proc_sys_fs(5), protected_symlinks) misses files that are put in place by a rename.
+    """
+    if path.is_symlink() and path.lstat().st_uid not in (0, os.geteuid()):
+        raise OSError(errno.EPERM, "is a symbolic link of another user", str(path))
+
+
 def write_whole(path: Path, text: str) -> None:
     """Write a text for whoever asked for it: a file as a whole or not at all; a device or a pipe as it comes.
+
+    The file has mode 0600, also where it replaces one that others could read. Control characters in the text are
+    escaped.
 
     Raises:
         OSError: it cannot be written; an old file is as it was.
     """
+    clean = several_lines(text)
     if path.is_file():
-        replace_file(path, text.encode(), like=path)
+        replace_file(path, clean.encode())
     elif path.exists():
-        path.write_text(text, encoding="utf-8")
+        path.write_text(clean, encoding="utf-8")
     else:
         with new_file(path) as file:
-            file.write(text)
+            file.write(clean)
 
 
 @contextmanager
 def new_file(path: Path, newline: str | None = None) -> Iterator[TextIO]:
-    """A text file that is not there yet; where writing it fails, it is not there either.
+    """A text file that is not there yet, mode 0600; where writing it fails, it is not there either.
 
     Raises:
         OSError: it is there, or it cannot be written.
     """
-    file = path.open("x", encoding="utf-8", newline=newline)
+    handle = owner_only(str(path), os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC)
     try:
-        with file:
+        with os.fdopen(handle, "w", encoding="utf-8", newline=newline) as file:
             yield file
     except OSError:
         path.unlink(missing_ok=True)
         raise
+
+
+def owner_only(path: str, flags: int) -> int:
+    """Open a file that is no symbolic link, with mode 0600 from the start: an opener for `open`."""
+    handle = os.open(path, flags | os.O_NOFOLLOW, 0o600)
+    os.fchmod(handle, 0o600)  # a umask may have left less, and a file of before may be open to others
+    return handle
 
 
 def give_owner(file: int | Path, like: Path) -> None:

@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rsb_bridge.config.files import kind_of_file, replace_file, typed_path
+from rsb_bridge.config.files import kind_of_file, owner_only, replace_file, typed_path
 from rsb_bridge.model.fingerprints import fingerprint_of, format_fingerprint
 from rsb_bridge.model.shortage import why_not_written
 
@@ -186,7 +186,7 @@ def _decode(text: str) -> bytes | None:
 
 
 def _write_new(path: Path, content: bytes) -> None:
-    handle = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
+    handle = owner_only(str(path), os.O_WRONLY | os.O_CREAT | os.O_EXCL)
     try:
         with os.fdopen(handle, "wb") as file:
             file.write(content)

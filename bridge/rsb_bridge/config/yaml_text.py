@@ -11,6 +11,7 @@ import yaml
 from rsb_bridge.config.decoding import join
 from rsb_bridge.config.keys import conceal, is_key_file
 from rsb_bridge.model.session import Problem
+from rsb_bridge.model.text import one_line
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
@@ -42,7 +43,8 @@ class SessionError(Exception):
     def __init__(self, path: Path, problems: Iterable[Problem]) -> None:
         self.path = path
         self.problems = tuple(sorted(problems, key=lambda problem: problem.line or 0))
-        super().__init__("\n".join(f"{path}:{f'{each.line}:' if each.line else ''} {each}" for each in self.problems))
+        file = one_line(str(path))
+        super().__init__("\n".join(f"{file}:{f'{each.line}:' if each.line else ''} {each}" for each in self.problems))
 
 
 class YamlError(ValueError):
@@ -53,7 +55,7 @@ class YamlError(ValueError):
     """
 
     def __init__(self, message: str, line: int | None) -> None:
-        super().__init__(message)
+        super().__init__(one_line(message))
         self.line = line
 
 

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 
 from rsb_bridge import __version__
 from rsb_bridge.control import folders, protocol
+from rsb_bridge.control.cleaning import clean
 from rsb_bridge.control.features import hello
 from rsb_bridge.control.folders import ControlError, Listener, NotServedError, TakenError
 from rsb_bridge.control.protocol import BridgeInfo, ProtocolError, Refused, Welcome
@@ -90,7 +91,8 @@ def ask(path: Path) -> RunningBridge:
             connection.sendall(protocol.encode(hello(read_only=True)))
             frames = protocol.frames_to_console()
             while data := connection.recv(_READ_SIZE):
-                for message in frames.feed(data):
+                for each in frames.feed(data):
+                    message = clean(each)  # it is shown in lists, before anybody attaches
                     if isinstance(message, Welcome):
                         return RunningBridge(path, pid, message.bridge)
                     if isinstance(message, Refused):

@@ -6,6 +6,7 @@ import contextlib
 import errno
 import fcntl
 import os
+import pwd
 import socket
 import stat
 import struct
@@ -14,6 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rsb_bridge.api import EngineError
+from rsb_bridge.model.text import sanitize_text
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
@@ -38,6 +40,18 @@ class UnclearError(ControlError):
 
 class NotServedError(ControlError):
     """No process listens on a control socket."""
+
+
+class StrangerError(ControlError):
+    """The other side of a control socket is a user whom this process does not trust.
+
+    Attributes:
+        uid: of that user.
+    """
+
+    def __init__(self, path: Path, uid: int) -> None:
+        super().__init__(f"{path}: served by {user_name(uid)}, not by this user: {run_as(uid)}")
+        self.uid = uid
 
 
 class TakenError(ControlError):
@@ -79,21 +93,46 @@ def _fallback_folder() -> Path:
 
 
 def find_sockets(environ: Mapping[str, str]) -> list[Path]:
-    """All sockets in the folders that can be read, living or not."""
+    """All sockets in the folders that can be read, living or not. Folders of strangers are left out."""
     found = []
     for folder in searched_folders(environ):
         with contextlib.suppress(OSError):
+            if folder.stat().st_uid not in (0, os.geteuid()) and folder != SERVICES:
+                continue
             sockets = (path for path in folder.iterdir() if path.suffix == SUFFIX)
             found += sorted(sockets, key=lambda path: path.stem)
     return found
 
 
-def hidden_services() -> str:
-    """The user whose services' sockets this user may not see; empty: there are none, or they may be seen."""
+def hidden_bridges(environ: Mapping[str, str]) -> int | None:
+    """Return the uid of a user whose sockets this user may not see or does not look at, or None if there is none."""
+    for folder in searched_folders(environ):
+        with contextlib.suppress(OSError):
+            owner = folder.stat().st_uid
+            if folder == SERVICES:
+                if not os.access(folder, os.R_OK | os.X_OK):
+                    return owner
+            elif owner not in (0, os.geteuid()):
+                return owner
+    return None
+
+
+def user_name(uid: int) -> str:
+    """Name a user in a message: ``the user ros``, ``uid 1234`` where the system has no name."""
     try:
-        return "" if os.access(SERVICES, os.R_OK | os.X_OK) else SERVICES.owner()
-    except (OSError, KeyError):  # no such folder, or no such user
-        return ""
+        return f"the user {sanitize_text(pwd.getpwuid(uid).pw_name)}"
+    except KeyError:
+        return f"uid {uid}"
+
+
+def run_as(uid: int) -> str:
+    """Return the beginning of a command line that runs rsb-console as a user."""
+    if uid == 0:
+        return "sudo rsb-console …"
+    try:
+        return f"sudo -u {sanitize_text(pwd.getpwuid(uid).pw_name)} rsb-console …"
+    except KeyError:
+        return f"sudo -u '#{uid}' rsb-console …"
 
 
 class Listener:
@@ -136,13 +175,14 @@ class Listener:
 
 
 def connect(path: Path, timeout: float) -> socket.socket:
-    """Connect to a control socket, whose server must be this user's or root's.
+    """Connect to a control socket, whose server must be this user's or root's; to root, also that of a service.
 
     Args:
         path: of the socket.
         timeout: s; remains the socket's own.
 
     Raises:
+        StrangerError: another user serves it.
         ControlError: nothing listens there, or it may not be used.
     """
     with _reported(path):
@@ -167,18 +207,21 @@ def _connect(path: Path, timeout: float) -> socket.socket:
         try:
             connection.settimeout(timeout)
             connection.connect(_address(folder, path.name))
-            if not is_trusted(connection):
-                raise ControlError(f"{path}: another user's process serves this socket")
+            _, uid, _ = peer_of(connection)
+            # Whoever started the services' folder there was root, who named their user. Any other user may pose as a
+            # bridge: in a folder of /tmp that bears root's number, or under a path that root is told.
+            service = path.parent == SERVICES and uid == os.fstat(folder).st_uid and os.geteuid() == 0
+            if not (may_control(uid) or service):
+                raise StrangerError(path, uid)
         except BaseException:
             connection.close()
             raise
     return connection
 
 
-def is_trusted(connection: socket.socket) -> bool:
-    """Whether the other side of a Unix socket is this user, or root, or this user is root."""
-    _, uid, _ = peer_of(connection)
-    return os.geteuid() == 0 or uid in (0, os.geteuid())
+def may_control(uid: int) -> bool:
+    """Whether a user may control bridges of this process's user: that user and root, whatever the files' modes say."""
+    return uid in (0, os.geteuid())
 
 
 def peer_of(connection: socket.socket) -> tuple[int, int, int]:

@@ -7,12 +7,13 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import os
 import threading
 from typing import TYPE_CHECKING
 
 from rsb_bridge.control import protocol
 from rsb_bridge.control.console import Console
-from rsb_bridge.control.folders import is_trusted, peer_of
+from rsb_bridge.control.folders import may_control, peer_of, run_as, user_name
 from rsb_bridge.control.identity import identify
 from rsb_bridge.control.protocol import ProtocolError
 from rsb_bridge.control.states import EncodedRoutes
@@ -169,8 +170,8 @@ class ControlServer:
         if self.attached() >= 2 * protocol.CONSOLES:
             writer.transport.abort()
             return
-        trusted = is_trusted(writer.get_extra_info("socket"))
-        console = Console(self, _OfThisMachine(writer), self.full() if trusted else "this bridge is another user's")
+        _, uid, _ = peer_of(writer.get_extra_info("socket"))
+        console = Console(self, _OfThisMachine(writer), self.full() if may_control(uid) else _not_yours())
         self.add(console)
         try:
             while data := await reader.read(_READ_SIZE):
@@ -180,6 +181,12 @@ class ControlServer:
         finally:
             self.remove(console)
             console.abort()
+
+
+def _not_yours() -> str:
+    """Return why a console of another user is refused."""
+    uid = os.geteuid()
+    return f"this bridge runs as {user_name(uid)}, and no other user but root may control it: {run_as(uid)}"
 
 
 class _OfThisMachine:

@@ -79,6 +79,7 @@ class EventFile:
     def _open(self) -> None:
         fd = os.open(self.path, os.O_RDWR | os.O_APPEND | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW, 0o600)
         try:
+            os.fchmod(fd, 0o600)  # one of before may be open to others
             self._size = os.fstat(fd).st_size
             if self._size and os.pread(fd, 1, self._size - 1) != b"\n":  # a line that a killed process began
                 self._size += os.write(fd, b"\n")

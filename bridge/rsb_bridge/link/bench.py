@@ -34,6 +34,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
     from typing import Any
 
+    from rsb_bridge.channel.metered import Meter
     from rsb_bridge.link.link import Link
     from rsb_bridge.model.benchmark import Leave, Order
     from rsb_bridge.ros.synthetic import Drain, Source
@@ -71,10 +72,13 @@ class LinkBench:
         self._used_at = 0.0
         self._stopped_until = float("-inf")
         self._busy = False
-        self._seen: dict[Drain, tuple[int, int]] = {}
-        """What the peer sends to: messages and bytes that had come at the last tick."""
+        self._seen: dict[Drain, int] = {}
+        """What the peer sends to: messages that had come at the last tick."""
         self._own: set[Drain] = set()
         """What this side has the peer send to, which costs the peer nothing."""
+        self._ends_soon = False
+        if self._synthetic is not None:
+            self._synthetic.admits[link.name] = self._admits
 
     # --- for the peer
 
@@ -141,35 +145,58 @@ class LinkBench:
         source.start(size, ask.rate, ask.count)
         return ""
 
+    def meter_of(self, route_id: int) -> Meter | None:
+        """The meter of a topic by which the peer measures, or None of any other route."""
+        route = self._link.table.ids.open_route(route_id)
+        if route is None or route.proposed_here or route.outgoing or not is_bench_topic(route.local_topic):
+            return None
+        return lambda size: self._budget.take(self._link.rights.bench, wire=size) or self._end_soon()
+
+    def _admits(self, drain: Drain, size: int) -> bool:
+        """Whether a message may come to a topic that measures, unpacked."""
+        if drain in self._own:
+            return True
+        return self._budget.take(self._link.rights.bench, payload=size) or self._end_soon()
+
+    def _end_soon(self) -> bool:
+        """End the peer's topics at the next turn of the loop: what they have used up has just come through one."""
+        if not self._ends_soon:
+            self._ends_soon = True
+            self._link.context.loop.call_soon(self._end_refused)
+        return False
+
+    def _end_refused(self, rate: float = 0.0) -> None:
+        self._ends_soon = False
+        if refused := self._budget.refusal(self._link.rights.bench, rate=rate):
+            for route in self._routes():
+                if not route.proposed_here:
+                    self._link.table.deny(route, refused)
+
     def tick(self) -> None:
         """Once a second: count what the peer has caused, and remove the topics of a benchmark that has gone."""
-        count, size = self._come()
+        count = self._come()
         if count:
-            self._budget.spend(1.0, size)
+            self._budget.spend(1.0, 0.0)  # its bytes are counted as they come
         rate = max(0.0, count - _MORE_AT_ONCE) / _MORE
-        refused = self._budget.refusal(self._link.rights.bench, rate=rate)
+        self._end_refused(rate)
         for route in self._routes():
-            if not route.proposed_here:
-                if refused:
-                    self._link.table.deny(route, refused)
-            elif not self._busy and self._now() - self._used_at > _IDLE_FOR:
+            if route.proposed_here and not self._busy and self._now() - self._used_at > _IDLE_FOR:
                 self._link.table.remove(route, _ENDED)
 
-    def _come(self) -> tuple[int, int]:
-        """Messages and bytes that the peer has sent since the last tick, also on topics that are gone."""
+    def _come(self) -> int:
+        """Messages that the peer has sent since the last tick, also on topics that are gone."""
         if self._synthetic is None:
-            return 0, 0
-        messages = size = 0
-        opened = dict.fromkeys(self._synthetic.opened(self._link.name), (0, 0))
-        for drain, (messages_before, bytes_before) in (self._seen | opened).items():
+            return 0
+        messages = 0
+        opened = dict.fromkeys(self._synthetic.opened(self._link.name), 0)
+        for drain, before in (self._seen | opened).items():
             if drain not in self._own:
-                messages += drain.messages - messages_before
-                size += drain.bytes - bytes_before
-            self._seen[drain] = drain.messages, drain.bytes
+                messages += drain.messages - before
+            self._seen[drain] = drain.messages
             if drain.closed:
                 del self._seen[drain]
                 self._own.discard(drain)
-        return messages, size
+        return messages
 
     def _sends_for_peer(self, route: Route) -> bool:
         source, _ = self._ends(route)

@@ -24,6 +24,8 @@ class BenchBudget:
         self._now = now
         self._began = float("-inf")
         self._seconds = self._bytes = 0.0
+        self._wire = self._payload = 0
+        self._full = False
 
     def refusal(self, leave: Leave | None, seconds: float = 0.0, size: float = 0.0, rate: float = 0.0) -> str:
         """Why nothing, or nothing of this kind, may be caused now; empty: it may.
@@ -42,19 +44,46 @@ class BenchBudget:
         if self._seconds >= leave.seconds or self._seconds + seconds > leave.seconds:
             return f"a benchmark may take at most {leave.seconds:g} s in an hour (bench.seconds){_LITTLE_LEFT}"
         most = leave.megabytes * 1e6
-        if self._bytes >= most or self._bytes + size > most:
+        if self._full or self._used() >= most or self._used() + size > most:
             return f"a benchmark may send at most {most / 1e6:g} MB in an hour (bench.megabytes){_LITTLE_LEFT}"
         return ""
 
     def spend(self, seconds: float, size: float) -> None:
         """So many s were used, and bytes."""
         self._renew()
-        if self._began == float("-inf"):
-            self._began = self._now()
+        self._begin()
         self._seconds += seconds
         self._bytes += size
+
+    def take(self, leave: Leave | None, *, wire: int = 0, payload: int = 0) -> bool:
+        """Take what the peer has sent, before anything is done with it; False: it would be more than the leave.
+
+        Args:
+            leave: what the session says now; None: nothing is allowed.
+            wire: bytes as they came, with headers and seals.
+            payload: bytes of a message of these, which compression may have made fewer.
+        """
+        self._renew()
+        most = 0.0 if leave is None else leave.megabytes * 1e6
+        if self._full or self._bytes + max(self._wire + wire, self._payload + payload) > most:
+            self._full = True
+            return False
+        self._begin()
+        self._wire += wire
+        self._payload += payload
+        return True
+
+    def _used(self) -> float:
+        """Bytes that were sent for the peer, and of what it sent what is more: as it came, or unpacked."""
+        return self._bytes + max(self._wire, self._payload)
+
+    def _begin(self) -> None:
+        if self._began == float("-inf"):
+            self._began = self._now()
 
     def _renew(self) -> None:
         if self._now() - self._began >= HOUR:
             self._began = float("-inf")
             self._seconds = self._bytes = 0.0
+            self._wire = self._payload = 0
+            self._full = False

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
 
     from rsb_bridge.channel.channel import Carrier
+    from rsb_bridge.channel.metered import Meter
     from rsb_bridge.channel.shared_stream import SharedStreamOwner
     from rsb_bridge.link.control_channel import ControlChannel
     from rsb_bridge.model.codes import EventCode
@@ -37,6 +38,7 @@ class DataChannels:
         send_receipts: sends receipts to the peer.
         way_back: gives the s that a message of the peer takes to get here.
         ping: gives the s of the connection's shortest ping, or 0 if it is unknown.
+        meter_of: gives the meter of a route by its id, or None for a route that has none.
 
     Attributes:
         book: for receipts of streams, or None without a link or if the peer does not support them.
@@ -54,6 +56,7 @@ class DataChannels:
         send_receipts: Callable[[Receipts], None],
         way_back: Callable[[], float],
         ping: Callable[[], float],
+        meter_of: Callable[[int], Meter | None],
     ) -> None:
         self.book: ReceiptBook | None = None
         self.keys: DataKeys | None = None
@@ -64,11 +67,12 @@ class DataChannels:
         self._loop = loop
         self._send_receipts = send_receipts
         self._way_back, self._ping = way_back, ping
+        self._meter_of = meter_of
 
     def connected(self, keys: SessionKeys, role: Role, *, receipts: bool) -> None:
         """Begin a connection with its keys; `receipts` says whether both sides support them."""
         self.book = ReceiptBook(self._loop, self._send_receipts, self._way_back, self._ping) if receipts else None
-        self.keys = DataKeys(keys, role, self._unfinished)
+        self.keys = DataKeys(keys, role, self._unfinished, meter_of=self._meter_of)
         self.probe = PathProbe(self.keys)
 
     def disconnected(self) -> None:

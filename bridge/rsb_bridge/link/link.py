@@ -113,8 +113,15 @@ class Link(ABC):
         self.neighbourhood = Neighbourhood(context, self.send)
         self._tasks = Tasks(context.loop, self.fail)
         self.keepalive = Keepalive(context, self.carriers)
+        self.bench = LinkBench(self)
         self.channels = DataChannels(
-            context.loop, self._log_udp, self.budget.unfinished, self.send, self._certain_way_back, self._shortest_ping
+            context.loop,
+            self._log_udp,
+            self.budget.unfinished,
+            self.send,
+            self._certain_way_back,
+            self._shortest_ping,
+            self.bench.meter_of,
         )
         self.table = RouteTable(context, self)
         self.fullness = LinkFullness(self._log_full)
@@ -122,7 +129,6 @@ class Link(ABC):
         self.proposed = ProposedTopics(context, self.table, name, self._prefixed, lambda: self.profile)
         self.patterns = LinkPatterns(self)
         self.topic_lists = TopicLists(context.ros, self.shows, self.send, self.spawn)
-        self.bench = LinkBench(self)
         self._early = EarlyReports(context.loop, self.send)
         self.type_questions = TypeQuestions(context.descriptions, self.table.ids.open_route, self.send, self.spawn)
         context.demands.register(self)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from rsb_bridge.model.limits import PORTS_PER_CLIENT, dds_ports
+from rsb_bridge.model.limits import PORTS_PER_CLIENT, dds_ports, discovery_domain
 from rsb_bridge.model.text import join_first
 from rsb_bridge.transport.transport import ListenError
 
@@ -84,5 +84,10 @@ def check_topic_port(domain: int, transport: TransportTraits, port: int) -> None
     if transport.ip_ports and port in dds_ports(domain):
         raise ListenError(
             f"{kind} {port} is reserved for discovery in the server's ROS domain {domain} ({dds_ports(domain)}): "
+            f"give another, or {SHARE}"
+        )
+    if transport.ip_ports and (other := discovery_domain(port)) is not None:
+        raise ListenError(
+            f"{kind} {port} is reserved for discovery in ROS domain {other}, which the server's machine may run, too: "
             f"give another, or {SHARE}"
         )

@@ -35,8 +35,15 @@ DEFAULT_PORT = 7060
 """Below the ports of DDS (7400 + 250 for each domain), and of the kernel for outgoing connections (32768 to 60999)."""
 TOPIC_PORT = Range(1024, PORT.high)
 """Ports that a server binds for a client's topics: lower ones are the system's (RFC 6335, section 6)."""
+_FIRST_DDS_PORT = 7400
 DDS_PORTS = 250
 """Ports of one ROS domain, the first ones from 7400 (DDSI-RTPS 2.5, section 9.6.1.1: PB 7400, DG 250)."""
+_MULTICAST = (0, 1)
+"""Of a domain's ports, those that all its nodes share for discovery and for data (section 9.6.1.1: d0 0, d2 1)."""
+_UNICAST = Range(10, 75)
+"""Of a domain's ports, those of its first 33 participants, two each (d1 10, d3 11, PG 2). Nodes that discover
+each other without multicast look for so many at most: 4 with Fast DDS's defaults, 10 with those of Cyclone DDS, some
+dozens where a user raises that. Later participants take what is free."""
 CHANNEL = Range(1, 30)
 """RFCOMM server channels (Bluetooth RFCOMM 1.2, section 5.4)."""
 
@@ -87,5 +94,11 @@ PORTS_PER_CLIENT = 16
 
 def dds_ports(domain: int) -> Range:
     """The ports by which the nodes of a ROS domain find each other."""
-    first = 7400 + DDS_PORTS * domain
+    first = _FIRST_DDS_PORT + DDS_PORTS * domain
     return Range(first, first + DDS_PORTS - 1)
+
+
+def discovery_domain(port: int) -> int | None:
+    """The ROS domain whose nodes find each other by a port, or None if it is no domain's."""
+    domain, offset = divmod(port - _FIRST_DDS_PORT, DDS_PORTS)
+    return domain if domain in DOMAIN and (offset in _MULTICAST or offset in _UNICAST) else None

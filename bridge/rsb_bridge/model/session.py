@@ -17,6 +17,7 @@ from rsb_bridge.model.patterns import is_pattern
 from rsb_bridge.model.priority import Priority  # noqa: TC001 - msgspec resolves the annotation at run time
 from rsb_bridge.model.profiles import Compression, ProfileName  # noqa: TC001 - likewise
 from rsb_bridge.model.qos import Qos, parse_qos
+from rsb_bridge.model.text import one_line
 
 DEADMAN = 60.0
 """s: the deadman time of a topic that names none."""
@@ -63,7 +64,7 @@ class Problem:
 
     def __str__(self) -> str:
         place = self.place or self.location
-        return f"{place}: {self.message}" if place else self.message
+        return one_line(f"{place}: {self.message}" if place else self.message)  # it may quote keys of the file
 
 
 class Topic(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True):

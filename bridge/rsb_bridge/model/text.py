@@ -22,6 +22,7 @@ the direction of text, and characters that take no place on a screen, of which P
 """
 
 _unprintable = re.compile(f"[{UNPRINTABLE}\\ud800-\\udfff]")
+_not_in_lines = re.compile(f"(?![\\n\\t]|\\r\\n)[{UNPRINTABLE}\\ud800-\\udfff]")
 _escaped = re.compile(f'[{UNPRINTABLE}\\\\"]')
 
 
@@ -33,6 +34,33 @@ def sanitize_text(text: str, limit: int = REASON_LENGTH) -> str:
 def is_clean(text: str) -> bool:
     """Whether a text has no unprintable characters."""
     return _unprintable.search(text) is None
+
+
+def one_line(text: str) -> str:
+    """Replace each unprintable character, ends of lines too, by an escape sequence of Python's."""
+    return _unprintable.sub(_escape_match, text)
+
+
+def several_lines(text: str) -> str:
+    """Do as `one_line`, but keep ends of lines and tabs. A carriage return stays only right before an end of line."""
+    return _not_in_lines.sub(_escape_match, text)
+
+
+def escape_json(text: str) -> str:
+    """Replace each unprintable character in the strings of a JSON text by JSON's own escape sequence."""
+    return _not_in_lines.sub(_json_escape, text)
+
+
+def _escape_match(match: re.Match[str]) -> str:
+    return match[0].encode("unicode_escape").decode()
+
+
+def _json_escape(match: re.Match[str]) -> str:
+    code = ord(match[0])
+    if code < 0x10000:
+        return f"\\u{code:04x}"
+    code -= 0x10000
+    return f"\\u{0xD800 + (code >> 10):04x}\\u{0xDC00 + (code & 0x3FF):04x}"
 
 
 def encodable(text: str) -> str:

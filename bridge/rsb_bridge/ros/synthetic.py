@@ -115,6 +115,11 @@ class Source:
 class Drain:
     """Takes the messages of one topic where they arrive.
 
+    Args:
+        clocks: the clocks.
+        closed: called at the end.
+        admits: whether a message of so many bytes may come.
+
     Attributes:
         count: messages since the last reset.
         messages: in all, and `bytes` of them.
@@ -125,16 +130,21 @@ class Drain:
     subscriber_count = 1
     acknowledged = True
 
-    def __init__(self, clocks: Time, closed: Callable[[], None]) -> None:
+    def __init__(
+        self, clocks: Time, closed: Callable[[], None], admits: Callable[[Drain, int], bool] = lambda *_: True
+    ) -> None:
         self._clocks = clocks
         self._closed = closed
+        self._admits = admits
         self._latencies: list[int] = []
         self.count = self.messages = self.bytes = 0
         self.closed = False
         self.gid = secrets.token_bytes(len(_GID))
 
     def publish(self, payload: bytes) -> None:
-        """Take one message."""
+        """Take one message, if so much may come."""
+        if not self._admits(self, len(payload)):
+            return
         self.count += 1
         self.messages += 1
         self.bytes += len(payload)
@@ -166,6 +176,7 @@ class Synthetic:
     Attributes:
         sources: those that a route sends, by topic and by whose it is: several links may have a topic of one name.
         drains: those that a route receives, likewise.
+        admits: by whose it is, whether a message of so many bytes may come to a drain.
     """
 
     def __init__(self, ros: RosInterface, clocks: Time) -> None:
@@ -173,6 +184,7 @@ class Synthetic:
         self._clocks = clocks
         self.sources: dict[tuple[str, Hashable], Source] = {}
         self.drains: dict[tuple[str, Hashable], Drain] = {}
+        self.admits: dict[Hashable, Callable[[Drain, int], bool]] = {}
         self._opened: defaultdict[Hashable, list[Drain]] = defaultdict(list)
 
     def __getattr__(self, name: str) -> Any:
@@ -205,7 +217,11 @@ class Synthetic:
         if not is_bench_topic(topic):
             return self._ros.advertise(topic, type_name, type_hash, qos, origin)
         key = topic, origin
-        drain = self.drains[key] = Drain(self._clocks, lambda: _forget(self.drains, key, drain))
+        drain = self.drains[key] = Drain(
+            self._clocks,
+            lambda: _forget(self.drains, key, drain),
+            lambda of, size: origin not in self.admits or self.admits[origin](of, size),
+        )
         self._opened[origin].append(drain)
         return drain
 

@@ -7,6 +7,8 @@ from typing import Literal, TypeAlias
 
 import msgspec
 
+from rsb_bridge.model.text import escape_json
+
 Limit: TypeAlias = Literal["loss", "sender", "leave", "time"]
 """Why a search for the highest rate ended: more is lost, the sender or the peer's leave has no more, time is up."""
 
@@ -197,7 +199,7 @@ class Report:
 
 def as_json(report: Report) -> str:
     """A report as one line of JSON."""
-    return msgspec.json.encode(report).decode()
+    return escape_json(msgspec.json.encode(report).decode())
 
 
 def from_json(text: str) -> Report:

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rsb_bridge.config.keys import DEFAULT_KEY_FILE
+from rsb_bridge.model.text import is_clean
 from rsb_console.command import commands
 from rsb_console.command.bench_arguments import add_bench_command
 from rsb_console.command.call_arguments import add_call_commands
@@ -121,7 +122,7 @@ def _complete(action: argparse.Action, completer: str) -> None:
 
         module = completion if hasattr(completion, completer) else import_module(f"{completion.__name__}_live")
         found: list[str] = getattr(module, completer)(**known)
-        return found
+        return [each for each in found if is_clean(each)]  # a shell prints them as they are
 
     action.completer = offers  # type: ignore[attr-defined]  # argcomplete's own
 

@@ -25,7 +25,7 @@ from rsb_console.bench.over_link import OverLink, loads_of, loads_of_all, ways_o
 from rsb_console.bench.results import Report, as_json
 from rsb_console.bench.suite import FULL, QUICK, Plan, Suite
 from rsb_console.bench.tables import lines_of
-from rsb_console.command.shell import FAILURE, INTERRUPTED, OK, TERMINATED, USAGE, print_error, print_line
+from rsb_console.command.shell import FAILURE, INTERRUPTED, OK, TERMINATED, USAGE, print_error, print_line, print_lines
 from rsb_console.command.target import UsageError, attached, check_link, failed, reported
 from rsb_console.terminal.progress import Progress
 
@@ -174,7 +174,7 @@ def _loads_of_running_bridges() -> list[Load]:
 
 def _measure(place: Place, report: Report, plan: Plan) -> int:
     """Fill the report; an operator who interrupts has what was measured so far. Returns the exit code."""
-    with Progress(sys.stderr) as progress:
+    with Progress(getattr(sys.stderr, "raw", sys.stderr)) as progress:
         try:
             Suite(place, plan, report, time.monotonic, progress.show).run()
         except KeyboardInterrupt:
@@ -218,7 +218,7 @@ def _finish(
         for line in ["", *drawn, ""] if drawn else [""] if report.points else []:
             print_line(line)
         for line in report.verdict:
-            print_line(fill(line, width, break_long_words=False, break_on_hyphens=False))
+            print_lines(fill(line, width, break_long_words=False, break_on_hyphens=False))
         for line in (*report.notes, *_ending(report)):
             print_error(line)
     if arguments.plot is not None:

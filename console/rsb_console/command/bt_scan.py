@@ -8,7 +8,7 @@ from dataclasses import asdict
 from typing import TYPE_CHECKING
 
 from rsb_bridge.bluetooth.scan import ANY_ADAPTER, CHANNELS, Scan, Use, scan
-from rsb_console.command.shell import FAILURE, OK, print_error, print_line
+from rsb_console.command.shell import FAILURE, OK, print_error, print_line, print_lines
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
@@ -26,7 +26,7 @@ def run_bt_scan(adapter: str | None, as_json: bool) -> int:
     """
     found = asyncio.run(scan(adapter))
     if as_json:
-        print_line(json.dumps(asdict(found), indent=2))
+        print_lines(json.dumps(asdict(found), indent=2))
     else:
         for line in _lines(found):
             print_line(line)

@@ -12,7 +12,7 @@ from rsb_bridge.config.fields_text import read_written
 from rsb_bridge.model.fields import FIELDS_LENGTH, FieldError
 from rsb_bridge.model.lanes import LANES
 from rsb_console.command.reports import json_line, json_value
-from rsb_console.command.shell import OK, print_error, print_line
+from rsb_console.command.shell import OK, print_error, print_line, print_lines
 from rsb_console.command.target import ANSWERED_WITHIN, UsageError, attached, chosen_route, reported
 from rsb_console.session.typed_topic import suggestion
 
@@ -44,7 +44,7 @@ def _call(arguments: Namespace) -> int:
         goal = {"goal_id": text.splitlines()[0].removeprefix(_NEW_GOAL)} if text.startswith(_NEW_GOAL) else {}
         print_line(json_line({"ok": True, **goal, "response": json_value(data_of(text))}))
     else:
-        print_line(text.removesuffix("\n"))
+        print_lines(text.removesuffix("\n"))
     return OK
 
 

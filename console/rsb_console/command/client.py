@@ -19,7 +19,7 @@ from rsb_bridge.model.session import Client, Grant
 from rsb_bridge.model.shortage import why_not_written
 from rsb_bridge.model.snapshot import State
 from rsb_console.command.reports import json_line
-from rsb_console.command.shell import FAILURE, OK, USAGE, print_error, print_line
+from rsb_console.command.shell import FAILURE, OK, USAGE, print_error, print_line, print_lines
 from rsb_console.command.target import ANSWERED_WITHIN, NoBridgeError, UsageError, chosen_bridge, reported
 from rsb_console.session import clients
 from rsb_console.session.rotation import begin_rotation, finish_rotation
@@ -347,7 +347,7 @@ def _handed_out(arguments: Namespace, changed: Changed, told: str) -> int:
         )  # fmt: skip
         return OK
     if output is None:
-        print_line(text.removesuffix("\n"))
+        print_lines(text.removesuffix("\n"))
     if key is not None:
         print_error(f"{client.name}: key {key_at}, fingerprint {mark}")
     if arguments.saves:

@@ -31,7 +31,16 @@ from rsb_bridge.config.session_file import SessionError, demand_places, dump, lo
 from rsb_bridge.config.shared_keys import shared_key_problem
 from rsb_bridge.config.thesis import import_bringup
 from rsb_console.command.check_report import rights, summary
-from rsb_console.command.shell import FAILURE, NO_KEY, OK, USAGE, allow_many_descriptors, print_error, print_line
+from rsb_console.command.shell import (
+    FAILURE,
+    NO_KEY,
+    OK,
+    USAGE,
+    allow_many_descriptors,
+    print_error,
+    print_line,
+    print_lines,
+)
 
 if TYPE_CHECKING:
     from argparse import Namespace
@@ -203,7 +212,7 @@ def import_thesis(arguments: Namespace) -> int:
             print_error(f"{location} is given with {_IMPORT_OPTIONS[location]}")
         return USAGE
     if output is None:
-        print_line(dump(session).removesuffix("\n"))
+        print_lines(dump(session).removesuffix("\n"))
     for note in notes:
         print_error(note)
     return OK

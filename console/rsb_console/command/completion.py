@@ -11,7 +11,8 @@ import argcomplete
 from argcomplete.completers import FilesCompleter
 
 from rsb_bridge.config.files import typed_path
-from rsb_console.command.shell import OK, print_line
+from rsb_bridge.model.text import is_clean
+from rsb_console.command.shell import OK, print_lines
 
 if TYPE_CHECKING:
     from argparse import Action, ArgumentParser, Namespace
@@ -28,7 +29,7 @@ def run(name: str, arguments: Namespace) -> int:
     """Print what a shell sources to complete the command. Returns the exit code."""
     assert name == "script"
     for line in argcomplete.shellcode(["rsb-console"], shell=arguments.shell).strip("\n").splitlines():
-        print_line(line)
+        print_lines(line)
     return OK
 
 
@@ -51,8 +52,7 @@ def complete(parser: ArgumentParser, commands: Collection[str]) -> None:
 def _files_where_a_path_is_due(prefix: str, action: Action, **_: object) -> list[str]:
     if action.type is not Path and action.metavar not in _PATHS:
         return []
-    found: list[str] = FilesCompleter()(prefix)
-    return found
+    return [each for each in FilesCompleter()(prefix) if is_clean(each)]
 
 
 def yaml_files(prefix: str, **_: object) -> list[str]:

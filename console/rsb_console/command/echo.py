@@ -12,7 +12,7 @@ from rsb_bridge.api import EngineError
 from rsb_bridge.cdr.decoder import Items
 from rsb_bridge.model.text import escape_text
 from rsb_console.command.reports import json_value
-from rsb_console.command.shell import print_line
+from rsb_console.command.shell import print_line, print_lines
 from rsb_console.look.message_lines import hex_lines, message_lines, plain
 from rsb_console.session.reading import KnownTypes, age_text, how_it_came, read_message
 
@@ -58,7 +58,7 @@ def echo(engine: EngineApi, route: RouteSnapshot, arguments: Namespace) -> bool:
         if arguments.json:
             print_line(json.dumps(as_json(route, read)))  # in ASCII: a terminal may obey some other characters
         else:
-            print_line(as_text(read, arrays=arguments.arrays))
+            print_lines(as_text(read, arrays=arguments.arrays))
         sys.stdout.flush()
         printed += 1
     return True

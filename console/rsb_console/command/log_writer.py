@@ -7,6 +7,7 @@ import threading
 from collections import deque
 from typing import TYPE_CHECKING
 
+from rsb_bridge.model.text import one_line
 from rsb_console.command.shell import encoded
 
 if TYPE_CHECKING:
@@ -44,7 +45,7 @@ class LogWriter:
 
     def write(self, text: str) -> None:
         """Hand over a line; returns at once."""
-        line = encoded(f"{text}\n")
+        line = encoded(f"{one_line(text)}\n")
         with self._changed:
             self._waiting.append(line)
             self._waiting_bytes += len(line)
@@ -72,7 +73,7 @@ class LogWriter:
                 lost, reason = self._lost, self._reason
             try:
                 if lost:
-                    self._write(encoded(f"{self._lost_line(lost, reason)}\n"))
+                    self._write(encoded(f"{one_line(self._lost_line(lost, reason))}\n"))
                     with self._changed:
                         self._lost -= lost
                 self._write(line)

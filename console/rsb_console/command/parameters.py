@@ -10,7 +10,7 @@ from rsb_bridge.config.yaml_text import dump_yaml, inline
 from rsb_bridge.model.fields import FieldError
 from rsb_console.command.calling import data_of, response
 from rsb_console.command.reports import json_value
-from rsb_console.command.shell import FAILURE, OK, print_error, print_line
+from rsb_console.command.shell import FAILURE, OK, print_error, print_line, print_lines
 from rsb_console.command.target import UsageError, attached, chosen_route, done, failed, reported
 from rsb_console.session.parameters import KIND_NAMES, KINDS, refusal, set_request, value_of
 
@@ -78,7 +78,7 @@ def _dump(arguments: Namespace) -> int:
     known = {name: value for name, value in values.items() if value is not None}
     if arguments.json:
         return done(arguments, node=route.topic, parameters=json_value(known))
-    print_line(dump_yaml({route.topic: {"ros__parameters": known}}).removesuffix("\n"))
+    print_lines(dump_yaml({route.topic: {"ros__parameters": known}}).removesuffix("\n"))
     return OK
 
 
@@ -93,7 +93,7 @@ def _describe(arguments: Namespace) -> int:
     described = {**found[0], "type": KINDS[number - 1].name}
     if arguments.json:
         return done(arguments, descriptor=json_value(described))
-    print_line(dump_yaml(described).removesuffix("\n"))
+    print_lines(dump_yaml(described).removesuffix("\n"))
     return OK
 
 

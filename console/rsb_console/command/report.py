@@ -11,7 +11,7 @@ from rsb_bridge.control.bridges import running_bridges
 from rsb_bridge.history import offline
 from rsb_bridge.history.folders import EVENTS, Files, kept_bridges
 from rsb_bridge.history.history_file import HistoryFileError
-from rsb_console.command.shell import OK, print_line
+from rsb_console.command.shell import OK, print_line, print_lines
 from rsb_console.command.target import NoBridgeError, UsageError, ask_history, reported
 from rsb_console.session.history import csv_report, json_report, parse_span, text_report
 
@@ -35,7 +35,7 @@ def _print(arguments: Namespace) -> int:
     if arguments.json:
         print_line(json_report(report))
     elif arguments.csv:
-        print_line(csv_report(report).removesuffix("\r\n"))
+        print_lines(csv_report(report).removesuffix("\r\n"))
     else:
         for line in text_report(report):
             print_line(line)

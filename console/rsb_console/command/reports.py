@@ -10,7 +10,7 @@ from dataclasses import asdict
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 from rsb_bridge.model.snapshot import State
-from rsb_bridge.model.text import join_first, plural
+from rsb_bridge.model.text import escape_json, join_first, plural
 from rsb_bridge.model.verdict import LinkCause
 
 if TYPE_CHECKING:
@@ -232,7 +232,7 @@ def _how(route: RouteSnapshot, *, why: bool) -> str:
 
 def json_line(content: dict[str, object]) -> str:
     """An object of one line."""
-    return json.dumps(content, ensure_ascii=False)
+    return escape_json(json.dumps(content, ensure_ascii=False))
 
 
 def json_value(value: Any) -> Any:

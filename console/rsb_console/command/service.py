@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 from rsb_bridge.config.files import replace_file
 from rsb_bridge.config.session_file import SessionError, load
 from rsb_bridge.model.shortage import why_not_written
-from rsb_console.command.shell import FAILURE, OK, USAGE, print_error, print_line
+from rsb_console.command.shell import FAILURE, OK, USAGE, print_error, print_line, print_lines
 from rsb_console.session.service_unit import KEPT_VARIABLES, MARK, Service, unit_name
 
 if TYPE_CHECKING:
@@ -64,7 +64,7 @@ def _install(arguments: Namespace) -> int:
 
 
 def _show(arguments: Namespace) -> int:
-    print_line(_service(arguments).text().removesuffix("\n"))
+    print_lines(_service(arguments).text().removesuffix("\n"))
     return OK
 
 
@@ -87,7 +87,7 @@ def _uninstall(arguments: Namespace) -> int:
     except OSError as error:
         print_error(f"{path}: cannot be removed: {error.strerror}")
         return FAILURE
-    print_line(f"{path}: removed. Run next:\n  {control} daemon-reload")
+    print_lines(f"{path}: removed. Run next:\n  {control} daemon-reload")
     return OK
 
 

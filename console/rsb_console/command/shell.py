@@ -7,14 +7,55 @@ import os
 import resource
 import sys
 
+from rsb_bridge.model.text import one_line, several_lines
+
+TYPE_CHECKING = False  # without typing, which takes a while
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+    from typing import Any, TextIO
+
 OK, FAILURE, USAGE, NOT_RUNNING, ALREADY_RUNNING, HUNG_UP, INTERRUPTED, TERMINATED = 0, 1, 2, 3, 4, 129, 130, 143
 NO_KEY = 3
 """``check``: the session has no mistake, but a key that it needs is not here."""
 _MOST_DESCRIPTORS = 65_536  # some systems' hard limit is a billion, and some programs go through all that they may have
 
 
+class CleanErrors:
+    """Standard error, for whatever writes there: argparse, logging, warnings, tracebacks. Nothing acts on a terminal.
+
+    Args:
+        stream: the stream itself.
+
+    Attributes:
+        raw: the same.
+    """
+
+    def __init__(self, stream: TextIO) -> None:
+        self.raw = stream
+
+    def write(self, text: str) -> int:
+        self.raw.write(several_lines(text))
+        return len(text)
+
+    def writelines(self, lines: Iterable[str]) -> None:
+        for line in lines:
+            self.write(line)
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self.raw, name)
+
+
 def print_line(text: str) -> None:
-    """Write a line to standard output."""
+    """Write one line to standard output. Whoever its parts are from, none acts on a terminal or ends the line."""
+    _print(one_line(text))
+
+
+def print_lines(text: str) -> None:
+    """Write a text of several lines to standard output, as `print_line` does."""
+    _print(several_lines(text))
+
+
+def _print(text: str) -> None:
     sys.stdout.write(encoded(f"{text}\n").decode(sys.stdout.encoding))
 
 
@@ -41,8 +82,8 @@ def allow_many_descriptors() -> None:
 
 
 def print_error(text: str) -> None:
-    """Write a message to standard error, under the command's name."""
+    """Write a message of one or several lines to standard error, under the command's name."""
     try:
-        sys.stderr.write(f"rsb-console: {text}\n")
+        sys.stderr.write(several_lines(f"rsb-console: {text}\n"))
     except OSError:  # it was a terminal that has gone; Python's own flush at exit must not meet it again
         os.dup2(os.open(os.devnull, os.O_WRONLY), 2)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import os
 import shlex
 from functools import partial
 from typing import TYPE_CHECKING, TypeAlias, TypeVar
@@ -13,7 +14,7 @@ from rsb_bridge.config.topic_rules import A_KIND
 from rsb_bridge.config.yaml_text import SessionError
 from rsb_bridge.control.bridges import ask, running_bridges
 from rsb_bridge.control.client import RemoteEngine
-from rsb_bridge.control.folders import ControlError, UnclearError, hidden_services
+from rsb_bridge.control.folders import ControlError, UnclearError, hidden_bridges, run_as, user_name
 from rsb_bridge.model.patterns import is_pattern
 from rsb_bridge.model.snapshot import RouteSnapshot
 from rsb_bridge.model.text import join_first
@@ -104,8 +105,8 @@ def chosen_bridge(arguments: Namespace) -> RunningBridge:
     chosen = [bridge for bridge in found if name in (None, bridge.name)]
     running = "".join(f"\n  {bridge}" for bridge in found)
     if not found:
-        other = hidden_services()
-        hint = f"; services are the user {other}'s: sudo -u {other} rsb-console …" if other else ""
+        other = hidden_bridges(os.environ)
+        hint = "" if other is None else f"; some may be those of {user_name(other)}: {run_as(other)}"
         raise NoBridgeError(f"no bridge runs here that you may attach to{hint}")
     if not chosen:
         raise NoBridgeError(f"no bridge {name!r} runs here; these do:{running}")

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rsb_bridge.config.files import new_file
+from rsb_bridge.model.text import one_line
 from rsb_console.session.history import cell, csv_report, text_report
 
 if TYPE_CHECKING:
@@ -42,7 +43,8 @@ def export_log(events: Sequence[Event]) -> Path:
     with new_file(path) as file:
         for event in events:
             stamp = time.strftime("%Y-%m-%dT%H:%M:%S%z", time.localtime(event.time))
-            file.write(f"{stamp} {event.level} {event.source} {event.link or '-'} {event.text}\n")
+            line = f"{stamp} {event.level} {event.source} {event.link or '-'} {event.text}"
+            file.write(f"{one_line(line)}\n")
     return path
 
 
@@ -77,7 +79,7 @@ def export_history(report: HistoryReport) -> tuple[Path, Path]:
     """
     text, table = _new_file("history", "txt"), _new_file("history", "csv")
     with new_file(text) as file:
-        file.writelines(f"{line}\n" for line in text_report(report))
+        file.writelines(f"{one_line(line)}\n" for line in text_report(report))
     with new_file(table, newline="") as file:
         file.write(csv_report(report))
     return text, table

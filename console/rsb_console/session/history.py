@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.history import KEPT_FOR
-from rsb_bridge.model.text import plural
+from rsb_bridge.model.text import escape_json, one_line, plural
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
@@ -262,7 +262,7 @@ def _moment(report: HistoryReport, moment: float) -> str:
 def json_report(report: HistoryReport) -> str:
     """All of it as one object."""
     tracks = [{**asdict(track), "up_ratio": track.up_ratio} for track in report.tracks]
-    return json.dumps({**asdict(report), "start": report.start, "tracks": tracks}, ensure_ascii=False)
+    return escape_json(json.dumps({**asdict(report), "start": report.start, "tracks": tracks}, ensure_ascii=False))
 
 
 def csv_report(report: HistoryReport) -> str:
@@ -290,8 +290,11 @@ def csv_report(report: HistoryReport) -> str:
 
 
 def cell(value: object) -> object:
-    """A value for a spreadsheet, which must not take text from elsewhere for a formula."""
-    return f"'{value}" if isinstance(value, str) and value.startswith(_FORMULAS) else value
+    """A value for a spreadsheet, which must not take text from elsewhere for a formula, without control characters."""
+    if not isinstance(value, str):
+        return value
+    text = one_line(value)
+    return f"'{text}" if text.startswith(_FORMULAS) else text
 
 
 def _iso(moment: float) -> str:

@@ -71,7 +71,8 @@ def terminal_to_itself(log: Path) -> Iterator[int]:
     terminal, errors = os.dup(1), os.dup(2)
     try:
         log.parent.mkdir(parents=True, exist_ok=True)
-        target = os.open(log, os.O_WRONLY | os.O_CREAT | os.O_TRUNC | os.O_APPEND, 0o600)
+        target = os.open(log, os.O_WRONLY | os.O_CREAT | os.O_TRUNC | os.O_APPEND | os.O_NOFOLLOW, 0o600)
+        os.fchmod(target, 0o600)  # one of before may be open to others
     except OSError:
         target = os.open(os.devnull, os.O_WRONLY)
     os.dup2(target, 1)

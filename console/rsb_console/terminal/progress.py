@@ -6,6 +6,8 @@ import contextlib
 import shutil
 from typing import TYPE_CHECKING, Self, TextIO
 
+from rsb_bridge.model.text import one_line
+
 if TYPE_CHECKING:
     from types import TracebackType
 
@@ -33,7 +35,7 @@ class Progress:
     def show(self, text: str) -> None:
         """Show a line in the place of the one before."""
         if self._shows:
-            self._write(f"{_ERASE}{text[: shutil.get_terminal_size().columns - 1]}")
+            self._write(f"{_ERASE}{one_line(text)[: shutil.get_terminal_size().columns - 1]}")
 
     def _write(self, text: str) -> None:
         with contextlib.suppress(OSError):  # the terminal has gone

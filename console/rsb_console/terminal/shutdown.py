@@ -12,6 +12,9 @@ from typing import TYPE_CHECKING
 
 from platformdirs import user_log_path
 
+from rsb_bridge.config.files import owner_only
+from rsb_bridge.model.text import several_lines
+
 if TYPE_CHECKING:
     from collections.abc import Callable
     from pathlib import Path
@@ -88,11 +91,6 @@ def output_path() -> Path:
     return user_log_path("rsb-console") / "output.txt"
 
 
-def owner_only(path: str, flags: int) -> int:
-    """Open a file, a new one with mode 0600: an opener for `open`."""
-    return os.open(path, flags | os.O_NOFOLLOW, 0o600)
-
-
 def record_crash() -> None:
     """Write the exception that is being handled to `crash_path`, if that is possible."""
     path = crash_path()
@@ -100,4 +98,4 @@ def record_crash() -> None:
         path.parent.mkdir(parents=True, exist_ok=True)
         path.unlink(missing_ok=True)  # one of before may be open to others
         with open(path, "w", encoding="utf-8", opener=owner_only) as file:
-            file.write(traceback.format_exc())
+            file.write(several_lines(traceback.format_exc()))

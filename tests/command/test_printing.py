@@ -1,0 +1,264 @@
+"""Texts from engines, peers, files and arguments do nothing to a terminal, whichever command prints them."""
+
+from __future__ import annotations
+
+import ast
+import io
+import json
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import msgspec
+import pytest
+from tests.console.scripted import SESSION, ScriptedEngine, route
+
+from rsb_bridge.model.session import Topic
+from rsb_bridge.model.snapshot import RefusedClient, State
+from rsb_bridge.model.text import escape_json, is_clean, one_line, several_lines
+from rsb_console.cli import main
+from rsb_console.command.arguments import parser_and_commands
+from rsb_console.command.log_writer import LogWriter
+from rsb_console.command.shell import CleanErrors, print_error, print_line, print_lines
+from rsb_console.terminal.progress import Progress
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from tests.support.control import Machine
+
+COMMAND = str(Path(sys.executable).with_name("rsb-console"))
+EVIL = "\x1b]0;evil\x07\x1b[2J\u202eevil\u200b\x9b31m\n2026-01-01 forged\r\U000e0041"
+CONSOLE = Path(__file__).parents[2] / "console" / "rsb_console"
+PRINTS = {
+    "command/shell.py": "print_line, print_lines, print_error and CleanErrors",
+    "command/log_writer.py": "lines of the log, each cleaned by `write`",
+    "terminal/progress.py": "one line, cleaned",
+    "terminal/driver.py": "the app's own terminal",
+    "terminal/clipboard.py": "an escape sequence of the app's own",
+    "bench/router.py": "a child's pipe",
+    "bench/robots.py": "a child's pipe",
+}
+
+
+def clean_lines(text: str) -> bool:
+    return is_clean(text.replace("\r\n", "").replace("\n", "").replace("\t", ""))
+
+
+def writes(tree: ast.AST) -> Iterator[str]:
+    """The calls in a module by which a text gets to a terminal."""
+    for node in ast.walk(tree):
+        if not isinstance(node, ast.Call):
+            continue
+        name = ast.unparse(node.func)
+        is_print = name == "print" or name.startswith("traceback.print_") or name.endswith(".print_usage")
+        is_stream = name.startswith(("sys.stdout.", "sys.stderr.", "sys.__std")) and "write" in name
+        if is_print or is_stream or (name == "os.write" and ast.unparse(node.args[0]) in ("1", "2")):
+            yield name
+
+
+def test_no_module_of_the_console_prints_but_by_the_functions_that_clean() -> None:
+    found = {
+        path.relative_to(CONSOLE).as_posix(): calls
+        for path in CONSOLE.rglob("*.py")
+        if (calls := list(writes(ast.parse(path.read_text()))))
+    }
+    allowed_in_cli = ["traceback.print_exception"]  # to standard error, which is a `CleanErrors`
+    assert found.pop("cli.py") == allowed_in_cli
+    assert set(found) <= set(PRINTS), found
+
+
+@pytest.mark.parametrize("text", [EVIL, *(chr(code) for code in (0, 7, 8, 13, 27, 0x7F, 0x85, 0x9B, 0x2028, 0xD800))])
+def test_what_the_functions_print_is_clean(text: str, capsys: pytest.CaptureFixture[str]) -> None:
+    print_line(text)
+    assert capsys.readouterr().out.count("\n") == 1
+    print_line(text)
+    print_lines(text)
+    print_error(text)
+    out, err = capsys.readouterr()
+    assert clean_lines(out)
+    assert clean_lines(err)
+    assert json.loads(escape_json(json.dumps({text: text}, ensure_ascii=False))) == {text: text}
+    assert clean_lines(escape_json(json.dumps(text, ensure_ascii=False)))
+
+
+def test_what_is_clean_is_left_as_it_is() -> None:
+    text = 'größe → /scan "x" \\x1b ░ 東京'
+    assert one_line(text) == several_lines(text) == escape_json(text) == text
+    assert several_lines("a\tb\nc\r\n") == "a\tb\nc\r\n"
+
+
+def test_standard_error_is_clean_whoever_writes_there() -> None:
+    stream = io.StringIO()
+    CleanErrors(stream).writelines([f"a {EVIL}"])
+    assert clean_lines(stream.getvalue())
+    assert not CleanErrors(stream).isatty()
+
+
+def test_a_log_line_is_one_line(tmp_path: Path) -> None:
+    path = tmp_path / "log"
+    with path.open("wb") as file:
+        writer = LogWriter(file.fileno(), lambda *_: "")
+        writer.write(f"a {EVIL}")
+        writer.close(5.0)
+    text = path.read_text()
+    assert text.count("\n") == 1
+    assert clean_lines(text)
+
+
+def test_a_line_of_progress_is_clean() -> None:
+    class Terminal(io.StringIO):
+        def isatty(self) -> bool:
+            return True
+
+    stream = Terminal()
+    Progress(stream).show(f"a {EVIL}")
+    assert is_clean(stream.getvalue().removeprefix("\r\x1b[K"))
+
+
+def evil_engine() -> ScriptedEngine:
+    """An engine of this machine that says such texts of its routes, links, clients and events."""
+    spec = Topic("/scan", "transmit", type=f"a/msg/{EVIL}")
+    fault = replace(
+        route("/scan", outgoing=True, spec=spec), state=State.DOWN, cause="no_publisher", reason=EVIL, link="robot1"
+    )
+    named = replace(route(f"/{EVIL}", outgoing=False), type_name=EVIL, reason=EVIL)
+    engine = ScriptedEngine(msgspec.structs.replace(SESSION, topics=(spec,)), routes=(fault, named))
+    (link, *_) = engine.now.links
+    refused = RefusedClient(EVIL, EVIL, "unknown_name", EVIL, 1_700_000_000.0, 3)
+    engine.now = replace(
+        engine.now, links=(replace(link, state=State.DOWN, reason=EVIL, peer=EVIL),), refused=(refused,)
+    )
+    return engine
+
+
+@pytest.mark.parametrize("options", [(), ("--json",)])
+@pytest.mark.parametrize(
+    "command",
+    [
+        "status",
+        "topics",
+        "events",
+        "info /scan",
+        "topics --available",
+        "report",
+        "info /nothing",
+        "edit /scan max_rate=x",
+    ],
+)
+def test_every_command_cleans_what_an_engine_says(
+    command: str,
+    options: tuple[str, ...],
+    machine: Machine,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.setenv("XDG_RUNTIME_DIR", machine.environ["XDG_RUNTIME_DIR"])
+    engine = evil_engine()
+    machine.serve(engine)
+    parsed = parser_and_commands()[0].parse_args([*command.split(), *options])
+    parsed.command(parsed)
+    out, err = capsys.readouterr()
+    assert clean_lines(out)
+    assert clean_lines(err)
+    assert "\nforged" not in out.replace("2026-01-01 ", "")
+    if options and out:
+        for line in out.splitlines():
+            json.loads(line)
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        (EVIL,),
+        ("status", f"--{EVIL}"),
+        ("check", f"{EVIL}.yaml"),
+        ("keygen", f"/nowhere/{EVIL}"),
+        ("status", EVIL),
+        ("run", "--status-every", EVIL, "x.yaml"),
+        ("import", f"{EVIL}.yaml", "--name", "x"),
+        ("client", "list", "--session", f"{EVIL}.yaml"),
+        ("fleet", "status", "--fleet", f"{EVIL}.yaml"),
+    ],
+)
+def test_arguments_do_nothing_to_the_terminal(arguments: tuple[str, ...], tmp_path: Path) -> None:
+    run = subprocess.run([COMMAND, *arguments], capture_output=True, timeout=60, check=False, cwd=tmp_path)
+    assert run.returncode
+    assert run.stderr
+    assert clean_lines(run.stdout.decode() + run.stderr.decode())
+
+
+def test_a_traceback_is_clean_too(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def fails(_: object) -> int:
+        raise ValueError(EVIL)
+
+    stream = io.StringIO()
+    stream.fileno = lambda: 2  # type: ignore[method-assign]
+    monkeypatch.setattr(sys, "stderr", stream)
+    monkeypatch.setattr("rsb_console.command.commands.check", fails)
+    monkeypatch.setattr("signal.signal", lambda *_: None)
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))
+    assert main(["check", "x.yaml", "--debug"]) == 1
+    assert main(["check", "x.yaml"]) == 1
+    assert "ValueError" in stream.getvalue()
+    assert clean_lines(stream.getvalue())
+    (crash,) = tmp_path.rglob("crash.log")
+    assert clean_lines(crash.read_text())
+
+
+ESCAPE = r"\e]0;evil\a\e[2J\u202e\x9b31m\nforged: line\r"
+"""As a double-quoted scalar of YAML has it."""
+FINE = "name: a\nrole: client\nserver_ip: 10.0.0.1\nserver_port: 7060\nkey_file: k\n"
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        f'{FINE}"{ESCAPE}": 1\n',
+        f'{FINE}"{ESCAPE}": 1\n"{ESCAPE}": 2\n',
+        f'"{ESCAPE}": 1\n',
+        f'{FINE}domain_id: "{ESCAPE}"\n',
+        f'{FINE}topics:\n- {{"{ESCAPE}": 1}}\n',
+        f'{FINE}topics:\n- {{topic: "{ESCAPE}", direction: transmit}}\n',
+        f'{FINE}topics:\n- {{topic: /a, direction: "{ESCAPE}"}}\n',
+        f'{FINE}topics:\n- {{topic: /a, direction: transmit, qos: {{"{ESCAPE}": 1}}}}\n',
+        f'{FINE}profile: "{ESCAPE}"\n',
+        f"{FINE}theme: !<tag:%1B%5D0;evil%07> x\n",
+        f"{FINE}x: !%1B%5D0;evil%07 y\n",
+        f"{FINE}x: &a 1\ny: *b\n",
+        f"{FINE}x: *\u202e\n",
+        f'{FINE}"\\q": 1\n',
+        f"{FINE}x: [\u202e\n",
+        f"{FINE}x: \x1b[31m\n",
+        f"{FINE}x: \u2028\u202e: z: \u200b\n",
+        FINE.replace("name: a", f'name: "{ESCAPE}"'),
+        FINE.replace("role: client", "role: server")
+        + f'clients:\n- {{name: "{ESCAPE}", key_file: k, "{ESCAPE}": 1}}\n',
+        FINE.replace("10.0.0.1", f'"{ESCAPE}"'),
+        FINE.replace("key_file: k", f'key_file: "{ESCAPE}"'),
+        FINE + f'allow: ["{ESCAPE}"]\n',
+    ],
+)
+@pytest.mark.parametrize("command", [("check",), ("run", "--no-ui")])
+def test_keys_and_values_of_a_file_do_nothing_to_the_terminal(
+    content: str, command: tuple[str, ...], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "a\x1b[31m\n.yaml"
+    path.write_text(content, encoding="utf-8")
+    parsed = parser_and_commands()[0].parse_args([*command, str(path)])
+    assert parsed.command(parsed) == 2
+    out, err = capsys.readouterr()
+    assert is_clean((out + err).replace("\n", ""))
+    assert not [line for line in err.splitlines() if line.startswith("forged")]
+
+
+def test_check_cleans_what_a_session_may_have(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "a.yaml"
+    path.write_text(FINE + f'on_fault: "/{ESCAPE} x"\n', encoding="utf-8")
+    parsed = parser_and_commands()[0].parse_args(["check", str(path)])
+    parsed.command(parsed)
+    out, err = capsys.readouterr()
+    assert "evil" in out + err
+    assert is_clean((out + err).replace("\n", ""))

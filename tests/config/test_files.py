@@ -1,0 +1,159 @@
+"""Files that are written for a user: nobody else reads them, and nothing in them acts on a terminal."""
+
+from __future__ import annotations
+
+import ast
+import csv
+import os
+import stat
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import pytest
+from tests.console.scripted import ROUTES, route
+
+from rsb_bridge.config.files import new_file, replace_file, write_whole
+from rsb_bridge.config.keys import write_key
+from rsb_bridge.history.event_file import EventFile
+from rsb_bridge.model.codes import EventCode
+from rsb_bridge.model.history import HistoryReport
+from rsb_bridge.model.snapshot import Event, Level
+from rsb_bridge.model.text import is_clean
+from rsb_console.session.export import export_history, export_log, export_topics
+from rsb_console.terminal.driver import terminal_to_itself
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+EVIL = "\x1b]0;evil\x07\x1b[2J\u202eevil\u200b\x9b31m\n2026-01-01 forged\r"
+PACKAGES = [Path(__file__).parents[2] / each for each in ("bridge/rsb_bridge", "console/rsb_console")]
+WRITES_OTHERWISE = {
+    "config/files.py": "what is not a file: a device or a pipe; `new_file`",
+    "session/demo.py": "logs in a temporary folder, mode 0700",
+    "bench/beds.py": "sessions in a temporary folder, mode 0700",
+    "bench/fleet.py": "likewise",
+    "bench/processes.py": "likewise",
+    "ros/simulation.py": "a child's pipe",
+    "config/keys.py": "with `owner_only`",
+    "cli.py": "crash.log, with `owner_only`",
+    "terminal/shutdown.py": "crash.txt, with `owner_only`",
+    "command/shell.py": "the null device",
+}
+
+
+def mode(path: Path) -> int:
+    return stat.S_IMODE(path.stat().st_mode)
+
+
+@pytest.fixture(params=[0o000, 0o022, 0o777])
+def umask(request: pytest.FixtureRequest) -> Iterator[int]:
+    before = os.umask(request.param)
+    yield request.param
+    os.umask(before)
+
+
+@pytest.mark.usefixtures("umask")
+def test_a_new_file_is_its_owners_from_the_start(tmp_path: Path) -> None:
+    with new_file(tmp_path / "a") as file:
+        assert mode(tmp_path / "a") == 0o600
+        file.write("x")
+    assert mode(tmp_path / "a") == 0o600
+    write_whole(tmp_path / "b", "x")
+    write_key(tmp_path / "c.key")
+    assert mode(tmp_path / "b") == mode(tmp_path / "c.key") == 0o600
+
+
+def test_a_file_that_others_could_read_is_the_owners_after_it_is_written(tmp_path: Path) -> None:
+    path = tmp_path / "a"
+    path.write_text("old")
+    path.chmod(0o666)
+    write_whole(path, "new")
+    assert (path.read_text(), mode(path)) == ("new", 0o600)
+
+
+def test_no_symbolic_link_is_followed_to_a_new_file(tmp_path: Path) -> None:
+    (tmp_path / "a").symlink_to(tmp_path / "elsewhere")
+    with pytest.raises(OSError, match="a"), new_file(tmp_path / "a"):
+        pass
+    assert not (tmp_path / "elsewhere").exists()
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="needs root, to be somebody else")
+@pytest.mark.parametrize("is_there", [True, False])
+def test_a_symbolic_link_of_another_user_is_not_followed(tmp_path: Path, *, is_there: bool) -> None:
+    target, link = tmp_path / "target", tmp_path / "link"
+    if is_there:
+        target.write_text("old")
+    link.symlink_to(target)
+    os.chown(link, 1234, 1234, follow_symlinks=False)
+    for write in (lambda: write_whole(link, "new"), lambda: replace_file(link, b"new")):
+        with pytest.raises(OSError, match="link"):
+            write()
+    assert not is_there or target.read_text() == "old"
+    os.chown(link, 0, 0, follow_symlinks=False)
+    if is_there:
+        write_whole(link, "new")
+        assert target.read_text() == "new"
+
+
+@pytest.mark.usefixtures("umask")
+def test_exports_are_the_owners_and_clean(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    folder = tmp_path / "folder"
+    folder.mkdir()
+    folder.chmod(0o700)
+    monkeypatch.chdir(folder)
+    event = Event(1, 1_700_000_000.0, Level.INFO, EventCode.LINK_UP, EVIL, link=EVIL, topic=EVIL, who=EVIL)
+    export_log([event])
+    export_topics([replace(route(f"/{EVIL}", outgoing=True), reason=EVIL, type_name=f"={EVIL}"), *ROUTES])
+    export_history(
+        HistoryReport(name=EVIL, role="client", time=1_700_000_100.0, span=100.0, running=True, actions=(event,))
+    )
+    write_whole(folder / "plot.svg", f"<svg>{EVIL}</svg>")
+    paths = list(folder.iterdir())
+    assert len(paths) == 5
+    for path in paths:
+        assert mode(path) == 0o600
+        text = path.read_bytes().decode()
+        assert is_clean(text.replace("\r\n", "").replace("\n", ""))
+        assert path.suffix == ".svg" or not [line for line in text.splitlines() if line.startswith("2026-01-01 forged")]
+    (table,) = folder.glob("rsb-topics-*.csv")
+    rows = list(csv.DictReader(table.read_text().splitlines()))
+    assert len(rows) == len(ROUTES) + 1
+
+
+def test_files_of_before_are_closed_to_others(tmp_path: Path) -> None:
+    for name in ("a.events.jsonl", "output.txt"):
+        (tmp_path / name).write_text("")
+        (tmp_path / name).chmod(0o666)
+    file = EventFile(tmp_path / "a.events.jsonl")
+    file.write([Event(1, 1_700_000_000.0, Level.INFO, EventCode.LINK_UP, EVIL)])
+    file.close()
+    with terminal_to_itself(tmp_path / "output.txt"):
+        pass
+    assert {mode(path) for path in tmp_path.iterdir()} == {0o600}
+
+
+def writes(tree: ast.AST) -> bool:
+    """Whether a module opens files to write them."""
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Call):
+            name = ast.unparse(node.func)
+            values = [*node.args, *(each.value for each in node.keywords if each.arg == "mode")]
+            modes = [each.value for each in values if isinstance(each, ast.Constant) and isinstance(each.value, str)]
+            is_open = name == "open" or name.endswith((".open", "fdopen"))
+            if name.endswith((".write_text", ".write_bytes")) or (
+                is_open and any(set(each) <= set("wax+bt") and set(each) & set("wax") for each in modes)
+            ):
+                return True
+    return False
+
+
+def test_no_module_writes_files_but_by_the_functions_that_keep_them_private() -> None:
+    found = {
+        path.relative_to(package).as_posix()
+        for package in PACKAGES
+        for path in package.rglob("*.py")
+        if writes(ast.parse(path.read_text()))
+    }
+    assert found <= set(WRITES_OTHERWISE), found - set(WRITES_OTHERWISE)
