@@ -12,6 +12,7 @@ import tempfile
 from pathlib import Path
 
 from tests.support.locks import two_domains
+from tests.system.torture import demands
 from tests.system.torture.attacks import ATTACKS, attack, fits
 from tests.system.torture.stage import Nodes
 
@@ -23,6 +24,7 @@ def main() -> int:
     """Do the attacks."""
     parser = argparse.ArgumentParser(prog="python -m tests.system.torture")
     parser.add_argument("names", nargs="*", metavar="NAME", help=f"of {', '.join(ATTACKS)}")
+    parser.add_argument("--demands", action="store_true", help="instead, see whether a demand can be lost")
     parser.add_argument("--over", nargs="+", choices=_TRANSPORTS, default=_TRANSPORTS)
     arguments = parser.parse_args()
     wrong = 0
@@ -30,6 +32,8 @@ def main() -> int:
         os.environ |= {"XDG_RUNTIME_DIR": folder, "XDG_STATE_HOME": folder, "RSB_CONSOLE_ISOLATED": "1"}
         nodes = Nodes.start(Path(folder), two_domains())
         try:
+            if arguments.demands:
+                return int(_demands(nodes) > 0)
             _print(*_HEAD)
             for name in arguments.names or ATTACKS:
                 for transport in arguments.over:
@@ -49,6 +53,18 @@ def _case(nodes: Nodes, name: str, transport: str) -> int:
     figures = (found.crossed, found.old, found.after, found.unarmed, f"{found.oldest:.2f}", f"{found.tolerance:.2f}")
     _print(name, transport, *figures, "; ".join(found.notes))
     return found.wrong
+
+
+def _demands(nodes: Nodes) -> int:
+    wrong = 0
+    for server in ("pc", "robot"):
+        for cases in (demands.CASES, demands.EDITS):
+            print(f"{f'the {server} is the server':52}{'crossed':>8}{'edited':>8}{'again':>8}  codes")  # noqa: T201
+            for name, found in demands.run(nodes, cases, server=server).items():  # type: ignore[arg-type]
+                figures = "".join(f"{each:>8}" for each in (found.before, found.after, found.restarted))
+                print(f"{name:52}{figures}  {found.codes or ''}", flush=True)  # noqa: T201
+                wrong += 0 if name == demands.CONTROL else found.wrong
+    return wrong
 
 
 def _print(name: object, transport: object, *figures: object) -> None:

@@ -28,6 +28,7 @@ _WITNESS_RATE = 50.0
 _ROOT = Path(__file__).parents[3]
 _ARRIVAL = struct.Struct("<HIddd")
 _POLL = 0.003
+_MARK = "answer "
 
 
 class Arrival(NamedTuple):
@@ -64,11 +65,15 @@ class _Process:
         assert self._process.stdin is not None
         self._process.stdin.write(json.dumps(order) + "\n")
         self._process.stdin.flush()
-        return json.loads(self.read())
+        return self.read()
 
-    def read(self) -> str:
+    def read(self) -> Any:
+        """Its next answer; Fast DDS writes there, too."""
         assert self._process.stdout is not None
-        return self._process.stdout.readline()
+        while line := self._process.stdout.readline():
+            if line.startswith(_MARK):
+                return json.loads(line.removeprefix(_MARK))
+        raise AssertionError("it has ended")
 
     def close(self) -> None:
         with self._process:
@@ -121,7 +126,8 @@ class Ear(_Process):
         """All messages since `listen`, the witness's included."""
         self.ask(flush=True)
         data = self._file.read_bytes()
-        return [Arrival(self._topics[topic], *rest) for topic, *rest in _ARRIVAL.iter_unpack(data)]
+        whole = len(data) // _ARRIVAL.size * _ARRIVAL.size  # the ear may be writing
+        return [Arrival(self._topics[topic], *rest) for topic, *rest in _ARRIVAL.iter_unpack(data[:whole])]
 
 
 class _Voice:
@@ -208,7 +214,7 @@ def _subscribe(domain: Any, topic: str, qos: QoSProfile) -> Any:
 
 
 def _say(answer: Any) -> None:
-    sys.stdout.write(json.dumps(answer) + "\n")
+    sys.stdout.write(f"{_MARK}{json.dumps(answer)}\n")
     sys.stdout.flush()
 
 

@@ -130,7 +130,7 @@ class Nodes:
     def start(cls, folder: Path, first: int) -> Nodes:
         """Start them in two domains."""
         talker, ear, forker = Talker(first + 1, first), Ear(first, folder / "arrivals"), Forker(folder)
-        assert talker.read() == ear.read() == '"ready"\n'
+        assert talker.read() == ear.read() == "ready"
         return cls((first, first + 1), talker, ear, forker, folder)
 
     def close(self) -> None:
@@ -264,10 +264,10 @@ class Stage:
 
         eventually(ready, within, f"disarmed on both sides: {self.describe()}")
 
-    def describe(self) -> str:
-        """What both sides show."""
+    def describe(self, topic: str = TOPIC) -> str:
+        """What both sides show of a topic."""
         return "; ".join(
-            f"{name}: {bridge.console.unreachable or [(each.state, each.cause, each.reason) for each in bridge.routes()]}"
+            f"{name}: {bridge.console.unreachable or [(each.state, each.cause, each.reason) for each in bridge.routes(topic)]}"
             for name, bridge in (("robot", self.robot), ("pc", self.pc))
         )
 
