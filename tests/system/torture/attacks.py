@@ -20,10 +20,12 @@ if TYPE_CHECKING:
 
     from tests.system.torture.judge import Findings
     from tests.system.torture.relay import Stream
-    from tests.system.torture.stage import Bridge, Nodes, Transport
+    from tests.system.torture.stage import Bridge, Nodes, Side, Transport
 
     Attack: TypeAlias = Callable[[Stage], None]
 
+STAYS_ARMED = "stays armed"
+"""A note of a case: the attack has not disarmed the topic, as it need not if nothing old crosses."""
 FREEZE = 8.0
 HOLD = 4.0
 _STREAM_GAP = 0.3
@@ -297,6 +299,26 @@ def fits(name: str, transport: Transport) -> bool:
     return not name.startswith("router") and not (name == "hold-datagrams-first" and transport == "tcp")
 
 
+def _stepped(side: Side, seconds: float) -> Callable[[Nodes], Attack]:
+    def bound(nodes: Nodes) -> Attack:
+        def attack(stage: Stage) -> None:
+            nodes.clocks[side].set(seconds)
+            hold(("data", "datagrams", "control"), 2.0)(stage)
+
+        return attack
+
+    return bound
+
+
+STEPS = {
+    "step-pc-ahead": _stepped("pc", 10.0),
+    "step-pc-back": _stepped("pc", -10.0),
+    "step-robot-ahead": _stepped("robot", 10.0),
+    "step-robot-back": _stepped("robot", -10.0),
+}
+"""A wall clock is stepped, and then the network holds for 2 s. Only with `Nodes.clocks`."""
+
+
 def attack(nodes: Nodes, name: str, transport: Transport, work: Attack | None = None) -> Findings:
     """Do one attack, and judge what reached the robot.
 
@@ -306,6 +328,10 @@ def attack(nodes: Nodes, name: str, transport: Transport, work: Attack | None = 
         transport: of the topic.
         work: instead of the attack of that name.
     """
+    for clock in nodes.clocks.values():
+        clock.set(0.0)
+    if name in STEPS:
+        work = STEPS[name](nodes)
     with Stage(nodes, transport) as stage:
         stage.prepare()
         stage.arm_and_flow(int(RATE / 2))
@@ -314,7 +340,7 @@ def attack(nodes: Nodes, name: str, transport: Transport, work: Attack | None = 
         if stage.windows[-1].shown is None:
             time.sleep(1.0)
         if stage.windows[-1].shown is None:
-            notes.append("stays armed")
+            notes.append(STAYS_ARMED)
             stage.disarm().wait(30)
             stage.disarmed()
         time.sleep(1.0)

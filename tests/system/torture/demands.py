@@ -182,13 +182,16 @@ class Crossed:
         return self.before + self.after + self.restarted
 
 
-def run(nodes: Nodes, cases: Iterable[Case], *, server: Side = "pc") -> dict[str, Crossed]:
+def run(
+    nodes: Nodes, cases: Iterable[Case], *, server: Side = "pc", watched: float = _WATCHED
+) -> dict[str, Crossed]:
     """Run all cases in one bridge; returns the figures of each by its name, those of `CONTROL` under that name.
 
     Args:
         nodes: at both ends.
         cases: each in a folder of its own.
         server: the side that listens for the other one.
+        watched: s in which nothing may cross, three times, beside the time until `CONTROL` does.
     """
     places = {f"/case{number}": case for number, case in enumerate(cases) if known(case)}
     control = Case(CONTROL, [_entry("@/cmd")])
@@ -212,7 +215,7 @@ def run(nodes: Nodes, cases: Iterable[Case], *, server: Side = "pc") -> dict[str
             while count()[CONTROL] <= since[CONTROL] + 5:
                 assert time.monotonic() < deadline, f"what need not be armed does not cross: {stage.describe(CONTROL)}"
                 time.sleep(0.05)
-            time.sleep(_WATCHED)
+            time.sleep(watched)
             return count()
 
         start = watch(count())

@@ -7,6 +7,7 @@ say, and beside it `WITNESS` in the robot's own domain. ``... listen ROBOT FILE`
 from __future__ import annotations
 
 import json
+import os
 import select
 import struct
 import subprocess
@@ -16,7 +17,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Iterable, Mapping
 
     from rclpy.publisher import Publisher
     from rclpy.qos import QoSProfile
@@ -26,7 +27,7 @@ WITNESS = "/witness"
 
 _WITNESS_RATE = 50.0
 _ROOT = Path(__file__).parents[3]
-_ARRIVAL = struct.Struct("<HIddd")
+_ARRIVAL = struct.Struct("<HIdd")
 _POLL = 0.003
 _MARK = "answer "
 
@@ -38,24 +39,23 @@ class Arrival(NamedTuple):
         topic: its name in the robot's domain.
         number: counts up from 1 for each topic.
         published: the moment before the control PC's node published it.
-        bridged: the moment when the robot's bridge published it, as DDS says.
         arrived: the moment when the robot's node got it, as DDS says.
     """
 
     topic: str
     number: int
     published: float
-    bridged: float
     arrived: float
 
 
 class _Process:
     """A process of this module, which answers each line with one."""
 
-    def __init__(self, *arguments: object) -> None:
+    def __init__(self, *arguments: object, environ: Mapping[str, str] | None = None) -> None:
         self._process = subprocess.Popen(
             [sys.executable, "-m", "tests.system.torture.ends", *map(str, arguments)],
             cwd=_ROOT,
+            env=os.environ | (environ or {}),
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             text=True,
@@ -86,14 +86,15 @@ class Talker(_Process):
     Args:
         pc: the control PC's domain.
         robot: the robot's.
+        environ: of the process, beside this one's.
     """
 
-    def __init__(self, pc: int, robot: int) -> None:
-        super().__init__("talk", pc, robot)
+    def __init__(self, pc: int, robot: int, environ: Mapping[str, str] | None = None) -> None:
+        super().__init__("talk", pc, robot, environ=environ)
 
-    def talk(self, topics: Iterable[str], rate: float, *, latched: bool = False, stamp_shift: float = 0.0) -> None:
+    def talk(self, topics: Iterable[str], rate: float, *, latched: bool = False) -> None:
         """Publish each topic at `rate` Hz from now on, and nothing else."""
-        self.ask(topics=[*topics], rate=rate, latched=latched, stamp_shift=stamp_shift)
+        self.ask(topics=[*topics], rate=rate, latched=latched)
 
     def matched(self) -> dict[str, int]:
         """How many subscriptions each topic has."""
@@ -203,8 +204,8 @@ def listen(robot: int, file: Path) -> None:
             while (taken := subscription.handle.take_message(String, False)) is not None:
                 message, info = taken
                 number, published = message.data.split()
-                bridged, arrived = (info[key] / 1e9 - shift for key in ("source_timestamp", "received_timestamp"))
-                output.write(_ARRIVAL.pack(index, int(number), float(published), bridged, arrived))
+                arrived = info["received_timestamp"] / 1e9 - shift
+                output.write(_ARRIVAL.pack(index, int(number), float(published), arrived))
 
 
 def _subscribe(domain: Any, topic: str, qos: QoSProfile) -> Any:

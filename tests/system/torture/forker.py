@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING, Any
 from tests.support.waiting import eventually
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
 
 _PR_SET_NAME = 15
 _ROOT = Path(__file__).parents[3]
@@ -72,15 +72,21 @@ class Command:
 
 
 class Forker:
-    """Starts commands."""
+    """Starts commands.
 
-    def __init__(self, folder: Path) -> None:
+    Args:
+        folder: for their output.
+        environ: of the commands, beside this process's.
+    """
+
+    def __init__(self, folder: Path, environ: Mapping[str, str] | None = None) -> None:
         self._folder = folder
         self._commands: list[Command] = []
         self._lock = threading.Lock()
         self._process = subprocess.Popen(
             [sys.executable, "-m", "tests.system.torture.forker"],
             cwd=_ROOT,
+            env=os.environ | (environ or {}),
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             text=True,

@@ -14,6 +14,7 @@ import yaml
 from tests.support.ports import free_port
 from tests.support.program import free_shared_memory
 from tests.support.waiting import eventually
+from tests.system.torture.clock import SteppedClock
 from tests.system.torture.ends import Ear, Talker
 from tests.system.torture.forker import Command, Forker
 from tests.system.torture.judge import Findings, Window, judge
@@ -32,6 +33,7 @@ if TYPE_CHECKING:
 
 Transport: TypeAlias = Literal["tcp", "udp", "zenoh", "zenoh-drop"]
 Side: TypeAlias = Literal["robot", "pc"]
+SIDES: tuple[Side, ...] = ("robot", "pc")
 TOPIC = "/cmd"
 RATE = 100.0
 
@@ -115,27 +117,45 @@ class Nodes:
         domains: the robot's, and the control PC's.
         talker: publishes commands on the control PC's side.
         ear: listens on the robot's side.
-        forker: starts programs.
+        forkers: start the programs of each side.
         folder: for files.
+        clocks: of each side, or empty if both have the true one.
+        stages: how many bridges these nodes have seen.
     """
 
     domains: tuple[int, int]
     talker: Talker
     ear: Ear
-    forker: Forker
+    forkers: dict[Side, Forker]
     folder: Path
+    clocks: dict[Side, SteppedClock]
     stages: int = 0
 
     @classmethod
-    def start(cls, folder: Path, first: int) -> Nodes:
-        """Start them in two domains."""
-        talker, ear, forker = Talker(first + 1, first), Ear(first, folder / "arrivals"), Forker(folder)
+    def start(cls, folder: Path, first: int, *, stepped: bool = False) -> Nodes:
+        """Start them in two domains.
+
+        Args:
+            folder: for files.
+            first: the robot's domain; the control PC's is the next one.
+            stepped: the two sides have clocks that can be stepped.
+        """
+        clocks: dict[Side, SteppedClock] = {}
+        if stepped:
+            clocks = {"robot": SteppedClock(folder, "robot"), "pc": SteppedClock(folder, "pc")}
+        forkers: dict[Side, Forker] = {}
+        for side in SIDES:
+            (folder / side).mkdir()
+            forkers[side] = Forker(folder / side, clocks[side].environ if stepped else None)
+        talker = Talker(first + 1, first, clocks["pc"].environ if stepped else None)
+        ear = Ear(first, folder / "arrivals")
         assert talker.read() == ear.read() == "ready"
-        return cls((first, first + 1), talker, ear, forker, folder)
+        return cls((first, first + 1), talker, ear, forkers, folder, clocks)
 
     def close(self) -> None:
         """End them."""
-        self.forker.close()
+        for forker in self.forkers.values():
+            forker.close()
         self.talker.close()
         self.ear.close()
         free_shared_memory()
@@ -218,16 +238,16 @@ class Stage:
             self.relay = self._resources.enter_context(GateRelay(port))
             places = {
                 side: {"server_ip": "127.0.0.1", "server_port": port if side == self._server else self.relay.port}
-                for side in ("robot", "pc")
+                for side in SIDES
             }
         entries = self._entries if self._entries is not None else self._usual_entries()
         bridges = {}
-        for side, domain in zip(("robot", "pc"), nodes.domains, strict=True):
+        for side, domain in zip(SIDES, nodes.domains, strict=True):
             role = "server" if side == self._server else "client"
-            session = common | places[side] | {"role": role, "domain_id": domain} | entries.get(side, {})  # type: ignore[call-overload]
+            session = common | places[side] | {"role": role, "domain_id": domain} | entries.get(side, {})
             file = folder / f"{side}.yaml"
             file.write_text(yaml.safe_dump(session, sort_keys=False))
-            bridges[side] = Bridge(nodes.forker, file)
+            bridges[side] = Bridge(nodes.forkers[side], file)
             self._resources.callback(lambda bridge=bridges[side]: bridge.command.kill())
         self.robot, self.pc = bridges["robot"], bridges["pc"]
         for bridge in (self.robot, self.pc):
