@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
     from tests.system.torture.attacks import Attack
     from tests.system.torture.judge import Findings
-    from tests.system.torture.stage import Transport
+    from tests.system.torture.stage import Stage, Transport
 
 
 @pytest.fixture(scope="module")
@@ -37,7 +37,7 @@ def check(found: Findings) -> None:
     assert not [each for each in found.notes if each != attacks.STAYS_ARMED], found
 
 
-def _freeze(stage: attacks.Stage) -> None:
+def _freeze(stage: Stage) -> None:
     attacks.freeze_robot(stage, 2.5)
 
 
@@ -71,10 +71,10 @@ def test_nothing_older_than_max_age_reaches_the_robot(nodes: Nodes) -> None:
 
 def test_the_judge_is_not_blind() -> None:
     window = Window(10.0, 20.0)
-    witness = [Arrival(WITNESS, 1, 10.0, 10.01), Arrival(WITNESS, 2, 20.0, 20.01)]
+    witness = [Arrival(WITNESS, 1, 10.0, 10.01, 10.01), Arrival(WITNESS, 2, 20.0, 20.01, 20.01)]
 
     def judged(published: float, arrived: float) -> tuple[int, int, int]:
-        found = judge([*witness, Arrival(TOPIC, 1, published, arrived)], [window, Window(30.0)])
+        found = judge([*witness, Arrival(TOPIC, 1, published, arrived, arrived)], [window, Window(30.0)])
         return found.old, found.after, found.unarmed
 
     assert judged(11.0, 12.0) == (0, 0, 0)

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 
 from tests.support.locks import two_domains
 from tests.system.torture import ages, attacks, clock, demands
-from tests.system.torture.stage import Nodes
+from tests.system.torture.stage import SIDES, Nodes
 
 from rsb_bridge.api import EngineError
 
@@ -37,7 +37,11 @@ def main() -> int:
     parser.add_argument("--over", nargs="+", choices=_TRANSPORTS, default=_TRANSPORTS)
     arguments = parser.parse_args()
     wrong = 0
-    for stepped in (False, True) if clock.POSSIBLE else (False,):
+    steps = {*attacks.STEPS, *ages.STEPS}
+    with_steps = (
+        clock.POSSIBLE and arguments.what != "demands" and not (arguments.names and steps.isdisjoint(arguments.names))
+    )
+    for stepped in (False, True) if with_steps else (False,):
         with tempfile.TemporaryDirectory() as folder:
             os.environ |= {"XDG_RUNTIME_DIR": folder, "XDG_STATE_HOME": folder, "RSB_CONSOLE_ISOLATED": "1"}
             nodes = Nodes.start(Path(folder), two_domains(), stepped=stepped)
@@ -90,10 +94,10 @@ def _case(name: str, transport: str, run: Callable[[], Findings]) -> int:
 
 def _demands(nodes: Nodes) -> int:
     wrong = 0
-    for server in ("pc", "robot"):
+    for server in SIDES:
         for cases in (demands.CASES, demands.EDITS):
             print(f"{f'the {server} is the server':52}{'crossed':>8}{'edited':>8}{'again':>8}  codes")  # noqa: T201
-            for name, found in demands.run(nodes, cases, server=server).items():  # type: ignore[arg-type]
+            for name, found in demands.run(nodes, cases, server=server).items():
                 figures = "".join(f"{each:>8}" for each in (found.before, found.after, found.restarted))
                 print(f"{name:52}{figures}  {found.codes or ''}", flush=True)  # noqa: T201
                 wrong += 0 if name == demands.CONTROL else found.wrong

@@ -1,4 +1,4 @@
-"""`max_age`: what is done to a topic whose messages must not be old, and how old the oldest is that reaches the robot."""
+"""What is done to a topic with `max_age`, and how old the oldest message is that reaches the robot."""
 
 from __future__ import annotations
 
@@ -91,14 +91,14 @@ def _pause_held(_: Nodes, stage: Stage) -> None:
 
 def _reconnect(_: Nodes, stage: Stage) -> None:
     """The robot's bridge is killed, and started again."""
-    stage.robot.command.kill()
+    stage.robot.kill()
     time.sleep(1.0)
     stage.robot.start()
 
 
 def _reconnect_pc(_: Nodes, stage: Stage) -> None:
     """The control PC's bridge is killed, and started again."""
-    stage.pc.command.kill()
+    stage.pc.kill()
     time.sleep(1.0)
     stage.pc.start()
 
@@ -174,7 +174,7 @@ PLACES = {
     "pc": Place(_NAME, _NAME | _KEY),
     "robot-pattern": Place({"topic": "/cm*", "direction": "receive"} | _KEY),
     "pc-pattern": Place(_NAME, {"topic": "/cm*", "direction": "receive"} | _KEY),
-    "both": Place(_NAME | _KEY, _NAME | {key: 20.0 for key in _KEY}),
+    "both": Place(_NAME | _KEY, _NAME | dict.fromkeys(_KEY, 20.0)),
 }
 
 

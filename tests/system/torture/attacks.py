@@ -1,10 +1,9 @@
-"""What is done to a bridge whose topic is armed. Each attack ends with the topic disarmed, armed anew, disarmed again."""
+"""Attacks on a bridge whose topic is armed. Afterwards it is disarmed, armed anew, and disarmed again."""
 
 from __future__ import annotations
 
 import contextlib
 import random
-import signal
 import time
 from typing import TYPE_CHECKING
 
@@ -97,7 +96,7 @@ def hold_control_only(stage: Stage) -> None:
 
 
 def add_up(stage: Stage) -> None:
-    """Two delays that are allowed each: the control PC's bridge stands still for 0.8 s, and the network holds for 0.8 s."""
+    """The control PC's bridge stands still for 0.8 s, and then the network holds for 0.8 s: each is allowed."""
     for _ in range(3):
         with stage.pc.frozen():
             time.sleep(0.8)
@@ -213,13 +212,13 @@ def kill_router(stage: Stage) -> None:
 
 def kill_robot(stage: Stage) -> None:
     """The robot's bridge is killed, and started again."""
-    stage.robot.command.kill()
+    stage.robot.kill()
     stage.robot.start()
 
 
 def kill_pc(stage: Stage) -> None:
     """The control PC's bridge is killed, and started again."""
-    stage.pc.command.kill()
+    stage.pc.kill()
     stage.disarmed()  # no console shows anything armed
     stage.pc.start()
 

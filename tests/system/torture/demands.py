@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from tests.system.torture.stage import Stage
 
-import rsb_bridge.model.session as sessions
+from rsb_bridge.model.session import Session
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -26,7 +26,7 @@ _STARTS_WITHIN = 60.0
 _WATCHED = 4.0
 
 
-def _entry(topic: str, arm: bool = False, **keys: Any) -> dict[str, Any]:  # noqa: FBT001, FBT002 -- a table
+def _entry(topic: str, arm: bool = False, **keys: Any) -> dict[str, Any]:
     return {"topic": topic, "direction": "receive", **({"arm": True} if arm else {}), **keys}
 
 
@@ -40,7 +40,7 @@ class Case:
         pc: entries of the control PC's session, in its client's entry.
         published: names in the control PC's domain.
         heard: names in the robot's domain.
-        settings: keys of either side's session beside these.
+        armed: names and patterns that a side's session keeps armed without an entry.
         steps: commands on running bridges: side, command, arguments.
     """
 
@@ -49,7 +49,7 @@ class Case:
     pc: Sequence[dict[str, Any]] = ()
     published: tuple[str, ...] = ("@/cmd",)
     heard: tuple[str, ...] = ("@/cmd",)
-    settings: tuple[tuple[Side, str, Any], ...] = ()
+    armed: tuple[tuple[Side, str], ...] = ()
     steps: tuple[tuple[Side, str, tuple[str, ...]], ...] = ()
 
 
@@ -75,9 +75,9 @@ CASES = (
     Case("robot's pattern of the other direction", [_NAME, _ALL_ARMED | _BACK]),
     Case("pc's pattern of the other direction", [_NAME], [_ALL_ARMED | _BACK]),
     Case("pc's entry of the other direction", [_NAME], [_ARMED | _BACK]),
-    Case("robot's `armed`", [_NAME], settings=(("robot", "armed", "@/cmd"),)),
-    Case("pc's `armed`", [_NAME], settings=(("pc", "armed", "@/cmd"),)),
-    Case("pc's `armed` pattern", [_ALL], settings=(("pc", "armed", "@/*"),)),
+    Case("robot's `armed`", [_NAME], armed=(("robot", "@/cmd"),)),
+    Case("pc's `armed`", [_NAME], armed=(("pc", "@/cmd"),)),
+    Case("pc's `armed` pattern", [_ALL], armed=(("pc", "@/*"),)),
     Case(
         "pc's name, a second route by another name",
         [_entry("@/other", remote_topic="@/cmd")],
@@ -149,15 +149,20 @@ EDITS = (
         heard=("@/cmd", "@/second"),
         steps=(("robot", "add", ("@/second", "receive", "remote_topic=@/cmd")),),
     ),
-    Case("pause and resume on the pc", [_NAME], [_ARMED], steps=tuple(("pc", each, ("@/cmd",)) for each in ("pause", "resume"))),
-)  # fmt: skip
+    Case(
+        "pause and resume on the pc",
+        [_NAME],
+        [_ARMED],
+        steps=(("pc", "pause", ("@/cmd",)), ("pc", "resume", ("@/cmd",))),
+    ),
+)
 
-HAS_ARMED_KEY = "armed" in sessions.Session.__struct_fields__ or "keep_armed" in sessions.Session.__struct_fields__
+_ARMED_KEY = "keep_armed" if "keep_armed" in Session.__struct_fields__ else "armed"
 
 
 def known(case: Case) -> bool:
     """Whether this version knows all keys of a case."""
-    return HAS_ARMED_KEY or not case.settings
+    return _ARMED_KEY in Session.__struct_fields__ or not case.armed
 
 
 @dataclass
@@ -182,9 +187,7 @@ class Crossed:
         return self.before + self.after + self.restarted
 
 
-def run(
-    nodes: Nodes, cases: Iterable[Case], *, server: Side = "pc", watched: float = _WATCHED
-) -> dict[str, Crossed]:
+def run(nodes: Nodes, cases: Iterable[Case], *, server: Side = "pc", watched: float = _WATCHED) -> dict[str, Crossed]:
     """Run all cases in one bridge; returns the figures of each by its name, those of `CONTROL` under that name.
 
     Args:
@@ -224,7 +227,7 @@ def run(
         edited = watch(count()) if any(case.steps for case in places.values()) else start
         again = edited
         if edited is not start:
-            stage.robot.command.kill()
+            stage.robot.kill()
             stage.robot.start()
             again = watch(count())
         for name, crossed in found.items():
@@ -251,11 +254,10 @@ def _sessions(places: dict[str, Case], server: Side) -> dict[Side, dict[str, Any
     made: dict[Side, dict[str, Any]] = {}
     for side in ("robot", "pc"):
         client = {"name": "robot1", "key_file": "key.txt", "topics": topics[side]}
-        made[side] = {"clients": [client]} if side == server else {"topics": topics[side]}  # type: ignore[index]
-        armed = [(key, value.replace("@", place)) for place, case in places.items() for at, key, value in case.settings if at == side]
+        made[side] = {"clients": [client]} if side == server else {"topics": topics[side]}
+        armed = [name.replace("@", place) for place, case in places.items() for at, name in case.armed if at == side]
         if armed:
-            key = "armed" if "armed" in sessions.Session.__struct_fields__ else "keep_armed"
-            made[side][key] = [value for _, value in armed]  # type: ignore[index]
+            made[side][_ARMED_KEY] = armed
     return made
 
 

@@ -1,7 +1,7 @@
 """The ROS nodes at both ends, each in a process of its own, and what they note.
 
 ``python -m tests.system.torture.ends talk PC ROBOT`` publishes in the control PC's domain what the lines of its input
-say, and beside it `WITNESS` in the robot's own domain. ``... listen ROBOT FILE`` notes each message that reaches the robot.
+say, and beside it `WITNESS` in the robot's own domain. ``... listen ROBOT FILE`` notes what reaches the robot.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ WITNESS = "/witness"
 
 _WITNESS_RATE = 50.0
 _ROOT = Path(__file__).parents[3]
-_ARRIVAL = struct.Struct("<HIdd")
+_ARRIVAL = struct.Struct("<HIddd")
 _POLL = 0.003
 _MARK = "answer "
 
@@ -40,12 +40,14 @@ class Arrival(NamedTuple):
         number: counts up from 1 for each topic.
         published: the moment before the control PC's node published it.
         arrived: the moment when the robot's node got it, as DDS says.
+        bridged: the moment when the robot's bridge gave it to DDS, by the clock of that bridge.
     """
 
     topic: str
     number: int
     published: float
     arrived: float
+    bridged: float
 
 
 class _Process:
@@ -204,8 +206,8 @@ def listen(robot: int, file: Path) -> None:
             while (taken := subscription.handle.take_message(String, False)) is not None:
                 message, info = taken
                 number, published = message.data.split()
-                arrived = info["received_timestamp"] / 1e9 - shift
-                output.write(_ARRIVAL.pack(index, int(number), float(published), arrived))
+                arrived, bridged = (info[key] / 1e9 - shift for key in ("received_timestamp", "source_timestamp"))
+                output.write(_ARRIVAL.pack(index, int(number), float(published), arrived, bridged))
 
 
 def _subscribe(domain: Any, topic: str, qos: QoSProfile) -> Any:

@@ -143,9 +143,10 @@ def _name_threads() -> None:
 
 def main() -> int:
     """Fork until the input ends."""
-    for module in ("rsb_console.cli", "rsb_console.command.headless", "rsb_console.command.remote", "rsb_bridge.ros.rcl"):
+    for module in ("cli", "command.headless", "command.remote"):
+        importlib.import_module(f"rsb_console.{module}")
+    for module in ("rsb_bridge.ros.rcl", "std_msgs.msg"):
         importlib.import_module(module)
-    importlib.import_module("std_msgs.msg")
     signal.signal(signal.SIGCHLD, signal.SIG_IGN)  # no zombies
     print("ready", flush=True)  # noqa: T201
     for line in sys.stdin:

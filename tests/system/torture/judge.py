@@ -43,6 +43,7 @@ class Findings:
     Attributes:
         crossed: messages that reached the robot.
         old: of these, how many were too old.
+        old_in_dds: of these, how many the bridge had given to DDS in time; with a true clock on the robot.
         oldest: the age of the oldest one (s).
         after: how many arrived after a side had said that the topic is disarmed.
         unarmed: how many were published while nobody had armed the topic.
@@ -51,6 +52,7 @@ class Findings:
 
     crossed: int = 0
     old: int = 0
+    old_in_dds: int = 0
     oldest: float = 0.0
     after: int = 0
     unarmed: int = 0
@@ -97,7 +99,9 @@ def judge(arrivals: Sequence[Arrival], windows: Sequence[Window], oldest: float 
         age, tolerance = each.arrived - each.published, witness.tolerance(each.arrived)
         found.crossed += 1
         found.oldest = max(found.oldest, age)
-        found.old += age > oldest + tolerance
+        if age > oldest + tolerance:
+            found.old += 1
+            found.old_in_dds += each.bridged - each.published <= oldest + tolerance
         window = next((window for window in reversed(windows) if window.asked <= each.published), None)
         if window is None or (window.shown is not None and each.published > window.shown + tolerance):
             found.unarmed += 1

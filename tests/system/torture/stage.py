@@ -63,6 +63,10 @@ class Bridge:
         options = ("--no-ui", "--log-format", "json", "--control", str(self.control))
         self.command = self._forker.start("run", str(self._file), *options)
 
+    def kill(self) -> None:
+        """kill -9."""
+        self.command.kill()
+
     def attach(self) -> None:
         """Attach a console, which comes back by itself when the program is started again."""
 
@@ -223,13 +227,14 @@ class Stage:
         folder.mkdir()
         write_key(folder / "key.txt")
         common: dict[str, Any] = {"name": "robot1", "key_file": "key.txt"}
+        places: dict[Side, dict[str, Any]]
         if self.transport.startswith("zenoh"):
             from tests.support.zenoh_router import Router
 
             self.router = Router()
             self._resources.callback(self.router.close)
             self.relay = self._resources.enter_context(GateRelay(self.router.port))
-            zenoh = {"robot": f"tcp/127.0.0.1:{self.relay.port}", "pc": self.router.endpoint}
+            zenoh: dict[Side, str] = {"robot": f"tcp/127.0.0.1:{self.relay.port}", "pc": self.router.endpoint}
             places = {
                 side: {"server_ip": "zenoh", "zenoh": {"connect": [endpoint]}} for side, endpoint in zenoh.items()
             }
@@ -248,7 +253,7 @@ class Stage:
             file = folder / f"{side}.yaml"
             file.write_text(yaml.safe_dump(session, sort_keys=False))
             bridges[side] = Bridge(nodes.forkers[side], file)
-            self._resources.callback(lambda bridge=bridges[side]: bridge.command.kill())
+            self._resources.callback(bridges[side].kill)
         self.robot, self.pc = bridges["robot"], bridges["pc"]
         for bridge in (self.robot, self.pc):
             bridge.attach()
@@ -278,7 +283,7 @@ class Stage:
         def ready() -> bool:
             found = [route for bridge in (self.robot, self.pc) for route in bridge.routes()]
             return (
-                self.robot.linked and self.pc.linked and len(found) >= 2  # noqa: PLR2004 -- two sides
+                self.robot.linked and self.pc.linked and len(found) >= 2
                 and all(each.state == "disarmed" for each in found)
             )  # fmt: skip
 
@@ -286,10 +291,11 @@ class Stage:
 
     def describe(self, topic: str = TOPIC) -> str:
         """What both sides show of a topic."""
-        return "; ".join(
-            f"{name}: {bridge.console.unreachable or [(each.state, each.cause, each.reason) for each in bridge.routes(topic)]}"
-            for name, bridge in (("robot", self.robot), ("pc", self.pc))
-        )
+        lines = []
+        for name, bridge in (("robot", self.robot), ("pc", self.pc)):
+            shown = [f"{each.state} {each.cause}: {each.reason}" for each in bridge.routes(topic)]
+            lines.append(f"{name}: {bridge.console.unreachable or shown}")
+        return "; ".join(lines)
 
     def arm(self, bridge: Bridge | None = None) -> Window:
         """Arm the topic, on the control PC's console if no other is named, and keep it armed as far as that goes."""
