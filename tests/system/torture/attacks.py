@@ -36,6 +36,18 @@ def freeze_robot(stage: Stage, seconds: float = FREEZE) -> None:
         time.sleep(seconds)
 
 
+def freeze_robot_often(stage: Stage, times: int = 30) -> None:
+    """It stands still at thirty random moments: one of them may lie between its look at the clock and its publishing."""
+    choice = random.Random(1)
+    for _ in range(times):
+        freeze_robot(stage, 1.5)
+        stage.disarm().wait(30)
+        stage.disarmed()
+        stage.await_disarmed()
+        stage.arm_and_flow()
+        time.sleep(choice.uniform(0.0, 0.1))
+
+
 def freeze_pc(stage: Stage, seconds: float = FREEZE) -> None:
     """The control PC's bridge stands still."""
     with stage.pc.frozen():
@@ -258,6 +270,7 @@ def arm_and_disarm(stage: Stage, rounds: int = 50, seed: int = 1) -> None:
 ATTACKS: dict[str, Attack] = {
     "none": lambda _: time.sleep(1.0),
     "freeze-robot": freeze_robot,
+    "freeze-robot-often": freeze_robot_often,
     "freeze-pc": freeze_pc,
     "freeze-robot-2s": freeze_robot_briefly,
     "freeze-pc-2s": freeze_pc_briefly,
