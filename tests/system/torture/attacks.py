@@ -37,14 +37,14 @@ def freeze_robot(stage: Stage, seconds: float = FREEZE) -> None:
 
 
 def freeze_robot_often(stage: Stage, times: int = 30) -> None:
-    """It stands still at thirty random moments: one of them may lie between its look at the clock and its publishing."""
+    """It stands still at random moments: one may lie between its look at the clock and its publishing."""
     choice = random.Random(1)
-    for _ in range(times):
+    for number in range(times):
         freeze_robot(stage, 1.5)
         stage.disarm().wait(30)
         stage.disarmed()
         stage.await_disarmed()
-        stage.arm_and_flow()
+        stage.arm_and_flow(by=(stage.pc, stage.robot)[number % 2])  # a side's operators may arm 20 times in a row
         time.sleep(choice.uniform(0.0, 0.1))
 
 
@@ -252,7 +252,7 @@ def kill_console(stage: Stage) -> None:
         time.sleep(_STREAM_GAP)
 
 
-def arm_and_disarm(stage: Stage, rounds: int = 50, seed: int = 1) -> None:
+def arm_and_disarm(stage: Stage, rounds: int = 36, seed: int = 1) -> None:
     """Arm and disarm quickly over a network with delays at random."""
     choice = random.Random(seed)
     stage.relay.delay = lambda: choice.uniform(0.0, 0.5)

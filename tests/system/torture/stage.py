@@ -312,9 +312,9 @@ class Stage:
             raise
         return window
 
-    def arm_and_flow(self, count: int = 20) -> Window:
+    def arm_and_flow(self, count: int = 20, by: Bridge | None = None) -> Window:
         """Arm the topic, and wait until messages cross."""
-        window = self.arm()
+        window = self.arm(by)
         self.await_flow(window, count)
         return window
 
