@@ -86,7 +86,7 @@ def _case(name: str, transport: str, run: Callable[[], Findings]) -> int:
         print(f"{name:22}{transport:18}not done: {error}", flush=True)  # noqa: T201
         return 1
     figures = (found.crossed, found.old, found.after, found.unarmed, f"{found.oldest:.2f}", f"{found.tolerance:.2f}")
-    in_dds = [f"{found.old_in_dds} of the old ones were given to DDS in time"] if found.old_in_dds else []
+    in_dds = [f"{found.in_dds} of these were given to DDS in time"] if found.in_dds else []
     _print(name, transport, *figures, "; ".join(in_dds + found.notes))
     return found.wrong
 

@@ -25,6 +25,7 @@ if TYPE_CHECKING:
 
 STAYS_ARMED = "stays armed"
 """A note of a case: the attack has not disarmed the topic, as it need not if nothing old crosses."""
+NOT_AGAIN = "cannot be armed anew"
 FREEZE = 8.0
 HOLD = 4.0
 _STREAM_GAP = 0.3
@@ -363,7 +364,7 @@ def attack(nodes: Nodes, name: str, transport: Transport, work: Attack | None = 
             stage.disarm().wait(30)
             stage.disarmed()
         except (AssertionError, EngineError) as error:
-            notes.append(f"cannot be armed anew: {error}")
+            notes.append(f"{NOT_AGAIN}: {error}")
         stage.settle()
         found = stage.findings()
         found.notes += notes

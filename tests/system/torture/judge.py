@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from bisect import bisect_left, bisect_right
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 from tests.system.torture.ends import WITNESS
 
@@ -21,6 +21,7 @@ CLOCK_TOLERANCE = 0.02
 to get from its last look at the clock to the call that publishes."""
 
 _AROUND = 0.25
+_DESCRIBED = 3
 
 
 @dataclass
@@ -43,26 +44,33 @@ class Findings:
     Attributes:
         crossed: messages that reached the robot.
         old: of these, how many were too old.
-        old_in_dds: of these, how many the bridge had given to DDS in time; with a true clock on the robot.
         oldest: the age of the oldest one (s).
         after: how many arrived after a side had said that the topic is disarmed.
         unarmed: how many were published while nobody had armed the topic.
+        wrong: how many were any of this.
+        in_dds: of these, how many the bridge had given to DDS in time, as far as its clock is true. A process that is
+            frozen while DDS sends a message sends it later, and no program can help that.
         tolerance: s that the harness itself may be off.
+        notes: what else there is to say.
     """
 
     crossed: int = 0
     old: int = 0
-    old_in_dds: int = 0
     oldest: float = 0.0
     after: int = 0
     unarmed: int = 0
+    wrong: int = 0
+    in_dds: int = 0
     tolerance: float = CLOCK_TOLERANCE
     notes: list[str] = field(default_factory=list)
 
-    @property
-    def wrong(self) -> int:
-        """How many messages should not have reached the robot."""
-        return self.old + self.after + self.unarmed
+
+class _Wrong(NamedTuple):
+    """Whether a message should not have been published at a moment, and why."""
+
+    old: bool
+    after: bool
+    unarmed: bool
 
 
 class Witness:
@@ -96,15 +104,36 @@ def judge(arrivals: Sequence[Arrival], windows: Sequence[Window], oldest: float 
     for each in arrivals:
         if each.topic == WITNESS:
             continue
-        age, tolerance = each.arrived - each.published, witness.tolerance(each.arrived)
+        tolerance = witness.tolerance(each.arrived)
+        wrong = _wrong(each.published, each.arrived, windows, oldest, tolerance)
         found.crossed += 1
-        found.oldest = max(found.oldest, age)
-        if age > oldest + tolerance:
-            found.old += 1
-            found.old_in_dds += each.bridged - each.published <= oldest + tolerance
-        window = next((window for window in reversed(windows) if window.asked <= each.published), None)
-        if window is None or (window.shown is not None and each.published > window.shown + tolerance):
-            found.unarmed += 1
-        elif window.shown is not None and each.arrived > window.shown + tolerance:
-            found.after += 1
+        found.oldest = max(found.oldest, each.arrived - each.published)
+        found.old += wrong.old
+        found.after += wrong.after
+        found.unarmed += wrong.unarmed
+        if any(wrong):
+            if found.wrong < _DESCRIBED:
+                found.notes.append(_describe(each, wrong, windows))
+            found.wrong += 1
+            found.in_dds += not any(_wrong(each.published, each.bridged, windows, oldest, tolerance))
     return found
+
+
+def _describe(arrival: Arrival, wrong: _Wrong, windows: Sequence[Window]) -> str:
+    """Say when a message was published, by its age and from the nearest moments at which people did something."""
+    names = "+".join(name for name, value in wrong._asdict().items() if value)
+    moments = [(name, getattr(each, name)) for each in windows for name in ("asked", "shown")]
+    past = [(name, moment) for name, moment in moments if moment is not None and moment <= arrival.arrived]
+    since = ", ".join(f"{name} {arrival.arrived - moment:.2f} s before" for name, moment in past[-3:])
+    ages = (
+        f"{arrival.arrived - arrival.published:.2f} s old, given to DDS at {arrival.bridged - arrival.published:.2f} s"
+    )
+    return f"[{names}: number {arrival.number}, {ages}; {since}]"
+
+
+def _wrong(published: float, moment: float, windows: Sequence[Window], oldest: float, tolerance: float) -> _Wrong:
+    """Judge a message that was published by a bridge, or reached the robot, at that moment."""
+    window = next((each for each in reversed(windows) if each.asked <= published), None)
+    shown = window.shown if window is not None and window.shown is not None else float("inf")
+    unarmed = window is None or published > shown + tolerance
+    return _Wrong(moment - published > oldest + tolerance, not unarmed and moment > shown + tolerance, unarmed)
