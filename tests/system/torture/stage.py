@@ -95,13 +95,16 @@ class Bridge:
         return not self.console.unreachable and bool(links) and all(each.state == "ok" for each in links)
 
     def shows(self) -> bool | None:
-        """Whether its console shows the topic armed, or None if it does not answer or the route is not there."""
+        """Whether its console shows the topic armed or on the way to be disarmed.
+
+        None if it does not answer or the route is not there.
+        """
         if self.console.unreachable:
             return None
-        found = [each.arming for each in self.routes() if each.arming is not None]
+        found = [each for each in self.routes() if each.arming is not None]
         if not found:
             return None
-        return any(each.armed or getattr(each, "disarming", False) for each in found)
+        return any((each.arming is not None and each.arming.armed) or each.state == "disarming" for each in found)
 
     @contextlib.contextmanager
     def frozen(self) -> Iterator[None]:
