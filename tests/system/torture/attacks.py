@@ -205,6 +205,32 @@ def stop_loop_of_robot(stage: Stage) -> None:
     _stop_thread(stage.robot, "rsb-io", 5.0)
 
 
+def _crawl(bridge: Bridge) -> None:
+    deadline = time.monotonic() + 10.0
+    while time.monotonic() < deadline:
+        with bridge.frozen():
+            time.sleep(0.8)
+        time.sleep(0.03)
+
+
+def crawl_pc(stage: Stage) -> None:
+    """The control PC's bridge gets 30 ms of a processor, and then none for 0.8 s, again and again."""
+    _crawl(stage.pc)
+
+
+def crawl_robot(stage: Stage) -> None:
+    """Likewise, the robot's."""
+    _crawl(stage.robot)
+
+
+def crawl_ros_of_pc(stage: Stage) -> None:
+    """Likewise, the control PC's ROS thread."""
+    deadline = time.monotonic() + 10.0
+    while time.monotonic() < deadline:
+        _stop_thread(stage.pc, "ros", 0.8)
+        time.sleep(0.005)
+
+
 def stop_router(stage: Stage) -> None:
     """The Zenoh router stands still, and goes on."""
     assert stage.router is not None
@@ -292,6 +318,9 @@ ATTACKS: dict[str, Attack] = {
     "ros-thread-robot": stop_ros_of_robot,
     "loop-pc": stop_loop_of_pc,
     "loop-robot": stop_loop_of_robot,
+    "crawl-pc": crawl_pc,
+    "crawl-robot": crawl_robot,
+    "crawl-ros-thread-pc": crawl_ros_of_pc,
     "router-stopped": stop_router,
     "router-killed": kill_router,
     "kill-robot": kill_robot,

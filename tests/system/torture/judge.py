@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from bisect import bisect_left, bisect_right
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, NamedTuple
@@ -31,10 +32,17 @@ class Window:
     Attributes:
         asked: the moment before the operator armed the topic.
         shown: the moment when either side first said that it is disarmed, or None while it is armed.
+        by: what said so first.
     """
 
     asked: float
     shown: float | None = None
+    by: str = ""
+
+    def show(self, by: str) -> None:
+        """Note that something says now that the topic is disarmed, unless something has said so before."""
+        if self.shown is None:
+            self.by, self.shown = by, time.monotonic()
 
 
 @dataclass
@@ -122,8 +130,9 @@ def judge(arrivals: Sequence[Arrival], windows: Sequence[Window], oldest: float 
 def _describe(arrival: Arrival, wrong: _Wrong, windows: Sequence[Window]) -> str:
     """Say when a message was published, by its age and from the nearest moments at which people did something."""
     names = "+".join(name for name, value in wrong._asdict().items() if value)
-    moments = [(name, getattr(each, name)) for each in windows for name in ("asked", "shown")]
-    past = [(name, moment) for name, moment in moments if moment is not None and moment <= arrival.arrived]
+    asked = [("asked", each.asked) for each in windows]
+    shown = [(f"shown by {each.by}", each.shown) for each in windows if each.shown is not None]
+    past = sorted((each for each in asked + shown if each[1] <= arrival.arrived), key=lambda each: each[1])
     since = ", ".join(f"{name} {arrival.arrived - moment:.2f} s before" for name, moment in past[-3:])
     ages = (
         f"{arrival.arrived - arrival.published:.2f} s old, given to DDS at {arrival.bridged - arrival.published:.2f} s"

@@ -311,7 +311,7 @@ class Stage:
             bridge.console.arming.arm(bridge.routes()[0].key).result(10)
         except EngineError:
             with self._lock:
-                window.shown = time.monotonic()
+                window.show("an error")
             raise
         return window
 
@@ -342,10 +342,8 @@ class Stage:
 
     def disarmed(self) -> None:
         """An operator has been told that the topic is disarmed."""
-        now = time.monotonic()
         with self._lock:
-            window = self.windows[-1]
-            window.shown = min(window.shown or now, now)
+            self.windows[-1].show("the command")
 
     def await_shown(self, within: float = 20.0) -> float:
         """Wait until a side has shown that the topic is disarmed; return that moment."""
@@ -372,21 +370,21 @@ class Stage:
 
     def _watch(self) -> None:
         """Note when either side first shows that the topic is disarmed after it has shown it armed."""
-        showed: dict[int, Window] = {}
+        showed: dict[str, Window] = {}
         kept_at = 0.0
         while not self._over.wait(_LOOK_EVERY):
             now = time.monotonic()
             if now - kept_at > _SIGN_OF_LIFE_EVERY and self._arms is not None:
                 kept_at = now
                 self._arms.console.arming.keep(pressed=False)
-            for number, bridge in enumerate((self.robot, self.pc)):
+            for name, bridge in (("the robot's console", self.robot), ("the pc's console", self.pc)):
                 with self._lock:
                     window = self.windows[-1] if self.windows else None
                 shows = bridge.shows()
                 if window is None or shows is None:
                     continue
                 if shows:
-                    showed[number] = window
-                elif showed.get(number) is window:
+                    showed[name] = window
+                elif showed.get(name) is window:
                     with self._lock:
-                        window.shown = min(window.shown or float("inf"), time.monotonic())
+                        window.show(f"{name} ({', '.join(each.reason for each in bridge.routes())})")
