@@ -37,6 +37,8 @@ SIDES: tuple[Side, ...] = ("robot", "pc")
 TOPIC = "/cmd"
 RATE = 100.0
 
+_SHOW_DISARMED = {"disarmed", "down"}
+"""States in which a console shows what has to be armed as disarmed, if it is not armed: not `disarming`."""
 _LOOK_EVERY = 0.02
 _FLOWS_WITHIN = 30.0
 _SIGN_OF_LIFE_EVERY = 0.5
@@ -94,17 +96,16 @@ class Bridge:
         links = self.console.snapshot().links
         return not self.console.unreachable and bool(links) and all(each.state == "ok" for each in links)
 
-    def shows(self) -> bool | None:
-        """Whether its console shows the topic armed or on the way to be disarmed.
-
-        None if it does not answer or the route is not there.
-        """
+    def shows(self) -> tuple[bool, str] | None:
+        """Whether its console shows the topic disarmed, and in which words; None if it shows neither that nor armed."""
         if self.console.unreachable:
             return None
         found = [each for each in self.routes() if each.arming is not None]
-        if not found:
+        if any(each.arming is not None and each.arming.armed for each in found):
+            return False, ""
+        if not found or any(each.state not in _SHOW_DISARMED for each in found):
             return None
-        return any((each.arming is not None and each.arming.armed) or each.state == "disarming" for each in found)
+        return True, "; ".join(f"{each.state}: {each.reason}" for each in found)
 
     @contextlib.contextmanager
     def frozen(self) -> Iterator[None]:
@@ -383,8 +384,9 @@ class Stage:
                 shows = bridge.shows()
                 if window is None or shows is None:
                     continue
-                if shows:
+                disarmed, words = shows
+                if not disarmed:
                     showed[name] = window
                 elif showed.get(name) is window:
                     with self._lock:
-                        window.show(f"{name} ({', '.join(each.reason for each in bridge.routes())})")
+                        window.show(f"{name} ({words})")
