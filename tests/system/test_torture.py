@@ -1,0 +1,90 @@
+"""Nothing unmeant and nothing old reaches a robot: real programs, real nodes, counted at the robot's own node.
+
+A part of what ``python -m tests.system.torture all`` does.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import pytest
+from tests.support.locks import two_domains
+from tests.system.torture import ages, attacks, demands
+from tests.system.torture.ends import WITNESS, Arrival
+from tests.system.torture.judge import Window, judge
+from tests.system.torture.stage import TOPIC, Nodes
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from tests.system.torture.attacks import Attack
+    from tests.system.torture.judge import Findings
+    from tests.system.torture.stage import Stage, Transport
+
+
+@pytest.fixture(scope="module")
+def nodes(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Nodes]:
+    """The ROS nodes of all these tests."""
+    made = Nodes.start(tmp_path_factory.mktemp("torture"), two_domains())
+    yield made
+    made.close()
+
+
+def check(found: Findings) -> None:
+    """Messages have crossed, and none that should not have."""
+    assert found.crossed
+    assert found.wrong == found.in_dds, found
+    assert found.in_dds <= 1, found
+    assert not [each for each in found.notes if each.startswith(attacks.NOT_AGAIN)], found
+
+
+def _freeze(stage: Stage) -> None:
+    attacks.freeze_robot(stage, 2.5)
+
+
+@pytest.mark.parametrize(
+    ("name", "transport", "attack"),
+    [
+        ("freeze-robot", "tcp", _freeze),
+        ("hold", "udp", attacks.hold(("data", "datagrams", "control"), 2.0)),
+    ],
+)
+def test_nothing_old_reaches_the_robot(nodes: Nodes, name: str, transport: Transport, attack: Attack) -> None:
+    check(attacks.attack(nodes, name, transport, attack))
+
+
+def test_nothing_reaches_the_robot_after_an_operator_was_told_that_it_is_disarmed(nodes: Nodes) -> None:
+    check(attacks.attack(nodes, "disarm-data-held", "tcp"))
+
+
+def test_no_demand_is_lost(nodes: Nodes) -> None:
+    """Nobody arms anything; a case that crosses has lost what a session demands."""
+    found = demands.run(nodes, (*demands.CASES, *demands.EDITS), watched=1.0)
+    control = found.pop(demands.CONTROL)
+    assert min(control.before, control.after, control.restarted) > 0
+    assert {name: crossed for name, crossed in found.items() if crossed.wrong} == {}
+
+
+@pytest.mark.skipif(not ages.KNOWN, reason="this version does not know max_age")
+def test_nothing_older_than_max_age_reaches_the_robot(nodes: Nodes) -> None:
+    check(ages.run(nodes, "add-up", "tcp", "pc-pattern"))
+
+
+def test_the_judge_is_not_blind() -> None:
+    window = Window(10.0, 20.0)
+    witness = [Arrival(WITNESS, 1, 10.0, 10.01, 10.01), Arrival(WITNESS, 2, 20.0, 20.01, 20.01)]
+
+    def judged(published: float, arrived: float) -> tuple[int, int, int]:
+        found = judge([*witness, Arrival(TOPIC, 1, published, arrived, arrived)], [window, Window(30.0)])
+        return found.old, found.after, found.unarmed
+
+    assert judged(11.0, 12.0) == (0, 0, 0)
+    assert judged(11.0, 12.1) == (1, 0, 0)
+    assert judged(19.9, 20.02) == (0, 0, 0)
+    assert judged(19.9, 20.1) == (0, 1, 0)
+    assert judged(19.9, 31.0) == (1, 1, 0)
+    assert judged(9.9, 10.1) == (0, 0, 1)
+    assert judged(20.2, 20.3) == (0, 0, 1)
+    assert judged(29.9, 30.1) == (0, 0, 1)
+    assert judged(30.1, 40.0) == (1, 0, 0)
+    assert judged(30.1, 30.9) == (0, 0, 0)

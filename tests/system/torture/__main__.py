@@ -1,0 +1,111 @@
+"""Real programs under attack, for people: ``python -m tests.system.torture all``.
+
+Prints a line for each attack and transport: the messages that reached the robot's node, and of these those that were
+too old, came after a side had shown the topic disarmed, or were published while nobody had armed it. Fails if there are
+any.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+import tempfile
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from tests.support.locks import two_domains
+from tests.system.torture import ages, attacks, clock, demands
+from tests.system.torture.stage import SIDES, Nodes
+
+from rsb_bridge.api import EngineError
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable
+
+    from tests.system.torture.judge import Findings
+
+_TRANSPORTS = ("tcp", "udp", "zenoh", "zenoh-drop")
+_HEAD = ("attack", "over", "crossed", "old", "after", "unarmed", "oldest", "tolerance")
+
+
+def main() -> int:
+    """Do the attacks."""
+    parser = argparse.ArgumentParser(prog="python -m tests.system.torture", description=__doc__)
+    parser.add_argument("what", choices=("armed", "demands", "ages", "all"))
+    parser.add_argument("names", nargs="*", metavar="NAME", help="attacks, instead of all")
+    parser.add_argument("--over", nargs="+", choices=_TRANSPORTS, default=_TRANSPORTS)
+    arguments = parser.parse_args()
+    wrong = 0
+    steps = {*attacks.STEPS, *ages.STEPS}
+    with_steps = clock.POSSIBLE and arguments.what != "demands" and steps & {*(arguments.names or steps)}
+    for stepped in (False, True) if with_steps else (False,):
+        with tempfile.TemporaryDirectory() as folder:
+            os.environ |= {"XDG_RUNTIME_DIR": folder, "XDG_STATE_HOME": folder, "RSB_CONSOLE_ISOLATED": "1"}
+            nodes = Nodes.start(Path(folder), two_domains(), stepped=stepped)
+            try:
+                if arguments.what in ("armed", "all"):
+                    wrong += _armed(nodes, arguments)
+                if arguments.what in ("demands", "all") and not stepped:
+                    wrong += _demands(nodes)
+                if arguments.what in ("ages", "all"):
+                    wrong += _ages(nodes, arguments)
+            finally:
+                nodes.close()
+    return int(wrong > 0)
+
+
+def _armed(nodes: Nodes, arguments: argparse.Namespace) -> int:
+    every: Iterable[str] = attacks.STEPS if nodes.clocks else attacks.ATTACKS
+    _print(*_HEAD)
+    wrong = 0
+    for name in [each for each in every if each in (arguments.names or every)]:
+        for transport in arguments.over:
+            if attacks.fits(name, transport):
+                wrong += _case(name, transport, lambda: attacks.attack(nodes, name, transport))  # noqa: B023 -- called at once
+    return wrong
+
+
+def _ages(nodes: Nodes, arguments: argparse.Namespace) -> int:
+    every: Iterable[str] = ages.STEPS if nodes.clocks else ages.WORKS
+    print(f"max_age: {ages.MAX_AGE}" if ages.KNOWN else "max_age is not known: without it")  # noqa: T201
+    _print(*_HEAD)
+    wrong = 0
+    for name in [each for each in every if each in (arguments.names or every)]:
+        for transport in arguments.over:
+            wrong += _case(name, transport, lambda: ages.run(nodes, name, transport))  # noqa: B023 -- called at once
+    for place in ages.PLACES if not (nodes.clocks or arguments.names) else ():
+        wrong += _case("hold", f"tcp {place}", lambda: ages.run(nodes, "hold", "tcp", place))  # noqa: B023
+    return wrong
+
+
+def _case(name: str, transport: str, run: Callable[[], Findings]) -> int:
+    try:
+        found = run()
+    except (AssertionError, EngineError) as error:
+        print(f"{name:22}{transport:18}not done: {error}", flush=True)  # noqa: T201
+        return 1
+    figures = (found.crossed, found.old, found.after, found.unarmed, f"{found.oldest:.2f}", f"{found.tolerance:.2f}")
+    in_dds = [f"{found.in_dds} of these were given to DDS in time"] if found.in_dds else []
+    _print(name, transport, *figures, "; ".join(in_dds + found.notes))
+    return found.wrong
+
+
+def _demands(nodes: Nodes) -> int:
+    wrong = 0
+    for server in SIDES:
+        for cases in (demands.CASES, demands.EDITS):
+            print(f"{f'the {server} is the server':52}{'crossed':>8}{'edited':>8}{'again':>8}  codes")  # noqa: T201
+            for name, found in demands.run(nodes, cases, server=server).items():
+                figures = "".join(f"{each:>8}" for each in (found.before, found.after, found.restarted))
+                print(f"{name:52}{figures}  {found.codes or ''}", flush=True)  # noqa: T201
+                wrong += 0 if name == demands.CONTROL else found.wrong
+    return wrong
+
+
+def _print(name: object, transport: object, *figures: object) -> None:
+    print(f"{name:22}{transport:18}" + "".join(f"{each:>10}" for each in figures[:6]), *figures[6:], flush=True)  # noqa: T201
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,400 @@
+"""Attacks on a bridge whose topic is armed. Afterwards it is disarmed, armed anew, and disarmed again."""
+
+from __future__ import annotations
+
+import contextlib
+import random
+import time
+from typing import TYPE_CHECKING
+
+from tests.system.torture.relay import STREAMS
+from tests.system.torture.stage import RATE, TOPIC, Stage
+from tests.system.torture.threads import stopped
+
+from rsb_bridge.api import EngineError
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+    from typing import TypeAlias
+
+    from tests.system.torture.judge import Findings
+    from tests.system.torture.relay import Stream
+    from tests.system.torture.stage import Bridge, Nodes, Side, Transport
+
+    Attack: TypeAlias = Callable[[Stage], None]
+
+STAYS_ARMED = "stays armed"
+"""A note of a case: the attack has not disarmed the topic, as it need not if nothing old crosses."""
+NOT_AGAIN = "cannot be armed anew"
+FREEZE = 8.0
+HOLD = 4.0
+_STREAM_GAP = 0.3
+
+
+def freeze_robot(stage: Stage, seconds: float = FREEZE) -> None:
+    """The robot's bridge stands still, as on a machine that swaps."""
+    with stage.robot.frozen():
+        time.sleep(seconds)
+
+
+def freeze_robot_often(stage: Stage, times: int = 30) -> None:
+    """It stands still at random moments: one may lie between its look at the clock and its publishing."""
+    choice = random.Random(1)
+    for number in range(times):
+        freeze_robot(stage, 1.5)
+        stage.disarm().wait(30)
+        stage.disarmed()
+        stage.await_disarmed()
+        stage.arm_and_flow(by=(stage.pc, stage.robot)[number % 2])  # a side's operators may arm 20 times in a row
+        time.sleep(choice.uniform(0.0, 0.1))
+
+
+def freeze_pc(stage: Stage, seconds: float = FREEZE) -> None:
+    """The control PC's bridge stands still."""
+    with stage.pc.frozen():
+        time.sleep(seconds)
+
+
+def freeze_robot_briefly(stage: Stage) -> None:
+    """It stands still for less than the link takes to notice."""
+    for _ in range(3):
+        freeze_robot(stage, 2.0)
+        time.sleep(0.5)
+
+
+def freeze_pc_briefly(stage: Stage) -> None:
+    """Likewise, the control PC's."""
+    for _ in range(3):
+        freeze_pc(stage, 2.0)
+        time.sleep(0.5)
+
+
+def hold(order: Sequence[Stream], seconds: float = HOLD) -> Attack:
+    """The network holds everything, and releases one stream after another."""
+
+    def attack(stage: Stage) -> None:
+        stage.relay.hold()
+        time.sleep(seconds)
+        for stream in order:
+            stage.relay.release((stream,))
+            time.sleep(_STREAM_GAP)
+        stage.relay.release()
+
+    return attack
+
+
+def hold_briefly(stage: Stage) -> None:
+    """The network holds everything for 0.9 s, again and again."""
+    for _ in range(5):
+        stage.relay.hold()
+        time.sleep(0.9)
+        stage.relay.release()
+        time.sleep(0.4)
+
+
+def hold_data_only(stage: Stage) -> None:
+    """The network holds the commands alone: everything else tells both sides that all is well."""
+    for seconds in (0.9, 1.5, 3.0):
+        stage.relay.hold(("data", "datagrams"))
+        time.sleep(seconds)
+        stage.relay.release()
+        time.sleep(0.5)
+
+
+def hold_control_only(stage: Stage) -> None:
+    """The network holds the control connection alone."""
+    stage.relay.hold(("control",))
+    time.sleep(HOLD)
+    stage.relay.release()
+
+
+def add_up(stage: Stage) -> None:
+    """The control PC's bridge stands still for 0.8 s, and then the network holds for 0.8 s: each is allowed."""
+    for _ in range(3):
+        with stage.pc.frozen():
+            time.sleep(0.8)
+        stage.relay.hold()
+        time.sleep(0.8)
+        stage.relay.release()
+        time.sleep(0.5)
+
+
+def disarm_while_held(stage: Stage) -> None:
+    """An operator disarms while the network holds everything."""
+    stage.relay.hold()
+    time.sleep(0.7)
+    command = stage.disarm()
+    command.wait(30)
+    stage.disarmed()
+    time.sleep(1.0)
+    for stream in ("data", "datagrams", "control"):
+        stage.relay.release((stream,))
+        time.sleep(_STREAM_GAP)
+
+
+def disarm_while_data_is_held(stage: Stage) -> None:
+    """An operator disarms while the network holds the commands alone."""
+    stage.relay.hold(("data", "datagrams"))
+    time.sleep(0.7)
+    stage.disarm().wait(30)
+    stage.disarmed()
+    stage.relay.release()
+
+
+def disarm_while_control_is_held(stage: Stage) -> None:
+    """An operator disarms while the network holds the control connection alone."""
+    stage.relay.hold(("control",))
+    time.sleep(0.3)
+    stage.disarm().wait(30)
+    stage.disarmed()
+    time.sleep(0.5)
+    stage.relay.release()
+
+
+def disarm_while_frozen(stage: Stage) -> None:
+    """An operator disarms while the robot's bridge stands still."""
+    with stage.robot.frozen():
+        time.sleep(0.5)
+        stage.disarm().wait(30)
+        stage.disarmed()
+        time.sleep(1.0)
+
+
+def disarm_at_once(stage: Stage) -> None:
+    """An operator disarms on a network that takes 0.4 s: what is on its way is published before, or never."""
+    stage.relay.delay = lambda: 0.4
+    time.sleep(1.0)
+    stage.disarm().wait(30)
+    stage.disarmed()
+    time.sleep(1.0)
+    stage.relay.delay = lambda: 0.0
+
+
+def disarm_on_the_robot(stage: Stage) -> None:
+    """Somebody disarms on the robot's side, over a network that takes 0.4 s."""
+    stage.relay.delay = lambda: 0.4
+    time.sleep(1.0)
+    stage.disarm(stage.robot).wait(30)
+    stage.disarmed()
+    time.sleep(1.0)
+    stage.relay.delay = lambda: 0.0
+
+
+def _stop_thread(bridge: Bridge, name: str, seconds: float) -> None:
+    with stopped(bridge.command.pid, name):
+        time.sleep(seconds)
+
+
+def stop_ros_of_pc(stage: Stage) -> None:
+    """The thread that takes messages from ROS stands still; the rest of the control PC's bridge goes on."""
+    _stop_thread(stage.pc, "ros", 5.0)
+
+
+def stop_ros_of_robot(stage: Stage) -> None:
+    """The robot's ROS thread stands still."""
+    _stop_thread(stage.robot, "ros", 5.0)
+
+
+def stop_loop_of_pc(stage: Stage) -> None:
+    """The control PC's event loop stands still; its ROS thread goes on."""
+    _stop_thread(stage.pc, "rsb-io", 5.0)
+
+
+def stop_loop_of_robot(stage: Stage) -> None:
+    """The robot's event loop stands still; its ROS thread goes on."""
+    _stop_thread(stage.robot, "rsb-io", 5.0)
+
+
+def _crawl(bridge: Bridge) -> None:
+    deadline = time.monotonic() + 10.0
+    while time.monotonic() < deadline:
+        with bridge.frozen():
+            time.sleep(0.8)
+        time.sleep(0.03)
+
+
+def crawl_pc(stage: Stage) -> None:
+    """The control PC's bridge gets 30 ms of a processor, and then none for 0.8 s, again and again."""
+    _crawl(stage.pc)
+
+
+def crawl_robot(stage: Stage) -> None:
+    """Likewise, the robot's."""
+    _crawl(stage.robot)
+
+
+def crawl_ros_of_pc(stage: Stage) -> None:
+    """Likewise, the control PC's ROS thread."""
+    deadline = time.monotonic() + 10.0
+    while time.monotonic() < deadline:
+        _stop_thread(stage.pc, "ros", 0.8)
+        time.sleep(0.005)
+
+
+def stop_router(stage: Stage) -> None:
+    """The Zenoh router stands still, and goes on."""
+    assert stage.router is not None
+    for seconds in (2.0, 6.0):
+        stage.router.pause()
+        time.sleep(seconds)
+        stage.router.go_on()
+        time.sleep(1.0)
+
+
+def kill_router(stage: Stage) -> None:
+    """The Zenoh router is killed, and started again."""
+    assert stage.router is not None
+    stage.router.kill()
+    time.sleep(1.0)
+    stage.router.start()
+
+
+def kill_robot(stage: Stage) -> None:
+    """The robot's bridge is killed, and started again."""
+    stage.robot.kill()
+    stage.robot.start()
+
+
+def kill_pc(stage: Stage) -> None:
+    """The control PC's bridge is killed, and started again."""
+    stage.pc.kill()
+    stage.disarmed()  # no console shows anything armed
+    stage.pc.start()
+
+
+def kill_console(stage: Stage) -> None:
+    """The console that armed the topic is killed while the network holds everything."""
+    stage.disarm().wait(30)
+    stage.disarmed()
+    stage.await_disarmed()
+    window = stage.begin_window()
+    holder = stage.pc.run("arm", TOPIC)
+    stage.await_flow(window)
+    stage.relay.hold()
+    time.sleep(0.5)
+    holder.kill()
+    time.sleep(3.0)
+    for stream in ("data", "datagrams", "control"):
+        stage.relay.release((stream,))
+        time.sleep(_STREAM_GAP)
+
+
+def arm_and_disarm(stage: Stage, rounds: int = 36, seed: int = 1) -> None:
+    """Arm and disarm quickly over a network with delays at random."""
+    choice = random.Random(seed)
+    stage.relay.delay = lambda: choice.uniform(0.0, 0.5)
+    for _ in range(rounds):
+        bridge = choice.choice((stage.pc, stage.robot))
+        bridge.console.arming.disarm(bridge.routes()[0].key).result(30)
+        stage.disarmed()
+        stage.await_disarmed()
+        with contextlib.suppress(EngineError):  # the link may be lost on the way
+            stage.arm(choice.choice((stage.pc, stage.robot)))
+        time.sleep(choice.uniform(0.0, 1.0))
+    stage.relay.delay = lambda: 0.0
+
+
+ATTACKS: dict[str, Attack] = {
+    "none": lambda _: time.sleep(1.0),
+    "freeze-robot": freeze_robot,
+    "freeze-robot-often": freeze_robot_often,
+    "freeze-pc": freeze_pc,
+    "freeze-robot-2s": freeze_robot_briefly,
+    "freeze-pc-2s": freeze_pc_briefly,
+    "hold-data-first": hold(("data", "datagrams", "control")),
+    "hold-control-first": hold(("control", "datagrams", "data")),
+    "hold-datagrams-first": hold(("datagrams", "data", "control")),
+    "hold-0.9s": hold_briefly,
+    "hold-data-only": hold_data_only,
+    "hold-control-only": hold_control_only,
+    "add-up": add_up,
+    "disarm-held": disarm_while_held,
+    "disarm-data-held": disarm_while_data_is_held,
+    "disarm-control-held": disarm_while_control_is_held,
+    "disarm-frozen": disarm_while_frozen,
+    "disarm-0.4s": disarm_at_once,
+    "disarm-robot-0.4s": disarm_on_the_robot,
+    "ros-thread-pc": stop_ros_of_pc,
+    "ros-thread-robot": stop_ros_of_robot,
+    "loop-pc": stop_loop_of_pc,
+    "loop-robot": stop_loop_of_robot,
+    "crawl-pc": crawl_pc,
+    "crawl-robot": crawl_robot,
+    "crawl-ros-thread-pc": crawl_ros_of_pc,
+    "router-stopped": stop_router,
+    "router-killed": kill_router,
+    "kill-robot": kill_robot,
+    "kill-pc": kill_pc,
+    "kill-console": kill_console,
+    "arm-disarm": arm_and_disarm,
+}
+
+_BY_STREAM = {"hold-data-first", "hold-control-first", "hold-datagrams-first", "hold-data-only", "hold-control-only"}
+_BY_STREAM |= {"disarm-data-held", "disarm-control-held"}
+"""Over Zenoh all streams share one connection."""
+
+
+def fits(name: str, transport: Transport) -> bool:
+    """Whether an attack is possible over a transport, and differs from another one there."""
+    if transport.startswith("zenoh"):
+        return name not in _BY_STREAM - {"hold-data-first"}
+    return not name.startswith("router") and not (name == "hold-datagrams-first" and transport == "tcp")
+
+
+def _stepped(side: Side, seconds: float) -> Callable[[Nodes], Attack]:
+    def bound(nodes: Nodes) -> Attack:
+        def attack(stage: Stage) -> None:
+            nodes.clocks[side].set(seconds)
+            hold(("data", "datagrams", "control"), 2.0)(stage)
+
+        return attack
+
+    return bound
+
+
+STEPS = {
+    "step-pc-ahead": _stepped("pc", 10.0),
+    "step-pc-back": _stepped("pc", -10.0),
+    "step-robot-ahead": _stepped("robot", 10.0),
+    "step-robot-back": _stepped("robot", -10.0),
+}
+"""A wall clock is stepped, and then the network holds for 2 s. Only with `Nodes.clocks`."""
+
+
+def attack(nodes: Nodes, name: str, transport: Transport, work: Attack | None = None) -> Findings:
+    """Do one attack, and judge what reached the robot.
+
+    Args:
+        nodes: at both ends.
+        name: of `ATTACKS`.
+        transport: of the topic.
+        work: instead of the attack of that name.
+    """
+    for clock in nodes.clocks.values():
+        clock.set(0.0)
+    if name in STEPS:
+        work = STEPS[name](nodes)
+    with Stage(nodes, transport) as stage:
+        stage.prepare()
+        stage.arm_and_flow(int(RATE / 2))
+        (work or ATTACKS[name])(stage)
+        notes = []
+        if stage.windows[-1].shown is None:
+            time.sleep(1.0)
+        if stage.windows[-1].shown is None:
+            notes.append(STAYS_ARMED)
+            stage.disarm().wait(30)
+            stage.disarmed()
+        time.sleep(1.0)
+        stage.relay.release(STREAMS)
+        try:
+            stage.await_disarmed(30)
+            stage.arm_and_flow()
+            stage.disarm().wait(30)
+            stage.disarmed()
+        except (AssertionError, EngineError) as error:
+            notes.append(f"{NOT_AGAIN}: {error}")
+        stage.settle()
+        found = stage.findings()
+        found.notes += notes
+        return found

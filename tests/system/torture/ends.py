@@ -1,0 +1,228 @@
+"""The ROS nodes at both ends, each in a process of its own, and what they note.
+
+``python -m tests.system.torture.ends talk PC ROBOT`` publishes in the control PC's domain what the lines of its input
+say, and beside it `WITNESS` in the robot's own domain. ``... listen ROBOT FILE`` notes what reaches the robot.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import select
+import struct
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Mapping
+
+    from rclpy.publisher import Publisher
+    from rclpy.qos import QoSProfile
+
+WITNESS = "/witness"
+"""Published in the robot's domain itself: the time that it takes is the harness's own."""
+
+_WITNESS_RATE = 50.0
+_ROOT = Path(__file__).parents[3]
+_ARRIVAL = struct.Struct("<HIddd")
+_POLL = 0.003
+_MARK = "answer "
+
+
+class Arrival(NamedTuple):
+    """A message that reached the robot; times are s of CLOCK_MONOTONIC.
+
+    Attributes:
+        topic: its name in the robot's domain.
+        number: counts up from 1 for each topic.
+        published: the moment before the control PC's node published it.
+        arrived: the moment when the robot's node got it, as DDS says.
+        bridged: the moment when the robot's bridge gave it to DDS, by the clock of that bridge.
+    """
+
+    topic: str
+    number: int
+    published: float
+    arrived: float
+    bridged: float
+
+
+class _Process:
+    """A process of this module, which answers each line with one."""
+
+    def __init__(self, *arguments: object, environ: Mapping[str, str] | None = None) -> None:
+        self._process = subprocess.Popen(
+            [sys.executable, "-m", "tests.system.torture.ends", *map(str, arguments)],
+            cwd=_ROOT,
+            env=os.environ | (environ or {}),
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            text=True,
+        )
+
+    def ask(self, **order: Any) -> Any:
+        assert self._process.stdin is not None
+        self._process.stdin.write(json.dumps(order) + "\n")
+        self._process.stdin.flush()
+        return self.read()
+
+    def read(self) -> Any:
+        """Its next answer; Fast DDS writes there, too."""
+        assert self._process.stdout is not None
+        while line := self._process.stdout.readline():
+            if line.startswith(_MARK):
+                return json.loads(line.removeprefix(_MARK))
+        raise AssertionError("it has ended")
+
+    def close(self) -> None:
+        with self._process:
+            self._process.kill()
+
+
+class Talker(_Process):
+    """Publishes commands in the control PC's domain.
+
+    Args:
+        pc: the control PC's domain.
+        robot: the robot's.
+        environ: of the process, beside this one's.
+    """
+
+    def __init__(self, pc: int, robot: int, environ: Mapping[str, str] | None = None) -> None:
+        super().__init__("talk", pc, robot, environ=environ)
+
+    def talk(self, topics: Iterable[str], rate: float, *, latched: bool = False) -> None:
+        """Publish each topic at `rate` Hz from now on, and nothing else."""
+        self.ask(topics=[*topics], rate=rate, latched=latched)
+
+    def matched(self) -> dict[str, int]:
+        """How many subscriptions each topic has."""
+        return dict(self.ask(matched=True))
+
+    def published(self) -> dict[str, int]:
+        """How many messages of each topic were published so far."""
+        return dict(self.ask(published=True))
+
+
+class Ear(_Process):
+    """Listens in the robot's domain.
+
+    Args:
+        robot: the domain.
+        file: that it writes.
+    """
+
+    def __init__(self, robot: int, file: Path) -> None:
+        self._file = file
+        self._topics: list[str] = []
+        super().__init__("listen", robot, file)
+
+    def listen(self, topics: Iterable[str]) -> None:
+        """Listen to these topics and `WITNESS`, and forget all that was noted."""
+        self._topics = [WITNESS, *topics]
+        self.ask(topics=self._topics)
+
+    def arrivals(self) -> list[Arrival]:
+        """All messages since `listen`, the witness's included."""
+        self.ask(flush=True)
+        data = self._file.read_bytes()
+        whole = len(data) // _ARRIVAL.size * _ARRIVAL.size  # the ear may be writing
+        return [Arrival(self._topics[topic], *rest) for topic, *rest in _ARRIVAL.iter_unpack(data[:whole])]
+
+
+class _Voice:
+    """One topic that is published."""
+
+    def __init__(self, publisher: Publisher, rate: float) -> None:
+        self.publisher = publisher
+        self.number = 0
+        self.due = time.monotonic()
+        self._interval = 1 / rate
+
+    def work(self, now: float) -> None:
+        from tests.support.domain import text
+
+        self.due = max(self.due + self._interval, now)
+        self.number += 1
+        self.publisher.publish(text(f"{self.number} {time.monotonic()!r}"))
+
+
+def talk(pc: int, robot: int) -> None:
+    """Publish until the input ends."""
+    from tests.support.domain import LATCHED, RELIABLE, Domain
+
+    domain, own = Domain(pc), Domain(robot)
+    witness = _Voice(own.publisher(WITNESS), _WITNESS_RATE)
+    voices: dict[str, _Voice] = {}
+    _say("ready")
+    while True:
+        due = min(each.due for each in (witness, *voices.values()))
+        if select.select([sys.stdin], [], [], max(0.0, due - time.monotonic()))[0]:
+            line = sys.stdin.readline()
+            if not line:
+                return
+            order = json.loads(line)
+            if "matched" in order:
+                _say({name: each.publisher.get_subscription_count() for name, each in voices.items()})
+            elif "published" in order:
+                _say({name: each.number for name, each in voices.items()})
+            else:
+                domain.clear()
+                qos = LATCHED if order["latched"] else RELIABLE
+                voices = {name: _Voice(domain.publisher(name, qos=qos), order["rate"]) for name in order["topics"]}
+                _say("done")
+        now = time.monotonic()
+        for voice in (witness, *voices.values()):
+            if voice.due <= now:
+                voice.work(now)
+
+
+def listen(robot: int, file: Path) -> None:
+    """Note what comes until the input ends."""
+    from std_msgs.msg import String
+    from tests.support.domain import RELIABLE, Domain
+
+    domain = Domain(robot)
+    subscriptions: list[Any] = []
+    shift = time.time() - time.monotonic()
+    output = file.open("wb", buffering=0)
+    _say("ready")
+    while True:
+        if select.select([sys.stdin], [], [], _POLL)[0]:
+            line = sys.stdin.readline()
+            if not line:
+                return
+            order = json.loads(line)
+            if "topics" in order:
+                domain.clear()
+                subscriptions = [_subscribe(domain, name, RELIABLE) for name in order["topics"]]
+                output.truncate(0)
+                output.seek(0)
+            _say("done")
+        for index, subscription in enumerate(subscriptions):
+            while (taken := subscription.handle.take_message(String, False)) is not None:
+                message, info = taken
+                number, published = message.data.split()
+                arrived, bridged = (info[key] / 1e9 - shift for key in ("received_timestamp", "source_timestamp"))
+                output.write(_ARRIVAL.pack(index, int(number), float(published), arrived, bridged))
+
+
+def _subscribe(domain: Any, topic: str, qos: QoSProfile) -> Any:
+    from std_msgs.msg import String
+
+    return domain.node.create_subscription(String, topic, lambda _: None, qos)
+
+
+def _say(answer: Any) -> None:
+    sys.stdout.write(f"{_MARK}{json.dumps(answer)}\n")
+    sys.stdout.flush()
+
+
+if __name__ == "__main__":
+    if sys.argv[1] == "talk":
+        talk(int(sys.argv[2]), int(sys.argv[3]))
+    else:
+        listen(int(sys.argv[2]), Path(sys.argv[3]))

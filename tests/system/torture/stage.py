@@ -1,0 +1,392 @@
+"""A robot and a control PC: both programs, a network between them, ROS nodes at both ends, consoles on both sides."""
+
+from __future__ import annotations
+
+import contextlib
+import signal
+import threading
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal, TypeAlias
+
+import yaml
+from tests.support.ports import free_port
+from tests.support.program import free_shared_memory
+from tests.support.waiting import eventually
+from tests.system.torture.clock import SteppedClock
+from tests.system.torture.ends import Ear, Talker
+from tests.system.torture.forker import Command, Forker
+from tests.system.torture.judge import Findings, Window, judge
+from tests.system.torture.relay import GateRelay
+
+from rsb_bridge.api import EngineError
+from rsb_bridge.config.keys import write_key
+from rsb_bridge.control.client import RemoteEngine
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from tests.support.zenoh_router import Router
+
+    from rsb_bridge.model.snapshot import RouteSnapshot
+
+Transport: TypeAlias = Literal["tcp", "udp", "zenoh", "zenoh-drop"]
+Side: TypeAlias = Literal["robot", "pc"]
+SIDES: tuple[Side, ...] = ("robot", "pc")
+TOPIC = "/cmd"
+RATE = 100.0
+
+_SHOW_DISARMED = {"disarmed", "down"}
+"""States in which a console shows what has to be armed as disarmed, if it is not armed: not `disarming`."""
+_LOOK_EVERY = 0.02
+_FLOWS_WITHIN = 30.0
+_SIGN_OF_LIFE_EVERY = 0.5
+
+
+class Bridge:
+    """One side's program, and a console that is attached to it.
+
+    Attributes:
+        command: its process.
+        console: attached to it, from `attach` on.
+    """
+
+    def __init__(self, forker: Forker, file: Path) -> None:
+        self._forker = forker
+        self._file = file
+        self.control = Path(f"{file}.sock")
+        self.command: Command
+        self.console: RemoteEngine
+        self.start()
+
+    def start(self) -> None:
+        """Run the session."""
+        options = ("--no-ui", "--log-format", "json", "--control", str(self.control))
+        self.command = self._forker.start("run", str(self._file), *options)
+
+    def kill(self) -> None:
+        """kill -9."""
+        self.command.kill()
+
+    def attach(self) -> None:
+        """Attach a console, which comes back by itself when the program is started again."""
+
+        def attached() -> RemoteEngine | None:
+            console = RemoteEngine(self.control)
+            try:
+                console.start()
+            except EngineError:
+                return None
+            return console
+
+        self.console = eventually(attached, what=f"a console; the program says {self.command.output[-2000:]}")
+
+    def run(self, command: str, *arguments: str) -> Command:
+        """Begin ``rsb-console COMMAND`` for this bridge."""
+        return self._forker.start(command, "--control", str(self.control), *arguments)
+
+    def routes(self, topic: str = TOPIC) -> list[RouteSnapshot]:
+        """All routes of a topic, as its console shows them."""
+        return [each for each in self.console.snapshot().routes if each.topic == topic]
+
+    @property
+    def linked(self) -> bool:
+        """Whether it answers and its link is up."""
+        links = self.console.snapshot().links
+        return not self.console.unreachable and bool(links) and all(each.state == "ok" for each in links)
+
+    def shows(self) -> tuple[bool, str] | None:
+        """Whether its console shows the topic disarmed, and in which words; None if it shows neither that nor armed."""
+        if self.console.unreachable:
+            return None
+        found = [each for each in self.routes() if each.arming is not None]
+        if any(each.arming is not None and each.arming.armed for each in found):
+            return False, ""
+        if not found or any(each.state not in _SHOW_DISARMED for each in found):
+            return None
+        return True, "; ".join(f"{each.state}: {each.reason}" for each in found)
+
+    @contextlib.contextmanager
+    def frozen(self) -> Iterator[None]:
+        """Stop the whole process for the length of the block."""
+        self.command.signal(signal.SIGSTOP)
+        try:
+            yield
+        finally:
+            self.command.signal(signal.SIGCONT)
+
+
+@dataclass
+class Nodes:
+    """The ROS nodes of all cases, which outlive the bridges.
+
+    Attributes:
+        domains: the robot's, and the control PC's.
+        talker: publishes commands on the control PC's side.
+        ear: listens on the robot's side.
+        forkers: start the programs of each side.
+        folder: for files.
+        clocks: of each side, or empty if both have the true one.
+        stages: how many bridges these nodes have seen.
+    """
+
+    domains: tuple[int, int]
+    talker: Talker
+    ear: Ear
+    forkers: dict[Side, Forker]
+    folder: Path
+    clocks: dict[Side, SteppedClock]
+    stages: int = 0
+
+    @classmethod
+    def start(cls, folder: Path, first: int, *, stepped: bool = False) -> Nodes:
+        """Start them in two domains.
+
+        Args:
+            folder: for files.
+            first: the robot's domain; the control PC's is the next one.
+            stepped: the two sides have clocks that can be stepped.
+        """
+        clocks: dict[Side, SteppedClock] = {}
+        if stepped:
+            clocks = {"robot": SteppedClock(folder, "robot"), "pc": SteppedClock(folder, "pc")}
+        forkers: dict[Side, Forker] = {}
+        for side in SIDES:
+            (folder / side).mkdir()
+            forkers[side] = Forker(folder / side, clocks[side].environ if stepped else None)
+        talker = Talker(first + 1, first, clocks["pc"].environ if stepped else None)
+        ear = Ear(first, folder / "arrivals")
+        assert talker.read() == ear.read() == "ready"
+        return cls((first, first + 1), talker, ear, forkers, folder, clocks)
+
+    def close(self) -> None:
+        """End them."""
+        for forker in self.forkers.values():
+            forker.close()
+        self.talker.close()
+        self.ear.close()
+        free_shared_memory()
+
+
+class Stage:
+    """A bridge over one transport. A context manager.
+
+    Args:
+        nodes: at both ends.
+        transport: of the topic.
+        server: the side that listens for the other one.
+        entries: what stands in each side's session beside the usual; the default has `TOPIC`, which has to be armed.
+        entry: settings of the topic beside these.
+
+    Attributes:
+        robot: its bridge.
+        pc: the control PC's.
+        relay: the network between them; over Zenoh, between the robot and the router.
+        router: over Zenoh.
+        windows: times in which an operator meant messages to cross.
+    """
+
+    def __init__(
+        self,
+        nodes: Nodes,
+        transport: Transport = "tcp",
+        *,
+        server: Side = "pc",
+        entries: dict[Side, dict[str, Any]] | None = None,
+        entry: dict[str, Any] | None = None,
+    ) -> None:
+        self._nodes = nodes
+        self.transport = transport
+        self._server: Side = server
+        self.router: Router | None = None
+        self.relay: GateRelay
+        self.windows: list[Window] = []
+        self._resources = contextlib.ExitStack()
+        self._lock = threading.Lock()
+        self._entries = entries
+        self._entry = entry or {}
+        self._arms: Bridge | None = None
+        self._over = threading.Event()
+
+    def __enter__(self) -> Stage:
+        with contextlib.ExitStack() as undo:
+            undo.callback(self.close)
+            self._start()
+            undo.pop_all()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """End the programs and the network."""
+        self._over.set()
+        self._resources.close()
+
+    def _start(self) -> None:
+        nodes = self._nodes
+        nodes.stages += 1
+        folder = nodes.folder / f"stage{nodes.stages}"
+        folder.mkdir()
+        write_key(folder / "key.txt")
+        common: dict[str, Any] = {"name": "robot1", "key_file": "key.txt"}
+        places: dict[Side, dict[str, Any]]
+        if self.transport.startswith("zenoh"):
+            from tests.support.zenoh_router import Router
+
+            self.router = Router()
+            self._resources.callback(self.router.close)
+            self.relay = self._resources.enter_context(GateRelay(self.router.port))
+            zenoh: dict[Side, str] = {"robot": f"tcp/127.0.0.1:{self.relay.port}", "pc": self.router.endpoint}
+            places = {
+                side: {"server_ip": "zenoh", "zenoh": {"connect": [endpoint]}} for side, endpoint in zenoh.items()
+            }
+        else:
+            port = free_port()
+            self.relay = self._resources.enter_context(GateRelay(port))
+            places = {
+                side: {"server_ip": "127.0.0.1", "server_port": port if side == self._server else self.relay.port}
+                for side in SIDES
+            }
+        entries = self._entries if self._entries is not None else self._usual_entries()
+        bridges = {}
+        for side, domain in zip(SIDES, nodes.domains, strict=True):
+            role = "server" if side == self._server else "client"
+            session = common | places[side] | {"role": role, "domain_id": domain} | entries.get(side, {})
+            file = folder / f"{side}.yaml"
+            file.write_text(yaml.safe_dump(session, sort_keys=False))
+            bridges[side] = Bridge(nodes.forkers[side], file)
+            self._resources.callback(bridges[side].kill)
+        self.robot, self.pc = bridges["robot"], bridges["pc"]
+        for bridge in (self.robot, self.pc):
+            bridge.attach()
+            self._resources.callback(bridge.console.stop)
+        watching = threading.Thread(target=self._watch, name="watch")
+        watching.start()
+        self._resources.callback(watching.join)
+        self._resources.callback(self._over.set)
+
+    def _usual_entries(self) -> dict[Side, dict[str, Any]]:
+        client: Side = "robot" if self._server == "pc" else "pc"
+        direction = "receive" if client == "robot" else "transmit"
+        entry = {"topic": TOPIC, "direction": direction, "arm": True, "deadman": 0, "protocol": self.transport}
+        return {client: {"topics": [entry | self._entry]}}
+
+    # --- what people do
+
+    def prepare(self) -> None:
+        """Publish from now on, and wait until the topic is set up and can be armed."""
+        self._nodes.ear.listen([TOPIC])
+        self._nodes.talker.talk([TOPIC], RATE)
+        self.await_disarmed()
+
+    def await_disarmed(self, within: float = 60.0) -> None:
+        """Wait until both sides are linked and show the topic disarmed, ready to be armed."""
+
+        def ready() -> bool:
+            found = [route for bridge in (self.robot, self.pc) for route in bridge.routes()]
+            return (
+                self.robot.linked and self.pc.linked and len(found) >= 2
+                and all(each.state == "disarmed" for each in found)
+            )  # fmt: skip
+
+        eventually(ready, within, f"disarmed on both sides: {self.describe()}")
+
+    def describe(self, topic: str = TOPIC) -> str:
+        """What both sides show of a topic."""
+        lines = []
+        for name, bridge in (("robot", self.robot), ("pc", self.pc)):
+            shown = [f"{each.state} {each.cause}: {each.reason}" for each in bridge.routes(topic)]
+            lines.append(f"{name}: {bridge.console.unreachable or shown}")
+        return "; ".join(lines)
+
+    def arm(self, bridge: Bridge | None = None) -> Window:
+        """Arm the topic, on the control PC's console if no other is named, and keep it armed as far as that goes."""
+        bridge = bridge or self.pc
+        window = Window(time.monotonic())
+        with self._lock:
+            self.windows.append(window)
+            self._arms = bridge
+        try:
+            bridge.console.arming.arm(bridge.routes()[0].key).result(10)
+        except EngineError:
+            with self._lock:
+                window.show("an error")
+            raise
+        return window
+
+    def arm_and_flow(self, count: int = 20, by: Bridge | None = None) -> Window:
+        """Arm the topic, and wait until messages cross."""
+        window = self.arm(by)
+        self.await_flow(window, count)
+        return window
+
+    def begin_window(self) -> Window:
+        """Note that an operator is about to arm the topic by other means."""
+        window = Window(time.monotonic())
+        with self._lock:
+            self.windows.append(window)
+            self._arms = None
+        return window
+
+    def await_flow(self, window: Window, count: int = 20) -> None:
+        """Wait until messages cross that were published since then."""
+        deadline = time.monotonic() + _FLOWS_WITHIN
+        while sum(each.published > window.asked for each in self._heard()) <= count:
+            assert time.monotonic() < deadline, f"no messages cross: {self.describe()}"
+            time.sleep(0.05)
+
+    def disarm(self, bridge: Bridge | None = None) -> Command:
+        """Begin the operator's command on the control PC."""
+        return (bridge or self.pc).run("disarm", TOPIC)
+
+    def disarmed(self) -> None:
+        """An operator has been told that the topic is disarmed."""
+        with self._lock:
+            self.windows[-1].show("the command")
+
+    def await_shown(self, within: float = 20.0) -> float:
+        """Wait until a side has shown that the topic is disarmed; return that moment."""
+        return eventually(lambda: self.windows[-1].shown, within, f"shown disarmed: {self.describe()}")
+
+    def settle(self) -> None:
+        """Stop publishing, and wait until nothing more comes."""
+        self._nodes.talker.talk([], RATE)
+        last, since = -1, time.monotonic()
+        while time.monotonic() - since < 1.0:
+            count = len(self._heard())
+            if count != last:
+                last, since = count, time.monotonic()
+            time.sleep(0.05)
+
+    def findings(self) -> Findings:
+        """Judge all that has reached the robot."""
+        return judge(self._nodes.ear.arrivals(), self.windows)
+
+    def _heard(self) -> list[Any]:
+        return [each for each in self._nodes.ear.arrivals() if each.topic == TOPIC]
+
+    # --- the watching thread
+
+    def _watch(self) -> None:
+        """Note when either side first shows that the topic is disarmed after it has shown it armed."""
+        showed: dict[str, Window] = {}
+        kept_at = 0.0
+        while not self._over.wait(_LOOK_EVERY):
+            now = time.monotonic()
+            if now - kept_at > _SIGN_OF_LIFE_EVERY and self._arms is not None:
+                kept_at = now
+                self._arms.console.arming.keep(pressed=False)
+            for name, bridge in (("the robot's console", self.robot), ("the pc's console", self.pc)):
+                with self._lock:
+                    window = self.windows[-1] if self.windows else None
+                shows = bridge.shows()
+                if window is None or shows is None:
+                    continue
+                disarmed, words = shows
+                if not disarmed:
+                    showed[name] = window
+                elif showed.get(name) is window:
+                    with self._lock:
+                        window.show(f"{name} ({words})")
