@@ -25,7 +25,7 @@ S = 1_000_000_000
 def age_of(context: Context, max_age: float | None = 0.5, lifespan: float = 0.0) -> tuple[MessageAge, FakePeer]:
     peer = FakePeer()
     age = MessageAge(context, peer)  # type: ignore[arg-type]
-    age.settle(max_age, armed=False, lifespan=lifespan)
+    age.settle((max_age,), armed=False, lifespan=lifespan)
     return age, peer
 
 

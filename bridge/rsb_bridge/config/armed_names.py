@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 from rsb_bridge.config.decoding import join, show
 from rsb_bridge.config.pattern_rules import form_problems
-from rsb_bridge.model.limits import DEADMAN_TIME
+from rsb_bridge.model.limits import DEADMAN_TIME, MAX_AGE
 from rsb_bridge.model.session import Armed, Problem
 
 if TYPE_CHECKING:
@@ -23,5 +23,7 @@ def armed_problems(armed: Sequence[str | Armed]) -> Iterator[Problem]:
         if entry.deadman and entry.deadman not in DEADMAN_TIME:
             message = f"{entry.deadman} is out of range: {DEADMAN_TIME} s, or 0 for none"
             yield Problem(join(here, "deadman"), message)
+        if entry.max_age and entry.max_age not in MAX_AGE:
+            yield Problem(join(here, "max_age"), f"{entry.max_age} is out of range: {MAX_AGE} s, or 0 for none")
         if known.setdefault(entry, at) != at:
             yield Problem(here, f"{show(entry.name)} is there already, as number {known[entry] + 1}: keep one")

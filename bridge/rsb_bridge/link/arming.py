@@ -9,7 +9,8 @@ from rsb_bridge.link.errors import LinkError
 from rsb_bridge.link.lease import LinkLease
 from rsb_bridge.link.peer_operators import acting_operator
 from rsb_bridge.model.codes import EventCode
-from rsb_bridge.model.demands import PEER_DEMANDS, Demands, Source
+from rsb_bridge.model.demands import NO_DEMAND, PEER_DEMANDS, Demands, Source
+from rsb_bridge.model.max_age import default_max_age, smallest_max_age
 from rsb_bridge.model.snapshot import Level
 from rsb_bridge.model.token_bucket import TokenBucket
 from rsb_bridge.route.arming import SAID, Disarmed
@@ -27,6 +28,7 @@ if TYPE_CHECKING:
     from rsb_bridge.route.route import Route
     from rsb_bridge.wire.arming import ArmingMessage
     from rsb_bridge.wire.lease import Settled
+    from rsb_bridge.wire.messages import Propose
 
 _AT_ONCE, _A_SECOND = 20.0, 1 / 30
 """Armings by one link's peer: each is in the log, so more than people need are refused."""
@@ -73,13 +75,17 @@ class LinkArming:
         route.arming.lease = self.lease.state
         route.arming.own = self._own(route)
         if (own := route.arming.own) is not None:
-            route.arming.demand(required=True, deadman=own.deadman)
+            route.arming.demand(required=own.arm, deadman=own.deadman)
         self._say_who_demands(route)
 
     def demanded(self, route: Route) -> dict[str, Any]:
         """Return this side's demand for the present opening, as fields of a proposal."""
-        own = route.arming.own
-        return {"arm": own is not None, "deadman": 0.0 if own is None else own.deadman}
+        own = route.arming.own or NO_DEMAND
+        return {"arm": own.arm, "deadman": own.deadman, "max_age": self.max_age(route, route.proposal)}
+
+    def max_age(self, route: Route, proposal: Propose) -> float | None:
+        """Return what this side demands of the age of messages, and the proposal of a route that it proposes."""
+        return smallest_max_age((proposal.max_age, (route.arming.own or NO_DEMAND).max_age))
 
     def accepted(self, route: Route, *, required: bool, deadman: float) -> None:
         """The other side accepts an opening, and says whether it has to be armed."""
@@ -87,20 +93,23 @@ class LinkArming:
         self._say_who_demands(route)
 
     def renew_demand(self, route: Route) -> bool:
-        """Whether a route's opening has another demand than this side's session makes now."""
-        own, before = self._own(route), route.arming.own
+        """Take this side's session as it is now for a route; return whether it has to be opened anew for that."""
         if not route.id:
             return False
-        if own is not None and before is not None and own.deadman == before.deadman:
-            route.arming.own = own
-            self._say_who_demands(route)
-            return False
-        return own != before
+        own, before = self._own(route) or NO_DEMAND, route.arming.own or NO_DEMAND
+        if (own.arm, own.deadman) != (before.arm, before.deadman):
+            return True
+        if own.max_age != before.max_age and not route.proposed_here:
+            return True
+        route.arming.own = own
+        self._say_who_demands(route)
+        return False
 
     def keep_demand(self, route: Route, topic: Topic) -> None:
         """Keep the demand of an entry that is not added because the other side bridges the same."""
-        key = "", route.local_topic
-        self._context.demands.keep(Source(key, route.local_topic, topic.deadman_seconds), acting_operator())
+        key, max_age = ("", route.local_topic), default_max_age(topic.max_age, armed=True)
+        source = Source(key, route.local_topic, topic.deadman_seconds, max_age=max_age)
+        self._context.demands.keep(source, acting_operator())
 
     def demand_dropped(self, source: Source) -> None:
         """Tell the other side that an operator of this side drops a demand on names of its routes."""

@@ -6,7 +6,6 @@ from typing import TYPE_CHECKING, TypeAlias
 
 import msgspec
 
-from rsb_bridge.link.age_demands import AgeDemands
 from rsb_bridge.link.arming import LinkArming
 from rsb_bridge.link.authorizing import allow_rate, authorized, check_overlap, check_room, denied
 from rsb_bridge.link.errors import LinkError
@@ -70,7 +69,6 @@ class RouteTable:
         self.arming = LinkArming(
             context, owner, self._peer_operators, lambda: tuple(self.routes.values()), self.propose
         )
-        self.ages = AgeDemands(lambda: tuple(self.routes.values()))
 
     # --- the connection
 
@@ -113,8 +111,6 @@ class RouteTable:
             if spec.arm and not self.routes[key].proposed_here:
                 self.arming.keep_demand(self.routes[key], spec)
                 self._context.demands.apply()
-            if spec.max_age is not None and not self.routes[key].proposed_here:
-                self.ages.demand(self.routes[key], spec)
             raise LinkError(f"{proposal.topic} is bridged in that direction already: edit or remove that route")
         check_overlap(spec, self.routes.values())
         half = half_of(proposal, is_client=self._owner.is_client)
@@ -123,7 +119,6 @@ class RouteTable:
         if proposed_here:
             self.listed.add(spec.identity)
             self._context.demands.changed()
-            self.ages.demand(route, spec)
         if proposed_here and self._owner.linked:
             self.propose(route, acting_operator(), edited=edited)
         return route
@@ -137,7 +132,6 @@ class RouteTable:
     def remove(self, route: Route, reason: str, *, told: bool = True) -> None:
         """Remove a route on both sides; `told`: the other side's operators are told who does it."""
         self.listed.discard(route.spec.identity)
-        self.ages.forget(route)
         self._tell_removed(route, reason, acting_operator() if told else "")
         self._forget(route, EventCode.ROUTE_REMOVED, reason)
 
@@ -187,13 +181,11 @@ class RouteTable:
             proposal: of it, with this side's names.
         """
         changed = amended(route.proposal, proposal)
-        if route.proposed_here or (self.ages.of(route) is not None and spec.max_age != route.spec.max_age):
-            self.ages.demand(route, spec)
         if route.proposed_here:
             route.amend(msgspec.structs.replace(spec, paused=route.paused), changed)
             self._context.demands.changed()
         if route.id:
-            self._owner.send(amendment(changed, route.id, acting_operator()))
+            self._owner.send(self._amendment(route, changed, acting_operator()))
         if spec.paused != route.paused:
             self.pause(route, paused=spec.paused)
 
@@ -212,7 +204,13 @@ class RouteTable:
             self._peer_operators.edited(route, message.who, old)
             route.pattern = ""
         if route.proposed_here and route.id:
-            self._owner.send(amendment(proposal, route.id))
+            self._owner.send(self._amendment(route, proposal))
+
+    def _amendment(self, route: Route, proposal: Propose, who: str = "") -> Amend:
+        """Return the message by which a route's limits become those of a proposal."""
+        if route.proposed_here:
+            proposal = msgspec.structs.replace(proposal, max_age=self.arming.max_age(route, proposal))
+        return amendment(proposal, route.id, who)
 
     def pause(self, route: Route, *, paused: bool) -> None:
         """Pause or resume a route on both sides; what was armed has to be armed again."""
@@ -222,12 +220,16 @@ class RouteTable:
     def apply_demands(self) -> None:
         """Open the routes anew whose demands have changed."""
         for route in tuple(self.routes.values()):
+            before = route.arming.own
             if not self.arming.renew_demand(route):
+                if route.id and route.proposed_here and route.arming.own != before:
+                    route.settle_age()
+                    self._owner.send(self._amendment(route, route.proposal))
                 continue
             if route.proposed_here:
                 self.propose(route)
             else:
-                route.request_reopen(EventCode.ROUTE_AMENDED, "this side's session has changed about arming it")
+                route.request_reopen(EventCode.ROUTE_AMENDED, "this side's session demands something else of it")
 
     def retry(self) -> None:
         """Propose at once what was refused."""
@@ -245,7 +247,7 @@ class RouteTable:
         route.close("opened anew")
         route.open(route_id)
         self.arming.opened(route)
-        route.age.accepted = None if route.proposed_here else self.ages.of(route)
+        route.age.accepted = None
         route.settle_age()
         self.ids.opened(route, route_id)
 
@@ -356,9 +358,9 @@ class RouteTable:
                 self._refuse(proposal, "port_taken", str(error))
             return
         if current():  # else it was closed while its port was being bound
-            arming = route.arming
-            accept = Accept(route.id, route.local_topic, arming.required, arming.deadman, route.age.accepted)
-            self._owner.send(accept)
+            arming, own = route.arming, route.arming.own
+            max_age = None if own is None else own.max_age
+            self._owner.send(Accept(route.id, route.local_topic, arming.required, arming.deadman, max_age))
             self._accepted(route)
 
     def _accepted(self, route: Route) -> None:

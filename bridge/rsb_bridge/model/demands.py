@@ -1,4 +1,4 @@
-"""Names that have to be armed, as a session demands it: a demand belongs to the name, whoever bridges it."""
+"""Names that have to be armed, or have a `max_age`: what a session demands belongs to the name, whoever bridges it."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Final, TypeAlias
 import msgspec
 
 from rsb_bridge.model.lanes import LANES
+from rsb_bridge.model.max_age import ARMED, default_max_age, smallest_max_age
 from rsb_bridge.model.names import server_topic
 from rsb_bridge.model.patterns import Pattern, is_pattern
 from rsb_bridge.model.qos import AUTO
@@ -27,7 +28,7 @@ SourceKey: TypeAlias = tuple[str, Identity | str]
 
 @dataclass(frozen=True, slots=True)
 class Source:
-    """One line of a session that demands arming.
+    """One line of a session that demands arming or a `max_age`.
 
     Attributes:
         key: identifies the entry.
@@ -37,6 +38,8 @@ class Source:
         type: of the names, or an empty string for every type.
         on_client: the name as the client has it, to which `excepts` refers.
         excepts: names and patterns on the client that a pattern leaves out.
+        arm: whether it demands arming.
+        max_age: in seconds, 0 for no limit, or None if it says nothing.
     """
 
     key: SourceKey
@@ -46,6 +49,8 @@ class Source:
     type: str = ""
     on_client: str = ""
     excepts: tuple[str, ...] = ()
+    arm: bool = True
+    max_age: float | None = None
 
     @property
     def is_pattern(self) -> bool:
@@ -59,11 +64,22 @@ class Demand:
 
     Attributes:
         deadman: the shortest time in seconds, or 0 for none.
-        sources: the lines.
+        max_age: the smallest limit in seconds, 0 for no limit, or None if no line says anything.
+        sources: the lines that demand arming.
     """
 
     deadman: float
+    max_age: float | None
     sources: tuple[Source, ...]
+
+    @property
+    def arm(self) -> bool:
+        """Whether it has to be armed."""
+        return bool(self.sources)
+
+
+NO_DEMAND: Final = Demand(0.0, None, ())
+"""The demand on a name that no line matches."""
 
 
 def local_name(topic: Topic, client: str, *, on_server: bool, use_name: bool) -> str:
@@ -81,13 +97,23 @@ def local_name(topic: Topic, client: str, *, on_server: bool, use_name: bool) ->
 
 
 def sources_of_entries(topics: Iterable[Topic], client: str, *, on_server: bool, use_name: bool) -> Iterator[Source]:
-    """Yield the entries of one link that demand arming; the arguments are those of `local_name`."""
+    """Yield the entries of one link that demand anything; the arguments are those of `local_name`."""
     for topic in topics:
-        if topic.arm:
+        if topic.arm or topic.max_age is not None:
             name = local_name(topic, client, on_server=on_server, use_name=use_name)
             key = client if on_server else "", topic.identity
             type_name = full_type(topic.type) if topic.is_pattern else ""
-            yield Source(key, name, topic.deadman_seconds, topic.kind, type_name, topic.topic, topic.excepts)
+            yield Source(
+                key,
+                name,
+                topic.deadman_seconds if topic.arm else 0.0,
+                topic.kind,
+                type_name,
+                topic.topic,
+                topic.excepts,
+                arm=topic.arm,
+                max_age=default_max_age(topic.max_age, armed=topic.arm),
+            )
 
 
 def sources_of_names(armed: Iterable[str | Armed]) -> Iterator[Source]:
@@ -95,11 +121,13 @@ def sources_of_names(armed: Iterable[str | Armed]) -> Iterator[Source]:
     for each in armed:
         entry = Armed(each) if isinstance(each, str) else each
         key = "", f"{entry.kind or ''} {entry.type or ''} {entry.name}".strip()
-        yield Source(key, entry.name, entry.deadman_seconds, entry.kind, full_type(entry.type or AUTO))
+        max_age = default_max_age(entry.max_age, armed=True)
+        type_name = full_type(entry.type or AUTO)
+        yield Source(key, entry.name, entry.deadman_seconds, entry.kind, type_name, max_age=max_age)
 
 
 def sources_of(session: Session) -> Iterator[Source]:
-    """Yield every line of a session that demands arming."""
+    """Yield every line of a session that demands anything."""
     yield from sources_of_names(session.armed)
     if session.role == "client":
         yield from sources_of_entries(session.topics, session.name, on_server=False, use_name=False)
@@ -147,7 +175,11 @@ class Demands:
         )
         if not found:
             return None
-        return Demand(min((each.deadman for each in found if each.deadman), default=0.0), tuple(found))
+        return Demand(
+            min((each.deadman for each in found if each.deadman), default=0.0),
+            smallest_max_age(each.max_age for each in found),
+            tuple(each for each in found if each.arm),
+        )
 
     def _matching(self, kind: Kind | None, name: str) -> Iterator[Source]:
         for source in self._by_name.get(name, ()):
@@ -168,17 +200,18 @@ class Demands:
         else:
             found = self._matching(old.kind, old.name)
         return any(
-            new.key == old.key or not old.deadman or 0 < new.deadman <= old.deadman
+            new.key == old.key
+            or (_is_as_short(new.deadman, old.deadman) and _is_as_short(new.max_age or 0.0, old.max_age or 0.0))
             for new in found
-            if new.kind in (None, old.kind) and new.type in ("", old.type)
+            if new.arm and new.kind in (None, old.kind) and new.type in ("", old.type)
         )
 
     def missing(self, old: Iterable[Source]) -> dict[Source, tuple[Source, ...]]:
-        """Return the sources of which these do not demand everything, each with sources that demand the rest."""
-        by_key = {source.key: source for source in self.sources}
+        """Return the sources whose demand for arming these do not cover, each with sources that demand the rest."""
+        by_key = {source.key: source for source in self.sources if source.arm}
         found: dict[Source, tuple[Source, ...]] = {}
         for source in old:
-            if self._covers(source):
+            if not source.arm or self._covers(source):
                 continue
             whole = kept_whole(source)
             new = by_key.get(source.key)
@@ -195,10 +228,19 @@ class Demands:
 
 def _kept(source: Source, name: str) -> Source:
     """Return a source for `armed` that demands a name, as carefully as another source."""
-    entry = Armed(name, deadman=None if source.deadman == DEADMAN else source.deadman)
+    entry = Armed(name, deadman=_unless(source.deadman, DEADMAN), max_age=_unless(source.max_age, ARMED))
     if is_pattern(name):
         entry = msgspec.structs.replace(entry, kind=source.kind, type=source.type or None)
     return next(sources_of_names([entry]))
+
+
+def _unless(seconds: float | None, default: float) -> float | None:
+    return None if seconds == default else seconds
+
+
+def _is_as_short(new: float, old: float) -> bool:
+    """Whether a limit is at least as short as another one; 0 is none."""
+    return not old or 0 < new <= old
 
 
 def kept_whole(source: Source) -> Source:
@@ -208,8 +250,8 @@ def kept_whole(source: Source) -> Source:
 
 def as_armed(source: Source) -> str | Armed:
     """Return the entry of `armed` for one of its sources."""
-    deadman = None if source.deadman == DEADMAN else source.deadman
-    entry = Armed(source.name, source.kind, source.type or None, deadman)
+    deadman, max_age = _unless(source.deadman, DEADMAN), _unless(source.max_age, ARMED)
+    entry = Armed(source.name, source.kind, source.type or None, deadman, max_age)
     return source.name if entry == Armed(source.name) else entry
 
 

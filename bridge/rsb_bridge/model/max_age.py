@@ -11,16 +11,30 @@ ARMED = 1.0
 """s: the limit of what has to be armed, unless a session sets one."""
 
 
+def default_max_age(seconds: float | None, *, armed: bool) -> float | None:
+    """Return what a line of a session demands: s, 0 for no limit, or None if it says nothing.
+
+    Args:
+        seconds: what it sets, or None if it sets nothing.
+        armed: whether it demands arming.
+    """
+    return ARMED if seconds is None and armed else seconds
+
+
+def smallest_max_age(demands: Iterable[float | None]) -> float | None:
+    """Return the limit (s) that holds of several demands, 0 for no limit, or None if none says anything.
+
+    The smallest limit holds. Whoever says 0 asks for no limit, and does not lift the limits of others.
+    """
+    given = [each for each in demands if each is not None]
+    return min(filter(None, given), default=0.0) if given else None
+
+
 def effective_max_age(demands: Iterable[float | None], *, armed: bool) -> float:
     """Return the limit (s) that holds, or 0 for no limit.
 
-    The smallest limit holds. A side that says 0 asks for no limit and does not lift the other side's.
-
     Args:
-        demands: what each side's session sets: s, 0 for no limit, or None if it sets nothing.
+        demands: of both sides, as in `smallest_max_age`.
         armed: whether either side demands that it is armed.
     """
-    given = [each for each in demands if each is not None]
-    if not given:
-        return ARMED if armed else 0.0
-    return min(filter(None, given), default=0.0)
+    return default_max_age(smallest_max_age(demands), armed=armed) or 0.0

@@ -240,12 +240,14 @@ class Armed(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defaul
         kind: of what has the name, or None for every kind.
         type: of what has the name, or None for every type.
         deadman: as in `Topic`.
+        max_age: as in `Topic`.
     """
 
     name: str
     kind: Kind | None = None
     type: str | None = None
     deadman: float | None = None
+    max_age: float | None = None
 
     @property
     def deadman_seconds(self) -> float:

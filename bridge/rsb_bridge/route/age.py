@@ -18,7 +18,7 @@ from rsb_bridge.model.verdict import Cause, Verdict
 from rsb_bridge.route.publisher_clock import PublisherClocks
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterable, Sequence
 
     from rsb_bridge.context import Context
     from rsb_bridge.model.stamp_clock import StampClock
@@ -62,7 +62,8 @@ class MessageAge:
     Attributes:
         is_on: whether ages are limited at all.
         max_age: s that holds for the two sides, or 0 for no limit.
-        accepted: s that the session of the side that accepted the route sets, 0 for no limit, or None if it sets none.
+        accepted: s that the other side's session sets where it has accepted the route, 0 for no limit, or None if it
+            sets none.
         publishers: the clocks of those whose messages are taken.
     """
 
@@ -80,15 +81,15 @@ class MessageAge:
         self._lately: deque[tuple[int, Counter[Cause]]] = deque(maxlen=_LATELY + 1)
         self._since: float | None = None
 
-    def settle(self, proposed: float | None, *, armed: bool, lifespan: float = 0.0) -> None:
+    def settle(self, demands: Iterable[float | None], *, armed: bool, lifespan: float = 0.0) -> None:
         """Take what both sides say.
 
         Args:
-            proposed: s that the proposer's session sets, 0 for no limit, or None if it sets none.
+            demands: of both sides: s, 0 for no limit, or None if a session sets none.
             armed: whether it has to be armed.
             lifespan: s, of its publishers, or 0 for none.
         """
-        self.max_age = effective_max_age((proposed, self.accepted), armed=armed)
+        self.max_age = effective_max_age(demands, armed=armed)
         self._limit = min(filter(None, (self.max_age, lifespan)), default=0.0)
         self._limit_ns = int(self._limit * 1e9)
         self.is_on = self._limit > 0.0

@@ -354,7 +354,9 @@ class Route:
 
     def settle_age(self) -> None:
         """Take in how old messages may be, whenever a side says something else about it."""
-        self.age.settle(self.proposal.max_age, armed=self.arming.required, lifespan=self._lifespan)
+        own = self.arming.own
+        demands = self.proposal.max_age, self.age.accepted, None if own is None else own.max_age
+        self.age.settle(demands, armed=self.arming.required, lifespan=self._lifespan)
 
     @property
     def _lifespan(self) -> float:
