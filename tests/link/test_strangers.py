@@ -110,10 +110,10 @@ def test_a_refused_stream_over_zenoh_is_freed_at_once(
     bridge: Bridge, arrived: list[weakref.ref[object]], no_collector: None
 ) -> None:
     zenoh = pytest.importorskip("zenoh")
-    from tests.support.zenoh_router import Router, stranger  # noqa: PLC0415 (it needs the package)
+    from tests.support.zenoh_router import Router, stranger
 
-    from rsb_bridge.transport.zenoh.endpoint import ROOT  # noqa: PLC0415
-    from rsb_bridge.transport.zenoh.sample import Header, Kind  # noqa: PLC0415
+    from rsb_bridge.transport.zenoh.endpoint import ROOT
+    from rsb_bridge.transport.zenoh.sample import Header, Kind
 
     router = Router()
     try:
@@ -129,9 +129,7 @@ def test_a_refused_stream_over_zenoh_is_freed_at_once(
                     attachment=Header(Kind.DATA, 0, 0).pack(),
                     congestion_control=zenoh.CongestionControl.BLOCK,
                 )
-            eventually(
-                lambda: len(arrived) == len(sent) * 4 and not any(each() for each in arrived), 20, what="freed"
-            )
+            eventually(lambda: len(arrived) == len(sent) * 4 and not any(each() for each in arrived), 20, what="freed")
             assert strangers_of(server).used == 0
             assert strangers_of(server).turned_away == 1
     finally:

@@ -285,9 +285,7 @@ class Endpoint:
 
         self._soon(take)
 
-    def _queue_of_stranger(
-        self, length: int, work: Callable[[], None], stream: tuple[str, str] | None = None
-    ) -> bool:
+    def _queue_of_stranger(self, length: int, work: Callable[[], None], stream: tuple[str, str] | None = None) -> bool:
         """Queue what a stranger has caused, or drop it. Return False if the stream is a peer's."""
         size = length + _OVERHEAD
         with self._counting:  # so that what comes while the stream becomes trusted stays in order
