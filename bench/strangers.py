@@ -36,6 +36,8 @@ from rsb_console.bench.ends import BenchError
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Sequence
 
+    from rsb_console.bench.processes import Process
+
 FLAT = 10.0
 """MB by which the memory may grow."""
 HZ, SIZE = 50, 1000
@@ -148,7 +150,7 @@ class Stage:
                 if time.monotonic() - began > _LINKED_WITHIN:
                     yield None
                     return
-                self._bed.talker.ask(f"send 100 2 100 {0}")
+                self._bed.talker.ask("send 100 2 100")
                 time.sleep(0.05)
             yield time.monotonic() - began
 
@@ -165,7 +167,7 @@ class Stage:
 class _Watch:
     """Samples a process's memory until it is asked for the most."""
 
-    def __init__(self, process: bed.processes.Process) -> None:
+    def __init__(self, process: Process) -> None:
         self._process = process
         self._most = process.memory()
         self._over = threading.Event()
@@ -320,11 +322,11 @@ def table(floods: Iterable[Flood]) -> Iterator[tuple[str, Row]]:
     for flood in floods:
         row = measure(flood)
         linked = "never" if row.linked is None else f"{row.linked:.1f}"
-        yield (
+        text = (
             f"| {flood.transport} | {flood.rate:,} | {flood.size:,} | {'many' if flood.many else 'one'} | {row.sent:,} "
-            f"| {row.before:.0f} | {row.peak:.0f} | {row.after:.0f} | {linked} | {row.delivered:.2f} |",
-            row,
+            f"| {row.before:.0f} | {row.peak:.0f} | {row.after:.0f} | {linked} | {row.delivered:.2f} |"
         )
+        yield text, row
 
 
 def main(arguments: Sequence[str]) -> int:

@@ -32,7 +32,7 @@ class Access:
         name: the engine's, which an operator's console has to mean.
         events: where it is recorded who attaches, and who is refused.
         clock: the engine's.
-        strangers: the engine's budget of those who have not proven yet that they have a key, or None for one of its own.
+        strangers: the engine's budget of those who have not proven a key yet, or None for one of its own.
 
     Attributes:
         name: as given.

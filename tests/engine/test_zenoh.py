@@ -227,16 +227,16 @@ def test_datagrams_that_the_network_drops_are_in_the_ledger(
     qos = {"depth": 500, "reliability": "best_effort"}
     server, client = bridge.both(Topic("/drop", "transmit", qos=qos), **over(router))
     carries([out], server, ["/drop"])
-    take, count = endpoints.Endpoint._take, [0]
+    take, count = endpoints.Endpoint._take_datagram, [0]
 
-    def lossy(self: endpoints.Endpoint, key: str, attachment: bytes, payload: bytes) -> None:
-        if key.endswith("/drop") and self._service == "server" and len(payload) > 500:
+    def lossy(self: endpoints.Endpoint, sender: str, payload: bytes) -> None:
+        if self._service == "server" and len(payload) > 500:
             count[0] += 1
             if count[0] % 5 == 0:
                 return
-        take(self, key, attachment, payload)
+        take(self, sender, payload)
 
-    monkeypatch.setattr(endpoints.Endpoint, "_take", lossy)
+    monkeypatch.setattr(endpoints.Endpoint, "_take_datagram", lossy)
     for number in range(301):
         out.publish(text(f"{number}" + " " * 800))
         eventually(lambda number=number: count[0] > number)  # one datagram each, so that the loss is known
@@ -256,11 +256,11 @@ def test_a_stream_that_misses_a_sample_closes_says_why_and_opens_again(
     take = endpoints.Endpoint._take
     lost: list[str] = []
 
-    def lossy(self: endpoints.Endpoint, key: str, attachment: bytes, payload: bytes) -> None:
+    def lossy(self: endpoints.Endpoint, sender: str, stream: str, attachment: bytes, payload: bytes) -> None:
         if not lost and self._service == "server" and len(payload) > 50_000:
-            lost.append(key)
+            lost.append(stream)
             return
-        take(self, key, attachment, payload)
+        take(self, sender, stream, attachment, payload)
 
     monkeypatch.setattr(endpoints.Endpoint, "_take", lossy)
     for number in range(3):

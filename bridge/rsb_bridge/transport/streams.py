@@ -252,13 +252,13 @@ class Stream(asyncio.Protocol):
 
 def _read_at_a_time(transport: asyncio.BaseTransport | None, size: int) -> None:
     """Limit what asyncio reads from a socket in one call. Transports of other kinds have limits of their own."""
-    if hasattr(transport, "max_size"):
+    if transport is not None and hasattr(transport, "max_size"):
         transport.max_size = size
 
 
 def _free(transport: asyncio.Transport | None) -> None:
     """Have a socket's transport freed at once: asyncio leaves a method of its own bound in it, which is a cycle."""
-    if hasattr(transport, "_read_ready_cb"):
+    if transport is not None and hasattr(transport, "_read_ready_cb"):
         transport._read_ready_cb = None
 
 

@@ -122,9 +122,7 @@ class Pipe(asyncio.Transport):
         if self._closing:
             return
         if self._received:
-            self.longest = (
-                _LONGEST  # it is answered: what follows the proof may come before the loop has seen the proof
-            )
+            self.longest = _LONGEST  # it is answered: what follows its proof may come before that is read
         for begin in range(0, len(data), SAMPLE):
             piece = data if len(data) <= SAMPLE else memoryview(data)[begin : begin + SAMPLE]
             if self._waiting or self._sent - self._taken_there >= WINDOW:

@@ -1,0 +1,19 @@
+"""A real server's memory while strangers flood it: one row of the bench for each transport."""
+
+from __future__ import annotations
+
+import pytest
+from bench.strangers import FLAT, SHORT, Flood, measure
+from tests.support.locks import two_domains
+
+
+@pytest.mark.parametrize("flood", SHORT, ids=[flood.transport for flood in SHORT])
+def test_a_flood_leaves_the_memory_as_it_was_and_a_robot_links(flood: Flood) -> None:
+    if flood.transport == "zenoh":
+        pytest.importorskip("zenoh")
+    near = two_domains()
+    row = measure(flood, near, near + 1)
+    assert row.sent > 10
+    assert row.linked is not None
+    assert row.peak - row.before <= FLAT
+    assert row.after - row.before <= FLAT
