@@ -73,9 +73,10 @@ def _run(attack: str, seconds: float, router: Router, robot: Domain, pc: Domain,
 def main() -> None:
     seconds = float(sys.argv[1]) if len(sys.argv) > 1 else 10.0
     router, robot, pc = Router(), Domain(81), Domain(82)
-    with closing(router), closing(robot), closing(pc), tempfile.TemporaryDirectory() as folder:
+    with closing(router), closing(robot), closing(pc):
         for attack in ("none", *(each for each in ATTACKS if each != "answers")):
-            print(_run(attack, seconds, router, robot, pc, Path(folder)), flush=True)
+            with tempfile.TemporaryDirectory() as folder:
+                print(_run(attack, seconds, router, robot, pc, Path(folder)), flush=True)
 
 
 if __name__ == "__main__":

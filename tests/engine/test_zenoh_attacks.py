@@ -157,6 +157,13 @@ def test_a_side_without_tags_links_and_carries(
     eventually(lambda: not linked(server))
 
 
+def test_a_second_client_of_a_name_hears_so_from_the_server(bridge: Bridge, router: Router) -> None:
+    _, client = bridge.both(**over(router))
+    second = bridge.client(**over(router))
+    eventually(lambda: link(second).cause == LinkCause.NAME_TAKEN)
+    assert linked(client)
+
+
 def test_a_stranger_who_passes_on_what_a_server_says_is_not_taken_for_it(bridge: Bridge, router: Router) -> None:
     """It could hold up or drop what it likes, and the client could not tell it from a second server."""
     relay = Relay(router.endpoint)

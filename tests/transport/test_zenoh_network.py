@@ -411,6 +411,26 @@ def test_announcements_are_limited_in_number_and_harmless(router: Router, monkey
     asyncio.run(test())
 
 
+def test_many_announcements_hide_no_new_one(router: Router, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(endpoints, "MOST_SEEN", 5)
+
+    async def test() -> None:
+        async with in_network(router, "server", "client") as server:
+            other = stranger(router)
+            root = f"{ROOT}/fleet/here/client"
+            first = other.liveliness().declare_token(f"{root}/{'a' * 16}/x")
+            await until(lambda: "a" * 16 in server.seen)
+            server.add("a" * 16, NOBODY, End())
+            tokens = [other.liveliness().declare_token(f"{root}/{number:016x}/x") for number in range(20)]
+            await until(lambda: f"{19:016x}" in server.seen)
+            assert len(server.seen) == 5
+            assert "a" * 16 in server.seen
+            del first, tokens
+            other.close()
+
+    asyncio.run(test())
+
+
 def test_who_leaves_while_an_endpoint_is_made_is_forgotten(router: Router, monkeypatch: pytest.MonkeyPatch) -> None:
     """Else a fleet would have two servers for good, and nobody would link."""
     monkeypatch.setattr(endpoints, "_CONFIRMED", 1.0)

@@ -170,7 +170,8 @@ class ClientLink(Link):
         """Connect to the announced server that proves the key; None: the link is up."""
         remedied = partial(with_remedy, name=self.name, has_key=True)
         proven, failures, unproven = await self._search.find(hosts, begin, remedied)
-        self._note_unproven(unproven if proven else 0)
+        if proven:
+            self._note_unproven(unproven)
         accepting = [each for each in proven if each.refusal is None]
         if len(accepting) == 1:
             server = accepting[0]

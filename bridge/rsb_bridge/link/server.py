@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import asyncio
 import os
 import shlex
+from itertools import chain
 from typing import TYPE_CHECKING
 
 import msgspec
@@ -22,6 +24,7 @@ from rsb_bridge.model.snapshot import Level
 from rsb_bridge.model.verdict import LinkCause
 from rsb_bridge.transport.ports import Ports
 from rsb_bridge.transport.transport import Acceptor
+from rsb_bridge.wire import sample_tags
 from rsb_bridge.wire.connection import ClientConnection, Credential, ServerConnection
 from rsb_bridge.wire.messages import Hello, Welcome
 from rsb_bridge.wire.preamble import LINK_ID_LENGTH, Refusal, RefusalCode
@@ -39,6 +42,8 @@ if TYPE_CHECKING:
 _SESSION_CHANGED = "the server's session has changed: try again"
 _ASKED_AS = 3
 """Clients as which other servers are asked whether they have the key."""
+_PROVES_WITHIN = 1.0
+"""s that another server has; whoever listens waits for it."""
 _SHUT_DOWN = "the server shuts its links down: try again"
 _REPLACED_PAUSE = 10.0
 """s that a replaced client waits, which was silent for a moment: it would find its name taken."""
@@ -93,20 +98,20 @@ class Server:
         keyed = [entry for entry in self.entries.values() if entry.keys][:_ASKED_AS]
         if not keyed:
             return hosts  # no server without encryption can be told from another
-        found: set[str] = set()
-        for entry in keyed:
-            hello = Hello(__version__, entry.client.name, os.urandom(8).hex(), 0)
-            secret = entry.keys[-1].secret
+        found = await asyncio.gather(*(self._with_the_key_of(entry, hosts) for entry in keyed))
+        return sorted(set(chain.from_iterable(found)))
 
-            def begin(suite: Suite | None, hello: Hello = hello, secret: bytes = secret) -> ClientConnection:
-                return ClientConnection(hello, secret, suite or Suite.AESGCM)
+    async def _with_the_key_of(self, entry: Entry, hosts: list[str]) -> list[str]:
+        hello = Hello(__version__, entry.client.name, os.urandom(8).hex(), 0, (sample_tags.FEATURE,))
 
-            search = ServerSearch(self._transport, self.context.now)
-            proven, _, _ = await search.find(hosts, begin, lambda _, message: message)
-            found |= {str(each.stream.address[0]) for each in proven}
-            for each in proven:
-                each.give_up()
-        return sorted(found)
+        def begin(suite: Suite | None) -> ClientConnection:
+            return ClientConnection(hello, entry.keys[-1].secret, suite or Suite.AESGCM)
+
+        search = ServerSearch(self._transport, self.context.now, _PROVES_WITHIN)
+        proven, _, _ = await search.find(hosts, begin, lambda _, message: message)
+        for each in proven:
+            each.give_up()
+        return [str(each.stream.address[0]) for each in proven]
 
     def _tell_of_others(self, message: str) -> None:
         self.context.log(Level.WARNING, EventCode.ENGINE_OTHER_SERVERS, message)

@@ -155,11 +155,12 @@ class ServerSearch:
     Args:
         transport: announces the servers.
         now: the time, in s.
+        patience: s that a server has to prove the key.
     """
 
-    def __init__(self, transport: StreamTransport, now: Callable[[], float]) -> None:
+    def __init__(self, transport: StreamTransport, now: Callable[[], float], patience: float = 5.0) -> None:
         self._transport = transport
-        self._trials: Trials[ProvenServer] = Trials(now)
+        self._trials: Trials[ProvenServer] = Trials(now, patience)
 
     async def find(
         self,

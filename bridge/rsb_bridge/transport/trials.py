@@ -20,8 +20,6 @@ MOST_TRIED = 1024
 """Addresses of one search."""
 _WAVE = 0.25
 """s between two times that `AT_ONCE` tries begin."""
-_PATIENCE = 5.0
-"""s that the last of them have: a handshake over a slow network."""
 _OTHERS = 0.3
 """s that others have once one has proven the key, so that a second one shows."""
 _FIRST_PAUSE, _LONGEST_PAUSE = 2.0, 60.0
@@ -52,10 +50,12 @@ class Trials(Generic[T]):
 
     Args:
         now: the time, in s.
+        patience: s that the last addresses of a search have: a handshake over a slow network.
     """
 
-    def __init__(self, now: Callable[[], float]) -> None:
+    def __init__(self, now: Callable[[], float], patience: float = 5.0) -> None:
         self._now = now
+        self._patience = patience
         self._failed: dict[str, tuple[int, float]] = {}  # how often, and when to try again
         self._proven: set[str] = set()
 
@@ -99,11 +99,11 @@ class Trials(Generic[T]):
         results: Results[T],
     ) -> None:
         now = next_wave = self._now()
-        ends = now + _PATIENCE
+        ends = now + self._patience
         while (queue or running) and now < ends:
             if queue and now >= next_wave:
                 running |= {asyncio.create_task(attempt(each)): each for each in queue[:AT_ONCE]}
-                queue, next_wave, ends = queue[AT_ONCE:], now + _WAVE, now + _PATIENCE
+                queue, next_wave, ends = queue[AT_ONCE:], now + _WAVE, now + self._patience
             until = next_wave if queue else ends
             done: set[asyncio.Task[T]] = set()
             if running:

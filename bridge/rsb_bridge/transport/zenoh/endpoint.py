@@ -356,8 +356,10 @@ class Endpoint:
         known = self.seen.get(seen.address)
         self._unconfirmed.discard(seen.address)
         if comes:
-            if known is not None or len(self.seen) >= MOST_SEEN:
+            if known is not None:
                 return  # whoever announces another's address does not become it
+            if len(self.seen) >= MOST_SEEN:
+                self._forget_oldest()
             self.seen[seen.address] = seen
         else:
             if known != seen:
@@ -366,6 +368,13 @@ class Endpoint:
             # Where the router is lost, Zenoh says this first, of everybody.
             self._loop.call_later(_SETTLED, self._gone, seen.address)
         self.on_seen(seen, comes)
+
+    def _forget_oldest(self) -> None:
+        """Make room for a new announcement: strangers must not hide it by making as many as are kept."""
+        busy = {self.address, *(peer for peer, _ in self._streams)}
+        oldest = next((address for address in self.seen if address not in busy), None)
+        if oldest is not None:
+            self.on_seen(self.seen.pop(oldest), False)
 
     def _forget_unconfirmed(self) -> None:
         """Forget those of whom the subscriptions do not know: they have gone before these were declared."""
