@@ -8,6 +8,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import msgspec
 import pytest
 
 pytest.importorskip("test_msgs", reason="no package with an action is installed (ros-jazzy-test-msgs)")
@@ -19,6 +20,7 @@ from tests.support.domain import LATCHED
 from tests.support.fibonacci import ACTION
 from tests.support.waiting import eventually
 
+from rsb_bridge.config.session_file import save
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.session import Topic
 from rsb_bridge.ros.node import RosNode
@@ -219,12 +221,16 @@ def test_malformed_feedback_is_not_published(
     assert happened(pc_engine, EventCode.ROUTE_MALFORMED, "test_msgs/action/Fibonacci_FeedbackMessage from robot1")
 
 
-def test_what_is_switched_off_is_published_as_it_came(bridge: Bridge, robot: Domain, pc: Domain) -> None:
-    server, _ = bridge.both(Topic("/report", "transmit"), check_messages=False)
+def test_the_check_is_switched_while_it_runs(bridge: Bridge, robot: Domain, pc: Domain, tmp_path: Path) -> None:
+    server, client = bridge.both(Topic("/report", "transmit"))
     listener = pc.listener("/report", DiagnosticArray)
     out = robot.publisher("/report", DiagnosticArray)
     carries([out], server, ["/report"])
-    short = array("x", "y")[:60]
-    out.publish(short)
-    assert heard(listener, 1)[0] == short
-    assert not happened(server, EventCode.ROUTE_MALFORMED)
+    short, session = array("x", "y")[:60], server.session
+    server.use_file(tmp_path / "server.yaml")
+    for number, (check, published) in enumerate([(True, 0), (False, 1), (True, 1)], 1):
+        save(msgspec.structs.replace(session, check_messages=check), tmp_path / "server.yaml")
+        assert server.reload().result(60).failed == ()
+        out.publish(short)
+        assert settled(client, "/report", number).delivered == published
+    assert heard(listener, 1) == [short]
