@@ -15,16 +15,19 @@ pytest.importorskip("test_msgs", reason="no package with an action is installed 
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.serialization import serialize_message
-from tests.support.bridge import carries, feedback_listeners, happened, heard, linked, route, settled
+from tests.support.bridge import carries, feedback_listeners, happened, heard, linked, listeners, route, settled
 from tests.support.domain import LATCHED
 from tests.support.fibonacci import ACTION
+from tests.support.rogue import Rogue
 from tests.support.waiting import eventually
 
+from rsb_bridge.config.keys import read_key
 from rsb_bridge.config.session_file import save
 from rsb_bridge.model.codes import EventCode
+from rsb_bridge.model.qos import Qos
 from rsb_bridge.model.session import Topic
 from rsb_bridge.ros.node import RosNode
-from rsb_bridge.ros.typesupport import installed_class
+from rsb_bridge.ros.typesupport import hash_of, installed_class
 from rsb_bridge.route.calls.goal_messages import accepted_by
 
 if TYPE_CHECKING:
@@ -148,6 +151,26 @@ def test_nor_do_those_of_a_message(bridge: Bridge, victim: Victim, robot: Domain
     assert settled(client, "/report", 3).dropped == {"malformed": 2}
     assert victim.is_well
     assert happened(server, EventCode.ROUTE_MALFORMED, "diagnostic_msgs/msg/DiagnosticArray from robot1")
+
+
+def test_a_peer_that_means_it_does_not_get_them_there_either(
+    bridge: Bridge, victim: Victim, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It has no ROS of its own; what it sends of a type that the node expects goes over the link as it is."""
+    monkeypatch.setattr("rsb_bridge.link.keepalive.DEAD_AFTER", 60.0)
+    server = bridge.server()
+    kind: Any = installed_class("diagnostic_msgs/msg/DiagnosticArray")
+    bad = array("a")[:12] + bytes(4) + EIGHT[4:]
+    with Rogue(bridge.port, read_key(bridge.folder / bridge.key_file).secret) as rogue:
+        number = rogue.route("/report", "tcp", Qos(), ("diagnostic_msgs/msg/DiagnosticArray", hash_of(kind)))
+        stream, writer = rogue.stream(number)
+        for payload in (bad, b"", EIGHT, bad[:5], array("x", "y")[:60]):
+            stream.sendall(writer.write(payload, 0))
+        eventually(lambda: listeners(server, "/report"))
+        stream.sendall(writer.write(array("one"), 0))
+        assert victim.heard()
+        assert victim.is_well
+    assert happened(server, EventCode.ROUTE_MALFORMED, "from robot1")
 
 
 @pytest.mark.parametrize("compression", ["none", "zstd"])
