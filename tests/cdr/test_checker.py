@@ -202,9 +202,15 @@ def test_padding_between_elements_repeats() -> None:
 
 @pytest.mark.parametrize(
     "fields",
-    [[("a", 12, 0, 0, "")], [("a", 200, 0, 0, "")], [("a", NESTED, 0, 0, "t/msg/Gone")], [("a", NESTED, 0, 0, "t/msg/T")],
-     [("a", INT + ARRAY, 0, 0, "")], [("a", 0, 0, 0, "")]],
-)  # fmt: skip
+    [
+        [("a", 12, 0, 0, "")],
+        [("a", 200, 0, 0, "")],
+        [("a", NESTED, 0, 0, "t/msg/Gone")],
+        [("a", NESTED, 0, 0, "t/msg/T")],
+        [("a", INT + ARRAY, 0, 0, "")],
+        [("a", 0, 0, 0, "")],
+    ],
+)
 def test_what_cannot_be_checked_is_said(fields: list[tuple[str, int, int, int, str]]) -> None:
     with pytest.raises(UncheckableError):
         Checker(of(*fields))
@@ -220,6 +226,48 @@ def test_types_within_types_within_types() -> None:
     made = Checker(TypeDescription(types[-1], tuple(types[:-1])))
     assert not passes(made, b"\x00\x01\x00\x00" + bytes(1000))
     assert time.monotonic() - began < 5.0
+
+
+@settings(max_examples=150, deadline=None)
+@given(
+    st.lists(st.sampled_from([3, 4, INT, DOUBLE, STRING]), min_size=1, max_size=5),
+    st.lists(st.text("ab", max_size=9), max_size=12),
+    st.sampled_from([3, INT, DOUBLE]),
+    st.integers(0, 12),
+)
+def test_elements_with_strings_end_where_they_end(kinds: list[int], texts: list[str], after: int, cut: int) -> None:
+    """As the decoder finds it: some are skipped by words, and what follows them may begin at any byte."""
+    element = MessageType("t/msg/E", tuple(Field(f"f{n}", FieldType(kind, 0, 0, "")) for n, kind in enumerate(kinds)))
+    fields = (
+        Field("all", FieldType(NESTED + SEQUENCE, 0, 0, "t/msg/E")),
+        Field("after", FieldType(after + SEQUENCE, 0, 0, "")),
+    )
+    description = TypeDescription(MessageType("t/msg/T", fields), (element,))
+    body, strings = struct.pack("<I", len(texts)), iter(texts * len(kinds))
+    for _ in texts:
+        for kind in kinds:
+            size = {3: 1, 4: 2, DOUBLE: 8}.get(kind, 4)
+            body += bytes(-len(body) % size)
+            words = next(strings).encode() + b"\0"
+            body += struct.pack("<I", len(words)) + words if kind == STRING else bytes(size)
+    size = {3: 1, DOUBLE: 8}.get(after, 4)
+    body += bytes(-len(body) % 4) + struct.pack("<I", 3)
+    body += bytes(-len(body) % size) + bytes(3 * size)
+    payload = b"\0\1\0\0" + body
+    made = Checker(description)
+    made.check(payload)
+    if cut:
+        short = payload[:-cut]
+        assert passes(made, short) == (not decode(description, short, steps=EVERYTHING).problem)
+
+
+def test_an_array_of_strings_may_begin_anywhere() -> None:
+    fields = (Field("lead", FieldType(3, 0, 0, "")), Field("three", FieldType(STRING + ARRAY, 3, 0, "")))
+    description = TypeDescription(MessageType("t/msg/T", fields), ())
+    payload = b"\0\1\0\0\7\0\0\0" + struct.pack("<I1s3xI2s2xI3s", 1, b"\0", 2, b"a\0", 3, b"bc\0")
+    Checker(description).check(payload)
+    for length in range(len(payload)):
+        assert field_of(payload[:length], description) in ("", "three", "three[]")
 
 
 def test_an_empty_message_has_a_byte() -> None:

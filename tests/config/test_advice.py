@@ -27,6 +27,7 @@ def many(count: int, port: int | None = None) -> list[Topic]:
     ("session", "variable", "location", "message"),
     [
         ({**CLIENT, "use_encryption": False}, None, "use_encryption", "everything crosses in the clear"),
+        ({**CLIENT, "check_messages": False}, None, "check_messages", ""),
         ({**CLIENT, "domain_id": 150}, None, "domain_id", "150 can collide with other programs' ports"),
         (CLIENT, "150", "domain_id", "domain 150 can collide"),
         (CLIENT, "300", "domain_id", "ROS_DOMAIN_ID is '300'"),

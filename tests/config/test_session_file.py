@@ -63,6 +63,7 @@ common = {
     "domain_id": st.none() | st.integers(0, 232),
     "key_file": names,
     "use_encryption": st.booleans(),
+    "check_messages": st.booleans(),
     "stale_after": waits,
     "stale_warnings": st.integers(0, 99),
     "shutdown_topic": st.none() | topic_names,

@@ -8,21 +8,26 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import msgspec
 import pytest
 
 pytest.importorskip("test_msgs", reason="no package with an action is installed (ros-jazzy-test-msgs)")
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.serialization import serialize_message
-from tests.support.bridge import carries, feedback_listeners, happened, heard, linked, route
+from tests.support.bridge import carries, feedback_listeners, happened, heard, linked, listeners, route, settled
 from tests.support.domain import LATCHED
 from tests.support.fibonacci import ACTION
+from tests.support.rogue import Rogue
 from tests.support.waiting import eventually
 
+from rsb_bridge.config.keys import read_key
+from rsb_bridge.config.session_file import save
 from rsb_bridge.model.codes import EventCode
+from rsb_bridge.model.qos import Qos
 from rsb_bridge.model.session import Topic
 from rsb_bridge.ros.node import RosNode
-from rsb_bridge.ros.typesupport import installed_class
+from rsb_bridge.ros.typesupport import hash_of, installed_class
 from rsb_bridge.route.calls.goal_messages import accepted_by
 
 if TYPE_CHECKING:
@@ -143,10 +148,29 @@ def test_nor_do_those_of_a_message(bridge: Bridge, victim: Victim, robot: Domain
     for payload in (bad, array("x", "y")[:60], array("one")):
         out.publish(payload)
     assert victim.heard()
-    ledger = eventually(lambda: (found := route(client, "/report").ledger).dropped.get("malformed") == 2 and found)
-    assert ledger.delivered == ledger.offered - 2
+    assert settled(client, "/report", 3).dropped == {"malformed": 2}
     assert victim.is_well
     assert happened(server, EventCode.ROUTE_MALFORMED, "diagnostic_msgs/msg/DiagnosticArray from robot1")
+
+
+def test_a_peer_that_means_it_does_not_get_them_there_either(
+    bridge: Bridge, victim: Victim, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It has no ROS of its own; what it sends of a type that the node expects goes over the link as it is."""
+    monkeypatch.setattr("rsb_bridge.link.keepalive.DEAD_AFTER", 60.0)
+    server = bridge.server()
+    kind: Any = installed_class("diagnostic_msgs/msg/DiagnosticArray")
+    bad = array("a")[:12] + bytes(4) + EIGHT[4:]
+    with Rogue(bridge.port, read_key(bridge.folder / bridge.key_file).secret) as rogue:
+        number = rogue.route("/report", "tcp", Qos(), ("diagnostic_msgs/msg/DiagnosticArray", hash_of(kind)))
+        stream, writer = rogue.stream(number)
+        for payload in (bad, b"", EIGHT, bad[:5], array("x", "y")[:60]):
+            stream.sendall(writer.write(payload, 0))
+        eventually(lambda: listeners(server, "/report"))
+        stream.sendall(writer.write(array("one"), 0))
+        assert victim.heard()
+        assert victim.is_well
+    assert happened(server, EventCode.ROUTE_MALFORMED, "from robot1")
 
 
 @pytest.mark.parametrize("compression", ["none", "zstd"])
@@ -220,12 +244,16 @@ def test_malformed_feedback_is_not_published(
     assert happened(pc_engine, EventCode.ROUTE_MALFORMED, "test_msgs/action/Fibonacci_FeedbackMessage from robot1")
 
 
-def test_what_is_switched_off_is_published_as_it_came(bridge: Bridge, robot: Domain, pc: Domain) -> None:
-    server, _ = bridge.both(Topic("/report", "transmit"), check_messages=False)
+def test_the_check_is_switched_while_it_runs(bridge: Bridge, robot: Domain, pc: Domain, tmp_path: Path) -> None:
+    server, client = bridge.both(Topic("/report", "transmit"))
     listener = pc.listener("/report", DiagnosticArray)
     out = robot.publisher("/report", DiagnosticArray)
     carries([out], server, ["/report"])
-    short = array("x", "y")[:60]
-    out.publish(short)
-    assert heard(listener, 1)[0] == short
-    assert not happened(server, EventCode.ROUTE_MALFORMED)
+    short, session = array("x", "y")[:60], server.session
+    server.use_file(tmp_path / "server.yaml")
+    for number, (check, published) in enumerate([(True, 0), (False, 1), (True, 1)], 1):
+        save(msgspec.structs.replace(session, check_messages=check), tmp_path / "server.yaml")
+        assert server.reload().result(60).failed == ()
+        out.publish(short)
+        assert settled(client, "/report", number).delivered == published
+    assert heard(listener, 1) == [short]

@@ -35,7 +35,7 @@ _SIZES = {2: 1, 3: 1, 4: 2, 5: 2, 6: 4, 7: 4, 8: 8, 9: 8, 10: 4, 11: 8, 13: 1, 1
 _WIDE_CHARACTER = 4  # bytes: rosidl_typesupport_fastrtps_cpp/serialization_helpers.hpp
 _ANY_LENGTH = 2**32
 _LENGTHS_INLINED = 16
-_ORDERS: Final = (">", "<")
+_READERS: Final = (struct.Struct(">I").unpack_from, struct.Struct("<I").unpack_from)
 """By the second byte of the encapsulation header: CDR_BE, CDR_LE (DDSI-RTPS 2.5 section 10.2)."""
 _NATIVE: Final = int(sys.byteorder == "little")
 
@@ -176,8 +176,9 @@ class Checker:
         compiler = _Compiler(description)
         self._body = compiler.body(description.type_description.type_name, DEPTH)
         self._shortest = HEADER_LENGTH + (self._body.least if self._body.steps else self._body.tail[0])
-        self._varies = bool(self._body.steps)
         self.loops = any(step.body is not None for step in self._body.steps)
+        self._lengths = tuple((step.sizes, step.bound, step.unit, step.repeated) for step in self._body.steps)
+        self._tail = self._body.tail
 
     def check(self, payload: bytes) -> int:
         """Check a message with its encapsulation header; more bytes than the type needs are allowed.
@@ -192,16 +193,31 @@ class Checker:
         size = len(payload)
         if size < self._shortest or payload[0] or payload[1] > 1:
             self._explain_beginning(payload)
-        if not self._varies:
+        end, spent = size - HEADER_LENGTH, [0]
+        if self.loops:
+            try:
+                if _walk(_words_of(payload), self._body.walked, 1, 0, end, spent) <= end:
+                    return spent[0]
+            except IndexError:
+                pass
+        elif self._fits(payload, end):
             return 0
-        words, end, spent = _words_of(payload), size - HEADER_LENGTH, [0]
-        try:
-            if _walk(words, self._body.walked, 1, 0, end, spent) <= end:
-                return spent[0]
-        except IndexError:
-            pass
-        _Explainer(words, end, spent[0]).explain(self._body, 1, 0, "")
+        _Explainer(_words_of(payload), end, spent[0]).explain(self._body, 1, 0, "")
         raise MalformedError("", "its lengths do not fit together", spent[0])
+
+    def _fits(self, payload: bytes, end: int) -> bool:
+        """Whether the lengths of a message without elements that vary fit; it is as `_walk`, and quicker."""
+        at, read = 0, _READERS[payload[1]]
+        try:
+            for sizes, bound, unit, repeated in self._lengths:
+                at += sizes[at & 7]
+                (length,) = read(payload, at)
+                if length > bound:
+                    return False
+                at += repeated[at & 7].size(length) if repeated else length * unit
+        except (struct.error, OverflowError):  # it would lie beyond the end, or beyond any memory
+            return False
+        return at + self._tail[at & 7] <= end
 
     def _explain_beginning(self, payload: bytes) -> NoReturn:
         if len(payload) < HEADER_LENGTH or payload[0] or payload[1] > 1:
@@ -218,7 +234,7 @@ class _Words:
 
     def __init__(self, payload: bytes) -> None:
         self._payload = payload
-        self._unpack = struct.Struct(f"{_ORDERS[payload[1]]}I").unpack_from
+        self._unpack = _READERS[payload[1]]
 
     def __getitem__(self, number: int) -> int:
         """Return a word; IndexError if there are not so many."""
@@ -245,10 +261,13 @@ def _walk(words: memoryview | _Words, body: tuple[Any, ...], count: int, at: int
     A place beyond the end is found by reading the next length there, which raises IndexError, or by the caller.
     A length that ends at a place is the word that begins there, as the encapsulation header is as long as a word.
     """
-    steps, tail, pairs = body
-    if pairs is not None:
+    steps, tail, strings, aligned = body
+    if strings is not None:
+        if aligned is not None and count > 1:
+            at = _skip_aligned(words, at, count - 1, *aligned)
+            count = 1  # what follows the last one may need less padding
         for _ in range(count):
-            for sizes in pairs:
+            for sizes in strings:
                 at += sizes[at & 7]
                 at += words[at >> 2]
             at += tail[at & 7]
@@ -279,6 +298,43 @@ def _walk(words: memoryview | _Words, body: tuple[Any, ...], count: int, at: int
     return at
 
 
+def _skip_aligned(
+    words: memoryview | _Words, at: int, count: int, strings: tuple[tuple[int, int], ...], tails: tuple[int, int]
+) -> int:
+    """Return the place behind elements of which each part begins at a word; see `_aligned`. It counts in words."""
+    word = (at + 3) >> 2
+    if len(strings) == 2:
+        (first, first_bytes), (second, second_bytes) = strings
+        for _ in range(count):
+            word += words[word + first] + first_bytes >> 2
+            word += words[word + second] + second_bytes >> 2
+            word += tails[word & 1]
+        return word << 2
+    for _ in range(count):
+        for before, size in strings:
+            word += words[word + before] + size >> 2
+        word += tails[word & 1]
+    return word << 2
+
+
+def _aligned(strings: Sequence[Sizes], tail: Sizes) -> tuple[Any, ...] | None:
+    """Return what `_skip_aligned` takes of an element of strings, or None if a part of it does not begin at a word.
+
+    That is for each string the words before its content, and the same in bytes with what rounds the content up; and
+    the words behind the last one, by whether its end is at an odd word.
+    """
+    found = []
+    for sizes in strings:
+        if any(size != -at % 4 + sizes[0] for at, size in enumerate(sizes)):
+            return None
+        found.append((sizes[0] // 4, sizes[0] + 3))
+    if tail != _NOTHING and any(size != -at % 4 + tail[(at + -at % 4) % 8] for at, size in enumerate(tail)):
+        return None
+    if tail[0] % 4 or tail[4] % 4:
+        return None
+    return tuple(found), (tail[0] // 4, tail[4] // 4)
+
+
 def _walked(steps: Sequence[_Step], tail: Sizes) -> tuple[Any, ...]:
     """Return the steps as `_walk` takes them: strings that follow each other are one."""
     rows: list[tuple[Any, ...]] = []
@@ -296,8 +352,8 @@ def _walked(steps: Sequence[_Step], tail: Sizes) -> tuple[Any, ...]:
             assert step.body is not None
             least, lengths = step.body.least, max(1, len(step.body.steps))
             rows.append((int(step.kind), step.sizes, step.bound, step.body.walked, least, lengths))
-    only_strings = len(rows) == 1 and rows[0][0] == _Kind.STRINGS
-    return tuple(rows), tail, rows[0][3] if only_strings else None
+    strings = rows[0][3] if len(rows) == 1 and rows[0][0] == _Kind.STRINGS else None
+    return tuple(rows), tail, strings, None if strings is None else _aligned(strings, tail)
 
 
 class _Explainer:

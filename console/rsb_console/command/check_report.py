@@ -39,8 +39,6 @@ def summary(session: Session, places: Mapping[SourceKey, str] | None = None) -> 
     demands = Demands(sources_of(session))
     yield f"{session.role} {session.name} {_where(session)}, {_domain(session)}"
     yield f"encryption {'on' if session.use_encryption else 'OFF'}, {_prefix(session)}"
-    if not session.check_messages:
-        yield "peers' messages are NOT checked"
     if session.profile is not None:
         yield f"profile {session.profile}: {described(PROFILES[session.profile])}"
     if session.on_fault is not None:

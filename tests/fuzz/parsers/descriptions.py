@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import contextlib
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import zstandard
 from tests.fuzz.editing import edit_json
-from tests.fuzz.parser import Parser, check_text
+from tests.fuzz.parser import LONGEST, Parser, check_text
 
+from rsb_bridge.cdr.checker import Checker, MalformedError, UncheckableError
 from rsb_bridge.cdr.decoder import Decoded, Items, decode
 from rsb_bridge.cdr.description import (
     DESCRIPTION_LIMIT,
@@ -53,6 +55,28 @@ def _read_message(data: bytes) -> None:
     _check(decode(DESCRIPTION, data, items=_ITEMS, steps=_STEPS))
 
 
+_CHECKER = Checker(DESCRIPTION)
+
+
+def _check_message(data: bytes) -> None:
+    """Any bytes, checked as a message with all kinds of fields: what passes can be read to its end."""
+    passed = _passes(_CHECKER, data)
+    problem = decode(DESCRIPTION, data, items=0, steps=4 * LONGEST).problem
+    if passed:
+        assert not problem or "without its end" in problem or "16 bits" in problem
+    else:
+        assert problem
+
+
+def _passes(checker: Checker, data: bytes) -> bool:
+    try:
+        assert 0 <= checker.check(data) <= len(data)
+    except MalformedError as error:
+        check_text(str(error), 500)
+        return False
+    return True
+
+
 def _read_description(data: bytes) -> None:
     """Any text, and a message read by what it describes."""
     text = data.decode(errors="surrogateescape")
@@ -65,6 +89,8 @@ def _read_description(data: bytes) -> None:
     assert read_description(again, hash_of_text(again)) == description
     for message in (MESSAGE, b"\0\1\0\0" + bytes(200), b"\0\0\0\0" + bytes(200)):
         _check(decode(description, message, items=_ITEMS, steps=_STEPS))
+        with contextlib.suppress(UncheckableError):
+            _passes(Checker(description), message)
 
 
 def _read_answer(data: bytes) -> None:
@@ -97,6 +123,7 @@ _EVENT = bytes.fromhex(
 
 PARSERS = (
     Parser("cdr", _read_message, (MESSAGE, b"\0\0\0\0" + MESSAGE[4:80])),
+    Parser("checked", _check_message, (MESSAGE, b"\0\1\0\0" + bytes(400))),
     Parser("parameter_event", _copy_event, (_EVENT, b"\0\0\0\0" + bytes(11) + b"\3/a" + bytes(13))),
     Parser("type_description", _read_description, (_EVERYTHING.encode(),), edit_json),
     Parser("type_answer", _read_answer, (zstandard.compress(b"a description"), b"")),

@@ -1,0 +1,178 @@
+"""Which messages are checked, and that the check of one link's messages leaves the loop to the others."""
+
+from __future__ import annotations
+
+import asyncio
+import struct
+from types import SimpleNamespace
+from typing import TYPE_CHECKING, Any
+
+import msgspec
+import pytest
+
+from rsb_bridge.cdr.checker import STEPS, MalformedError, TooComplexError
+from rsb_bridge.cdr.description import Field, FieldType, MessageType, TypeDescription, hash_of_text, text_of
+from rsb_bridge.model.qos import Qos
+from rsb_bridge.model.session import Session
+from rsb_bridge.model.token_bucket import TokenBucket
+from rsb_bridge.ros import type_checkers
+from rsb_bridge.ros.api import Endpoint
+from rsb_bridge.ros.type_checkers import TypeCheckers
+from rsb_bridge.ros.type_descriptions import TypeDescriptions
+from rsb_bridge.route.message_check import CHECKED_A_SECOND, CHECKED_AT_ONCE, MessageCheck
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+NAMES = "made_up_msgs/msg/Names"
+TEXT = text_of(TypeDescription(MessageType(NAMES, (Field("all", FieldType(161, 0, 0, "")),)), ()))
+HASH = hash_of_text(TEXT)
+SESSION = Session(name="robot1", role="client", server_ip="127.0.0.1", server_port=1)
+
+
+def names(count: int) -> bytes:
+    return b"\0\1\0\0" + struct.pack("<I", count) + bytes(4 * count)
+
+
+class Ros:
+    """Types that are installed, and nodes that describe theirs."""
+
+    def __init__(self, installed: dict[str, str], nodes: dict[str, str]) -> None:
+        self.installed = installed
+        self.nodes = nodes
+        self.asked: list[str] = []
+
+    def installed_hash(self, type_name: str) -> str | None:
+        return hash_of_text(self.installed[type_name]) if type_name in self.installed else None
+
+    def installed_description(self, type_name: str) -> str | None:
+        return self.installed.get(type_name)
+
+    def publishers(self, topic: str) -> list[Endpoint]:
+        return []
+
+    def subscriptions(self, topic: str) -> list[Endpoint]:
+        return [Endpoint(node, NAMES, HASH, Qos(), b"") for node in self.nodes]
+
+    def ask_description(self, node: str, type_name: str, type_hash: str, still_wanted: Callable[[], bool]) -> str:
+        self.asked.append(type_hash)
+        return self.nodes[node]
+
+
+def as_any(value: object) -> Any:
+    return value
+
+
+class Bed:
+    """A check, and a clock that stands."""
+
+    def __init__(self, installed: dict[str, str], nodes: dict[str, str] | None = None) -> None:
+        self.time = 0.0
+        self.ros = as_any(Ros(installed, nodes or {}))
+        loop = asyncio.get_running_loop()
+        self.context = as_any(SimpleNamespace(session=SESSION, ros=self.ros, loop=loop, now=lambda: self.time))
+        descriptions = TypeDescriptions(self.ros, self.context.now)
+        self.context.checkers = TypeCheckers(self.ros, descriptions)
+        self.check = MessageCheck(self.context, TokenBucket(CHECKED_AT_ONCE, CHECKED_A_SECOND, 0.0))
+
+    def look(self, *hashes: str) -> None:
+        self.check.look("/names", [Endpoint("/node", NAMES, each, Qos(), b"") for each in hashes])
+
+
+def run(work: Callable[[], Any]) -> None:
+    asyncio.run(work())
+
+
+def test_an_installed_type_is_checked_from_the_first_message() -> None:
+    async def work() -> None:
+        bed = Bed({NAMES: TEXT})
+        bed.check.begin(NAMES)
+        bed.check.check(names(3))
+        with pytest.raises(MalformedError):
+            bed.check.check(names(3)[:-1])
+        bed.context.session = msgspec.structs.replace(SESSION, check_messages=False)
+        bed.check.set()
+        bed.check.check(names(3)[:-1])
+        assert bed.check.checker is None
+        bed.context.session = SESSION
+        bed.check.set()
+        assert bed.check.checker is not None
+
+    run(work)
+
+
+def test_a_type_that_is_not_installed_is_described_by_its_subscribers() -> None:
+    """By their own hash, whatever the peer says the type's is."""
+
+    async def work() -> None:
+        bed = Bed({}, {"/node": TEXT})
+        bed.check.begin(NAMES)
+        bed.look()
+        assert bed.check.checker is None
+        bed.look(HASH)
+        assert bed.check._looking is not None
+        await bed.check._looking
+        assert bed.ros.asked == [HASH]
+        with pytest.raises(MalformedError):
+            bed.check.check(names(3)[:-1])
+
+    run(work)
+
+
+def test_nodes_that_describe_nothing_are_asked_again_only_later() -> None:
+    async def work() -> None:
+        bed = Bed({}, {"/node": "another text"})
+        bed.check.begin(NAMES)
+        for expected in (1, 1, 2):
+            bed.look(HASH)
+            if bed.check._looking is not None:
+                await bed.check._looking
+            assert len(bed.ros.asked) == expected
+            bed.check.check(b"anything")
+            if expected == 1 and bed.time == 0.0:
+                bed.time = 5.0
+            else:
+                bed.time = 20.0
+
+    run(work)
+
+
+def test_a_link_s_messages_take_a_bounded_part_of_the_time() -> None:
+    async def work() -> None:
+        bed = Bed({NAMES: TEXT})
+        bed.check.begin(NAMES)
+        for _ in range(CHECKED_AT_ONCE // STEPS):
+            bed.check.check(names(STEPS))
+        with pytest.raises(TooComplexError):
+            bed.check.check(names(STEPS))
+        with pytest.raises(TooComplexError):
+            bed.check.check(names(100))
+        bed.time += 200 / CHECKED_A_SECOND
+        bed.check.check(names(100))
+        bed.time += 10.0
+        for _ in range(CHECKED_AT_ONCE // STEPS // 2):  # malformed ones are read again for the field, and cost more
+            with pytest.raises(MalformedError):
+                bed.check.check(names(STEPS)[:-4])
+        with pytest.raises(TooComplexError):
+            bed.check.check(names(STEPS))
+
+    run(work)
+
+
+def test_checkers_are_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(type_checkers, "KEPT", 2)
+
+    async def work() -> None:
+        texts = {f"t/msg/T{n}": text_of(_described(f"t/msg/T{n}")) for n in range(4)}
+        bed = Bed(texts)
+        kept = [bed.context.checkers.installed(name) for name in texts]
+        assert all(kept)
+        assert bed.context.checkers.installed("t/msg/T3") is kept[3]
+        assert bed.context.checkers.installed("t/msg/T0") is not kept[0]
+        assert len(bed.context.checkers._kept) == 2
+
+    run(work)
+
+
+def _described(name: str) -> TypeDescription:
+    return TypeDescription(MessageType(name, (Field("all", FieldType(161, 0, 0, "")),)), ())
