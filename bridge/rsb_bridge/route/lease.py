@@ -19,7 +19,7 @@ LASTS = 1.0
 """Seconds that a message of an armed route may be old at most when it is published."""
 BEAT = 0.25
 """Seconds from one number to the next."""
-GIVEN_UP_AFTER = 2.0
+GIVEN_UP_AFTER = 3.0
 """Seconds without an answer to any number after which everything is disarmed. Nothing passes after the first second."""
 _FIRST_WITHIN = 10.0
 """Seconds until it has to begin; the asking side waits for half of that, and knows then why."""
