@@ -22,8 +22,8 @@ BEAT = 0.25
 GIVEN_UP_AFTER = 3.0
 """Seconds without an answer after which everything is disarmed; nothing passes after the first of them.
 
-A limit of 1 s would disarm 532 times an hour on a link with a round trip of 0.3 s that loses 5 % of the packets, this one
-2.5 times (`bench.lease`). It lets nothing older pass, as messages have their own limit.
+A limit of 1 s would disarm 532 times an hour on a link with a round trip of 0.3 s that loses 5 % of its packets, this
+one 2.5 times (`bench.lease`). It lets nothing older pass, as messages have their own limit.
 """
 _FIRST_WITHIN = 10.0
 """Seconds until it has to begin; the asking side waits for half of that, and knows then why."""
