@@ -126,6 +126,11 @@ class Lease:
     # --- what it is asked
 
     @property
+    def now(self) -> float:
+        """Seconds on the clock of the lease."""
+        return self._steady()
+
+    @property
     def alive(self) -> bool:
         """Whether the other side has heard a number that this side has sent within the last second."""
         self._look()
@@ -167,7 +172,7 @@ class Lease:
 
 
 class Marker:
-    """Marks what one endpoint takes from ROS. It belongs to the thread that takes.
+    """Marks what one endpoint takes from ROS. It is made right before the endpoint, and belongs to the taking thread.
 
     Args:
         lease: of the link.
@@ -180,12 +185,12 @@ class Marker:
         self._turns = turns
         self._batch = batch
         self._is_empty = True
-        self._since = 0.0
+        self._made = self._since = lease.now
 
     def marked(self, taken: Sequence[M]) -> Sequence[M]:
         """Return what was taken, with the number that says how old it can be at most."""
         if self._is_empty:
-            self._since = self._turns.since
+            self._since = max(self._made, self._turns.since)
         self._is_empty = len(taken) < self._batch
         number = self._lease.newest_before(self._since)
         return [each._replace(lease=number) for each in taken]
