@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import pytest
+from msgspec.structs import replace
 from tests.support.bridge import balance, carries, happened, heard, linked, route
 from tests.support.consoles import Consoles
 from tests.support.domain import LATCHED, RELIABLE, text
@@ -101,6 +102,21 @@ def test_nothing_crosses_until_it_is_armed_nor_after(
     holds(lambda: not {"before", "while it is disarmed"} & set(motors.texts(1000)), 0.5)
     ledger = eventually(lambda: ledger if not (ledger := route(server, "/cmd").ledger).in_flight else None)
     assert balance(ledger) == ledger.offered
+
+
+@pytest.mark.parametrize("compression", ["none", "zstd"])
+@pytest.mark.parametrize("protocol", ["tcp", "udp"])
+def test_what_is_armed_crosses_unchanged(
+    protocol: str, compression: str, bridge: Bridge, robot: Domain, pc: Domain, consoles: Consoles
+) -> None:
+    """In one piece, and in many."""
+    motors, joystick = robot.listener("/cmd"), pc.publisher("/cmd")
+    topic = Topic("/cmd", "receive", protocol="udp" if protocol == "udp" else "tcp", arm=True, deadman=0.0)
+    server, client = bridge.both(replace(topic, compression="zstd" if compression == "zstd" else "none"))
+    eventually(lambda: is_set_up(server, client))
+    consoles.arm(client)
+    for words in ("short", "long " * 200_000):
+        publish_until_heard(joystick, words, motors)
 
 
 def test_what_was_on_its_way_when_it_disarms_reaches_no_robot_after_it_is_armed_again(

@@ -493,7 +493,7 @@ def test_the_sending_side_shows_that_it_is_disarmed_once_the_other_one_has_answe
     arm(pc, loop).result()
     with acting("anna"):
         pc.table.arming.disarm(route(pc), Disarmed.OPERATOR)
-    assert (route(pc).settling.under_way, route(pc).arming.snapshot(loop.time()).armed) == (True, False)
+    assert (route(pc).settling.under_way, stands(pc)) == (True, [False])
     assert not events(pc, EventCode.OPERATOR_DISARMED)
     hear_all(pair)
     assert not route(pc).settling.under_way

@@ -198,7 +198,12 @@ class Invariants:
         world, now = self._world, self._world.loop.time()
         ends = world.link_ends(robot)
         routes = [route_of(link, flow) for link in ends] if ends and all(link.linked for link in ends) else []
-        shown = [each.judged.shown(each.verdict()).verdict for each in routes if each is not None and each.accepted]
+        runs = [run for run in (robot.station.run, world.server.run) if run is not None]
+        shown = [
+            each.judged.shown(run.process.context.copy().run(each.verdict)).verdict
+            for run, each in zip(runs, routes, strict=False)
+            if each is not None and each.accepted
+        ]
         said = tuple([f"{each.state} {each.cause}" for each in shown])
         if robot.troubles or len(said) < 2 or len(set(said)) < 2:
             self._said.pop(flow, None)

@@ -130,6 +130,7 @@ class SimulatedLoop(asyncio.AbstractEventLoop):
         self._running = False
         self._stopping = False
         self._failure: BaseException | None = None
+        self._frozen: dict[Program | None, list[Timer]] = {}
 
     # --- time
 
@@ -223,6 +224,9 @@ class SimulatedLoop(asyncio.AbstractEventLoop):
                     moment = self.callbacks
             else:
                 raise Deadlock(f"at {self._now:.3f} s everything waits for ever")
+            if self._frozen and (held := self._frozen.get(handle.program())) is not None:
+                held.append(handle)
+                continue
             self.callbacks += 1
             if self.callbacks - moment > _MOST_AT_ONCE:
                 raise Livelock(f"{_MOST_AT_ONCE:,} callbacks have run at {self._now:.3f} s, and now comes {handle}")
@@ -232,6 +236,26 @@ class SimulatedLoop(asyncio.AbstractEventLoop):
                 raise
             except BaseException as error:  # noqa: BLE001 — as every event loop does
                 self.call_exception_handler({"message": f"exception in {handle.callback}", "exception": error})
+
+    def freeze(self, program: Program) -> None:
+        """Have nothing of a program run, as SIGSTOP does."""
+        self._frozen.setdefault(program, [])
+
+    def is_frozen(self, program: Program) -> bool:
+        """Whether nothing of a program runs."""
+        return program in self._frozen
+
+    def thaw(self, program: Program, *, reads_first: bool) -> None:
+        """Have all of it run that was due meanwhile.
+
+        Args:
+            program: that was frozen.
+            reads_first: whether what has come runs before the timers that are overdue.
+        """
+        held = self._frozen.pop(program, [])
+        if reads_first:
+            held.sort(key=lambda handle: handle.when() > 0.0)
+        self._ready.extendleft(reversed(held))
 
     def stop(self) -> None:
         self._stopping = True

@@ -9,14 +9,14 @@ from tests.simulation.ros import Domain, Reader, Writer
 from tests.simulation.services import Client, Server
 
 from rsb_bridge.ros.api import Endpoint, RosError
-from rsb_bridge.ros.turns import RosTurns
+from rsb_bridge.ros.turns import LONGEST_WAIT, RosTurns
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Hashable
+    from collections.abc import Callable, Hashable, Sequence
 
     from rsb_bridge.model.fields import Fields
     from rsb_bridge.model.qos import Qos
-    from rsb_bridge.ros.api import OnFailure, RequestSink, ResponseSink, Sink
+    from rsb_bridge.ros.api import OnFailure, RawMessage, RequestSink, ResponseSink, Sink
 
 
 class Node:
@@ -25,7 +25,7 @@ class Node:
     Attributes:
         instance_id: as a real node's.
         node_name: as a real node's.
-        turns: as a real node's; it has no thread.
+        turns: as a real node's, whose thread is the loop's.
         writers: what it publishes with.
         readers: what it subscribes with.
         servers_of_ours: what it serves with.
@@ -36,7 +36,7 @@ class Node:
 
     def __init__(self, domain: Domain, name: str, instance_id: str) -> None:
         self.instance_id = instance_id
-        self.turns = RosTurns()
+        self.turns = RosTurns(self._turn_on, domain.loop.time)
         self.writers: dict[Writer, None] = {}
         self.readers: dict[Reader, None] = {}
         self.servers_of_ours: dict[Server, None] = {}
@@ -55,6 +55,22 @@ class Node:
         """Its thread, which it does not have, never fails."""
         context = contextvars.copy_context()
         self._domain.watch(self, lambda: context.run(on_graph_change))
+
+    def _turn_on(self) -> None:
+        self._domain.loop.call_later(LONGEST_WAIT, self._turn)
+
+    def _turn(self) -> None:
+        if self.turns.watched and not self._stopped:
+            self.turns.turned()
+            self._turn_on()
+
+    def _taking(self, sink: Sink) -> Sink:
+        def take(batch: Sequence[RawMessage]) -> None:
+            if self.turns.watched:
+                self.turns.turned()
+            sink(batch)
+
+        return take
 
     def stop(self) -> None:
         self._domain.unwatch(self)
@@ -113,7 +129,8 @@ class Node:
         on_failure: OnFailure | None = None,
     ) -> Reader:
         self._check_type(type_name, type_hash)
-        reader = Reader(self._domain, self._name, topic, type_name, type_hash, qos, sink, origin, on_failure)
+        taking = self._taking(sink)
+        reader = Reader(self._domain, self._name, topic, type_name, type_hash, qos, taking, origin, on_failure)
         _keep(self.readers, reader)
         if self.on_reader is not None:
             self.on_reader(reader, origin)

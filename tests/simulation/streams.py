@@ -7,14 +7,18 @@ import contextvars
 import errno
 import socket
 from collections import deque
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVarTuple
 
 from tests.simulation.machine import os_error
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from tests.simulation.machine import Process
     from tests.simulation.network import Path
     from tests.simulation.sockets import Address, Socket
+
+Ts = TypeVarTuple("Ts")
 
 _SHORTEST_RETRANSMISSION = 0.2
 _USER_TIMEOUT_MS = 924_600
@@ -259,7 +263,7 @@ class StreamTransport(asyncio.Transport):
         elif self._paused:
             self._paused = False
             assert self._protocol is not None
-            self._context.run(self._protocol.resume_writing)
+            self._run(self._protocol.resume_writing)
 
     def _refused(self) -> None:
         """The other kernel knows of no such connection, and says so."""
@@ -282,7 +286,14 @@ class StreamTransport(asyncio.Transport):
             self._early.append(data)
         else:
             self.peer._acknowledged(len(data) if data else 0)
-            self._context.run(self._take, data)
+            self._run(self._take, data)
+
+    def _run(self, work: Callable[[*Ts], object], *args: *Ts) -> None:
+        """Have the program do something, now, or once it runs again."""
+        if self._loop.is_frozen(self.process):
+            self._loop.call_soon(work, *args, context=self._context)
+        else:
+            self._context.run(work, *args)
 
     def _take(self, data: bytes | None) -> None:
         if self._closing or self._protocol is None:

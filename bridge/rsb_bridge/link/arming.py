@@ -244,7 +244,7 @@ class LinkArming:
         """An operator there arms it, or has pressed a key."""
         arming, now = route.arming, self._context.now()
         if arming.held and arming.console is None:
-            if arming.passes(now):
+            if arming.stands(now):
                 arming.take(who, now)
             return
         if not arming.required or arming.spent or arming.armed or (arming.asked and self._peer.is_client):

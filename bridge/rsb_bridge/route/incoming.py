@@ -31,7 +31,7 @@ from rsb_bridge.route.topic_route import TopicRoute
 from rsb_bridge.route.unpacking import ExpandsTooMuchError, Unpacker
 from rsb_bridge.route.verdict import no_subscriber
 from rsb_bridge.route.volatile import SlowSubscriberError
-from rsb_bridge.wire.framing import HISTORY, SOURCE_SHIFT, ZSTD, Message, ProtocolError
+from rsb_bridge.wire.framing import HISTORY, LEASED, SOURCE_SHIFT, ZSTD, Message, ProtocolError
 from rsb_bridge.wire.history import PUBLISHER_ID_LENGTH, HistoryHeader, split_history
 from rsb_bridge.wire.messages import Describe, Propose, Ready, Refuse
 from rsb_bridge.wire.records import ReceivedReport, SentReport
@@ -290,7 +290,9 @@ class IncomingRoute(TopicRoute):
             raise _NotPublishedError("unknown source", None, "") from None
         try:
             header = _NO_HISTORY
-            if flags & HISTORY:
+            if flags & (HISTORY | LEASED):
+                if flags & LEASED:  # though it need not be armed
+                    raise _NotPublishedError("disarmed", None, "")
                 header, payload = split_history(payload)
             content = self._unpacker.unpack(payload) if flags & ZSTD else payload
             if self.check.checker is not None:

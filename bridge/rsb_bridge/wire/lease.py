@@ -16,6 +16,7 @@ FEATURE = "lease"
 LAST_NUMBER = 2**32 - 1
 
 _HEADER = struct.Struct(">I")
+HEADER_LENGTH = _HEADER.size
 _Number: TypeAlias = Annotated[int, Meta(ge=0, le=LAST_NUMBER)]
 
 

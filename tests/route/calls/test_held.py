@@ -11,12 +11,14 @@ from tests.support.offline import FakePeer
 from rsb_bridge.link.proposals import proposal_of
 from rsb_bridge.model.lanes import CANCEL_GOAL, GET_RESULT, SEND_GOAL
 from rsb_bridge.model.session import Topic
+from rsb_bridge.ros.turns import RosTurns
 from rsb_bridge.route.calls.by_hand import CallError
 from rsb_bridge.route.calls.calling_action import CallingAction
 from rsb_bridge.route.calls.goal_messages import accepted_by
 from rsb_bridge.route.calls.kept_calls import KeptCall
 from rsb_bridge.route.calls.providing_action import ProvidingAction
 from rsb_bridge.route.calls.refusals import Refused
+from rsb_bridge.route.lease import BEAT, Lease
 from rsb_bridge.wire.calls import CallFrame, What
 from rsb_bridge.wire.messages import Provide
 from rsb_bridge.wire.records import LaneEntry
@@ -97,6 +99,29 @@ def test_a_goal_that_may_have_begun_is_not_said_to_be_rejected(
     route._take_refusal(CallFrame(What.REFUSED, SEND_GOAL, 1, 0, why.encode()), why)
     assert server.answered == ([b"caller"] if rejected else [])
     assert [each.state for each in route.goals.snapshot(set())] == ["rejected" if rejected else "unknown"]
+
+
+def test_an_old_goal_is_refused_however_it_was_held_up(make_context: Callable[..., Context], loop: VirtualLoop) -> None:
+    context = make_context()
+    route = providing(context, arm=True)
+    lease = route.arming.lease = Lease(context.clock.steady, RosTurns(), lambda: None)
+    lease.begin()
+
+    def refusal(number: int) -> Refused | None:
+        return route._refusal(CallFrame(What.CALL, SEND_GOAL, 1, 0, GOAL, number))
+
+    before, _ = lease.beat()
+    lease.beat()
+    route.arming.take("anna", context.now())
+    number, _ = lease.beat()
+    lease.hear(1, number)
+    assert refusal(number) is Refused.PROVIDER_GONE, "it may pass"
+    assert [refusal(each) for each in (0, before, number + 1)] == [Refused.DISARMED] * 3
+    for _ in range(5):
+        loop.jump(BEAT)
+        newest, _ = lease.beat()
+        lease.hear(newest, newest)
+    assert (refusal(newest), refusal(number)) == (Refused.PROVIDER_GONE, Refused.DISARMED)
 
 
 class Answers:
