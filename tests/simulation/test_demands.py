@@ -198,5 +198,5 @@ _matching = Demands._matching
 )
 def test_a_mistake_is_found(owner: type, name: str, mistake: Callable[..., object], play: Play) -> None:
     yard = Edits(0)
-    with patch.object(owner, name, mistake), pytest.raises(AssertionError):
+    with patch.object(owner, name, mistake), pytest.raises(AssertionError, match="crossed unarmed"):
         lived(play, yard, yard.live(), _HOURS * 3600 + 60)
