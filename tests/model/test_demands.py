@@ -7,6 +7,8 @@ import pytest
 from rsb_bridge.model.demands import Demand, Demands, as_armed, describe, sources_of
 from rsb_bridge.model.session import DEADMAN, Armed, Client, Kind, Session, Topic
 
+RENAMED = Topic("/a/*", "receive", remote_topic="/b/*", arm=True, excepts=("/a/x",))
+
 
 def client(*topics: Topic, armed: tuple[str | Armed, ...] = ()) -> Demands:
     session = Session(name="robot1", role="client", server_ip="10.0.0.1", topics=topics, armed=armed)
@@ -34,8 +36,8 @@ def server(*topics: Topic, use_name: bool) -> Demands:
         (server(Topic("/cmd", "receive", arm=True), use_name=True), "/robot1/cmd", True),
         (server(Topic("/cmd", "receive", arm=True), use_name=True), "/cmd", False),
         (server(Topic("/cmd*", "receive", arm=True), use_name=True), "/robot1/cmd_vel", True),
-        (server(Topic("/a/*", "receive", remote_topic="/b/*", arm=True, excepts=("/a/x",)), use_name=False), "/b/x", False),
-        (server(Topic("/a/*", "receive", remote_topic="/b/*", arm=True, excepts=("/a/x",)), use_name=False), "/b/y", True),
+        (server(RENAMED, use_name=False), "/b/x", False),
+        (server(RENAMED, use_name=False), "/b/y", True),
     ],
 )  # fmt: skip
 def test_every_line_that_matches_counts(demands: Demands, name: str, expected: bool) -> None:

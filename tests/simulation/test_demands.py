@@ -145,7 +145,8 @@ class Edits(Yard):
         pattern = self.random.choice(patterns)
         changes = self.random.choice((
             {"excepts": (self.random.choice(self.names),)}, {"direction": self.random.choice(_DIRECTIONS)},
-            {"topic": f"{pattern.topic.rstrip('*')}*", "remote_topic": None}, {"topic": "/cmd_1*", "remote_topic": None},
+            {"topic": f"{pattern.topic.rstrip('*')}*", "remote_topic": None},
+            {"topic": "/cmd_1*", "remote_topic": None},
         ))  # fmt: skip
         edited = msgspec.structs.replace(pattern, **changes)
         await run.command(run.bridge.edit_topic(link.patterns.key_of(pattern), edited))

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from rsb_bridge.link.errors import LinkError
 from rsb_bridge.link.peer_operators import acting_operator
+from rsb_bridge.model.benchmark import is_bench_topic
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.demands import PEER_DEMANDS, Demands, Source
 from rsb_bridge.model.snapshot import Level
@@ -103,8 +104,9 @@ class LinkArming:
                 self._peer.send(Disarm(route.id, DROPPED, acting_operator()))
 
     def _own(self, route: Route) -> Demand | None:
-        type_name = route.proposal.type
-        return self._context.demands.of(route.spec.kind, route.local_topic, type_name)
+        if is_bench_topic(route.local_topic):
+            return None  # no node has it
+        return self._context.demands.of(route.spec.kind, route.local_topic, route.proposal.type)
 
     def _say_who_demands(self, route: Route) -> None:
         """Name the lines that demand arming, for operators."""
