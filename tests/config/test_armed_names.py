@@ -9,6 +9,7 @@ import pytest
 
 from rsb_bridge.config.session_file import SessionError, demand_places, load_file, parse, save
 from rsb_bridge.model.session import Armed
+from rsb_console.command.check_report import summary
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -75,3 +76,13 @@ def test_mistakes_are_located(armed: str, location: str, tmp_path: Path) -> None
         parse(text, tmp_path / "pc.yaml")
     assert [problem.location for problem in error.value.problems] == [location]
     assert error.value.problems[0].line == 7
+
+
+def test_check_names_the_line_that_demands(tmp_path: Path) -> None:
+    path = tmp_path / "pc.yaml"
+    path.write_text(FILE.replace("{topic: /scan, direction: transmit}", "{topic: /gone, direction: transmit}"))
+    lines = list(summary(load_file(path).session, demand_places(path)))
+    (shadowed,) = [line for line in lines if "/gone" in line]
+    assert "pc.yaml:14" in shadowed
+    (listed,) = [line for line in lines if "/arm/**" in line]
+    assert "pc.yaml:7" in listed
