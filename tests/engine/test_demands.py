@@ -316,9 +316,7 @@ def test_a_second_route_of_a_name_has_to_be_armed_too(bridge: Bridge, robot: Dom
     """The server lists the robot's topic under another name of its own."""
     motors = robot.listener("/cmd_vel")
     out = [pc.publisher(name) for name in ("/cmd_vel", "/other")]
-    server = bridge.server(
-        clients=(Client("robot1", topics=(Topic("/cmd_vel", "receive", remote_topic="/other"),)),)
-    )
+    server = bridge.server(clients=(Client("robot1", topics=(Topic("/cmd_vel", "receive", remote_topic="/other"),)),))
     client = bridge.client(COMMANDS)
 
     def both_wait() -> bool:
