@@ -306,7 +306,7 @@ def test_what_stops_a_name_stops_all_its_routes(
         engine.commands.clear()
         assert ran(command, "/scan", *options).code == 0
         assert {(each[0], *each[2:]) for each in engine.commands} == {(name, *more)}
-        return {each[1] for each in engine.commands}
+        return {str(each[1]) for each in engine.commands}
 
     assert keys() == {SCAN.key, "there", "back", "far"}
     assert keys("--link", "robot2") == {"far"}

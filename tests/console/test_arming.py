@@ -67,6 +67,30 @@ async def test_an_armed_topic_is_marked_and_disarmed_at_once(app: ConsoleApp, pi
     await until(pilot, lambda: engine_of(app).commands == [("disarm", "/cmd_vel")], "disarmed")
 
 
+@on_main()
+async def test_a_name_is_disarmed_everywhere(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    others = (
+        replace(ARMED, key="far", link="robot2"),
+        replace(ARMED, key="there", remote_topic="/elsewhere"),
+        replace(DISARMED, key="not armed", link="robot3"),
+        replace(ARMED, key="another", topic="/another"),
+    )
+    put(app, ARMED, *others)
+    await shown(pilot, "/another")
+    while app.main.selected not in (ARMED, *others[:2]):
+        await pilot.press("j")
+    await pilot.press("A")
+    await until(pilot, lambda: len(engine_of(app).commands) == 3, "disarmed")
+    assert {command[1] for command in engine_of(app).commands} == {"/cmd_vel", "far", "there"}
+    assert {command[0] for command in engine_of(app).commands} == {"disarm"}
+
+
+@on_main()
+async def test_the_line_that_demands_it_is_among_the_details(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    put(app, replace(DISARMED, arming=ArmingSnapshot(armed=False, demanded_by=("robot.yaml:14",))))
+    await shown(pilot, "robot.yaml:14")
+
+
 @on_main((80, 24))
 async def test_the_marks_are_there_on_a_small_screen(app: ConsoleApp, pilot: Pilot[None]) -> None:
     put(app, ARMED)

@@ -20,6 +20,7 @@ from rsb_bridge.api import EngineError
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import Event, Level, PatternSnapshot, Snapshot, State
+from rsb_console.screens.confirm import ConfirmScreen
 from rsb_console.screens.undo import UndoScreen
 from rsb_console.session.changes import STEPS, Changes, Paused
 
@@ -28,6 +29,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from textual.pilot import Pilot
+    from textual.screen import Screen
 
     from rsb_console.app import ConsoleApp
 
@@ -57,7 +59,7 @@ async def question(app: ConsoleApp, pilot: Pilot[None]) -> UndoScreen:
     return screen
 
 
-def focus(screen: UndoScreen) -> str:
+def focus(screen: Screen[Any]) -> str:
     assert screen.focused is not None
     return screen.focused.id or ""
 
@@ -153,6 +155,30 @@ def test_a_safety_demand_is_not_dropped_unnamed() -> None:
         await shown(pilot, "without being armed")
         await pilot.press("n")
         assert engine.spec("/scan").arm
+        await question(app, pilot)
+        await pilot.press("y")
+        await until(pilot, lambda: engine.undone, "an undo")
+        assert engine.undone == [("edit", "/scan", SCAN, "drop_arm")]
+
+    on_scan(steps)
+
+
+def test_an_edit_that_drops_the_demand_is_asked_about_with_the_focus_on_no() -> None:
+    async def steps(app: ConsoleApp, engine: ChangingEngine, pilot: Pilot[None]) -> None:
+        engine.put("/scan", msgspec.structs.replace(SCAN, arm=True))
+        app.pull()
+        await pilot.press("e")
+        await shown(pilot, "Edit /scan")
+        for answer in ("enter", "y"):  # the focus is on No
+            await choose(pilot, "arm", "")
+            await pilot.press("enter")
+            await until(pilot, lambda: isinstance(app.screen, ConfirmScreen), "a question")
+            assert focus(app.screen) == "no"
+            assert engine.spec("/scan").arm
+            await pilot.press(answer)
+            await until(pilot, lambda: not isinstance(app.screen, ConfirmScreen), "an answer")
+        await until(pilot, lambda: not engine.spec("/scan").arm, "an edit")
+        assert [command[-1] for command in engine.commands if command[0] == "edit"] == ["drop_arm"]
 
     on_scan(steps)
 

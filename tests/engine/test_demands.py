@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from tests.support.domain import Domain, Listener
 
     from rsb_bridge.engine import Engine
-    from rsb_bridge.model.session import Direction
+    from rsb_bridge.model.session import Direction, Kind
 
 WAYS = ("by name", "pattern", "shadowed", "armed")
 DIRECTIONS: tuple[Direction, Direction] = ("transmit", "receive")
@@ -310,3 +310,46 @@ def test_the_lines_are_named_on_both_sides(bridge: Bridge, yard: Yard) -> None:
 
     eventually(lambda: lines(server) == (f"pattern /cmd* in pc.yaml:{line}",))
     assert lines(client) == (PEER_DEMANDS,)
+
+
+def test_a_second_route_of_a_name_has_to_be_armed_too(bridge: Bridge, robot: Domain, pc: Domain) -> None:
+    """The server lists the robot's topic under another name of its own."""
+    motors = robot.listener("/cmd_vel")
+    out = [pc.publisher(name) for name in ("/cmd_vel", "/other")]
+    server = bridge.server(clients=(Client("robot1", topics=(Topic("/cmd_vel", "receive", remote_topic="/other"),)),))
+    client = bridge.client(COMMANDS)
+
+    def both_wait() -> bool:
+        routes = [each for each in now(client).routes if each.topic == "/cmd_vel"]
+        return len(routes) == 2 and all(each.state == "disarmed" for each in routes)
+
+    eventually(both_wait)
+    for engine, names in ((client, ("/cmd_vel",)), (server, ("/cmd_vel", "/other"))):
+        for name in names:
+            assert required(engine, name)
+
+    def nothing() -> bool:
+        for each in out:
+            each.publish(text("go"))
+        return not motors.payloads
+
+    holds(nothing, 1.0)
+
+
+@pytest.mark.parametrize("kind", ["service", "action", "parameters"])
+def test_what_is_called_has_to_be_armed_by_its_name(kind: Kind, bridge: Bridge) -> None:
+    server = bridge.server(armed=("/arm/**",))
+    client = bridge.client(Topic("/arm/one", "receive", kind=kind), Topic("/two", "receive", kind=kind))
+    eventually(lambda: linked(client) and linked(server))
+    eventually(lambda: required(client, "/arm/one") and required(server, "/arm/one"))
+    assert not required(client, "/two")
+
+
+def test_a_removal_that_drops_the_demand_is_told_on_both_sides(bridge: Bridge, yard: Yard) -> None:
+    server, client = by_server(bridge, yard, COMMANDS)
+    server.remove_topic(route(server, "/cmd_vel").key, drop_arm=True).result(60)
+    for engine in (server, client):
+        eventually(lambda engine=engine: happened(engine, EventCode.OPERATOR_ARM_DROPPED))
+    client.add_topic(Topic("/cmd_vel", "receive")).result(60)
+    yard.publish_until({"/cmd_vel"})
+    assert server.session.armed == ()

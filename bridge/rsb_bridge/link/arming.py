@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, Final
 from rsb_bridge.link.errors import LinkError
 from rsb_bridge.link.lease import LinkLease
 from rsb_bridge.link.peer_operators import acting_operator
+from rsb_bridge.model.benchmark import is_bench_topic
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.demands import NO_DEMAND, PEER_DEMANDS, Demands, Source
 from rsb_bridge.model.max_age import default_max_age, smallest_max_age
@@ -119,8 +120,9 @@ class LinkArming:
                 self._peer.send(Disarm(route.id, DROPPED, acting_operator()))
 
     def _own(self, route: Route) -> Demand | None:
-        type_name = route.proposal.type
-        return self._context.demands.of(route.spec.kind, route.local_topic, type_name)
+        if is_bench_topic(route.local_topic):
+            return None  # no node has it
+        return self._context.demands.of(route.spec.kind, route.local_topic, route.proposal.type)
 
     def _say_who_demands(self, route: Route) -> None:
         """Name the lines that demand arming, for operators."""

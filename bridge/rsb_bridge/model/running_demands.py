@@ -63,7 +63,7 @@ class RunningDemands:
         self._settled = Demands()
         self._given: tuple[str | Armed, ...] = ()
         self._is_stale = True
-        self._is_due = False
+        self._is_due = self._differs = False
         self._depth = 0
         self._permitted: set[Source] = set()
         self._places: Mapping[SourceKey, str] = {}
@@ -149,8 +149,8 @@ class RunningDemands:
         if self._depth or not self._is_due:
             return
         self._settle()
-        self._is_due = False
-        for holder in tuple(self._holders):
+        differs, self._is_due, self._differs = self._differs, False, False
+        for holder in tuple(self._holders) if differs else ():
             holder.apply_demands()
 
     def _present(self) -> Iterator[Source]:
@@ -174,7 +174,8 @@ class RunningDemands:
                 self._kept(source, origin)
         self._is_stale = False
         self._given = self._armed()
-        self._settled = Demands(self._present())
+        before, self._settled = self._settled, Demands(self._present())
+        self._differs |= before.sources != self._settled.sources
 
     def _keep(self, sources: Iterable[Source], who: str) -> None:
         armed = self._armed()
@@ -191,6 +192,7 @@ class RunningDemands:
         """Take the lines of a session file, by their entries."""
         self._places = places
         self._changed_by = {key: who for key, who in self._changed_by.items() if key not in places}
+        self._differs = True
         self.changed()
 
     def origin(self, source: Source) -> str:

@@ -213,13 +213,18 @@ class Rollout:
         for step in outcome.changed:
             tell(step, "putting back")
             try:
-                self._apply(step, step.old)
+                self._apply(step, step.old, drop_arm=step.new is not None and step.new.arm)
             except (EngineError, TimeoutError) as error:
                 failed.append((step, str(error) or "the bridge does not answer"))
         return failed
 
-    def _apply(self, step: Step, topic: Topic | None) -> None:
+    def _apply(self, step: Step, topic: Topic | None, *, drop_arm: bool = False) -> None:
         """Have a robot's route do what a topic says.
+
+        Args:
+            step: names the robot.
+            topic: as it is to be.
+            drop_arm: the name need not be armed any more if the topic does not say so: this change had demanded it.
 
         Raises:
             EngineError: the bridge refuses.
@@ -231,7 +236,8 @@ class Rollout:
             routes = [route for route in engine.snapshot().routes if route.spec.identity == topic.identity]
             if not routes:
                 raise EngineError(f"{self.topic} is not bridged any more")
-            engine.edit_topic(routes[0].key, topic).result(ANSWERED_WITHIN)
+            drops = drop_arm and not topic.arm
+            engine.edit_topic(routes[0].key, topic, drop_arm=drops).result(ANSWERED_WITHIN)
         finally:
             engine.stop()
 

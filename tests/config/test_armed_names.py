@@ -1,0 +1,88 @@
+"""A session's `armed`: read, checked, located and written."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import msgspec
+import pytest
+
+from rsb_bridge.config.session_file import SessionError, demand_places, load_file, parse, save
+from rsb_bridge.model.session import Armed
+from rsb_console.command.check_report import summary
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+FILE = """\
+name: pc
+role: server
+server_ip: 10.0.0.1
+server_port: 5
+key_file: pc.key
+# what moves
+armed: [/cmd_vel, "/arm/**"]
+clients:
+  - name: robot1
+    topics:
+      - topic: /cmd_vel
+        direction: receive
+        arm: true
+      - {topic: "/go*", direction: receive, arm: true}
+      - {topic: /scan, direction: transmit}
+"""
+
+
+def test_the_lines_that_demand_are_found(tmp_path: Path) -> None:
+    path = tmp_path / "pc.yaml"
+    path.write_text(FILE)
+    assert sorted(demand_places(path).values()) == ["pc.yaml:13", "pc.yaml:14", "pc.yaml:7", "pc.yaml:7"]
+    assert demand_places(tmp_path / "none.yaml") == {}
+
+
+@pytest.mark.parametrize(
+    "armed",
+    [
+        ("/cmd_vel",),
+        ("/cmd_vel", "/arm/**", Armed("/stop", deadman=5.0)),
+        ("/cmd_vel", Armed("/a*", "topic", "geometry_msgs/msg/Twist")),
+        (),
+    ],
+)
+def test_what_is_saved_is_what_is_read(armed: tuple[str | Armed, ...], tmp_path: Path) -> None:
+    path = tmp_path / "pc.yaml"
+    path.write_text(FILE)
+    opened = load_file(path)
+    save(msgspec.structs.replace(opened.session, armed=armed), path, opened)
+    again = load_file(path)
+    assert again.session.armed == armed
+    assert "# what moves" in again.text or not armed
+
+
+@pytest.mark.parametrize(
+    ("armed", "location"),
+    [
+        ("[cmd_vel]", "armed[0]"),
+        ("[/cmd_vel, /cmd_vel]", "armed[1]"),
+        ("[{name: /cmd_vel, deadman: 0.1}]", "armed[0].deadman"),
+        ('[{name: "/a/***"}]', "armed[0].name"),
+        ("[{name: /a, kind: node}]", "armed[0].kind"),
+        ("/cmd_vel", "armed"),
+    ],
+)
+def test_mistakes_are_located(armed: str, location: str, tmp_path: Path) -> None:
+    text = FILE.replace('[/cmd_vel, "/arm/**"]', armed)
+    with pytest.raises(SessionError) as error:
+        parse(text, tmp_path / "pc.yaml")
+    assert [problem.location for problem in error.value.problems] == [location]
+    assert error.value.problems[0].line == 7
+
+
+def test_check_names_the_line_that_demands(tmp_path: Path) -> None:
+    path = tmp_path / "pc.yaml"
+    path.write_text(FILE.replace("{topic: /scan, direction: transmit}", "{topic: /gone, direction: transmit}"))
+    lines = list(summary(load_file(path).session, demand_places(path)))
+    (shadowed,) = [line for line in lines if "/gone" in line]
+    assert "pc.yaml:14" in shadowed
+    (listed,) = [line for line in lines if "/arm/**" in line]
+    assert "pc.yaml:7" in listed

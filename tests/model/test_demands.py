@@ -1,0 +1,114 @@
+"""Which names a session demands to be armed, whatever makes the demand."""
+
+from __future__ import annotations
+
+import pytest
+
+from rsb_bridge.model.demands import Demand, Demands, as_armed, describe, sources_of
+from rsb_bridge.model.session import DEADMAN, Armed, Client, Kind, Session, Topic
+
+RENAMED = Topic("/a/*", "receive", remote_topic="/b/*", arm=True, excepts=("/a/x",))
+
+
+def client(*topics: Topic, armed: tuple[str | Armed, ...] = ()) -> Demands:
+    session = Session(name="robot1", role="client", server_ip="10.0.0.1", topics=topics, armed=armed)
+    return Demands(sources_of(session))
+
+
+def server(*topics: Topic, use_name: bool) -> Demands:
+    clients = (Client("robot1", use_name=use_name, topics=topics),)
+    return Demands(sources_of(Session(name="pc", role="server", server_ip="10.0.0.1", clients=clients)))
+
+
+@pytest.mark.parametrize(
+    ("demands", "name", "expected"),
+    [
+        (client(Topic("/cmd", "receive", arm=True)), "/cmd", True),
+        (client(Topic("/cmd", "transmit", arm=True)), "/cmd", True),
+        (client(Topic("/cmd", "receive")), "/cmd", False),
+        (client(Topic("/**", "receive"), Topic("/cmd*", "receive", arm=True)), "/cmd_vel", True),
+        (client(Topic("/cmd*", "receive", arm=True), Topic("/cmd_vel", "receive")), "/cmd_vel", True),
+        (client(Topic("/cmd*", "receive", arm=True, excepts=("/cmd_log",))), "/cmd_log", False),
+        (client(armed=("/cmd",)), "/cmd", True),
+        (client(armed=("/cmd/**",)), "/cmd/a/b", True),
+        (client(Topic("/cmd", "receive", remote_topic="/far", arm=True)), "/far", False),
+        (server(Topic("/cmd", "receive", remote_topic="/far", arm=True), use_name=True), "/far", True),
+        (server(Topic("/cmd", "receive", arm=True), use_name=True), "/robot1/cmd", True),
+        (server(Topic("/cmd", "receive", arm=True), use_name=True), "/cmd", False),
+        (server(Topic("/cmd*", "receive", arm=True), use_name=True), "/robot1/cmd_vel", True),
+        (server(RENAMED, use_name=False), "/b/x", False),
+        (server(RENAMED, use_name=False), "/b/y", True),
+    ],
+)  # fmt: skip
+def test_every_line_that_matches_counts(demands: Demands, name: str, expected: bool) -> None:
+    assert (demands.of("topic", name) is not None) is expected
+
+
+@pytest.mark.parametrize(
+    ("listed", "kind", "name", "expected"),
+    [
+        ("parameters", "service", "/arm/set_parameters", True),
+        ("parameters", "service", "/arm/reset", False),
+        ("service", "topic", "/arm", False),
+        ("action", "service", "/arm/_action/send_goal", True),
+        ("action", "service", "/arm/_action/cancel_goal", False),
+        ("topic", "topic", "/arm", True),
+    ],
+)
+def test_a_service_has_the_demands_of_what_it_belongs_to(listed: Kind, kind: Kind, name: str, expected: bool) -> None:
+    demands = client(Topic("/arm", "receive", kind=listed, arm=True))
+    assert (demands.of(kind, name) is not None) is expected
+    assert client(armed=("/arm",)).of(listed, "/arm") is not None, "of every kind"
+
+
+def test_a_pattern_of_a_type_counts_unless_the_name_is_known_to_have_another() -> None:
+    demands = client(Topic("/**", "receive", type="Twist", arm=True))
+    assert demands.of("topic", "/cmd") is not None
+    assert demands.of("topic", "/cmd", "geometry_msgs/msg/Twist") is not None
+    assert demands.of("topic", "/odom", "nav_msgs/msg/Odometry") is None
+
+
+@pytest.mark.parametrize(("times", "shortest"), [((None, 5.0), 5.0), ((0.0, 7.0), 7.0), ((0.0, 0.0), 0.0)])
+def test_the_shortest_deadman_that_is_not_0_counts(times: tuple[float | None, float], shortest: float) -> None:
+    one, other = times
+    demand = client(Topic("/cmd", "receive", arm=True, deadman=one), Topic("/c*", "transmit", arm=True, deadman=other))
+    found = demand.of("topic", "/cmd")
+    assert found is not None
+    assert (found.deadman, len(found.sources)) == (shortest, 2)
+
+
+CMD = Topic("/cmd", "receive", arm=True)
+PATTERN = Topic("/cmd*", "receive", arm=True)
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "kept"),
+    [
+        ((CMD,), (), ["/cmd"]),
+        ((CMD,), (Topic("/cmd", "receive"),), ["/cmd"]),
+        ((CMD,), (Topic("/cmd2", "receive", arm=True),), ["/cmd"]),
+        ((CMD,), (Topic("/cmd", "transmit", arm=True),), []),
+        ((CMD,), (Topic("/cmd", "receive", kind="service", arm=True),), ["/cmd"]),
+        ((CMD,), (PATTERN,), []),
+        ((Topic("/cmd", "receive", arm=True, deadman=5.0),), (PATTERN,), [Armed("/cmd", deadman=5.0)]),
+        ((Topic("/cmd", "receive", arm=True, deadman=5.0),), (CMD,), []),
+        ((PATTERN,), (), [Armed("/cmd*", "topic")]),
+        ((PATTERN,), (Topic("/cmd*", "receive", arm=True, excepts=("/cmd_a",)),), ["/cmd_a"]),
+        ((PATTERN,), (Topic("/cmd*", "transmit", arm=True),), []),
+        ((PATTERN,), (Topic("/cmd_*", "receive", arm=True),), [Armed("/cmd*", "topic")]),
+    ],
+)
+def test_what_has_to_be_kept(before: tuple[Topic, ...], after: tuple[Topic, ...], kept: list[str | Armed]) -> None:
+    missing = client(*after).missing(client(*before).sources)
+    found = [as_armed(each) for rest in missing.values() for each in rest]
+    assert found == kept
+    whole = client(*after, armed=tuple(found))
+    assert whole.missing(client(*before).sources) == {}, "what is kept covers what was"
+
+
+def test_the_line_is_named() -> None:
+    (one,), (other,) = client(CMD).sources, client(PATTERN).sources
+    assert describe(one, {one.key: "robot.yaml:14"}) == "robot.yaml:14"
+    assert describe(other, {other.key: "robot.yaml:20"}) == "pattern /cmd* in robot.yaml:20"
+    assert one.deadman == DEADMAN
+    assert client(CMD).of("topic", "/cmd") == Demand(DEADMAN, (one,))

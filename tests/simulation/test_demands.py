@@ -1,0 +1,203 @@
+"""Names that either session demands to be armed, while operators of both sides edit whatever they like.
+
+Nobody arms anything, and no edit drops a demand by name. So no message of such a name may ever cross: the nodes at the
+other end count.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections import Counter
+from random import Random
+from typing import TYPE_CHECKING
+from unittest.mock import patch
+
+import msgspec
+import pytest
+from tests.simulation.ros import STRING, Reader, Writer, hash_of
+from tests.simulation.test_patterns import Yard, lived
+
+from rsb_bridge.api import EngineError
+from rsb_bridge.link.arming import LinkArming
+from rsb_bridge.model.demands import Demand, Demands
+from rsb_bridge.model.qos import Qos
+from rsb_bridge.model.running_demands import RunningDemands
+from rsb_bridge.model.session import Topic
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+
+    from tests.simulation.conftest import Play
+    from tests.simulation.station import Run
+
+    from rsb_bridge.link.link import Link
+    from rsb_bridge.model.session import Direction
+    from rsb_bridge.route.route import Route
+
+_HOURS = 0.05
+_EVERY = 1.0
+"""s between messages of each name."""
+_DIRECTIONS: tuple[Direction, Direction] = ("transmit", "receive")
+
+
+class Edits(Yard):
+    """A robot and a server whose sessions demand some names, by name and by patterns, and bridge others freely.
+
+    Attributes:
+        demanded: the names on the robot that have to be armed.
+        crossed: messages by name on the robot, as nodes of the other domain have counted them.
+    """
+
+    def __init__(self, seed: int) -> None:
+        super().__init__()
+        self.world.invariants.check = lambda: None  # type: ignore[method-assign]  # they count the world's own flows
+        self.random = Random(f"demands {seed}")
+        self.names = [f"/{word}_{number}" for word in ("cmd", "arm", "free") for number in range(4)]
+        self.demanded = {name for name in self.names if not name.startswith("/free")}
+        self.crossed: Counter[str] = Counter()
+        robot, server = self._demanding("cmd"), self._demanding("arm")
+        if self.random.random() < 0.5:
+            robot, server = server, robot
+        self.robot.session = msgspec.structs.replace(self.robot.session, topics=robot)
+        clients = tuple(
+            msgspec.structs.replace(each, topics=server if each.name == self._name else ())
+            for each in self.server.session.accepted_clients
+        )
+        self.server.session = msgspec.structs.replace(self.server.session, clients=clients)
+        self._writers = [self._ends(name) for name in self.names]
+
+    def _demanding(self, word: str) -> tuple[Topic, ...]:
+        """The entries of a side that demands the names of a word: some by their names, the others by patterns."""
+        one, other = self.random.sample(_DIRECTIONS, 2)
+        named = tuple(Topic(f"/{word}_{number}", self.random.choice(_DIRECTIONS), arm=True) for number in range(2))
+        shadow = (Topic("/**", one),) if self.random.random() < 0.5 else ()
+        return (*named, *shadow, Topic(f"/{word}*", self.random.choice((one, other)), arm=True))
+
+    def _ends(self, name: str) -> Writer:
+        """A publisher of a name on one side, and a subscription on the other."""
+        there = f"/{self._name}{name}"
+        robot, server = (self.robot.domain, name), (self.server.domain, there)
+        (near, here), (far, at) = (robot, server) if self.random.random() < 0.5 else (server, robot)
+
+        def count(batch: list[object]) -> None:
+            self.crossed[name] += len(batch)
+
+        Reader(far, "/counter", at, STRING, hash_of(STRING), Qos(), count)  # type: ignore[arg-type]
+        return Writer(near, "/publisher", here, STRING, hash_of(STRING), Qos())
+
+    async def live(self) -> None:
+        """Publish, and have operators of both sides edit."""
+        until = self.world.loop.time() + _HOURS * 3600
+        commands = 0
+        while self.world.loop.time() < until:
+            for writer in self._writers:
+                writer.publish(b"\0\1\0\0\3\0\0\0go\0")
+            await asyncio.sleep(_EVERY)
+            if self.random.random() < 0.3:
+                commands += await self._edit()
+            wrong = {name: count for name, count in self.crossed.items() if name in self.demanded}
+            assert not wrong, f"crossed unarmed: {wrong}"
+        assert commands > 20
+        assert any(name not in self.demanded for name in self.crossed), "what is free crosses"
+
+    async def _edit(self) -> bool:
+        """Whether an operator of either side has changed something."""
+        on_server = self.random.random() < 0.5
+        run = (self.server if on_server else self.robot).run
+        assert run is not None
+        link = self.link(on_server=on_server)
+        edits = (self._add, self._add, self._edit_route, self._remove_route, self._edit_pattern, self._remove_pattern)
+        try:
+            return await self.random.choice(edits)(run, link)
+        except EngineError:
+            return False
+
+    async def _add(self, run: Run, link: Link) -> bool:
+        name = self.random.choice([*self.names, "/*", "/cmd*", "/arm_1*", "/free*"])
+        remote = f"/{link.name}{name}" if self.random.random() < 0.3 else None
+        topic = Topic(name, self.random.choice(_DIRECTIONS), remote_topic=remote)
+        await run.command(run.bridge.add_topic(topic, link.name))
+        return True
+
+    async def _edit_route(self, run: Run, link: Link) -> bool:
+        route = self._some(link)
+        if route is None:
+            return False
+        spec = msgspec.structs.replace(route.spec, compression=self.random.choice((None, "zstd", "none")))
+        if self.random.random() < 0.3:
+            spec = msgspec.structs.replace(spec, topic=self.random.choice(self.names), remote_topic=None)
+        if self.random.random() < 0.3:
+            spec = msgspec.structs.replace(spec, direction=self.random.choice(_DIRECTIONS))
+        if self.random.random() < 0.2:
+            spec = msgspec.structs.replace(spec, arm=False, deadman=None)
+        await run.command(run.bridge.edit_topic(route.key, spec))
+        return True
+
+    async def _remove_route(self, run: Run, link: Link) -> bool:
+        if (route := self._some(link)) is None:
+            return False
+        await run.command(run.bridge.remove_topic(route.key))
+        return True
+
+    async def _edit_pattern(self, run: Run, link: Link) -> bool:
+        if not (patterns := link.patterns.all()):
+            return False
+        pattern = self.random.choice(patterns)
+        changes = self.random.choice((
+            {"excepts": (self.random.choice(self.names),)}, {"direction": self.random.choice(_DIRECTIONS)},
+            {"topic": f"{pattern.topic.rstrip('*')}*", "remote_topic": None},
+            {"topic": "/cmd_1*", "remote_topic": None},
+        ))  # fmt: skip
+        edited = msgspec.structs.replace(pattern, **changes)
+        await run.command(run.bridge.edit_topic(link.patterns.key_of(pattern), edited))
+        return True
+
+    async def _remove_pattern(self, run: Run, link: Link) -> bool:
+        if not (patterns := link.patterns.all()) or self.random.random() < 0.5:
+            return False
+        await run.command(run.bridge.remove_topic(link.patterns.key_of(self.random.choice(patterns))))
+        return True
+
+    def _some(self, link: Link) -> Route | None:
+        routes = list(link.routes.values())
+        return self.random.choice(routes) if routes else None
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_what_either_session_demands_never_crosses_unarmed(seed: int, play: Play) -> None:
+    yard = Edits(seed)
+    lived(play, yard, yard.live(), _HOURS * 3600 + 60)
+
+
+def _forgotten(self: RunningDemands, sources: object, who: str) -> None:
+    """As edits were: an entry that goes takes its demand along."""
+
+
+def _of_the_entry(self: LinkArming, route: Route) -> Demand | None:
+    """As it was: only the entry that has made the route counts."""
+    if not route.proposed_here or not route.spec.arm:
+        return None
+    return Demand(route.spec.deadman_seconds, ())
+
+
+def _first(self: Demands, kind: object, name: str) -> Iterator[object]:
+    """As it was: of the patterns, the first that matches counts; of those that demand nothing there is no trace."""
+    yield from (each for each in list(_matching(self, kind, name))[:1] if not each.is_pattern)  # type: ignore[arg-type]
+
+
+_matching = Demands._matching
+
+
+@pytest.mark.parametrize(
+    ("owner", "name", "mistake"),
+    [
+        (RunningDemands, "_keep", _forgotten),
+        (LinkArming, "_own", _of_the_entry),
+        (Demands, "_matching", _first),
+    ],
+    ids=["edits drop demands", "only the route's own entry", "patterns do not count"],
+)
+def test_a_mistake_is_found(owner: type, name: str, mistake: Callable[..., object], play: Play) -> None:
+    yard = Edits(0)
+    with patch.object(owner, name, mistake), pytest.raises(AssertionError, match="crossed unarmed"):
+        lived(play, yard, yard.live(), _HOURS * 3600 + 60)
