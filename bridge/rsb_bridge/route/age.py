@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, NamedTuple
 from rsb_bridge.model.max_age import effective_max_age
 from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.verdict import Cause, Verdict
+from rsb_bridge.ros.api import RawMessage
 from rsb_bridge.route.publisher_clock import PublisherClocks
 
 if TYPE_CHECKING:
@@ -22,7 +23,6 @@ if TYPE_CHECKING:
 
     from rsb_bridge.context import Context
     from rsb_bridge.model.stamp_clock import StampClock
-    from rsb_bridge.ros.api import RawMessage
     from rsb_bridge.route.peer import Peer
     from rsb_bridge.wire.framing import Message
 
@@ -110,8 +110,8 @@ class MessageAge:
             self.expired(Cause.CLOCK_UNKNOWN, len(batch))
             return []
         kept = [
-            each._replace(stamp=born(each.source and each.source + shift, each.stamp + shift, each.gid))
-            for each in batch
+            RawMessage(payload, born(source and source + shift, stamp + shift, gid), gid, number, source)
+            for payload, stamp, gid, number, source in batch
         ]
         if keep_old:
             return kept
