@@ -105,6 +105,6 @@ def test_many_expired_messages_make_a_topic_late(make_context: Callable[..., Con
 
 @pytest.mark.parametrize("cause", [Cause.LINK_SLOW, Cause.CLOCK_UNKNOWN, Cause.PUBLISHER_STAMPS_OLD])
 def test_its_verdict_is_late_on_both_sides(cause: Cause) -> None:
-    verdict = expired_verdict(Expired(cause, 84, 100, 0.5, 7.0, 0.01))
+    verdict = expired_verdict(Expired(cause, 84, 100, 0.5, 7.0))
     assert (verdict.state, verdict.cause, verdict.since) == (State.LATE, cause, 7.0)
     assert state_of(state_for_any(State.LATE), cause) is State.LATE
