@@ -14,7 +14,8 @@ from rsb_bridge.api import EngineError
 from rsb_bridge.config.keys import read_key
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.lanes import FEATURE
-from rsb_bridge.model.limits import LATE_AFTER_FEATURE
+from rsb_bridge.model.limits import LATE_AFTER_FEATURE, MAX_AGE_FEATURE
+from rsb_bridge.model.max_age import ARMED
 from rsb_bridge.model.session import Client, Kind, Topic
 from rsb_bridge.model.snapshot import State
 from rsb_bridge.wire.amending import Amend
@@ -134,3 +135,34 @@ def test_a_limit_that_an_older_client_would_ignore_is_refused_in_words(
             assert happened(server, EventCode.OPERATOR_EDITED) is None
             server.edit_topic(found.key, msgspec.structs.replace(found.spec, max_rate=5.0)).result(60)
             assert client.wait_for(Amend).max_rate == 5.0
+
+
+@pytest.mark.parametrize("features", [(), (MAX_AGE_FEATURE,)])
+def test_max_age_holds_for_what_either_side_proposes(bridge: Bridge, features: tuple[str, ...]) -> None:
+    """The server's session sets it, the client proposes the topic; an older client leaves the server to it alone."""
+    topic = Topic("/scan", "transmit", max_age=0.5)
+    server = bridge.server(key_file=None, clients=(Client("robot1", key_file=bridge.key_file, topics=(topic,)),))
+    with rogue(bridge, features=features) as client:
+        assert client.wait_for(Propose).max_age == 0.5
+        client.say(Propose(route=1, topic="/scan", remote_topic="/scan", from_client=True, max_age=2.0))
+        assert client.wait_for(Accept).max_age == 0.5
+        (mine,) = link(server).routes.values()
+        assert mine.age.max_age == 0.5
+        if features:
+            client.say(Amend(1, max_age=0.2))
+            eventually(lambda: mine.age.max_age == 0.2)
+            client.say(Amend(1, max_age=0.0))
+            eventually(lambda: mine.age.max_age == 0.5)
+        else:
+            eventually(lambda: happened(server, EventCode.ROUTE_MAX_AGE_ONE_SIDED))
+
+
+def test_what_has_to_be_armed_has_a_max_age(bridge: Bridge) -> None:
+    server = bridge.server()
+    with rogue(bridge, features=(MAX_AGE_FEATURE,)) as client:
+        client.say(Propose(route=1, topic="/cmd", remote_topic="/cmd", from_client=True, arm=True))
+        client.wait_for(Accept)
+        (mine,) = link(server).routes.values()
+        assert mine.age.max_age == ARMED
+        client.say(Amend(1, max_age=0.0))
+        eventually(lambda: not mine.age.is_on)

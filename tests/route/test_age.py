@@ -24,7 +24,7 @@ S = 1_000_000_000
 
 def age_of(context: Context, max_age: float | None = 0.5, lifespan: float = 0.0) -> tuple[MessageAge, FakePeer]:
     peer = FakePeer()
-    age = MessageAge(context, peer)  # type: ignore[arg-type]
+    age = MessageAge(context, peer)
     age.settle((max_age,), armed=False, lifespan=lifespan)
     return age, peer
 
@@ -63,7 +63,7 @@ def test_the_receiver_counts_the_uncertainty_against_the_message(
 ) -> None:
     context = make_context()
     age, peer = age_of(context)
-    peer.stamp_offset, peer.stamp_uncertainty = offset, uncertainty  # type: ignore[assignment]
+    peer.stamp_offset, peer.stamp_uncertainty = offset, uncertainty
     assert age.why_old(context.stamps.now() + round(((offset or 0.0) - old) * S)) == expected
 
 
@@ -81,7 +81,7 @@ def test_a_lifespan_drops_what_is_surely_older(
 ) -> None:
     context = make_context()
     age, peer = age_of(context, None, lifespan=1.5)
-    peer.stamp_offset, peer.stamp_uncertainty = offset, uncertainty  # type: ignore[assignment]
+    peer.stamp_offset, peer.stamp_uncertainty = offset, uncertainty
     assert age.why_old(context.stamps.now() - round(old * S)) == expected
 
 
@@ -105,6 +105,6 @@ def test_many_expired_messages_make_a_topic_late(make_context: Callable[..., Con
 
 @pytest.mark.parametrize("cause", [Cause.LINK_SLOW, Cause.CLOCK_UNKNOWN, Cause.PUBLISHER_STAMPS_OLD])
 def test_its_verdict_is_late_on_both_sides(cause: Cause) -> None:
-    verdict = expired_verdict(Expired(cause, 84, 100, 0.5, 7.0, 0.01))
+    verdict = expired_verdict(Expired(cause, 84, 100, 0.5, 7.0))
     assert (verdict.state, verdict.cause, verdict.since) == (State.LATE, cause, 7.0)
     assert state_of(state_for_any(State.LATE), cause) is State.LATE

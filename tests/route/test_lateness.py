@@ -123,7 +123,7 @@ def test_what_is_worse_and_what_is_not() -> None:
 
 
 @pytest.mark.parametrize(("lost", "state"), [(10, State.SLOW), (20, State.DOWN)])
-@pytest.mark.parametrize("cause", ["lost on the way", "expired", "queue full"])
+@pytest.mark.parametrize("cause", ["lost on the way", "incomplete", "queue full"])
 def test_what_is_lost_on_a_full_link_is_overload(lost: int, state: State, cause: str) -> None:
     verdict = verdict_on(SENDER, loss=Loss(lost, 20, cause, NOW), full=FULL, datagrams=36)
     assert (verdict.state, verdict.cause) == (state, Cause.QUEUE_FULL)

@@ -44,6 +44,7 @@ steps = st.one_of(
     st.tuples(st.just("send"), st.integers(0, 5)),
     st.tuples(st.just("drop"), st.integers(0, 5)),
     st.tuples(st.just("throttle"), st.integers(0, 5)),
+    st.tuples(st.just("expire"), st.integers(0, 5)),
     st.tuples(st.just("open"), st.integers(1, 4), instances),
     st.tuples(st.just("close")),
     st.tuples(st.just("report"), reports),
@@ -74,6 +75,9 @@ def test_no_report_makes_a_part_negative_or_the_sum_wrong(taken: list[tuple[Any,
             case "throttle":
                 ledger.offered += details[0]
                 ledger.throttled += details[0]
+            case "expire":
+                ledger.offered += details[0]
+                ledger.expired += details[0]
             case "open":
                 ledger.opened(*details)
             case "close":
@@ -126,6 +130,23 @@ def opened(instance: str, sent: int, *, numbered: bool = False) -> RouteLedger:
     ledger.offered += sent
     ledger.sent(sent)
     return ledger
+
+
+@pytest.mark.parametrize("over", [False, True])
+def test_what_was_too_old_on_either_side_is_expired(over: bool) -> None:
+    """Messages whose parts did not come are another matter, which the receiver reports under that name."""
+    ledger = opened("first", 20)
+    ledger.offered += 4
+    ledger.expired += 4
+    report = ReceivedReport(route=1, received=18, delivered=15, expired=2, newest=20, dropped={"expired": 3})
+    if over:
+        ledger.closed()
+        assert ledger.settle(report, "first")
+    else:
+        assert ledger.reported(report, 0)
+    balance = ledger.ledger(0)
+    assert (balance.delivered, balance.expired, balance.dropped) == (15, 7, {"incomplete": 2})
+    assert balance.in_flight == 0
 
 
 def test_what_a_receiver_that_died_did_not_report_is_unknown() -> None:

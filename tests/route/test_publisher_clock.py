@@ -64,6 +64,13 @@ def test_a_clock_that_is_set_right_is_believed_again() -> None:
     assert clocks.born(NOW + 2 * S, NOW + 5 * S, GID) == NOW + 2 * S
 
 
+def test_after_a_step_of_this_clock_an_old_stamp_proves_nothing() -> None:
+    clocks = PublisherClocks()
+    clocks.since = NOW
+    clocks.forget()
+    assert clocks.born(NOW - 60 * S, NOW + S, GID) == NOW - 60 * S
+
+
 def test_a_wrong_clock_may_drift() -> None:
     clocks = PublisherClocks()
     clocks.since = NOW

@@ -13,7 +13,7 @@ from rsb_bridge.model.fullness import Fullness
 from rsb_bridge.model.limits import REASON_LENGTH
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.model.snapshot import State
-from rsb_bridge.model.verdict import FINE, Cause, Verdict, about, worse
+from rsb_bridge.model.verdict import EXPIRES, FINE, Cause, Verdict, about, worse
 from rsb_bridge.ros.api import Endpoint
 from rsb_bridge.route.both_sides import BothSides, lasting, record_of
 from rsb_bridge.route.verdict import LOWER_MTU, USE_TCP, Facts, judge, named
@@ -189,7 +189,7 @@ def test_a_route_that_flows_is_fine() -> None:
         ),
         (
             SENDER,
-            {"loss": Loss(50, 100, "expired", NOW - 12.0), "datagrams": 40},
+            {"loss": Loss(50, 100, "incomplete", NOW - 12.0), "datagrams": 40},
             State.SLOW,
             Cause.LOSSY,
             ["50 of the last 100 messages (50%) did not arrive, for 10 s", "40 datagrams", "protocol: tcp", "smaller"],
@@ -273,7 +273,7 @@ losses = st.none() | st.builds(
     lambda lost, more, cause: Loss(lost, lost + more, cause, 0.0),
     st.integers(1, 10**12),
     st.integers(0, 10**12),
-    st.sampled_from(["queue full", "expired", "anything"]),
+    st.sampled_from(["queue full", "incomplete", "anything"]),
 )
 texts = st.sampled_from(["", "words"])
 facts = st.builds(
@@ -325,7 +325,7 @@ def test_a_further_fault_never_makes_it_better(known: Facts, stale: float | None
 
 verdicts = st.builds(
     Verdict, st.sampled_from(list(State)), st.sampled_from(list(Cause)), st.sampled_from(["", "a", "b"])
-).filter(lambda verdict: (verdict.state is State.LATE) == (verdict.cause == Cause.LATE))
+).filter(lambda verdict: (verdict.state is State.LATE) == (verdict.cause in {Cause.LATE, *EXPIRES}))
 
 
 @given(verdicts, verdicts)

@@ -152,8 +152,12 @@ class Keepalive:
             for each in carriers:
                 if isinstance(each, Stream):
                     each.give_up_after(self._patience + _KERNELS)
+        return self.ping()
+
+    def ping(self) -> Ping:
+        """Return a further ping, to be sent now."""
         self._pings += 1
-        self._pinged_at = now
+        self._pinged_at = self._context.now()
         self._context.stamps.look()
         self._sent_at[self._pings] = self._context.stamps.now()
         if len(self._sent_at) > _UNANSWERED:

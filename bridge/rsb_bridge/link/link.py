@@ -292,6 +292,8 @@ class Link(ABC):
         )
         self.log(Level.INFO, EventCode.LINK_UP, linked, link_status=True)
         self.neighbourhood.tell()
+        if self._shifts_stamps:
+            self.send(self.keepalive.ping())  # until it is answered, no message is known to be young
         self.table.connected()
         self.patterns.connected()
 

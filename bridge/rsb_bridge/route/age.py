@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, NamedTuple
 from rsb_bridge.model.max_age import effective_max_age
 from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.verdict import Cause, Verdict
+from rsb_bridge.ros.api import RawMessage
 from rsb_bridge.route.publisher_clock import PublisherClocks
 
 if TYPE_CHECKING:
@@ -22,7 +23,6 @@ if TYPE_CHECKING:
 
     from rsb_bridge.context import Context
     from rsb_bridge.model.stamp_clock import StampClock
-    from rsb_bridge.ros.api import RawMessage
     from rsb_bridge.route.peer import Peer
     from rsb_bridge.wire.framing import Message
 
@@ -45,7 +45,6 @@ class Expired(NamedTuple):
         of: of so many.
         limit: s that they may be old.
         since: s, when it began.
-        uncertainty: s by which the other side's clock may be wrong, or None if nothing is known of it.
     """
 
     cause: Cause
@@ -53,7 +52,6 @@ class Expired(NamedTuple):
     of: int
     limit: float
     since: float
-    uncertainty: float | None
 
 
 class MessageAge:
@@ -111,8 +109,8 @@ class MessageAge:
             self.expired(Cause.CLOCK_UNKNOWN, len(batch))
             return []
         kept = [
-            each._replace(stamp=born(each.source and each.source + shift, each.stamp + shift, each.gid))
-            for each in batch
+            RawMessage(payload, born(source and source + shift, stamp + shift, gid), gid, number, source)
+            for payload, stamp, gid, number, source in batch
         ]
         if keep_old:
             return kept
@@ -214,18 +212,18 @@ class MessageAge:
         if not lost:
             return None
         ((cause, _),) = by_cause.most_common(1)
-        return Expired(cause, lost, of, self._limit, self._since, self._peer.stamp_uncertainty)
+        return Expired(cause, lost, of, self._limit, self._since)
 
 
 _REMEDIES = {
     Cause.LINK_SLOW: "the link holds them up: check the network, or set max_rate or priority",
+    Cause.CLOCK_UNKNOWN: "their age is not known, as the link is new or slow, or a clock was set: wait 10 s",
     Cause.PUBLISHER_STAMPS_OLD: "they are old by their publisher's stamps: set its host's clock, or see what delays it",
 }
 
 
 def expired_verdict(expired: Expired) -> Verdict:
     """Return the verdict on a topic of whose messages many are too old."""
-    unsure = "" if expired.uncertainty is None else f" better than {expired.uncertainty:.2g} s"
-    why = _REMEDIES.get(expired.cause, f"the other side's clock is not known{unsure}: wait, then check the link")
     share = f"{max(1, round(100 * expired.lost / expired.of))} %"
-    return Verdict(State.LATE, expired.cause, f"{share} dropped, older than {expired.limit:g} s: {why}", expired.since)
+    text = f"{share} dropped by max_age or lifespan ({expired.limit:g} s): {_REMEDIES[expired.cause]}"
+    return Verdict(State.LATE, expired.cause, text, expired.since)

@@ -60,5 +60,9 @@ class PublisherClocks:
         return source + shortest
 
     def forget(self) -> None:
-        """Begin anew: this side's clock was set."""
+        """Begin anew: this side's clock was set.
+
+        A stamp from before the subscription may now be one from before that, and proves nothing any more.
+        """
         self._wrong.clear()
+        self.since = None

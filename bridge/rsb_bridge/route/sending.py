@@ -154,7 +154,9 @@ class Sending:
         self._send_latched(admitted)
 
     def _show(self, message: RawMessage) -> None:
-        self._route.peek_slot.put(peeked(self._route, message.payload, message.stamp), self._context.now())
+        shifted = self._route.age.is_on or self._route.peer.stamp_shift
+        time_ns = message.stamp - self._context.stamps.shift if shifted else message.stamp
+        self._route.peek_slot.put(peeked(self._route, message.payload, time_ns), self._context.now())
 
     def _send_latched(self, samples: Sequence[Sample]) -> None:
         for publisher, group in groupby(samples, key=lambda sample: sample.header.publisher):

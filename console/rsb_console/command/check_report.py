@@ -10,6 +10,7 @@ import msgspec
 
 from rsb_bridge.config.fault_command import command_words
 from rsb_bridge.config.file_form import LISTS, NOUNS
+from rsb_bridge.config.moving import without_max_age
 from rsb_bridge.config.rights_table import listings
 from rsb_bridge.config.topic_rules import transport_of
 from rsb_bridge.config.validation import domain_of
@@ -116,6 +117,13 @@ def rights(session: Session) -> Iterator[str]:
         yield "  nothing forbids the server to shut this bridge down"
     if session.shutdown_topic is not None:
         yield f"  any ROS node of this domain may shut the bridge down, on {session.shutdown_topic}"
+
+
+def hints(session: Session) -> Iterator[str]:
+    """Yield what is no mistake, and better otherwise."""
+    if old := tuple(dict.fromkeys(without_max_age(session))):
+        names = join_first(old, _NAMED)
+        yield f"  hint: an old command may move a robot after a bad network: set max_age: 0.5 on {names}"
 
 
 def _leaves(session: Session) -> Iterator[str]:

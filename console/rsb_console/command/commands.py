@@ -30,7 +30,7 @@ from rsb_bridge.config.rotation import key_warnings, written
 from rsb_bridge.config.session_file import SessionError, demand_places, dump, load, save
 from rsb_bridge.config.shared_keys import shared_key_problem
 from rsb_bridge.config.thesis import import_bringup
-from rsb_console.command.check_report import rights, summary
+from rsb_console.command.check_report import hints, rights, summary
 from rsb_console.command.shell import (
     FAILURE,
     NO_KEY,
@@ -120,7 +120,7 @@ def check(arguments: Namespace) -> int:
         return _refuse(error)
     for line in summary(session, demand_places(path)):
         print_line(line)
-    for line in rights(session):
+    for line in chain(rights(session), hints(session)):
         print_line(line)
     keys = dict(_keys(session, path))
     for line in _key_lines(session, keys):
