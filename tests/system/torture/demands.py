@@ -6,6 +6,7 @@ Nobody arms anything here, so nothing may cross, except what no session wants ar
 from __future__ import annotations
 
 import time
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -24,6 +25,7 @@ CONTROL = "/control/cmd"
 
 _STARTS_WITHIN = 60.0
 _WATCHED = 4.0
+_EDITS_AT_ONCE = 4
 
 
 def _entry(topic: str, arm: bool = False, **keys: Any) -> dict[str, Any]:
@@ -286,8 +288,13 @@ def run(nodes: Nodes, cases: Iterable[Case], *, server: Side = "pc", watched: fl
             return count()
 
         start = watch(count())
-        for place, case in places.items():
+
+        def edit(place: str) -> None:
+            case = places[place]
             found[case.name].codes = tuple(_step(stage, place, *step) for step in case.steps)
+
+        with ThreadPoolExecutor(_EDITS_AT_ONCE) as pool:
+            tuple(pool.map(edit, places))
         edited = watch(count()) if any(case.steps for case in places.values()) else start
         again = edited
         if edited is not start:

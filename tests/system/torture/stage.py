@@ -286,10 +286,11 @@ class Stage:
 
         def ready() -> bool:
             found = [route for bridge in (self.robot, self.pc) for route in bridge.routes()]
-            return (
-                self.robot.linked and self.pc.linked and len(found) >= 2
-                and all(each.state == "disarmed" for each in found)
-            )  # fmt: skip
+            linked = self.robot.linked and self.pc.linked and len(found) > 1
+            return linked and all(
+                each.state == "disarmed" and (each.arming is None or not each.arming.armed)
+                for each in found  # a state may be the other side's
+            )
 
         eventually(ready, within, f"disarmed on both sides: {self.describe()}")
 
