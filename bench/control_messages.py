@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
 _LIMIT = CONTROL_LIMIT - 100
-_SETTLES = 1.5
+_SETTLES = 4.0
 
 
 class _Ros(NoRos):
@@ -97,6 +97,8 @@ def messages(route: int) -> Iterator[tuple[str, bytes]]:
     yield "report, 1,000 short entries", message("report", sent=[], received=many(short, most=1000))
     yield "report, 400 kB of short entries", message("report", sent=[], received=many(short, 400_000))
     yield "report, 1 MiB of short entries", message("report", sent=[], received=many(short))
+    yield "report, 400 kB of the sender's", message("report", sent=many(short, 400_000), received=[])
+    yield "report, 1,000 of the sender's", message("report", sent=many(short, most=1000), received=[])
     nodes = {"route": route, "nodes": ["/"] * 16}
     yield "report, 1 MiB of node names", message("report", sent=many(nodes), received=[])
     topic = {"topic": "", "type": "", "type_hash": "", "qos": None, "publishers": 0, "subscriptions": 0}
