@@ -6,6 +6,7 @@ import asyncio
 from typing import TYPE_CHECKING, Any
 
 import pytest
+from tests.support.slices import finish
 
 from rsb_bridge.link.errors import LinkError
 from rsb_bridge.link.questions import QUESTIONS_KEPT, Questions
@@ -62,14 +63,14 @@ def test_who_lists_topics_meanwhile_shares_the_question(loop: VirtualLoop) -> No
         asking = [asyncio.ensure_future(lists.ask()) for _ in range(3)]
         await asyncio.sleep(0.0)
         assert sent == [ListTopics(1, CALLED)]
-        lists.handle(TopicList(request=1, topics=()))
+        finish(lists.handle(TopicList(request=1, topics=())))
         later = asyncio.ensure_future(lists.ask())
         assert await asyncio.gather(*asking) == [[], [], []]
         await asyncio.sleep(0.0)
         assert sent == [ListTopics(1, CALLED), ListTopics(2, CALLED)], "an answer that was there is not used again"
-        lists.handle(TopicList(request=1, topics=()))
+        finish(lists.handle(TopicList(request=1, topics=())))
         assert not later.done()
-        lists.handle(TopicList(request=2, topics=()))
+        finish(lists.handle(TopicList(request=2, topics=())))
         assert await later == []
 
     loop.run_until_complete(run())

@@ -7,13 +7,14 @@ from typing import TYPE_CHECKING, Any
 
 import msgspec
 import pytest
+from tests.support.slices import finish
 
 from rsb_bridge.link.topic_lists import TopicLists
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.ros.api import Endpoint
 from rsb_bridge.ros.graph_entries import MOST_ENTRIES
 from rsb_bridge.ros.no_ros import NoRos
-from rsb_bridge.wire.codec import decode, encode
+from rsb_bridge.wire.codec import decode_in_parts, encode
 from rsb_bridge.wire.framing import CONTROL_LIMIT
 from rsb_bridge.wire.questions import ListTopics, TopicList
 from rsb_bridge.wire.records import TopicEntry
@@ -68,8 +69,11 @@ class Pair:
         self._through = through
         ros: Any = graph
         self._tasks: list[asyncio.Task[None]] = []
-        self.asking = TopicLists(ros, shows, lambda message: self.answering.handle(self._crossed(message)), self._spawn)
-        self.answering = TopicLists(ros, shows, lambda message: self.asking.handle(self._crossed(message)), self._spawn)
+        self.asking = TopicLists(ros, shows, self._to(lambda: self.answering), self._spawn)
+        self.answering = TopicLists(ros, shows, self._to(lambda: self.asking), self._spawn)
+
+    def _to(self, side: Callable[[], TopicLists]) -> Callable[[ControlMessage], None]:
+        return lambda message: finish(side().handle(self._crossed(message)))
 
     def _spawn(self, work: Any) -> None:
         self._tasks.append(asyncio.ensure_future(work))
@@ -78,7 +82,7 @@ class Pair:
         data = encode(self._through(message))
         if isinstance(message, TopicList):
             self.said.append(len(data))
-        return decode(data)
+        return decode_in_parts(data)
 
     def ask(self) -> list[TopicInfo]:
         async def main() -> list[TopicInfo]:

@@ -11,29 +11,49 @@ from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.text import sanitize_text
 from rsb_bridge.model.token_bucket import TokenBucket
 from rsb_bridge.transport.streams import Stream, StreamHandler
-from rsb_bridge.wire.events import DataFrame, Event, Failed, Received, Refused
+from rsb_bridge.wire.codec import decode_in_parts
+from rsb_bridge.wire.events import DataFrame, Event, Failed, Received, Refused, Undecoded
 from rsb_bridge.wire.framing import CONTROL_LIMIT, ProtocolError
-from rsb_bridge.wire.messages import ControlMessage, Shutdown
+from rsb_bridge.wire.messages import Describe, Shutdown
 from rsb_bridge.wire.sealing import SealError
 
 if TYPE_CHECKING:
+    from rsb_bridge.link.slices import Slices
     from rsb_bridge.wire.connection import ClientConnection, ServerConnection
+    from rsb_bridge.wire.messages import ControlMessage
+    from rsb_bridge.wire.parts import ReportParts, TopicListParts
 
 _MOST_WAITING = 8 * CONTROL_LIMIT
 """Bytes; a thousand routes' reports are a fifth of one frame, and 6 s of silence end the link."""
 _AT_ONCE = 8
-"""Events handled before the I/O loop does other work: each may create a DDS endpoint, which takes 0.5 ms."""
+"""Units of work that are done before the I/O loop does other work. An event is one, as it may create a DDS endpoint,
+which takes 0.5 ms; further ones are each further endpoint, each `_BYTES_A_UNIT` and each `_ENTRIES_A_UNIT` of it.
+Nothing more is done after a whole slice of a message (`rsb_bridge.link.slices`)."""
+_BYTES_A_UNIT = 1 << 10
+"""Bytes that are decoded in 0.5 ms, whatever they say."""
+_ENTRIES_A_UNIT = 8
 _MESSAGES, _MESSAGES_A_SECOND = 4096, 500.0
 """As many as a thousand routes take when they are opened, and what may come after them for ever."""
 _BYTES, _BYTES_A_SECOND = 4 * CONTROL_LIMIT, CONTROL_LIMIT
-"""Likewise. The thread of all links needs 40 ms to read a message of `CONTROL_LIMIT`."""
+"""Likewise. The thread of all links may need 0.5 s of processor time to decode so much."""
+_ENTRIES, _ENTRIES_A_SECOND = 40_000, 10_000.0
+"""Entries of reports and lists, likewise: a thousand routes report once a second, and up to ten times as often where
+much crosses. Those that may come for ever take a fifth of the thread's time."""
+
+
+_NOT_TOO_EARLY = 0.001
+"""s; the rest could be too short for the clock to move."""
 
 
 class ControlHandler(Protocol):
     """What acts on a control connection: a link."""
 
-    def message(self, message: ControlMessage) -> None:
-        """The peer sent a control message."""
+    def message(self, message: ControlMessage | ReportParts | TopicListParts) -> Slices | None:
+        """Act on a control message of the peer.
+
+        Returns:
+            The work that is left, to be done in slices before the next message, or None.
+        """
         ...
 
     def lost(self, reason: str, code: EventCode) -> None:
@@ -65,7 +85,10 @@ class ControlChannel(StreamHandler):
         self._loop = asyncio.get_running_loop()
         self._allowance = TokenBucket(_MESSAGES, _MESSAGES_A_SECOND, self._loop.time())
         self._volume = TokenBucket(_BYTES, _BYTES_A_SECOND, self._loop.time())
+        self._entries = TokenBucket(_ENTRIES, _ENTRIES_A_SECOND, self._loop.time())
+        self._work: Slices | None = None  # what is left to do of the newest message
         self._owes = False  # more came than the volume allows
+        connection.decodes = False
         stream.handler = self
 
     def send(self, message: ControlMessage) -> None:
@@ -109,33 +132,61 @@ class ControlChannel(StreamHandler):
         owed, self._owes = self._owes, not self._volume.take(size, now)
         if self._owes:
             self.stream.pause_reading()
-            # Not a moment too early: the rest could be too short for the clock to move.
-            self._loop.call_later((size - self._volume.left(now)) / _BYTES_A_SECOND + 0.001, self._charge, size)
+            self._loop.call_later(
+                (size - self._volume.left(now)) / _BYTES_A_SECOND + _NOT_TOO_EARLY, self._charge, size
+            )
         elif owed:
             self._resume()
 
     def take(self, events: list[Event]) -> None:
         """Handle events, a few at a time; reading pauses until all are handled."""
-        waits = bool(self._events)
+        waits = self._waits
         self._events.extend(events)
         if not waits:
             self._act()
 
+    @property
+    def _waits(self) -> bool:
+        """Whether there is something left to do."""
+        return bool(self._events) or self._work is not None
+
     def _act(self) -> None:
-        for _ in range(_AT_ONCE):
-            if not self._events:
-                return
-            if isinstance(self._events[0], Received) and not self._allowance.take(1, self._loop.time()):
+        units, delay = _AT_ONCE, 0.0
+        while units > 0 and self._waits:
+            now = self._loop.time()
+            if (owed := -self._entries.left(now)) > 0:
+                delay = owed / _ENTRIES_A_SECOND + _NOT_TOO_EARLY
                 break
-            self._act_on(self._events.popleft())
+            if self._work is not None:
+                units -= 1 + self._do_slice(self._work, now) // _ENTRIES_A_UNIT
+                if self._work is not None:
+                    units = 0  # it was a whole slice
+            elif isinstance(self._events[0], Received | Undecoded) and not self._allowance.take(1, now):
+                delay = (1 - self._allowance.left(now)) / _MESSAGES_A_SECOND
+                break
+            else:
+                units -= self._act_on(self._events.popleft())
             if self.over:  # the event ended it
                 self._events.clear()
+                self._work = None
                 return
-        if self._events:
+        if self._waits:
             self.stream.pause_reading()
-            self._loop.call_later(
-                max(0.0, 1 - self._allowance.left(self._loop.time())) / _MESSAGES_A_SECOND, self._go_on
-            )
+            self._loop.call_later(max(0.0, delay), self._go_on)
+
+    def _do_slice(self, work: Slices, now: float) -> int:
+        """Do one slice of a message's work. Returns how many entries that had."""
+        try:
+            entries = next(work)
+        except StopIteration as end:
+            self._work = None
+            entries = int(end.value)
+        except ProtocolError as error:
+            self._work = None
+            self._broken(error)
+            return 0
+        self._entries.spend(entries, now)
+        return entries
 
     def _go_on(self) -> None:
         if not self.over:
@@ -144,19 +195,35 @@ class ControlChannel(StreamHandler):
             self._resume()
 
     def _resume(self) -> None:
-        if not self.over and not self._events and not self._owes:
+        if not self.over and not self._waits and not self._owes:
             self.stream.resume_reading()
 
-    def _act_on(self, event: Event) -> None:
+    def _act_on(self, event: Event) -> int:
+        """Act on an event. Returns the units of work that it was (`_AT_ONCE`)."""
         match event:
+            case Undecoded(content):
+                try:
+                    message = decode_in_parts(content)
+                except ProtocolError as error:
+                    self._broken(error)
+                    return 1
+                return self._take_message(message) + len(content) // _BYTES_A_UNIT
             case Received(message):
-                self._handler.message(message)
+                return self._take_message(message)
             case DataFrame(route_id, frame):
                 self._take_data(route_id, frame)
             case Failed(reason):
                 self.abort(f"the peer broke the format: {reason}")
             case Refused(_, reason):
                 self.abort(reason)
+        return 1
+
+    def _take_message(self, message: ControlMessage | ReportParts | TopicListParts) -> int:
+        self._work = self._handler.message(message)
+        return len(message.sources) if isinstance(message, Describe) else 1
+
+    def _broken(self, error: ProtocolError | SealError) -> None:
+        self.abort(f"the peer broke the format: {error}")
 
     def _take_data(self, route_id: int, frame: memoryview) -> None:
         channel = self.multiplexer.channels.get(route_id)
@@ -165,7 +232,7 @@ class ControlChannel(StreamHandler):
         try:
             channel.received(frame)
         except (ProtocolError, SealError) as error:
-            self.abort(f"the peer broke the format: {error}")
+            self._broken(error)
 
     def writable(self) -> None:
         """The stream takes more again."""

@@ -18,7 +18,7 @@ from rsb_bridge.link.listed import listed_topics
 from rsb_bridge.link.neighbourhood import Neighbourhood
 from rsb_bridge.link.patterns import LinkPatterns
 from rsb_bridge.link.proposed_topics import ProposedTopics
-from rsb_bridge.link.reporting import EarlyReports, reports
+from rsb_bridge.link.reporting import EarlyReports, reports, take_report
 from rsb_bridge.link.route_table import RouteTable
 from rsb_bridge.link.snapshots import snapshot_of
 from rsb_bridge.link.status import LinkStatus
@@ -40,6 +40,7 @@ from rsb_bridge.wire.benchmark import BenchAnswer, BenchAsk
 from rsb_bridge.wire.following import Follow, Followed
 from rsb_bridge.wire.framing import ProtocolError
 from rsb_bridge.wire.messages import Duplicate, Neighbours, Ping, Pong, Report, Shutdown
+from rsb_bridge.wire.parts import ReportParts, TopicListParts
 from rsb_bridge.wire.questions import AskType, ListTopics, TopicList, TypeText
 from rsb_bridge.wire.receipts import Receipts
 
@@ -53,6 +54,7 @@ if TYPE_CHECKING:
     from rsb_bridge.config.rights import Rights
     from rsb_bridge.context import Context
     from rsb_bridge.link.control_channel import ControlChannel
+    from rsb_bridge.link.slices import Slices
     from rsb_bridge.model.demands import Source
     from rsb_bridge.model.fullness import Fullness
     from rsb_bridge.model.session import Kind, Topic
@@ -359,8 +361,8 @@ class Link(ABC):
         if self.control is not None:
             self.control.send(message)
 
-    def message(self, message: ControlMessage) -> None:
-        """The peer sent a control message."""
+    def message(self, message: ControlMessage | ReportParts | TopicListParts) -> Slices | None:
+        """Act on a control message of the peer. Returns the work that is left, or None."""
         match message:
             case Ping():
                 self.keepalive.record_ping(message)
@@ -368,8 +370,8 @@ class Link(ABC):
                     self.send(pong)
             case Pong():
                 self.keepalive.answered(message)
-            case ListTopics() | TopicList():
-                self.topic_lists.handle(message)
+            case ListTopics() | TopicList() | TopicListParts():
+                return self.topic_lists.handle(message)
             case Follow() | Followed():
                 self.patterns.handle(message)
             case Receipts():
@@ -380,17 +382,18 @@ class Link(ABC):
                 self.type_questions.handle(message)
             case BenchAsk() | BenchAnswer():
                 self.bench.handle(message)
-            case Report():
+            case Report() | ReportParts():
                 if message.full is not None:
                     self.fullness.take_record(message.full, self._peer_name)
                     self._judge_again(outgoing=False)
-                self.table.handle(message)
+                return take_report(message, self.table.ids.open_route)
             case Duplicate():
                 self.on_duplicate(message)
             case Shutdown():
                 self.on_shutdown(message)
             case _:
                 self.table.handle(message)
+        return None
 
     # --- routes
 

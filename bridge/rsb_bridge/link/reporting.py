@@ -4,17 +4,22 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from rsb_bridge.link.slices import in_slices
 from rsb_bridge.route.calls.route import CallsRoute
 from rsb_bridge.route.incoming import IncomingRoute
 from rsb_bridge.route.outgoing import OutgoingRoute
 from rsb_bridge.wire.messages import Report
+from rsb_bridge.wire.parts import report_entries
+from rsb_bridge.wire.records import ReceivedReport, SentReport
 
 if TYPE_CHECKING:
     import asyncio
     from collections.abc import Callable, Iterable, Iterator
 
+    from rsb_bridge.link.slices import Slices
     from rsb_bridge.route.route import Route
-    from rsb_bridge.wire.records import CallsReport, FullRecord, ReceivedReport, SentReport
+    from rsb_bridge.wire.parts import ReportParts
+    from rsb_bridge.wire.records import CallsReport, FullRecord
 
 _REPORTED_AT_ONCE = 250
 """Routes in one message, whatever long texts are in it (PROTOCOL.md section 1)."""
@@ -81,17 +86,18 @@ class EarlyReports:
             self._timer = None
 
 
-def take_report(report: Report, open_route: Callable[[int], Route | None]) -> None:
+def take_report(report: Report | ReportParts, open_route: Callable[[int], Route | None]) -> Slices:
     """Take in the peer's counts."""
-    for sent in report.sent:
-        route = open_route(sent.route)
-        if isinstance(route, IncomingRoute):
-            route.reported(sent)
-    for received in report.received:
-        route = open_route(received.route)
-        if isinstance(route, OutgoingRoute):
-            route.reported(received)
-    for calls in report.calls:
-        route = open_route(calls.route)
-        if isinstance(route, CallsRoute):
-            route.reported(calls)
+
+    def take(entry: SentReport | ReceivedReport | CallsReport) -> None:
+        route = open_route(entry.route)
+        if isinstance(entry, SentReport):
+            if isinstance(route, IncomingRoute):
+                route.reported(entry)
+        elif isinstance(entry, ReceivedReport):
+            if isinstance(route, OutgoingRoute):
+                route.reported(entry)
+        elif isinstance(route, CallsRoute):
+            route.reported(entry)
+
+    return in_slices(report_entries(report), take)

@@ -13,7 +13,6 @@ from rsb_bridge.link.halves import HalfMessage, half_of, hand_over, unsupported
 from rsb_bridge.link.pausing import Pausing
 from rsb_bridge.link.peer_operators import PeerOperators, acting_operator
 from rsb_bridge.link.proposals import amended, amended_topic, amendment, same_route, topic_of, unsupported_change
-from rsb_bridge.link.reporting import take_report
 from rsb_bridge.link.route_ids import RouteIds
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.limits import ROUTES_PER_LINK
@@ -27,7 +26,7 @@ from rsb_bridge.wire.amending import Amend, Limit, Pause
 from rsb_bridge.wire.arming import Arm, Armed, ArmingMessage, Disarm
 from rsb_bridge.wire.by_hand import ByHand
 from rsb_bridge.wire.lease import Lease, LeaseMessage, Settled
-from rsb_bridge.wire.messages import Accept, Close, Describe, Propose, Provide, Publishers, Ready, Refuse, Report
+from rsb_bridge.wire.messages import Accept, Close, Describe, Propose, Provide, Publishers, Ready, Refuse
 
 if TYPE_CHECKING:
     from rsb_bridge.context import Context
@@ -37,7 +36,7 @@ if TYPE_CHECKING:
     from rsb_bridge.wire.fields import RefuseCode
 
 _AboutOpenRoute: TypeAlias = Accept | Refuse | HalfMessage | Close | Limit | Pause | ByHand | ArmingMessage
-RouteMessage: TypeAlias = Propose | Amend | Report | LeaseMessage | _AboutOpenRoute
+RouteMessage: TypeAlias = Propose | Amend | LeaseMessage | _AboutOpenRoute
 """The control messages that are about routes."""
 
 
@@ -286,8 +285,6 @@ class RouteTable:
         match message:
             case Propose():
                 self._proposed(message)
-            case Report():
-                take_report(message, self.ids.open_route)
             case Close(removed=True):
                 self._removed(message)
             case Amend():

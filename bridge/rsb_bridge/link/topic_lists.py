@@ -13,20 +13,24 @@ import msgspec
 
 from rsb_bridge.link.errors import LinkError
 from rsb_bridge.link.questions import Questions
+from rsb_bridge.link.slices import in_slices
 from rsb_bridge.model.lanes import LANES
 from rsb_bridge.model.limits import TEXT_LENGTH
 from rsb_bridge.model.snapshot import TopicInfo
 from rsb_bridge.ros.graph_entries import CALLED, graph_of
 from rsb_bridge.wire.framing import CONTROL_LIMIT
+from rsb_bridge.wire.parts import topic_entries
 from rsb_bridge.wire.questions import ListTopics, TopicList
 from rsb_bridge.wire.records import TopicEntry
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Coroutine, Iterable, Iterator, Sequence
 
+    from rsb_bridge.link.slices import Slices
     from rsb_bridge.model.session import Kind
     from rsb_bridge.ros.api import RosInterface
     from rsb_bridge.wire.messages import ControlMessage
+    from rsb_bridge.wire.parts import TopicListParts
 
 _ANSWERED_WITHIN = 5.0
 _MOST_ENTRIES = 4000
@@ -61,13 +65,20 @@ class TopicLists:
         """The connection is over: nobody will answer."""
         self._questions.disconnected()
 
-    def handle(self, message: ListTopics | TopicList) -> None:
-        """Answer the peer's question, or take its answer."""
-        match message:
-            case ListTopics():
-                self._questions.answer(message.request, partial(self._find, message))
-            case TopicList():
-                self._questions.answered(message.request, message.topics)
+    def handle(self, message: ListTopics | TopicList | TopicListParts) -> Slices | None:
+        """Answer the peer's question, or take its answer. Returns the work that is left, or None."""
+        if not isinstance(message, ListTopics):
+            return self._answered(message)
+        self._questions.answer(message.request, partial(self._find, message))
+        return None
+
+    def _answered(self, message: TopicList | TopicListParts) -> Slices:
+        if not self._questions.awaited(message.request):
+            return 0
+        entries: list[TopicEntry] = []
+        last = yield from in_slices(topic_entries(message), entries.append)
+        self._questions.answered(message.request, tuple(entries))
+        return last
 
     async def _find(self, question: ListTopics) -> TopicList:
         kinds = [kind for kind in CALLED if kind in question.kinds]

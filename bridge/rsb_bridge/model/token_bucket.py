@@ -23,6 +23,10 @@ class TokenBucket:
         self._at = now
         return self._left
 
+    def spend(self, amount: float, now: float) -> None:
+        """Take `amount` tokens, also where there are fewer: then those that are owed are missing."""
+        self._left = self.left(now) - amount
+
     def take(self, amount: float, now: float) -> bool:
         """Take `amount` tokens; False: there are fewer, and none was taken."""
         if amount > self.left(now):

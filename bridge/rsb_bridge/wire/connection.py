@@ -18,6 +18,7 @@ from rsb_bridge.wire.events import (
     Established,
     Received,
     Refused,
+    Undecoded,
 )
 from rsb_bridge.wire.framing import CONTROL, CONTROL_LIMIT, DATA, HEADER, FrameReader, ProtocolError, pack_frame
 from rsb_bridge.wire.handshake import Handshake, NoiseHandshake, PlainHandshake
@@ -65,10 +66,16 @@ class Credential(NamedTuple):
 
 
 class _Control(PreambleStream):
-    """Either end of a control connection: sealed control frames after the handshake."""
+    """Either end of a control connection: sealed control frames after the handshake.
+
+    Attributes:
+        decodes: whether control messages are decoded as they come. If not, each is an `Undecoded` event, so that its
+            receiver can spread the work: a message of 1 MiB may take half a second.
+    """
 
     def __init__(self, *, multiplexed: bool) -> None:
         super().__init__()
+        self.decodes = True
         self._multiplexed = multiplexed
         self._frames = FrameReader(CONTROL_LIMIT)
         self._sealer: Sealer | None = None
@@ -123,7 +130,7 @@ class _Control(PreambleStream):
         )
 
     def _on_control(self, content: bytes) -> None:
-        self._events.append(Received(decode(content)))
+        self._events.append(Received(decode(content)) if self.decodes else Undecoded(content))
 
 
 class ClientConnection(_Control):

@@ -32,6 +32,17 @@ class Received:
 
 
 @dataclass(frozen=True, slots=True)
+class Undecoded:
+    """A control message came, for `rsb_bridge.wire.codec.decode_in_parts`.
+
+    Attributes:
+        content: as msgpack, authentic.
+    """
+
+    content: bytes
+
+
+@dataclass(frozen=True, slots=True)
 class DataFrame:
     """A data frame came on a multiplexed control stream.
 
@@ -116,4 +127,6 @@ class Opened:
     content: bytes = field(repr=False)
 
 
-Event: TypeAlias = Established | Received | DataFrame | Attach | Accepted | Refused | Failed | Admitted | Opened
+Event: TypeAlias = (
+    Established | Received | Undecoded | DataFrame | Attach | Accepted | Refused | Failed | Admitted | Opened
+)

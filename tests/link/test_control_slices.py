@@ -1,0 +1,263 @@
+"""What one peer's long control messages cost the others: a slice of work between two of their turns."""
+
+from __future__ import annotations
+
+import asyncio
+from types import SimpleNamespace
+from typing import TYPE_CHECKING, Any, get_args
+
+import msgspec
+import pytest
+from msgspec import inspect
+from tests.support.bridge import linked
+from tests.support.rogue import Rogue
+from tests.support.waiting import eventually
+
+from rsb_bridge.config.keys import read_key
+from rsb_bridge.link import control_channel
+from rsb_bridge.link.control_channel import ControlChannel
+from rsb_bridge.link.reporting import take_report
+from rsb_bridge.link.slices import BYTES, ENTRIES, in_slices
+from rsb_bridge.model.codes import EventCode
+from rsb_bridge.model.limits import ROUTES_PER_LINK
+from rsb_bridge.model.qos import Qos
+from rsb_bridge.wire.codec import WHOLE, decode, decode_in_parts, encode
+from rsb_bridge.wire.events import Received, Undecoded
+from rsb_bridge.wire.framing import CONTROL_LIMIT, ProtocolError
+from rsb_bridge.wire.messages import ControlMessage, Describe, Ping, Report
+from rsb_bridge.wire.parts import ReportParts, TopicListParts, report_entries, topic_entries
+from rsb_bridge.wire.questions import TopicList
+from rsb_bridge.wire.records import CallsReport, ReceivedReport, SentReport, Source, TopicEntry
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from tests.support.bridge import Bridge
+
+DROPPED = {f"cause_{number:04}": number for number in range(32)}
+
+
+def long_report(entries: int = ROUTES_PER_LINK) -> Report:
+    """A report of some 400 kB, and the last entry of which is another one."""
+    last = SentReport(route=1, offered=12345, delivered=12345)
+    return Report(sent=(SentReport(route=1, dropped=DROPPED),) * (entries - 1) + (last,), received=())
+
+
+class Stream:
+    """A stream that may be paused."""
+
+    handler: Any = None
+    congested = paused = False
+    received_at = 0.0
+    aborted = ""
+
+    def pause_reading(self) -> None:
+        self.paused = True
+
+    def resume_reading(self) -> None:
+        self.paused = False
+
+    def abort(self, reason: str) -> None:
+        self.aborted = reason
+
+
+class Peer:
+    """A control connection, whose handler counts what is done at each turn of the loop."""
+
+    def __init__(self, events: list[Any], sliced: Callable[[Any, Callable[[object], None]], Any]) -> None:
+        self.stream: Any = Stream()
+        self.done: list[object] = []
+        self.most = 0
+        """Entries or messages at one turn."""
+        self._events = events
+        self._sliced = sliced
+
+    def message(self, message: object) -> Any:
+        if isinstance(message, Report | ReportParts | TopicListParts):
+            return self._sliced(message, self.done.append)
+        self.done.append(message)
+        return None
+
+    def run(self, until: int) -> None:
+        """Have all events come at once, and turn until so much is done."""
+
+        async def main() -> None:
+            connection: Any = SimpleNamespace(receive_data=lambda _: self._events, decodes=True)
+            handler: Any = SimpleNamespace(message=self.message, lost=lambda *_: None)
+            channel = ControlChannel(self.stream, connection, handler)
+            assert not connection.decodes
+            channel.received(b"x")
+            before = 0
+            while True:
+                self.most = max(self.most, len(self.done) - before)
+                if len(self.done) >= until or channel.over:
+                    return
+                assert self.stream.paused, "the rest waits in the network"
+                before = len(self.done)
+                await asyncio.sleep(0)
+
+        asyncio.run(asyncio.wait_for(main(), 60.0))
+
+
+def entries_of(message: Any, done: Callable[[object], None]) -> Any:
+    entries: Any = topic_entries(message) if isinstance(message, TopicListParts) else report_entries(message)
+    return in_slices(entries, done)
+
+
+def test_a_report_of_400_kb_is_worked_off_in_slices_and_in_order() -> None:
+    data = encode(long_report())
+    assert 380_000 < len(data) < 420_000
+    ping = Ping(1, 0)
+    peer = Peer([Undecoded(encode(ping)), Undecoded(data), Undecoded(encode(ping))], entries_of)
+    peer.run(ROUTES_PER_LINK + 2)
+    size = len(msgspec.msgpack.encode(SentReport(route=1, dropped=DROPPED)))
+    assert peer.most <= BYTES // size + 3
+    assert peer.done == [ping, *long_report().sent, ping]
+    assert not peer.stream.paused
+
+
+@pytest.mark.parametrize(
+    "message",
+    [
+        Report(sent=(), received=(ReceivedReport(route=1),) * ROUTES_PER_LINK),
+        Report(sent=(), received=(), calls=(CallsReport(route=1),) * 500),
+        TopicList(1, (TopicEntry("/a", "a/msg/B", "", None, 1, 1),) * 4000),
+    ],
+)
+def test_short_entries_are_worked_off_by_number(message: Any) -> None:
+    data = encode(message)
+    events: list[Any] = [Undecoded(data)] if isinstance(message, TopicList) else [Received(message)]
+    entries = (
+        [*message.topics] if isinstance(message, TopicList) else [*message.sent, *message.received, *message.calls]
+    )
+    peer = Peer(events, entries_of)
+    peer.run(len(entries))
+    assert peer.done == entries
+    assert peer.most <= 2 * ENTRIES  # a message's first slice, and those before it
+
+
+def test_messages_that_are_long_or_make_many_publishers_take_a_turn_each() -> None:
+    sources = tuple(Source((f"rsb_a/{number}",)) for number in range(16))
+    for message in (Describe(1, "a/msg/B", "", Qos(depth=1), sources), Ping(1, 0)):
+        peer = Peer([Received(message)] * 100, entries_of)
+        peer.run(100)
+        assert peer.most <= (1 if isinstance(message, Describe) else control_channel._AT_ONCE)
+    report = encode(Report(sent=(SentReport(route=1, dropped=DROPPED),) * 18, received=()))
+    assert WHOLE - 1000 < len(report) <= WHOLE
+    peer = Peer([Undecoded(report)] * 20, entries_of)
+    peer.run(20 * 18)
+    assert peer.most <= 2 * 18
+
+
+@pytest.mark.parametrize("entries", [500, 63])
+def test_entries_come_no_faster_than_a_thousand_routes_report(loop: Any, entries: int) -> None:
+    done: list[object] = []
+    report = Report(sent=(SentReport(route=1),) * entries, received=())
+
+    async def main() -> tuple[int, int]:
+        stream: Any = Stream()
+        connection: Any = SimpleNamespace(receive_data=lambda _: [Received(report)])
+        handler: Any = SimpleNamespace(message=lambda each: entries_of(each, done.append), lost=lambda *_: None)
+        channel = ControlChannel(stream, connection, handler)
+        counts = []
+        for _ in range(2):
+            until = loop.time() + 10.0
+            while loop.time() < until:
+                if not stream.paused:
+                    channel.received(bytes(9 * entries))
+                await asyncio.sleep(0.002 if entries < ENTRIES else 0.01)
+            counts.append(len(done))
+        return counts[0], counts[1] - counts[0]
+
+    first, then = loop.run_until_complete(main())
+    burst, rate = control_channel._ENTRIES, control_channel._ENTRIES_A_SECOND
+    assert first <= burst + 10 * rate + 3 * ENTRIES
+    assert then <= 10 * rate + 3 * ENTRIES
+
+
+@pytest.mark.parametrize("entries", [1, 100, ROUTES_PER_LINK])
+def test_parts_say_what_the_whole_says(entries: int) -> None:
+    data = encode(long_report(entries))
+    whole, parts = decode(data), decode_in_parts(data)
+    assert isinstance(whole, Report)
+    assert isinstance(parts, Report if len(data) <= WHOLE else ReportParts)
+    assert [entry for entry, _ in report_entries(parts)] == [*whole.sent]
+    topics = TopicList(7, (TopicEntry("/a", "a/msg/B", "", Qos(depth=1), 1, 1),) * entries)
+    told: Any = decode_in_parts(encode(topics))
+    assert told.request == 7
+    assert tuple(entry for entry, _ in topic_entries(told)) == topics.topics
+
+
+def test_no_more_routes_are_reported_than_a_link_may_have() -> None:
+    decode_in_parts(encode(long_report()))
+    with pytest.raises(ProtocolError):
+        decode_in_parts(encode(long_report(ROUTES_PER_LINK + 1)))
+
+
+def test_an_entry_that_is_invalid_ends_the_connection() -> None:
+    wrong = msgspec.to_builtins(long_report())
+    wrong["sent"][-1]["route"] = 0
+    peer = Peer([Undecoded(msgspec.msgpack.encode({"message": "report", **wrong}))], entries_of)
+    peer.run(ROUTES_PER_LINK)
+    assert peer.stream.aborted
+    assert len(peer.done) == ROUTES_PER_LINK - 1
+    broken = Peer([Undecoded(b"\xc1")], entries_of)
+    broken.run(1)
+    assert broken.stream.aborted
+
+
+def unbounded(kind: inspect.Type, where: str) -> list[str]:
+    """Where a message may have any number of entries, or a text of any length."""
+    match kind:
+        case inspect.StrType() | inspect.BytesType() | inspect.VarTupleType() | inspect.ListType() | inspect.DictType():
+            found = [] if kind.max_length is not None else [where]
+        case _:
+            found = []
+    inner = [getattr(kind, name) for name in ("item_type", "key_type", "value_type") if hasattr(kind, name)]
+    inner += [*getattr(kind, "types", ()), *getattr(kind, "item_types", ())]
+    found += [each for one in inner for each in unbounded(one, where)]
+    if isinstance(kind, inspect.StructType):
+        found += [each for field in kind.fields for each in unbounded(field.type, f"{where}.{field.name}")]
+    return found
+
+
+def test_all_other_lists_in_control_messages_are_short() -> None:
+    """A new list needs a limit, or parts of its own (`rsb_bridge.wire.parts`)."""
+    kinds = get_args(ControlMessage)
+    found = {each for kind in kinds for each in unbounded(inspect.type_info(kind), kind.__name__)}
+    assert found == {"Report.sent", "Report.received", "Report.calls", "TopicList.topics"}
+
+
+def test_a_real_link_takes_the_whole_of_a_long_report(bridge: Bridge) -> None:
+    server = bridge.server()
+    with Rogue(bridge.port, read_key(bridge.folder / bridge.key_file).secret) as rogue:
+        route = rogue.route("/long", "tcp", Qos())
+        report = long_report()
+        entries = tuple(msgspec.structs.replace(entry, route=route) for entry in report.sent)
+        rogue.say(Report(sent=entries, received=()))
+        eventually(lambda: [each.ledger.offered for each in server.snapshot().routes] == [12345])
+        assert linked(server)
+        rogue.say(msgspec.structs.replace(report, sent=entries * 2))
+        eventually(lambda: any(event.code == EventCode.LINK_LOST for event in server.events()))
+
+
+def test_the_longest_frames_need_no_long_turn() -> None:
+    """Of 131,000 entries, all of which are views of the frame, none is decoded before its turn."""
+    many = (CONTROL_LIMIT - 100) // 8
+    data = msgspec.msgpack.encode({"message": "topiclist", "request": 1, "topics": [{}] * many})
+    parts = decode_in_parts(data)
+    assert isinstance(parts, TopicListParts)
+    assert len(parts.topics) == many
+
+
+def test_take_report_finds_routes_by_their_ids() -> None:
+    asked: list[int] = []
+
+    def open_route(number: int) -> None:
+        asked.append(number)
+
+    work = take_report(Report(sent=(SentReport(route=7),), received=(ReceivedReport(route=8),)), open_route)
+    with pytest.raises(StopIteration) as end:
+        next(work)
+    assert end.value.value == 2
+    assert asked == [7, 8]
