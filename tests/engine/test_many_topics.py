@@ -154,7 +154,7 @@ def test_a_burst_of_messages_leaves_the_loop_to_others(bridge: Bridge) -> None:
             together.append(0)
             loop.call_soon(turn)
 
-        link.message = counted  # type: ignore[method-assign]
+        link.message = counted  # type: ignore[assignment,method-assign]
         link.context.call(turn)
         rogue.say(*(Ping(n=n, sent=n) for n in range(1, 1001)))
         assert [rogue.wait_for(Pong).n for _ in range(10)] == list(range(1, 11))
@@ -175,7 +175,7 @@ def test_who_sends_ever_more_messages_waits(bridge: Bridge) -> None:
             handled[0] += isinstance(message, Ping)
             handle(message)
 
-        link.message = counted  # type: ignore[method-assign]
+        link.message = counted  # type: ignore[assignment,method-assign]
         began = time.monotonic()
         rogue.say(*(Ping(n=n, sent=n) for n in range(1, 6001)))
         eventually(lambda: handled[0] == 6000)

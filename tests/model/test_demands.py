@@ -111,4 +111,4 @@ def test_the_line_is_named() -> None:
     assert describe(one, {one.key: "robot.yaml:14"}) == "robot.yaml:14"
     assert describe(other, {other.key: "robot.yaml:20"}) == "pattern /cmd* in robot.yaml:20"
     assert one.deadman == DEADMAN
-    assert client(CMD).of("topic", "/cmd") == Demand(DEADMAN, (one,))
+    assert client(CMD).of("topic", "/cmd") == Demand(DEADMAN, 1.0, (one,))

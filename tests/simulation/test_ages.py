@@ -66,7 +66,7 @@ def _exact(self: Any, stamp: int) -> Any:
 
 def _wall(self: Any) -> int:
     """As `StampClock.now`, but somebody may set it."""
-    return self._clock.time_ns()
+    return int(self._clock.time_ns())
 
 
 def _unseen(self: Any) -> None:

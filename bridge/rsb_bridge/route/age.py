@@ -109,8 +109,8 @@ class MessageAge:
             self.expired(Cause.CLOCK_UNKNOWN, len(batch))
             return []
         kept = [
-            RawMessage(payload, born(source and source + shift, stamp + shift, gid), gid, number, source)
-            for payload, stamp, gid, number, source in batch
+            RawMessage(payload, born(source and source + shift, stamp + shift, gid), gid, number, lease, source)
+            for payload, stamp, gid, number, lease, source in batch
         ]
         if keep_old:
             return kept

@@ -53,7 +53,7 @@ _calls = msgspec.msgpack.Decoder(CallsReport)
 _topic = msgspec.msgpack.Decoder(TopicEntry)
 
 
-def report_entries(report: Report | ReportParts) -> Iterator[Sized[SentReport | ReceivedReport | CallsReport]]:
+def report_entries(report: Report | ReportParts) -> Iterator[tuple[SentReport | ReceivedReport | CallsReport, int]]:
     """Yield the entries of a report, each decoded when it is asked for.
 
     Raises:
