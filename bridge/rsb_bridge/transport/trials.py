@@ -18,7 +18,7 @@ AT_ONCE = 128
 """Addresses whose tries begin at once; one costs about 0.5 ms."""
 MOST_TRIED = 1024
 """Addresses of one search."""
-_WAVE = 0.25
+_WAVE = 0.1
 """s between two times that `AT_ONCE` tries begin."""
 _OTHERS = 0.3
 """s that others have once one has proven the key, so that a second one shows."""
