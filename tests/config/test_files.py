@@ -87,9 +87,10 @@ def test_a_symbolic_link_of_another_user_is_not_followed(tmp_path: Path, *, is_t
         target.write_text("old")
     link.symlink_to(target)
     os.chown(link, 1234, 1234, follow_symlinks=False)
-    for write in (lambda: write_whole(link, "new"), lambda: replace_file(link, b"new")):
-        with pytest.raises(OSError, match="link"):
-            write()
+    with pytest.raises(OSError, match="link"):
+        write_whole(link, "new")
+    with pytest.raises(OSError, match="link"):
+        replace_file(link, b"new")
     assert not is_there or target.read_text() == "old"
     os.chown(link, 0, 0, follow_symlinks=False)
     if is_there:
