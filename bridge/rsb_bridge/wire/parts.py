@@ -23,12 +23,9 @@ if TYPE_CHECKING:
     from rsb_bridge.wire.messages import Report
     from rsb_bridge.wire.questions import TopicList
 
-_E = TypeVar("_E", SentReport, ReceivedReport, CallsReport, TopicEntry)
+_E = TypeVar("_E")
 
 _Entries: TypeAlias = Annotated[tuple[Raw, ...], Meta(max_length=ROUTES_PER_LINK)]
-
-Sized: TypeAlias = "tuple[_E, int]"
-"""An entry, and its bytes; 0 if it is decoded already."""
 
 
 class ReportParts(msgspec.Struct, frozen=True, tag_field="message", tag="report"):
@@ -54,7 +51,7 @@ _topic = msgspec.msgpack.Decoder(TopicEntry)
 
 
 def report_entries(report: Report | ReportParts) -> Iterator[tuple[SentReport | ReceivedReport | CallsReport, int]]:
-    """Yield the entries of a report, each decoded when it is asked for.
+    """Yield the entries of a report, each decoded when it is asked for, with its bytes, or 0 if it was decoded before.
 
     Raises:
         msgspec.DecodeError: the next one is invalid.
@@ -64,12 +61,14 @@ def report_entries(report: Report | ReportParts) -> Iterator[tuple[SentReport | 
     yield from _decoded(report.calls, _calls)
 
 
-def topic_entries(topics: TopicList | TopicListParts) -> Iterator[Sized[TopicEntry]]:
+def topic_entries(topics: TopicList | TopicListParts) -> Iterator[tuple[TopicEntry, int]]:
     """Yield the entries of a list of topics, as `report_entries` does."""
     yield from _decoded(topics.topics, _topic)
 
 
-def _decoded(entries: tuple[_E, ...] | tuple[Raw, ...], decoder: msgspec.msgpack.Decoder[_E]) -> Iterator[Sized[_E]]:
+def _decoded(
+    entries: tuple[_E, ...] | tuple[Raw, ...], decoder: msgspec.msgpack.Decoder[_E]
+) -> Iterator[tuple[_E, int]]:
     for entry in entries:
         if isinstance(entry, Raw):
             content = memoryview(entry)
