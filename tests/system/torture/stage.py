@@ -363,7 +363,7 @@ class Stage:
 
     def findings(self) -> Findings:
         """Judge all that has reached the robot."""
-        return judge(self._nodes.ear.arrivals(), self.windows)
+        return judge(self._nodes.ear.arrivals(), self.windows, true_clock=not self._nodes.clocks)
 
     def _heard(self) -> list[Any]:
         return [each for each in self._nodes.ear.arrivals() if each.topic == TOPIC]
