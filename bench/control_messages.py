@@ -73,7 +73,7 @@ class _Longest:
             took = time.thread_time() - began
             cls.most, cls.in_all = max(cls.most, took), cls.in_all + took
 
-        asyncio.Handle._run = measured  # type: ignore[assignment,method-assign]
+        asyncio.Handle._run = measured  # type: ignore[assignment, method-assign]
 
     @classmethod
     def reset(cls) -> None:

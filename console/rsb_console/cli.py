@@ -35,7 +35,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     for name in ("stdout", "stderr"):
         if getattr(sys, name) is None:  # closed by whoever started us: what is said goes nowhere
             setattr(sys, name, open(os.devnull, "w", encoding="utf-8"))  # noqa: PTH123, SIM115 -- as long as the process
-    sys.stderr = CleanErrors(sys.stderr)  # it has all that a stream has
+    sys.stderr = CleanErrors(sys.stderr)
     signal.signal(signal.SIGTERM, _terminated)  # until the command handles it, which a bridge does once it is loaded
     try:
         return _run(sys.argv[1:] if argv is None else list(argv))
