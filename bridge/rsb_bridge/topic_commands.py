@@ -157,7 +157,7 @@ class TopicCommands:
             raise LinkError(f"{name} has to be armed ({lines}): to drop that, agree to it (--drop-arm)")
         if not wanted:
             return
-        demand = None if route is None else demands.of(entry.kind, name, route.proposal.type)
+        demand = None if route is None else link.table.arming.demand_on(route, demands)
         others = [each for each in ([] if demand is None else demand.sources) if each not in own]
         if others or (not own and route is not None and route.arming.required):
             lines = ", ".join(map(demands.origin, others)) or PEER_DEMANDS

@@ -45,6 +45,26 @@ def test_every_line_that_matches_counts(demands: Demands, name: str, expected: b
 
 
 @pytest.mark.parametrize(
+    ("entry", "client_name", "expected"),
+    [
+        (Topic("/cmd*", "receive", arm=True), "/cmd_vel", True),
+        (Topic("/cmd", "receive", arm=True), "/cmd", True),
+        (Topic("/cmd", "receive", arm=True), "/other", False),
+        (Topic("/cmd*", "receive", arm=True, excepts=("/cmd_log",)), "/cmd_log", False),
+        (Topic("/arm", "receive", kind="action", arm=True), "/arm/_action/send_goal", True),
+    ],
+)
+def test_a_client_that_bridges_a_name_to_another_one_ends_no_demand(
+    entry: Topic, client_name: str, expected: bool
+) -> None:
+    demands = server(entry, use_name=True)
+    kind: Kind = "service" if entry.kind == "action" else "topic"
+    assert (demands.of(kind, "/far", client="robot1", client_name=client_name) is not None) is expected
+    assert demands.of(kind, "/far", client="robot2", client_name=client_name) is None
+    assert demands.of(kind, "/far") is None
+
+
+@pytest.mark.parametrize(
     ("listed", "kind", "name", "expected"),
     [
         ("parameters", "service", "/arm/set_parameters", True),

@@ -213,7 +213,7 @@ class Writer:
             return
         self.published += 1
         now = self._domain.wall_ns()
-        sample = RawMessage(payload, now, self.gid, self.published if self._domain.numbers else 0, now)
+        sample = RawMessage(payload, now, self.gid, self.published if self._domain.numbers else 0, source=now)
         self.kept.append(sample)
         if self.on_publish is not None:
             self.on_publish(payload)

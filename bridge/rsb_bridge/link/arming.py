@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from rsb_bridge.context import Context
     from rsb_bridge.link.peer_operators import PeerOperators
     from rsb_bridge.model.demands import Demand
+    from rsb_bridge.model.running_demands import RunningDemands
     from rsb_bridge.model.session import Topic
     from rsb_bridge.route.lease import Standstill
     from rsb_bridge.route.peer import Peer
@@ -114,15 +115,21 @@ class LinkArming:
 
     def demand_dropped(self, source: Source) -> None:
         """Tell the other side that an operator of this side drops a demand on names of its routes."""
-        demand = Demands([source])
+        demands = Demands([source])
         for route in self._routes():
-            if route.id and demand.of(route.spec.kind, route.local_topic) is not None:
+            if route.id and self.demand_on(route, demands) is not None:
                 self._peer.send(Disarm(route.id, DROPPED, acting_operator()))
 
-    def _own(self, route: Route) -> Demand | None:
+    def demand_on(self, route: Route, demands: Demands | RunningDemands) -> Demand | None:
+        """Return what this side's session, or some lines of it, demands of a route's names."""
         if is_bench_topic(route.local_topic):
             return None  # no node has it
-        return self._context.demands.of(route.spec.kind, route.local_topic, route.proposal.type)
+        client, far = ("", "") if self._peer.is_client else (self._peer.name, route.far_topic)
+        kind, type_name = route.spec.kind, route.proposal.type
+        return demands.of(kind, route.local_topic, type_name, client=client, client_name=far)
+
+    def _own(self, route: Route) -> Demand | None:
+        return self.demand_on(route, self._context.demands)
 
     def _say_who_demands(self, route: Route) -> None:
         """Name the lines that demand arming, for operators."""

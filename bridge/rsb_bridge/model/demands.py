@@ -148,6 +148,7 @@ class Demands:
         self.sources = tuple(dict.fromkeys(sources))
         self._by_name: dict[str, list[Source]] = {}
         self._patterns: list[tuple[Pattern, Pattern, tuple[Pattern, ...], Source]] = []
+        self._of_client: dict[str, list[Source]] = {}
         for source in self.sources:
             if source.is_pattern:
                 excepts = tuple(map(Pattern, source.excepts))
@@ -155,22 +156,29 @@ class Demands:
                 self._patterns.append((Pattern(source.name), on_client, excepts, source))
             else:
                 self._by_name.setdefault(source.name, []).append(source)
+            if source.key[0]:
+                self._of_client.setdefault(source.key[0], []).append(source)
 
-    def of(self, kind: Kind, name: str, type_name: str = "") -> Demand | None:
-        """Return the demand on a name of this side, or None if no line matches it.
+    def of(
+        self, kind: Kind, name: str, type_name: str = "", *, client: str = "", client_name: str = ""
+    ) -> Demand | None:
+        """Return the demand on a name, or None if no line matches it.
 
-        A service of an action or of a node's parameters has the demands of both.
+        A service of an action or of a node's parameters has the demands of both. A server's entries for a client match
+        the client's name, too: a client that bridges it to another name of the server ends no demand.
 
         Args:
             kind: of what has the name.
             name: on this side.
             type_name: its type, or an empty string if it is unknown: then lines of every type match.
+            client: on a server, the client's name.
+            client_name: on a server, what the client calls it.
         """
         type_name = full_type(type_name or AUTO)
         found = dict.fromkeys(
             each
-            for kind_, name_ in _related(kind, name)
-            for each in self._matching(kind_, name_)
+            for kind_, name_, client_name_ in _related(kind, name, client_name)
+            for each in (*self._matching(kind_, name_), *self._matching_of_client(kind_, client, client_name_))
             if not (each.type and type_name and kind == kind_) or each.type == type_name
         )
         if not found:
@@ -190,6 +198,12 @@ class Demands:
                 client_name = on_client.fill(parts)
                 if all(each.match(client_name) is None for each in excepts):
                     yield source
+
+    def _matching_of_client(self, kind: Kind, client: str, name: str) -> Iterator[Source]:
+        for source in self._of_client.get(client, ()):
+            is_left_out = any(_matches(each, name) for each in source.excepts)
+            if source.kind in (None, kind) and _matches(source.on_client, name) and not is_left_out:
+                yield source
 
     def _covers(self, old: Source) -> bool:
         """Whether every name of a source is demanded by one of these, at least as carefully."""
@@ -274,16 +288,28 @@ def _on_this_side(name: str, source: Source) -> str | None:
     return None
 
 
-def _related(kind: Kind, name: str) -> Iterator[tuple[Kind, str]]:
-    """Yield a name, and for services the names that consist of it, or of which it consists."""
-    yield kind, name
+def _matches(name_or_pattern: str, name: str) -> bool:
+    if is_pattern(name_or_pattern):
+        return Pattern(name_or_pattern).match(name) is not None
+    return name == name_or_pattern
+
+
+def _without(suffix: str, name: str) -> str:
+    return name.removesuffix(suffix) if name.endswith(suffix) else ""
+
+
+def _related(kind: Kind, name: str, client_name: str) -> Iterator[tuple[Kind, str, str]]:
+    """Yield a name's two sides, and for services the names that consist of them, or of which they consist."""
+    yield kind, name, client_name
     if kind == "service":
         for other in _KINDS_OF_SERVICES:
             for lane in LANES[other]:
-                if lane.limited and not lane.is_topic and name.endswith(lane.suffix):
-                    yield other, name.removesuffix(lane.suffix)
+                if lane.limited and not lane.is_topic:
+                    yield other, _without(lane.suffix, name), _without(lane.suffix, client_name)
     else:
-        yield from (("service", name + lane.suffix) for lane in LANES[kind] if lane.limited and not lane.is_topic)
+        for lane in LANES[kind]:
+            if lane.limited and not lane.is_topic:
+                yield "service", name + lane.suffix, client_name + lane.suffix
 
 
 def describe(source: Source, places: Mapping[SourceKey, str]) -> str:

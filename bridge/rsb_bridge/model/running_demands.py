@@ -89,12 +89,16 @@ class RunningDemands:
             self._is_due = True
             self._soon()
 
-    def of(self, kind: Kind, name: str, type_name: str = "") -> Demand | None:
+    def of(
+        self, kind: Kind, name: str, type_name: str = "", *, client: str = "", client_name: str = ""
+    ) -> Demand | None:
         """Return the present demand on a name; the arguments are those of `Demands.of`."""
         if self._depth and (self._is_stale or self._given != self._armed()):  # what is under way drops nothing yet
-            return Demands((*self._settled.sources, *self._present())).of(kind, name, type_name)
-        self._settle()
-        return self._settled.of(kind, name, type_name)
+            demands = Demands((*self._settled.sources, *self._present()))
+        else:
+            self._settle()
+            demands = self._settled
+        return demands.of(kind, name, type_name, client=client, client_name=client_name)
 
     @property
     def sources(self) -> tuple[Source, ...]:

@@ -128,7 +128,7 @@ class Server(ServiceEndpoint):
             source, _, guid, number = _INFO.unpack(info)
             self._served[guid] = None
             # rmw_fastrtps_cpp gives the time at which it was sent, by the caller's clock, for that at which it came.
-            requests.append(Request(taken.pop(), CALLER.pack(guid, number), time.time_ns(), source))
+            requests.append(Request(taken.pop(), CALLER.pack(guid, number), time.time_ns(), source=source))
         while len(self._served) > _CALLERS_REMEMBERED:  # those that are forgotten are answered as an earlier server's
             del self._served[next(iter(self._served))]
         return requests

@@ -126,7 +126,7 @@ class Reader:
             if number > previous + 1:
                 self.lost += number - previous - 1
             last[gid] = number
-            taken.append(RawMessage(buffer.taken(), stamp, gid, number, source))
+            taken.append(RawMessage(buffer.taken(), stamp, gid, number, 0, source))
         return taken
 
     def close(self) -> None:

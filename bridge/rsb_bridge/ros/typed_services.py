@@ -55,7 +55,7 @@ class TypedServer(ServiceEndpoint):
                 break
             caller = next(_numbers).to_bytes(8, "big")
             _asked[caller] = info.request_id
-            requests.append(Request(serialize_message(message), caller, time.time_ns(), info.source_timestamp))
+            requests.append(Request(serialize_message(message), caller, time.time_ns(), source=info.source_timestamp))
         while len(_asked) > _CALLS_REMEMBERED:
             _asked.popitem(last=False)
         return requests

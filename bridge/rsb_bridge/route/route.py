@@ -187,6 +187,11 @@ class Route:
         """Its name on this side."""
         return self.topic if self.outgoing else self.remote_topic
 
+    @property
+    def far_topic(self) -> str:
+        """The name on the other side."""
+        return self.remote_topic if self.outgoing else self.topic
+
     # --- opening and closing
 
     @property
