@@ -223,7 +223,7 @@ class OperatorEngine(_Sealed):
         """
         super().__init__()
         self.operator = ""
-        """The operator's name as the console says it, which is not authenticated before `Admitted`."""
+        """The name that the console gives, which is not authenticated before `Admitted`."""
         self._engine = engine
         self._identity = identity
         self._admitted: Admitted | None = None  # what is so once the console has confirmed
