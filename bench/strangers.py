@@ -235,7 +235,7 @@ def _address(flood: Flood) -> str:
 
 
 def _said(number: int, size: int) -> bytes:
-    """Return the bytes of one stranger: a frame that is never whole, a first message with a wrong key, or anything; and more."""
+    """Return one stranger's bytes: an unfinished frame, a first message with a wrong key, or noise; then zeros."""
     match number % 3:
         case 0:
             begun = struct.pack(">I", 4096) + b"rsb\x02\x01"

@@ -288,7 +288,7 @@ class Endpoint:
     def _queue_of_stranger(self, length: int, work: Callable[[], None], stream: tuple[str, str] | None = None) -> bool:
         """Queue what a stranger has caused, or drop it. Return False if the stream is a peer's."""
         size = length + _OVERHEAD
-        with self._counting:  # keeps the order of samples that arrive while the loop marks the stream as trusted
+        with self._counting:  # keeps the order while the loop marks the stream as trusted
             end = self._streams.get(stream) if stream is not None else None
             if end is not None and end.trusted:
                 return False
