@@ -51,7 +51,7 @@ _ZENOH = "zenoh"
 
 
 class Flood(NamedTuple):
-    """What strangers send.
+    """A kind of flood.
 
     Attributes:
         transport: ``tcp``, ``udp`` or ``zenoh``.
@@ -92,7 +92,7 @@ SHORT = (
 
 
 class Row(NamedTuple):
-    """What a flood did.
+    """The effect of a flood.
 
     Attributes:
         sent: how many connections, datagrams or samples there were.
@@ -235,7 +235,7 @@ def _address(flood: Flood) -> str:
 
 
 def _said(number: int, size: int) -> bytes:
-    """What a stranger says: a frame that is never whole, a first message with a wrong key, or anything; and more."""
+    """Return one stranger's bytes: an unfinished frame, a first message with a wrong key, or noise; then zeros."""
     match number % 3:
         case 0:
             begun = struct.pack(">I", 4096) + b"rsb\x02\x01"

@@ -211,7 +211,7 @@ class _PendingConnection(StreamHandler):
         self._leave()
 
     def _give_share_back(self) -> None:
-        """Be no stranger any more, or be closed: then a moment later there is nothing left of it."""
+        """Give the share of the budget back: the peer has proven its key, or the connection is being closed."""
         if self._counted:
             self._counted = False
             self._pending.strangers.give(CONNECTION)

@@ -1,4 +1,4 @@
-"""The memory that strangers may take: whoever has not proven yet that they have a key."""
+"""The memory that strangers may take. A stranger is a peer or an operator that has not proven its key yet."""
 
 from __future__ import annotations
 

@@ -26,7 +26,7 @@ BATCH_BYTES = 256 * 1024
 _STRANGER_READS = 4096
 """Bytes that are read at a time from a stranger: as long as a handshake takes, little of it waits here."""
 _READS = 256 * 1024
-"""Likewise from a peer."""
+"""Bytes that are read at a time from a peer that has proven its key."""
 _LINGER = 2.0
 _RETRANSMITS = struct.Struct("2xB")
 """The third field of the kernel's tcp_info: how often in a row it has sent the oldest bytes again."""

@@ -257,7 +257,7 @@ class OperatorEngine(_Sealed):
         """
         super().__init__()
         self.operator = ""
-        """The operator's name as the console says it, which is not authenticated before `Admitted`."""
+        """The name that the console gives, which is not authenticated before `Admitted`."""
         self._at = at
         self._engine = engine
         self._identity = identity

@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 
 ROOT = "rsb_console"
 RECEIVE_BUFFER = 32 * 1024 * 1024
-"""Bytes of peers that may wait for the loop; what comes beyond is lost, as in a kernel's full buffer."""
+"""Bytes of peers that may wait for the loop; more are lost, as in a kernel's full buffer."""
 ASKED_WITHIN = 2.0
 """s that announcements are waited for."""
 MOST_SEEN = 10_000
@@ -54,7 +54,7 @@ _OVERHEAD = 500
 _AT_A_TIME = 256
 """Samples of peers that are taken in one turn of the loop."""
 _STRANGERS_AT_A_TIME = 16
-"""Likewise of strangers, each of which may be a handshake."""
+"""Samples of strangers that are taken in one turn of the loop; each may cost a handshake."""
 _STRANGERS_WAIT = 256
 """Samples of strangers who have no answer yet that wait for the loop: more would be answered too late anyway."""
 _CONFIRMED = 5.0
@@ -216,7 +216,7 @@ class Endpoint:
             self.trust(peer, stream)
 
     def trust(self, peer: str, stream: str) -> None:
-        """Treat a stream as a peer's, which is marked as trusted already: what comes on it waits behind no stranger."""
+        """Move the waiting samples of a stream that is marked as trusted out of the strangers' queue."""
         self._peers[peer] = self._peers.get(peer, 0) + 1
         with self._counting:
             waiting, self._of_strangers = self._of_strangers, deque()
@@ -291,7 +291,7 @@ class Endpoint:
     def _queue_of_stranger(self, length: int, work: Callable[[], None], stream: tuple[str, str] | None = None) -> bool:
         """Queue what a stranger has caused, or drop it. Return False if the stream is a peer's."""
         size = length + _OVERHEAD
-        with self._counting:  # so that what comes while the stream becomes trusted stays in order
+        with self._counting:  # keeps the order while the loop marks the stream as trusted
             end = self._streams.get(stream) if stream is not None else None
             if end is not None and end.trusted:
                 return False
