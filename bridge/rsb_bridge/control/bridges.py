@@ -13,13 +13,12 @@ from typing import TYPE_CHECKING
 
 from rsb_bridge import __version__
 from rsb_bridge.control import folders, protocol
-from rsb_bridge.control.cleaning import clean
 from rsb_bridge.control.features import hello
 from rsb_bridge.control.folders import ControlError, Listener, NotServedError, TakenError
 from rsb_bridge.control.protocol import BridgeInfo, ProtocolError, Refused, Welcome
 from rsb_bridge.control.server import ControlServer
 from rsb_bridge.model.names import file_stem
-from rsb_bridge.model.text import encodable
+from rsb_bridge.model.text import encodable, one_line
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
@@ -61,9 +60,9 @@ class RunningBridge:
 
     def __str__(self) -> str:
         if self.info is None:
-            return f"{self.name}: pid {self.pid}, {self.path} ({self.problem})"
+            return one_line(f"{self.name}: pid {self.pid}, {self.path} ({self.problem})")
         file = f", {self.info.file}" if self.info.file else ""
-        return f"{self.name}: {self.info.role}, {self.info.address}, pid {self.pid}{file}"
+        return one_line(f"{self.name}: {self.info.role}, {self.info.address}, pid {self.pid}{file}")
 
 
 class AlreadyRunningError(ControlError):
@@ -91,8 +90,7 @@ def ask(path: Path) -> RunningBridge:
             connection.sendall(protocol.encode(hello(read_only=True)))
             frames = protocol.frames_to_console()
             while data := connection.recv(_READ_SIZE):
-                for each in frames.feed(data):
-                    message = clean(each)  # it is shown in lists, before anybody attaches
+                for message in frames.feed(data):
                     if isinstance(message, Welcome):
                         return RunningBridge(path, pid, message.bridge)
                     if isinstance(message, Refused):
