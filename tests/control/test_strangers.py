@@ -283,14 +283,13 @@ def test_who_comes_when_the_bridge_has_ended_is_closed(machine: Machine) -> None
 def test_a_refused_console_is_freed_at_once_and_counts_no_more(
     machine: Machine, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    protocol, made = sealed.SealedAcceptor.protocol, list[weakref.ref[object]]()
+    connection_made, made = sealed.SealedConsole.connection_made, list[weakref.ref[object]]()
 
-    def record(self: sealed.SealedAcceptor) -> sealed.SealedConsole:
-        console = protocol(self)
-        made.extend((weakref.ref(console), weakref.ref(console._machine)))
-        return console
+    def record(self: sealed.SealedConsole, transport: asyncio.BaseTransport) -> None:
+        connection_made(self, transport)
+        made.extend((weakref.ref(self), weakref.ref(self._machine)))
 
-    monkeypatch.setattr(sealed.SealedAcceptor, "protocol", record)
+    monkeypatch.setattr(sealed.SealedConsole, "connection_made", record)
     robot = Reachable(machine)
     unknown = OperatorConsole("nobody", ANNA.secret, "robot1", version=1).start()
     said = (b"GET / HTTP/1.1\r\n\r\n", unknown, bytes(100_000), b"")

@@ -129,6 +129,8 @@ def test_what_is_held_back_is_looked_at_again_as_often_as_shares_change() -> Non
         notices=SimpleNamespace(message_error=pytest.fail),
         peek_slot=SimpleNamespace(wanted=False),
         yielding=yielding,
+        arming=SimpleNamespace(required=False),
+        age=SimpleNamespace(is_on=False, is_young=lambda _: True),
         peer=SimpleNamespace(profile=PLAIN),
         connected=True,
         count=lambda *_: None,
