@@ -135,16 +135,19 @@ def replace_spec(route: RouteSnapshot, **changes: Any) -> Topic:
 
 def test_a_topic_and_a_service_of_one_name_are_told_apart_by_their_kind(ran: Any, engine: ScriptedEngine) -> None:
     engine.now = replace(engine.now, routes=(DOCK, SCAN))
-    asked = ran("pause", "/dock")
+    asked = ran("remove", "/dock")
     assert asked.code == 2
-    assert "/dock is bridged 2 times; say which: --kind service; --kind topic" in asked.err
+    assert "--kind service; --kind topic" in asked.err
     assert ran("pause", "/dock", "--kind", "service").code == 0
     assert ran("remove", "/dock", "--kind", "topic").code == 0
     assert engine.commands == [("pause", DOCK.key, True), ("remove", "scan")]
     other = replace(DOCK, link="robot2", key="other")
     engine.now = replace(engine.now, routes=(DOCK, SCAN, other))
     both = "--link robot1 --direction receive --kind service; --kind topic; --link robot2 --direction receive --kind"
-    assert both in ran("pause", "/dock").err
+    assert both in ran("remove", "/dock").err
+    engine.commands.clear()
+    assert ran("pause", "/dock").code == 0
+    assert {each[:2] for each in engine.commands} == {("pause", each.key) for each in (DOCK, SCAN, other)}
 
 
 def test_a_command_that_is_not_for_a_kind_says_what_there_is_instead(ran: Any, engine: ScriptedEngine) -> None:

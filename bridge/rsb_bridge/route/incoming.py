@@ -60,14 +60,13 @@ _NO_HISTORY = HistoryHeader(bytes(PUBLISHER_ID_LENGTH), number=0, depth=AUTO_DEP
 _LATENCIES = ("latency", "latency_p50", "latency_p99")
 
 
-def _without_outdated(
+def _with_latencies(
     told: SentReport | ReceivedReport | None, report: ReceivedReport
 ) -> SentReport | ReceivedReport | None:
-    """An earlier report, without latencies that are out of date now: these are no news, as the sender forgets them."""
+    """Return an earlier report with the latencies of a newer one: without new messages, these are no news."""
     if not isinstance(told, ReceivedReport):
         return told
-    outdated = [name for name in _LATENCIES if getattr(report, name) is None and getattr(told, name) is not None]
-    return msgspec.structs.replace(told, **dict.fromkeys(outdated)) if outdated else told
+    return msgspec.structs.replace(told, **{name: getattr(report, name) for name in _LATENCIES})
 
 
 class _NotPublishedError(Exception):
@@ -416,7 +415,7 @@ class IncomingRoute(TopicRoute):
         """
         report = self._received_report()
         told, self._told_report = self._told_report, report
-        if report == _without_outdated(told, report) and not (self._sender_ledger.in_flight and self.life.ready):
+        if report == _with_latencies(told, report) and not (self._sender_ledger.in_flight and self.life.ready):
             return None
         verdict = lasting(report.verdict, self.verdict(), self.context.now())
         return msgspec.structs.replace(report, verdict=verdict)

@@ -31,15 +31,15 @@ OTHER = "other"
 """The label of a cause that is not listed below: a peer may make up any."""
 DROPPED = frozenset(
     {
-        "already published", "disarmed", "expands too much", "latched full", "link lost", "lost on the way",
-        "malformed", "paused", "publish failed", "queue full", "slow subscriber", "thinned", "too complex", "too large",
-        "unknown source", "would loop",
+        "already published", "disarmed", "expands too much", "incomplete", "latched full", "link lost",
+        "lost on the way", "malformed", "paused", "publish failed", "queue full", "slow subscriber", "thinned",
+        "too complex", "too large", "unknown source", "would loop",
     }
 )  # fmt: skip
 REFUSED = frozenset(
     {
         "bytes under way", "calls a second", "calls under way", "disarmed", "malformed", "not arrived", "not sent",
-        "paused", "provider gone", "too complex", "too large",
+        "paused", "provider gone", "too complex", "too large", "too old",
     }
 )  # fmt: skip
 _LINK = ("link",)

@@ -49,6 +49,16 @@ def bridged(parsed_args: Namespace, **_: object) -> list[str]:
     return _asked(arguments, names)
 
 
+def far_names(parsed_args: Namespace, **_: object) -> list[str]:
+    """The names on the other side of what is bridged by the name that was typed."""
+    arguments = _filled(parsed_args)
+
+    def names(engine: RemoteEngine) -> list[str]:
+        return [route.remote_topic for route in engine.snapshot().routes if route.topic == arguments.topic]
+
+    return _asked(arguments, names)
+
+
 def available(parsed_args: Namespace, **_: object) -> list[str]:
     """The names of what can be bridged, on either side."""
     arguments = _filled(parsed_args)

@@ -346,7 +346,8 @@ def route_arguments(
     which = "the client, where several have it"
     complete(parser.add_argument("--link", default="", metavar="CLIENT", help=which), "links")
     parser.add_argument("--direction", choices=("transmit", "receive"), help="the one to take, where it goes both ways")
-    parser.add_argument("--remote", metavar="NAME", help="its name on the other side, where several have this name")
+    far = "its name on the other side, where several have this name"
+    complete(parser.add_argument("--remote", metavar="NAME", help=far), "far_names")
     parser.set_defaults(kinds=kinds, kind=None)
     if len(kinds) > 1:
         _kind(parser, "the one to take, where several have this name", kinds)
