@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 from typing import TYPE_CHECKING, Any
 
+import msgspec
 import pytest
 from tests.link.test_route_table import Pair, Side, hear_all
 
@@ -12,6 +13,7 @@ from rsb_bridge.link.errors import LinkError
 from rsb_bridge.link.proposals import proposal_of
 from rsb_bridge.model import lanes
 from rsb_bridge.model.codes import EventCode
+from rsb_bridge.model.demands import Source
 from rsb_bridge.model.operators import acting
 from rsb_bridge.model.session import Topic
 from rsb_bridge.model.verdict import Cause
@@ -518,3 +520,34 @@ def test_the_receiving_side_is_disarmed_at_once(pair: Pair, loop: VirtualLoop) -
     robot.table.arming.disarm(route(robot), Disarmed.OPERATOR)
     assert not route(robot).settling.under_way
     assert events(robot, EventCode.OPERATOR_DISARMED)
+
+
+def test_the_answer_to_a_dropped_demand_is_none_to_a_disarm(pair: Pair, loop: VirtualLoop) -> None:
+    """The peer has not heard of the disarm yet, and goes on publishing what was sent before."""
+    robot, pc = pair
+    arm(pc, loop).result()
+    pc.table.arming.demand_dropped(Source(("", "/cmd_vel"), "/cmd_vel", DEADMAN))
+    pc.table.arming.disarm(route(pc), Disarmed.OPERATOR)
+    robot.hear()
+    while pc.inbox:
+        pc.hear()
+    assert passes(robot) == [True]
+    assert route(pc).settling.under_way
+    hear_all(pair)
+    assert not route(pc).settling.under_way
+
+
+def test_a_max_age_that_the_other_side_edits_holds_on_both(
+    make_armable: Callable[..., Pair], loop: VirtualLoop
+) -> None:
+    pair = robot, pc = make_armable(Topic("/cmd_vel", "receive", max_age=0.5))
+    robot.context.demands.apply()
+    for seconds in (0.2, 2.0, 0.3):
+        topic = msgspec.structs.replace(route(pc).spec, max_age=seconds)
+        proposal = proposal_of(topic, pc.context.transports["tcp"], client_name="robot1", use_name=False)
+        pc.table.amend(route(pc), topic, proposal)
+        hear_all(pair)
+        assert [route(side).age.max_age for side in pair] == [seconds, seconds]
+        turn(loop)
+        hear_all(pair)
+        assert [route(side).age.max_age for side in pair] == [seconds, seconds]
