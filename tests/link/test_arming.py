@@ -551,3 +551,21 @@ def test_a_max_age_that_the_other_side_edits_holds_on_both(
         turn(loop)
         hear_all(pair)
         assert [route(side).age.max_age for side in pair] == [seconds, seconds]
+
+
+def test_a_peer_that_proposes_and_removes_has_no_demands_counted_anew(
+    pair: Pair, loop: VirtualLoop, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """That takes a server of many clients much longer than a peer takes to cause it."""
+    robot, pc = pair
+    turn(loop)
+    counted: list[Side] = []
+    for side in pair:
+        monkeypatch.setattr(side, "demand_sources", lambda side=side: counted.append(side) or ())
+    for _ in range(10):
+        propose(robot, Topic("/chat", "transmit"))
+        hear_all(pair)
+        robot.table.remove(next(each for each in robot.table.routes.values() if each.spec.topic == "/chat"), "removed")
+        hear_all(pair)
+        turn(loop)
+    assert set(counted) == {robot}
