@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import msgspec
 import pytest
 from tests.link.test_route_table import Pair, Side, hear_all
+from tests.route.test_unpacking import OnePublisher
 
 from rsb_bridge.link.errors import LinkError
 from rsb_bridge.link.proposals import proposal_of
@@ -15,6 +16,8 @@ from rsb_bridge.model import lanes
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.demands import Source
 from rsb_bridge.model.operators import acting
+from rsb_bridge.model.qos import Qos
+from rsb_bridge.model.session import Armed as ArmedEntry
 from rsb_bridge.model.session import Topic
 from rsb_bridge.model.verdict import Cause
 from rsb_bridge.route.arming import CONSOLE_SILENT_AFTER, PEER_GRACE, SAID, Disarmed
@@ -22,7 +25,8 @@ from rsb_bridge.route.lease import LASTS, SLOW
 from rsb_bridge.wire.amending import Pause
 from rsb_bridge.wire.arming import Arm, Armed, Disarm
 from rsb_bridge.wire.lease import Lease
-from rsb_bridge.wire.messages import Close, Propose
+from rsb_bridge.wire.messages import Close, Describe, Propose
+from rsb_bridge.wire.records import Source as Origin
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -569,3 +573,20 @@ def test_a_peer_that_proposes_and_removes_has_no_demands_counted_anew(
         hear_all(pair)
         turn(loop)
     assert set(counted) == {robot}
+
+
+@pytest.mark.parametrize("sent", ["geometry_msgs/msg/Twist", "std_msgs/msg/String"])
+def test_what_is_sent_has_the_type_by_which_demands_were_found(
+    sent: str, make_context: Callable[..., Context], loop: VirtualLoop
+) -> None:
+    """The robot demands that commands are armed, and the control PC says that it sends texts."""
+    robot = Side(make_context(ros=OnePublisher(), armed=(ArmedEntry("/cmd*", type="Twist"),)), is_client=True)
+    pc = Side(make_context(role="server"), is_client=False)
+    robot.other, pc.other = pc, robot
+    propose(pc, Topic("/cmd_vel", "receive", type="String"))
+    robot.hear()
+    half = route(robot)
+    assert half.accepted
+    assert not half.arming.required
+    robot.table.handle(Describe(half.id, sent, "RIHS01_" + "0" * 64, Qos(), (Origin(("there",)),)))
+    assert half.accepted == (sent == "std_msgs/msg/String")
