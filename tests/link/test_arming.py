@@ -25,7 +25,8 @@ from rsb_bridge.route.lease import LASTS, SLOW
 from rsb_bridge.wire.amending import Pause
 from rsb_bridge.wire.arming import Arm, Armed, Disarm
 from rsb_bridge.wire.lease import Lease
-from rsb_bridge.wire.messages import Close, Describe, Propose
+from rsb_bridge.wire.messages import Close, Describe, Propose, Provide
+from rsb_bridge.wire.records import LaneEntry
 from rsb_bridge.wire.records import Source as Origin
 
 if TYPE_CHECKING:
@@ -590,3 +591,20 @@ def test_what_is_sent_has_the_type_by_which_demands_were_found(
     assert not half.arming.required
     robot.table.handle(Describe(half.id, sent, "RIHS01_" + "0" * 64, Qos(), (Origin(("there",)),)))
     assert half.accepted == (sent == "std_msgs/msg/String")
+
+
+@pytest.mark.parametrize("provided", ["std_srvs/srv/SetBool", "std_srvs/srv/Trigger"])
+def test_what_is_provided_has_the_type_by_which_demands_were_found(
+    provided: str, make_context: Callable[..., Context], loop: VirtualLoop
+) -> None:
+    demand = ArmedEntry("/set*", kind="service", type="std_srvs/srv/SetBool")
+    robot = Side(make_context(armed=(demand,)), is_client=True)
+    pc = Side(make_context(role="server"), is_client=False)
+    robot.other, pc.other = pc, robot
+    propose(pc, Topic("/set_light", "transmit", kind="service", type="std_srvs/srv/Trigger"))
+    robot.hear()
+    half = route(robot)
+    assert half.accepted
+    assert not half.arming.required
+    robot.table.handle(Provide(half.id, (LaneEntry(provided, "RIHS01_" + "0" * 64, 1),)))
+    assert half.accepted == (provided == "std_srvs/srv/Trigger")
