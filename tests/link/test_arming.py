@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import msgspec
@@ -19,6 +20,7 @@ from rsb_bridge.model.operators import acting
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.model.session import Armed as ArmedEntry
 from rsb_bridge.model.session import Topic
+from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.verdict import Cause
 from rsb_bridge.route.arming import CONSOLE_SILENT_AFTER, PEER_GRACE, SAID, Disarmed
 from rsb_bridge.route.lease import LASTS, SLOW
@@ -356,6 +358,17 @@ def test_pausing_disarms(pair: Pair, loop: VirtualLoop) -> None:
     assert why(pc) == Disarmed.PAUSED
 
 
+def test_who_pauses_an_armed_topic_is_told_that_it_disarms_until_nothing_is_published_any_more(
+    pair: Pair, loop: VirtualLoop
+) -> None:
+    _, pc = pair
+    arm(pc, loop).result()
+    pc.table.pause(route(pc), paused=True)
+    assert route(pc).verdict().state is State.DISARMING
+    hear_all(pair)
+    assert route(pc).verdict().state is State.PAUSED
+
+
 @pytest.mark.parametrize("at", [0, 1], ids=["on the robot", "on the control PC"])
 def test_who_pauses_an_armed_topic_is_named_on_both_sides(at: int, pair: Pair, loop: VirtualLoop) -> None:
     here, there = pair[at], pair[1 - at]
@@ -562,11 +575,16 @@ def test_a_peer_that_proposes_and_removes_has_no_demands_counted_anew(
     pair: Pair, loop: VirtualLoop, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """That takes a server of many clients much longer than a peer takes to cause it."""
-    robot, pc = pair
+    robot, _ = pair
     turn(loop)
     counted: list[Side] = []
+
+    def count(side: Side) -> tuple[Source, ...]:
+        counted.append(side)
+        return ()
+
     for side in pair:
-        monkeypatch.setattr(side, "demand_sources", lambda side=side: counted.append(side) or ())
+        monkeypatch.setattr(side, "demand_sources", partial(count, side))
     for _ in range(10):
         propose(robot, Topic("/chat", "transmit"))
         hear_all(pair)
