@@ -46,7 +46,7 @@ from rsb_bridge.topic_commands import TopicCommands
 from rsb_bridge.transport.transport import ListenError
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Callable, Iterable, Iterator
 
     from rsb_bridge.config.keys import Key
     from rsb_bridge.context import Context
@@ -57,6 +57,7 @@ if TYPE_CHECKING:
     from rsb_bridge.model.session import Client, Session, Topic
     from rsb_bridge.model.snapshot import RefusedClient
     from rsb_bridge.ros.lasting_subscription import LastingSubscription
+    from rsb_bridge.route.route import Route
     from rsb_bridge.telemetry.snapshots import SnapshotPublisher
 
 _ERROR_LOGGED_EVERY = 10.0
@@ -231,17 +232,24 @@ class Bridge:
     async def edit_topic(self, key: str, topic: Topic, *, drop_arm: bool = False) -> str:
         """Put another topic in a route's place, or another pattern in a pattern's; the new key."""
         with self._command():
-            return self._topic_commands.edit(key, topic, drop_arm=drop_arm)
+            routes = self._topic_commands.routes_of(key)
+            new_key = self._topic_commands.edit(key, topic, drop_arm=drop_arm)
+            await _settled(routes)
+            return new_key
 
     async def remove_topic(self, key: str, *, drop_arm: bool = False) -> None:
         """Stop bridging a topic, or following a pattern."""
         with self._command():
+            routes = self._topic_commands.routes_of(key)
             self._topic_commands.remove(key, drop_arm=drop_arm)
+            await _settled(routes)
 
     async def pause(self, key: str, *, paused: bool) -> None:
         """Stop or resume carrying a topic's messages, or those of all that a pattern matches."""
         with self._command():
+            routes = self._topic_commands.routes_of(key)
             self._topic_commands.pause(key, paused=paused)
+            await _settled(routes)
 
     async def acknowledge(self, key: str, *, acknowledged: bool, link: str) -> None:
         """Acknowledge a fault until it changes, or take that back."""
@@ -438,6 +446,12 @@ class Bridge:
         finally:
             if not self._stopping.is_set():  # the last snapshot, which says so, stays
                 self._snapshots.refresh_now(self._role)
+
+
+async def _settled(routes: Iterable[Route]) -> None:
+    """Return once nothing can be published any more of what was armed before a command."""
+    for route in routes:
+        await route.settling.wait()
 
 
 def _undo_mark() -> str:

@@ -60,6 +60,13 @@ class TopicCommands:
         found = ((link, link.patterns.find(key)) for link in self._role.links())
         return next(((link, topic) for link, topic in found if topic is not None), None)
 
+    def routes_of(self, key: str) -> tuple[Route, ...]:
+        """Return the route with a key, or the routes that the pattern with it has made."""
+        if (pattern := self._pattern(key)) is not None:
+            link, topic = pattern
+            return tuple(route for route in link.routes.values() if link.patterns.has_made(route, topic))
+        return (self.find(key)[1],)
+
     def add(self, topic: Topic, link: str) -> str:
         """Bridge one more topic, or follow one more pattern; its key."""
         with self._demands.changing(operator()):
@@ -173,11 +180,10 @@ class TopicCommands:
             link, topic = pattern
             old, name = pause_word(paused=topic.paused), topic.topic
             link.patterns.replace(topic.identity, msgspec.structs.replace(topic, paused=paused))
-            routes = [route for route in link.routes.values() if link.patterns.has_made(route, topic)]
         else:
             link, route = self.find(key)
-            old, name, routes = pause_word(paused=route.paused), route.local_topic, [route]
-        for route in routes:
+            old, name = pause_word(paused=route.paused), route.local_topic
+        for route in self.routes_of(key):
             link.table.pause(route, paused=paused)
         word = pause_word(paused=paused)
         self._did(code, "paused" if paused else "resumed", topic=name, link=link.name, old=old, new=word)

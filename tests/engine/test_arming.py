@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from typing import TYPE_CHECKING
 
 import pytest
@@ -172,6 +173,24 @@ def both_armed(bridge: Bridge, relay: Relay, robot: Domain, pc: Domain, consoles
     eventually(lambda: is_set_up(server, client))
     consoles.arm(server)
     return server, client
+
+
+@pytest.mark.parametrize("what", ["pause", "remove"])
+def test_a_command_that_disarms_ends_once_nothing_is_published_any_more(
+    what: str, both_armed: tuple[Engine, Engine], relay: Relay
+) -> None:
+    """The network holds back what was sent, and the word that it is disarmed."""
+    server, _ = both_armed
+    key = route(server, "/cmd").key
+    relay.stall()
+    assert server._bridge is not None
+    (link,) = server._bridge.links()
+    half, lease = link.routes[key], link.table.arming.lease.state
+    may_be_published = lease.left
+    began = time.monotonic()
+    (server.pause(key, True) if what == "pause" else server.remove_topic(key)).result(30)
+    assert 0.0 < may_be_published - 0.05 <= time.monotonic() - began
+    assert not half.settling.under_way
 
 
 def test_a_link_that_drops_disarms_and_comes_back_disarmed(both_armed: tuple[Engine, Engine], relay: Relay) -> None:

@@ -3,24 +3,33 @@
 from __future__ import annotations
 
 import asyncio
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
+import msgspec
 import pytest
 from tests.link.test_route_table import Pair, Side, hear_all
+from tests.route.test_unpacking import OnePublisher
 
 from rsb_bridge.link.errors import LinkError
 from rsb_bridge.link.proposals import proposal_of
 from rsb_bridge.model import lanes
 from rsb_bridge.model.codes import EventCode
+from rsb_bridge.model.demands import Source
 from rsb_bridge.model.operators import acting
+from rsb_bridge.model.qos import Qos
+from rsb_bridge.model.session import Armed as ArmedEntry
 from rsb_bridge.model.session import Topic
+from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.verdict import Cause
 from rsb_bridge.route.arming import CONSOLE_SILENT_AFTER, PEER_GRACE, SAID, Disarmed
 from rsb_bridge.route.lease import LASTS, SLOW
 from rsb_bridge.wire.amending import Pause
 from rsb_bridge.wire.arming import Arm, Armed, Disarm
 from rsb_bridge.wire.lease import Lease
-from rsb_bridge.wire.messages import Close, Propose
+from rsb_bridge.wire.messages import Close, Describe, Propose, Provide
+from rsb_bridge.wire.records import LaneEntry
+from rsb_bridge.wire.records import Source as Origin
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -349,6 +358,17 @@ def test_pausing_disarms(pair: Pair, loop: VirtualLoop) -> None:
     assert why(pc) == Disarmed.PAUSED
 
 
+def test_who_pauses_an_armed_topic_is_told_that_it_disarms_until_nothing_is_published_any_more(
+    pair: Pair, loop: VirtualLoop
+) -> None:
+    _, pc = pair
+    arm(pc, loop).result()
+    pc.table.pause(route(pc), paused=True)
+    assert route(pc).verdict().state is State.DISARMING
+    hear_all(pair)
+    assert route(pc).verdict().state is State.PAUSED
+
+
 @pytest.mark.parametrize("at", [0, 1], ids=["on the robot", "on the control PC"])
 def test_who_pauses_an_armed_topic_is_named_on_both_sides(at: int, pair: Pair, loop: VirtualLoop) -> None:
     here, there = pair[at], pair[1 - at]
@@ -518,3 +538,91 @@ def test_the_receiving_side_is_disarmed_at_once(pair: Pair, loop: VirtualLoop) -
     robot.table.arming.disarm(route(robot), Disarmed.OPERATOR)
     assert not route(robot).settling.under_way
     assert events(robot, EventCode.OPERATOR_DISARMED)
+
+
+def test_the_answer_to_a_dropped_demand_is_none_to_a_disarm(pair: Pair, loop: VirtualLoop) -> None:
+    """The peer has not heard of the disarm yet, and goes on publishing what was sent before."""
+    robot, pc = pair
+    arm(pc, loop).result()
+    pc.table.arming.demand_dropped(Source(("", "/cmd_vel"), "/cmd_vel", DEADMAN))
+    pc.table.arming.disarm(route(pc), Disarmed.OPERATOR)
+    robot.hear()
+    while pc.inbox:
+        pc.hear()
+    assert passes(robot) == [True]
+    assert route(pc).settling.under_way
+    hear_all(pair)
+    assert not route(pc).settling.under_way
+
+
+def test_a_max_age_that_the_other_side_edits_holds_on_both(
+    make_armable: Callable[..., Pair], loop: VirtualLoop
+) -> None:
+    pair = robot, pc = make_armable(Topic("/cmd_vel", "receive", max_age=0.5))
+    robot.context.demands.apply()
+    for seconds in (0.2, 2.0, 0.3):
+        topic = msgspec.structs.replace(route(pc).spec, max_age=seconds)
+        proposal = proposal_of(topic, pc.context.transports["tcp"], client_name="robot1", use_name=False)
+        pc.table.amend(route(pc), topic, proposal)
+        hear_all(pair)
+        assert [route(side).age.max_age for side in pair] == [seconds, seconds]
+        turn(loop)
+        hear_all(pair)
+        assert [route(side).age.max_age for side in pair] == [seconds, seconds]
+
+
+def test_a_peer_that_proposes_and_removes_has_no_demands_counted_anew(
+    pair: Pair, loop: VirtualLoop, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """That takes a server of many clients much longer than a peer takes to cause it."""
+    robot, _ = pair
+    turn(loop)
+    counted: list[Side] = []
+
+    def count(side: Side) -> tuple[Source, ...]:
+        counted.append(side)
+        return ()
+
+    for side in pair:
+        monkeypatch.setattr(side, "demand_sources", partial(count, side))
+    for _ in range(10):
+        propose(robot, Topic("/chat", "transmit"))
+        hear_all(pair)
+        robot.table.remove(next(each for each in robot.table.routes.values() if each.spec.topic == "/chat"), "removed")
+        hear_all(pair)
+        turn(loop)
+    assert set(counted) == {robot}
+
+
+@pytest.mark.parametrize("sent", ["geometry_msgs/msg/Twist", "std_msgs/msg/String"])
+def test_what_is_sent_has_the_type_by_which_demands_were_found(
+    sent: str, make_context: Callable[..., Context], loop: VirtualLoop
+) -> None:
+    """The robot demands that commands are armed, and the control PC says that it sends texts."""
+    robot = Side(make_context(ros=OnePublisher(), armed=(ArmedEntry("/cmd*", type="Twist"),)), is_client=True)
+    pc = Side(make_context(role="server"), is_client=False)
+    robot.other, pc.other = pc, robot
+    propose(pc, Topic("/cmd_vel", "receive", type="String"))
+    robot.hear()
+    half = route(robot)
+    assert half.accepted
+    assert not half.arming.required
+    robot.table.handle(Describe(half.id, sent, "RIHS01_" + "0" * 64, Qos(), (Origin(("there",)),)))
+    assert half.accepted == (sent == "std_msgs/msg/String")
+
+
+@pytest.mark.parametrize("provided", ["std_srvs/srv/SetBool", "std_srvs/srv/Trigger"])
+def test_what_is_provided_has_the_type_by_which_demands_were_found(
+    provided: str, make_context: Callable[..., Context], loop: VirtualLoop
+) -> None:
+    demand = ArmedEntry("/set*", kind="service", type="std_srvs/srv/SetBool")
+    robot = Side(make_context(armed=(demand,)), is_client=True)
+    pc = Side(make_context(role="server"), is_client=False)
+    robot.other, pc.other = pc, robot
+    propose(pc, Topic("/set_light", "transmit", kind="service", type="std_srvs/srv/Trigger"))
+    robot.hear()
+    half = route(robot)
+    assert half.accepted
+    assert not half.arming.required
+    robot.table.handle(Provide(half.id, (LaneEntry(provided, "RIHS01_" + "0" * 64, 1),)))
+    assert half.accepted == (provided == "std_srvs/srv/Trigger")

@@ -2,10 +2,19 @@
 
 from __future__ import annotations
 
+import time
+from typing import TYPE_CHECKING
+
 import pytest
 
-from rsb_bridge.model.demands import Demand, Demands, as_armed, describe, sources_of
+from rsb_bridge.model.demands import Demand, Demands, as_armed, describe, sources_of, sources_of_entries
+from rsb_bridge.model.running_demands import RunningDemands
 from rsb_bridge.model.session import DEADMAN, Armed, Client, Kind, Session, Topic
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from rsb_bridge.model.demands import Source
 
 RENAMED = Topic("/a/*", "receive", remote_topic="/b/*", arm=True, excepts=("/a/x",))
 
@@ -132,3 +141,35 @@ def test_the_line_is_named() -> None:
     assert describe(other, {other.key: "robot.yaml:20"}) == "pattern /cmd* in robot.yaml:20"
     assert one.deadman == DEADMAN
     assert client(CMD).of("topic", "/cmd") == Demand(DEADMAN, 1.0, (one,))
+
+
+class Entries:
+    """A link of a server, with the entries of its client."""
+
+    def __init__(self, name: str, topics: tuple[Topic, ...]) -> None:
+        self.name, self.topics = name, topics
+
+    def demand_sources(self) -> Iterator[Source]:
+        return sources_of_entries(self.topics, self.name, on_server=True, use_name=True)
+
+    def apply_demands(self) -> None:
+        pass
+
+    def demand_dropped(self, source: Source) -> None:
+        pass
+
+
+def test_a_change_costs_a_server_of_many_robots_little() -> None:
+    """A server of 60 robots stood still for 0.9 s whenever a route went."""
+    demands = RunningDemands(lambda: (), lambda _: None, lambda: None, lambda *_: None, lambda *_: None)
+    patterns = tuple(Topic(f"/cmd{number}*", "receive", arm=True) for number in range(20))
+    for number in range(60):
+        demands.register(Entries(f"robot{number}", patterns))
+    demands.of("topic", "/cmd")
+    began = time.process_time()
+    for _ in range(10):
+        demands.changed()
+        found = demands.of("topic", "/robot3/cmd7_vel", client="robot3", client_name="/cmd7_vel")
+        assert found is not None
+        assert len(found.sources) == 1
+    assert time.process_time() - began < 1.0

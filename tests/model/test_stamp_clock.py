@@ -6,7 +6,7 @@ import pytest
 
 from rsb_bridge.model.clock import Clock
 from rsb_bridge.model.max_age import ARMED, effective_max_age
-from rsb_bridge.model.stamp_clock import StampClock
+from rsb_bridge.model.stamp_clock import StampClock, shifted
 
 S = 1_000_000_000
 
@@ -80,3 +80,15 @@ def test_drift_is_no_step() -> None:
 def test_the_smallest_limit_holds(demands: tuple[float | None, ...], armed: bool, expected: float) -> None:
     assert effective_max_age(demands, armed=armed) == expected
     assert effective_max_age(reversed(demands), armed=armed) == expected
+
+
+def test_a_wall_stamp_from_before_the_clock_was_set_stays_a_time() -> None:
+    """A robot without a battery clock begins in 1970, and has its clock set while messages are on their way here."""
+    wall = SetClock()
+    wall.offset = 0.0
+    clock = StampClock(wall)
+    taken = wall.time_ns()
+    wall.offset = 1_800_000_000.0
+    clock.look()
+    assert shifted(taken, clock.shift) == 0
+    assert shifted(wall.time_ns(), clock.shift) == pytest.approx(clock.now(), abs=10**6)

@@ -108,3 +108,16 @@ def test_its_verdict_is_late_on_both_sides(cause: Cause) -> None:
     verdict = expired_verdict(Expired(cause, 84, 100, 0.5, 7.0))
     assert (verdict.state, verdict.cause, verdict.since) == (State.LATE, cause, 7.0)
     assert state_of(state_for_any(State.LATE), cause) is State.LATE
+
+
+def test_no_stamp_is_below_0_whatever_a_clock_is_set_to(
+    make_context: Callable[..., Context], loop: VirtualLoop, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A frame has no room for it."""
+    context = make_context()
+    age, _ = age_of(context, None, lifespan=1.0)
+    taken = 100 * S
+    wall = context.clock.time_ns() + 2 * context.stamps.now()
+    monkeypatch.setattr(context.clock, "time_ns", lambda: wall)
+    (found,) = age.stamped([RawMessage(b"", taken)])
+    assert found.stamp == 0

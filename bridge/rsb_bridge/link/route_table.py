@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, TypeAlias
 
 import msgspec
 
-from rsb_bridge.link.arming import LinkArming
+from rsb_bridge.link.arming import DROPPED, LinkArming
 from rsb_bridge.link.authorizing import allow_rate, authorized, check_overlap, check_room, denied
 from rsb_bridge.link.errors import LinkError
 from rsb_bridge.link.halves import HalfMessage, half_of, hand_over, unsupported
@@ -162,9 +162,9 @@ class RouteTable:
         """Remove a route on this side."""
         self.routes.pop(route.key, None)
         self.listed -= {route.spec.identity} if route.pattern else set()
-        if code is EventCode.ROUTE_REMOVED:
-            self.yielded.pop(route.key, None)
-        self._context.demands.changed()
+        yielded = self.yielded.pop(route.key, None) if code is EventCode.ROUTE_REMOVED else None
+        if route.proposed_here or yielded is not None:
+            self._context.demands.changed()
         if route.arming.held:
             route.disarm(Disarmed.REMOVED)
         route.destroy()
@@ -199,6 +199,10 @@ class RouteTable:
             return  # it was removed here while the message was under way
         proposal, old = amended(route.proposal, message), route.spec
         route.amend(amended_topic(route.spec, proposal), proposal)
+        if route.proposed_here and route.spec.max_age != old.max_age:
+            self._context.demands.changed()
+            if not self.arming.renew_demand(route):
+                route.settle_age()
         if message.who:
             self._peer_operators.edited(route, message.who, old)
             route.pattern = ""
@@ -297,7 +301,7 @@ class RouteTable:
                 route = self.ids.open_route(message.route)
                 if route is not None:  # else it was closed here while the message was under way
                     self._about_route(route, message)
-                if isinstance(message, Disarm) and self.arming.lease.supported:
+                if isinstance(message, Disarm) and message.cause != DROPPED and self.arming.lease.supported:
                     self._owner.send(Settled(message.route))
 
     def _proposed(self, proposal: Propose) -> None:

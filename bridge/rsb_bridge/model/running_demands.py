@@ -166,8 +166,13 @@ class RunningDemands:
         """Take in what has changed, and keep what would be lost by that."""
         if self._depth or not (self._is_stale or self._given != self._armed()):
             return
-        now = Demands(self._present())
+        self._is_stale = False
         permitted, self._permitted = self._permitted, set()
+        present = tuple(dict.fromkeys(self._present()))
+        if present == self._settled.sources:  # as after most changes, of which peers can cause many
+            self._given = self._armed()
+            return
+        now, armed = Demands(present), self._armed()
         for source, rest in now.missing(self._settled.sources).items():
             origin = self.origin(source)
             if source in permitted:
@@ -176,9 +181,8 @@ class RunningDemands:
                 is_full = len(self._armed()) + len(rest) > MOST_ARMED
                 self._keep((kept_whole(source),) if is_full else rest, who)
                 self._kept(source, origin)
-        self._is_stale = False
         self._given = self._armed()
-        before, self._settled = self._settled, Demands(self._present())
+        before, self._settled = self._settled, now if self._given == armed else Demands(self._present())
         self._differs |= before.sources != self._settled.sources
 
     def _keep(self, sources: Iterable[Source], who: str) -> None:

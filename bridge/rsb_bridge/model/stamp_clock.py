@@ -72,3 +72,8 @@ class StampClock:
             if now - before < _READ_WITHIN:
                 break
         return shift, now
+
+
+def shifted(stamp: int, shift: int) -> int:
+    """Return a wall stamp (ns) by another clock. One from before that clock was set may be before its epoch: then 0."""
+    return max(0, stamp + shift)

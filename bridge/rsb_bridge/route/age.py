@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from rsb_bridge.model.max_age import effective_max_age
 from rsb_bridge.model.snapshot import State
+from rsb_bridge.model.stamp_clock import shifted
 from rsb_bridge.model.verdict import Cause, Verdict
 from rsb_bridge.ros.api import RawMessage
 from rsb_bridge.route.publisher_clock import PublisherClocks
@@ -103,7 +104,7 @@ class MessageAge:
         shift, born = clock.shift, self.publishers.born
         if not clock.is_sure:
             if not self.max_age:
-                return [each._replace(stamp=each.stamp + shift) for each in batch]
+                return [each._replace(stamp=shifted(each.stamp, shift)) for each in batch]
             if keep_old:
                 return [each._replace(stamp=0) for each in batch]
             self.expired(Cause.CLOCK_UNKNOWN, len(batch))

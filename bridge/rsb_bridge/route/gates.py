@@ -90,6 +90,14 @@ def _loop(facts: Standing) -> Verdict | None:
     return Verdict(State.DOWN, Cause.LOOP, facts.loop) if facts.loop else None
 
 
+def _disarming(facts: Standing) -> Verdict | None:
+    """A gate: before that of a pause, as a pause disarms, too."""
+    if not (facts.disarmed and facts.disarming):
+        return None
+    text = f"{facts.disarmed}: the other side may still publish what was sent before, for a second at most"
+    return Verdict(State.DISARMING, Cause.DISARMING, text)
+
+
 def _paused(facts: Standing) -> Verdict | None:
     if not facts.paused:
         return None
@@ -100,11 +108,10 @@ def _paused(facts: Standing) -> Verdict | None:
 def _disarmed(facts: Standing) -> Verdict | None:
     if not facts.disarmed:
         return None
-    if facts.disarming:
-        text = f"{facts.disarmed}: the other side may still publish what was sent before, for a second at most"
-        return Verdict(State.DISARMING, Cause.DISARMING, text)
     text = f"{facts.disarmed}: arm it on a console of either side (key A), or with rsb-console arm {facts.topic}"
     return Verdict(State.DISARMED, Cause.DISARMED, text)
 
 
-_GATES: tuple[Callable[[Standing], Verdict | None], ...] = (_link, _breaking, _refused, _loop, _paused, _disarmed)
+_GATES: tuple[Callable[[Standing], Verdict | None], ...] = (
+    _link, _breaking, _refused, _loop, _disarming, _paused, _disarmed,
+)  # fmt: skip

@@ -10,6 +10,7 @@ import zstandard
 
 from rsb_bridge.cdr.checker import MalformedError, TooComplexError
 from rsb_bridge.model.codes import EventCode
+from rsb_bridge.model.demands import full_type
 from rsb_bridge.model.qos import incompatible, match_subscriptions
 from rsb_bridge.model.snapshot import Ledger, Level, Stage, State
 from rsb_bridge.model.text import sanitize_text
@@ -161,6 +162,9 @@ class IncomingRoute(TopicRoute):
         return self._before[1]
 
     def _type_clash(self, description: Describe) -> str:
+        agreed = full_type(self.proposal.type)
+        if agreed and description.type != agreed:  # what has to be armed may depend on the type
+            return f"the other side sends {description.type}, though {agreed} was agreed on: correct the type"
         installed = self.context.ros.installed_hash(description.type)
         if installed and installed != description.type_hash:
             return (

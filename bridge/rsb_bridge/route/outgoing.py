@@ -10,6 +10,7 @@ from rsb_bridge.channel.datagram import DatagramSender
 from rsb_bridge.channel.receipts import WindowedSender
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.snapshot import Ledger, Level, Stage
+from rsb_bridge.model.stamp_clock import shifted
 from rsb_bridge.ros.api import RawMessage, RosError
 from rsb_bridge.route.both_sides import lasting, node_names, record_of
 from rsb_bridge.route.health import Flow, Health
@@ -355,7 +356,7 @@ class OutgoingRoute(TopicRoute):
         """Return messages with the stamps that the other side gets, without those that are too old."""
         if not self.age.is_on:
             shift = self.peer.stamp_shift
-            return [each._replace(stamp=each.stamp + shift) for each in batch]
+            return [each._replace(stamp=shifted(each.stamp, shift)) for each in batch]
         young = self.age.stamped(batch, keep_old=self.is_latched)
         expired = len(batch) - len(young)
         self._ledger.offered += expired

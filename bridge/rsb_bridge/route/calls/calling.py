@@ -16,7 +16,7 @@ from rsb_bridge.route.calls.by_hand import CallError, Hand
 from rsb_bridge.route.calls.circles import way_here
 from rsb_bridge.route.calls.graph import others_called, types_clash
 from rsb_bridge.route.calls.lane_messages import LaneMessages
-from rsb_bridge.route.calls.names import name_of
+from rsb_bridge.route.calls.names import name_of, type_of
 from rsb_bridge.route.calls.offers import Offers
 from rsb_bridge.route.calls.refusals import Refused, refused_as
 from rsb_bridge.route.calls.rivals import Rivals
@@ -98,6 +98,12 @@ class CallingRoute(CallsRoute):
             text = f"the other side provides {len(provide.lanes)} lanes, not {len(self.lanes)}"
             self.request_reopen(EventCode.ROUTE_CALLS_BROKEN, text, Level.ERROR)
             return
+        for lane, entry in zip(self.lanes, provide.lanes, strict=False):
+            agreed = type_of(lane, self.proposal.type)
+            if agreed and entry.type != agreed and not lane.is_topic:  # what has to be armed may depend on the type
+                text = f"the other side provides {entry.type}, though {agreed} was agreed on"
+                self.request_reopen(EventCode.ROUTE_CALLS_BROKEN, text, Level.ERROR)
+                return
         self._provided = provide
         self.advance()
 

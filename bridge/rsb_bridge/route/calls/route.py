@@ -26,6 +26,7 @@ from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.lanes import LANES
 from rsb_bridge.model.session import CALL_TIMEOUT
 from rsb_bridge.model.snapshot import Ledger, Level
+from rsb_bridge.model.stamp_clock import shifted
 from rsb_bridge.route.both_sides import lasting, node_names, record_of
 from rsb_bridge.route.calls.failures import Failures
 from rsb_bridge.route.calls.ledger import CallsLedger
@@ -91,7 +92,7 @@ class CallsRoute(Route):
         self._said: dict[str, float] = {}
 
     def _stamp_now(self) -> int:
-        return self.context.wall_ns() + self.peer.stamp_shift
+        return shifted(self.context.wall_ns(), self.peer.stamp_shift)
 
     # --- what the halves do differently
 
