@@ -157,7 +157,7 @@ class TopicCommands:
         own = [
             each
             for each in demands.sources
-            if each.key == key or (each.name == name and isinstance(each.key[1], str))  # an entry of `armed`
+            if each.arm and (each.key == key or (each.name == name and isinstance(each.key[1], str)))  # of `armed`
         ]
         if names_it and not wanted:
             lines = ", ".join(map(demands.origin, own)) or PEER_DEMANDS

@@ -22,7 +22,7 @@ from rsb_bridge.config.session_file import save
 from rsb_bridge.control.bridges import running_bridges
 from rsb_bridge.model.reloaded import Reloaded
 from rsb_bridge.model.session import Session, Topic
-from rsb_bridge.model.snapshot import Acknowledgement, Ledger, RefusedClient, RouteSnapshot, State
+from rsb_bridge.model.snapshot import Acknowledgement, ArmingSnapshot, Ledger, RefusedClient, RouteSnapshot, State
 from rsb_console.command.arguments import parser_and_commands
 from rsb_console.command.remote import COMMANDS
 
@@ -548,3 +548,20 @@ def test_a_session_is_not_started_twice(bridge: subprocess.Popen[str], session: 
         eventually(lambda: command("status").returncode != 3, what="the dead one's socket is replaced")
         third.terminate()
         assert third.wait(60) == 0
+
+
+def test_disarm_answers_also_where_the_name_has_one_route(ran: Any, engine: ScriptedEngine) -> None:
+    engine.now = replace(engine.now, routes=(SCAN,))
+    done = ran("disarm", "/scan")
+    assert done.code == 0
+    assert "disarmed" in done.out
+    assert json.loads(ran("disarm", "/scan", "--json").out) == {"ok": True}
+
+
+def test_the_details_say_who_has_armed_it_and_the_limit_of_its_age(ran: Any, engine: ScriptedEngine) -> None:
+    armed = ArmingSnapshot(armed=True, by="anna on pts/3", left=12.0, deadman=20.0)
+    engine.now = replace(engine.now, routes=(replace(SCAN, arming=armed, max_age=0.5),))
+    text = ran("info", "/scan").out
+    assert "anna on pts/3" in text
+    assert "0.5 s" in text
+    assert json.loads(ran("info", "/scan", "--json").out)["max_age"] == 0.5

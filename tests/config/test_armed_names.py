@@ -8,7 +8,7 @@ import msgspec
 import pytest
 
 from rsb_bridge.config.session_file import SessionError, demand_places, load_file, parse, save
-from rsb_bridge.model.session import Armed
+from rsb_bridge.model.session import Armed, Session, Topic
 from rsb_console.command.check_report import summary
 
 if TYPE_CHECKING:
@@ -86,3 +86,23 @@ def test_check_names_the_line_that_demands(tmp_path: Path) -> None:
     assert "pc.yaml:14" in shadowed
     (listed,) = [line for line in lines if "/arm/**" in line]
     assert "pc.yaml:7" in listed
+
+
+def test_a_line_that_only_limits_the_age_demands_no_arming() -> None:
+    entries = (
+        Topic("/scan", "transmit", max_age=0.0),
+        Topic("/odom", "transmit", max_age=2.0),
+        Topic("/reset", "transmit", kind="service", max_age=1.5),
+    )
+    session = Session(name="r", role="client", server_ip="::1", server_port=1, topics=entries)
+    assert not any("armed" in line for line in summary(session))
+
+
+def test_the_limit_that_a_name_has_from_another_line_is_shown() -> None:
+    entries = Topic("/cmd*", "receive", arm=True, max_age=0.5), Topic("/cmd_vel", "receive"), Topic("/arm", "receive")
+    session = Session(
+        name="r", role="client", server_ip="::1", server_port=1, topics=entries, armed=(Armed("/arm", deadman=0.0),)
+    )
+    shown = {line.split()[1]: line for line in summary(session) if line.startswith("  receive")}
+    assert "0.5 s" in shown["/cmd_vel"]
+    assert "1 s" in shown["/arm"]

@@ -57,6 +57,16 @@ async def test_a_question_that_names_topic_and_robot_comes_before(app: ConsoleAp
 
 
 @on_main()
+async def test_a_paused_topic_is_resumed_before_anybody_is_asked(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    put(app, replace(DISARMED, state=State.PAUSED))
+    await shown(pilot, "A arm")
+    await pilot.press("A")
+    await shown(pilot, "Not done")
+    await gone(pilot, "Arm /cmd_vel of robot1?")
+    assert engine_of(app).commands == []
+
+
+@on_main()
 async def test_an_armed_topic_is_marked_and_disarmed_at_once(app: ConsoleApp, pilot: Pilot[None]) -> None:
     put(app, ARMED)
     await shown(pilot, "◆ ARMED    /cmd_vel")

@@ -242,6 +242,16 @@ def test_an_edit_that_names_the_demand_is_refused_until_it_is_agreed_to(bridge: 
     yard.publish_until({"/cmd_vel"})
 
 
+def test_a_line_that_only_limits_the_age_has_no_demand_to_drop(bridge: Bridge, yard: Yard) -> None:
+    yard.add("/cmd_vel")
+    limited = Topic("/cmd_vel", "receive", max_age=5.0)
+    server, client = bridge.server(armed=("/cmd_vel",)), bridge.client(limited)
+    eventually(lambda: set_up((server, client), "/cmd_vel"))
+    with pytest.raises(EngineError, match=PEER_DEMANDS):
+        client.edit_topic(route(client, "/cmd_vel").key, Topic("/cmd_vel", "receive"), drop_arm=True).result(60)
+    assert required(client, "/cmd_vel")
+
+
 def test_a_demand_that_another_line_makes_too_is_not_dropped(bridge: Bridge, yard: Yard) -> None:
     server, client = by_server(bridge, yard, COMMANDS, Topic("/cmd*", "transmit", arm=True))
     with pytest.raises(EngineError, match=r"/cmd\*"):

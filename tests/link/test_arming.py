@@ -23,7 +23,10 @@ from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.verdict import Cause
 from rsb_bridge.route.arming import CONSOLE_SILENT_AFTER, PEER_GRACE, SAID, Disarmed
+from rsb_bridge.route.gates import gated
+from rsb_bridge.route.judging import standing_of
 from rsb_bridge.route.lease import LASTS, SLOW
+from rsb_bridge.route.verdict import Facts
 from rsb_bridge.wire.amending import Pause
 from rsb_bridge.wire.arming import Arm, Armed, Disarm
 from rsb_bridge.wire.lease import Lease
@@ -464,6 +467,18 @@ def test_a_peer_that_knows_no_lease_cannot_be_armed_nor_arm(pair: Pair, loop: Vi
     robot.table.handle(Arm(route(robot).id, "an older console"))
     assert pc.inbox.popleft() == Disarm(route(robot).closed_ids[-1], Disarmed.PEER_TOO_OLD)
     assert stands(*pair) == [False, False]
+
+
+def test_what_cannot_be_armed_says_so_before_anybody_tries(pair: Pair) -> None:
+    _, pc = pair
+    pc.linked = True
+    assert standing_of(route(pc)).can_be_armed
+    pc.features = (lanes.FEATURE,)
+    standing = standing_of(route(pc))
+    assert (standing.can_be_armed, standing.disarmed) == (False, SAID[Disarmed.PEER_TOO_OLD])
+    verdict = gated(Facts(**standing._asdict()))
+    assert verdict is not None
+    assert (verdict.state, verdict.cause, verdict.text) == (State.DISARMED, Cause.DISARMED, standing.disarmed)
 
 
 def test_a_link_whose_round_trip_is_too_long_cannot_be_armed(pair: Pair, loop: VirtualLoop) -> None:

@@ -11,7 +11,7 @@ from tests.console.scripted import LINK, NOW, route
 from rsb_bridge.model.capacity import LASTS, Capacity, CapacitySource, newer
 from rsb_bridge.model.link_budget import PER_MESSAGE, TYPICAL, Load, LoadSource, as_report, cost_of, load_of, told
 from rsb_bridge.model.session import Topic
-from rsb_bridge.model.snapshot import RouteSnapshot, Snapshot
+from rsb_bridge.model.snapshot import RouteSnapshot, Snapshot, State
 from rsb_bridge.model.verdict import Cause
 from rsb_bridge.telemetry.throughput import Throughput
 
@@ -157,3 +157,14 @@ def test_a_topic_that_is_thinned_brings_more_than_crosses() -> None:
     thinned, given = (cost_of(now, "robot1", Topic("/camera", "transmit"), rate=rate) for rate in (None, 30.0))
     assert "brings more" in told(thinned, NOW)[0]
     assert "brings more" not in told(given, NOW)[0]
+
+
+@pytest.mark.parametrize("state", [State.DISARMED, State.PAUSED, State.WAITING])
+def test_what_does_not_flow_now_brings_what_it_brought_before(state: State) -> None:
+    """Its rate and its bytes fade, each in its own time."""
+    fading = replace(
+        sent("/cmd_vel", "normal", 0.037, 1.0), state=state, expected_rate=20.0, messages_total=100, bytes_total=5_200
+    )
+    assert load_of(snapshot(fading), Topic("/cmd_vel", "transmit"))[:3] == (20.0, 52.0, LoadSource.HERE)
+    unknown = replace(fading, expected_rate=None)
+    assert load_of(snapshot(unknown), Topic("/cmd_vel", "transmit")).source is LoadSource.UNKNOWN

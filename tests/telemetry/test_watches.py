@@ -166,6 +166,13 @@ def test_a_few_lost_messages_are_no_fault() -> None:
     assert watch.loss is None
 
 
+def test_what_was_dropped_as_disarmed_is_not_lost() -> None:
+    watch = LossWatch()
+    for second in range(12):
+        watch.tick(100, {"disarmed": 20 * second}, float(second))
+    assert watch.loss is None
+
+
 def test_a_loss_of_everything_lasts_while_nothing_more_is_sent() -> None:
     watch, state = LossWatch(), [0, 0, 0]
     lossy(watch, [(0, 10)] * 5 + [(0, 0)] * 5, state)

@@ -206,10 +206,16 @@ def _full_name(name: str, routes: Iterable[RouteSnapshot]) -> str:
 def _measured(routes: Iterable[RouteSnapshot], topic: Topic, type_name: str) -> Load | None:
     alike = None
     for route in routes:
-        if route.calls is not None or route.rate <= 0.0:
+        if route.calls is not None:
             continue
         thinned = route.cause == Cause.THINNED
-        load = Load(route.rate, route.bytes_per_second / route.rate, LoadSource.HERE, route.topic, thinned)
+        if route.rate > 0.0 and route.state.flows:
+            rate, size = route.rate, route.bytes_per_second / route.rate
+        elif route.expected_rate and route.messages_total:  # it is paused, say: its rates only fade
+            rate, size = route.expected_rate, route.bytes_total / route.messages_total
+        else:
+            continue
+        load = Load(rate, size, LoadSource.HERE, route.topic, thinned)
         if (route.spec.topic, route.spec.direction) == (topic.topic, topic.direction):
             return load
         if type_name and route.type_name == type_name and alike is None:

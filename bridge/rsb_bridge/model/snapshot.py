@@ -249,6 +249,7 @@ class RouteSnapshot:
         messages_total: messages or calls that `rate` and `bytes_total` count: on the sending side those given to the
             link, on the receiving side those published.
         acknowledged: the acknowledgement of its fault, or None. A link's covers the routes that are down with it.
+        max_age: s after which a message or a request is dropped, as the two sides' sessions say, or 0 for no limit.
     """
 
     key: str
@@ -292,6 +293,7 @@ class RouteSnapshot:
     pattern: str = ""
     messages_total: int = 0
     acknowledged: Acknowledgement | None = None
+    max_age: float = 0.0
 
     @property
     def max_rate(self) -> float | None:

@@ -35,6 +35,8 @@ class Standing(Protocol):
     @property
     def disarming(self) -> bool: ...
     @property
+    def can_be_armed(self) -> bool: ...
+    @property
     def no_path(self) -> str: ...
     @property
     def limit(self) -> float: ...
@@ -108,6 +110,8 @@ def _paused(facts: Standing) -> Verdict | None:
 def _disarmed(facts: Standing) -> Verdict | None:
     if not facts.disarmed:
         return None
+    if not facts.can_be_armed:
+        return Verdict(State.DISARMED, Cause.DISARMED, facts.disarmed)
     text = f"{facts.disarmed}: arm it on a console of either side (key A), or with rsb-console arm {facts.topic}"
     return Verdict(State.DISARMED, Cause.DISARMED, text)
 

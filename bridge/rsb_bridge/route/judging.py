@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, NamedTuple
 
-from rsb_bridge.route.arming import SAID
+from rsb_bridge.route.arming import SAID, Disarmed
 from rsb_bridge.route.verdict import Facts
+from rsb_bridge.wire import lease
 
 if TYPE_CHECKING:
     from rsb_bridge.route.route import Route
@@ -25,6 +26,7 @@ class Standing(NamedTuple):
     paused_by: str
     disarmed: str
     disarming: bool
+    can_be_armed: bool
     no_path: str
     waits_for: str
     limit: float
@@ -35,6 +37,7 @@ def standing_of(route: Route) -> Standing:
     """What any half knows."""
     now = route.context.now()
     stands, overdue = route.arming.stands(now), route.arming.overdue(now)
+    why_not = _why_not_armable(route)
     return Standing(
         sends=route.outgoing,
         topic=route.local_topic,
@@ -44,13 +47,21 @@ def standing_of(route: Route) -> Standing:
         loop=route.notices.loop,
         paused=route.paused,
         paused_by=route.pausing.who,
-        disarmed="" if stands else SAID[overdue] if overdue else route.arming.reason,
+        disarmed="" if stands else SAID[why_not] if why_not else SAID[overdue] if overdue else route.arming.reason,
         disarming=route.settling.under_way or (route.outgoing and route.arming.armed and not stands),
+        can_be_armed=why_not is None,
         no_path=_trouble(route),
         waits_for="" if route.flowing else _first_missing(route),
         limit=route.limit.rate,
         limited_by=route.limit.why,
     )
+
+
+def _why_not_armable(route: Route) -> Disarmed | None:
+    """Return the reason why no operator can arm it now, whoever tries, or None."""
+    if lease.FEATURE not in route.peer.features:
+        return Disarmed.PEER_TOO_OLD
+    return Disarmed.LINK_SLOW if route.arming.why is Disarmed.LINK_SLOW else None
 
 
 def facts_of(route: TopicRoute) -> Facts:

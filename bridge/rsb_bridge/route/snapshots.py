@@ -46,6 +46,7 @@ def snapshot_of(route: Route) -> partial[RouteSnapshot]:
         allowed_rate=route.limit.allowed or None,
         pattern=route.pattern,
         messages_total=route.meter.count,
+        max_age=route.age.max_age,
     )
 
 

@@ -54,6 +54,7 @@ class Facts(NamedTuple):
         paused_by: the operator, or empty if unknown.
         disarmed: the reason why it is not armed although it must be, or empty.
         disarming: what was sent before it was disarmed may still be published.
+        can_be_armed: whether an operator may arm it; else `disarmed` says what to do first.
         no_path: the reason why its transport does not get through, or empty.
         breaking: the reason why its channel breaks before a message arrives, or empty.
         subscribe_failed: the reason why its subscription failed, or empty.
@@ -96,6 +97,7 @@ class Facts(NamedTuple):
     paused: bool = False
     disarmed: str = ""
     disarming: bool = False
+    can_be_armed: bool = True
     paused_by: str = ""
     no_path: str = ""
     breaking: str = ""

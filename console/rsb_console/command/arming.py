@@ -83,4 +83,4 @@ def disarm(arguments: Namespace) -> int:
     with attached(arguments) as engine:
         routes = all_chosen(engine, arguments)
         carried_out([engine.arming.disarm(route.key) for route in routes])
-        return done_with_all(arguments, routes, "disarmed")
+        return done_with_all(arguments, routes, "disarmed", one=True)

@@ -15,7 +15,7 @@ from rsb_bridge.config.rights_table import listings
 from rsb_bridge.config.topic_rules import transport_of
 from rsb_bridge.config.validation import domain_of
 from rsb_bridge.config.yaml_text import inline
-from rsb_bridge.model.demands import Demands, describe, local_name, sources_of
+from rsb_bridge.model.demands import NO_DEMAND, Demands, describe, local_name, sources_of
 from rsb_bridge.model.profiles import PROFILES, compression_of, described, profile_of
 from rsb_bridge.model.session import Grant
 from rsb_bridge.model.text import join_first
@@ -45,8 +45,8 @@ def summary(session: Session, places: Mapping[SourceKey, str] | None = None) -> 
     if session.on_fault is not None:
         yield f"on a fault, {shlex.join(command_words(session.on_fault))} is run"
     for topic in session.topics:
-        to_arm = _to_arm(topic, session, None, demands, places or {})
-        yield f"  {_route(topic, session, profile_of(session.profile))}{to_arm}"
+        demanded = _demands_on(topic, session, None, demands, places or {})
+        yield f"  {_route(topic, session, profile_of(session.profile))}{demanded}"
     for client in session.clients:
         allowed, denied = _grants(client.allow) or "everything", _grants(client.deny)
         prefix = "" if client.use_name is None else f", {_prefix_of(client.name, use_name=client.use_name)}"
@@ -54,28 +54,29 @@ def summary(session: Session, places: Mapping[SourceKey, str] | None = None) -> 
         if client.profile is not None:
             yield f"    profile {client.profile}: {described(PROFILES[client.profile])}"
         for topic in client.topics:
-            to_arm = _to_arm(topic, session, client, demands, places or {})
-            yield f"    proposes {_route(topic, session, profile_of(client.profile, session.profile))}{to_arm}"
+            demanded = _demands_on(topic, session, client, demands, places or {})
+            yield f"    proposes {_route(topic, session, profile_of(client.profile, session.profile))}{demanded}"
     if session.role == "server" and not session.clients:
         yield f"  accepts {session.name}: everything"
-    for source in demands.sources:
+    for source in filter(lambda each: each.arm, demands.sources):
         yield f"  has to be armed, whichever side bridges it: {_demanded(source, places or {})}"
 
 
-def _to_arm(
+def _demands_on(
     topic: Topic, session: Session, client: Client | None, demands: Demands, places: Mapping[SourceKey, str]
 ) -> str:
-    """Return the lines that demand that an entry be armed, or an empty string if none does."""
+    """Return the demands on the name of an entry that the entry itself does not show, or an empty string."""
     if topic.is_pattern:
         return ""
     use_name = session.use_name if client is None or client.use_name is None else client.use_name
     name = local_name(topic, "" if client is None else client.name, on_server=client is not None, use_name=use_name)
-    demand = demands.of(topic.kind, name, topic.type)
-    if demand is None:
-        return ""
+    demand = demands.of(topic.kind, name, topic.type) or NO_DEMAND
+    limit = f", dropped if older than {demand.max_age:g} s" if demand.max_age and not topic.max_age else ""
+    if not demand.arm:
+        return limit
     keys = f"within {demand.deadman:g} s" if demand.deadman else "never"
     lines = ", ".join(describe(source, places) for source in demand.sources)
-    return f", has to be armed ({lines}; keys needed: {keys})"
+    return f"{limit}, has to be armed ({lines}; keys needed: {keys})"
 
 
 def _demanded(source: Source, places: Mapping[SourceKey, str]) -> str:

@@ -58,6 +58,7 @@ def _values(route: RouteSnapshot) -> dict[str, object]:
         "transport": route.transport,
         "port": route.port,
         "priority": route.spec.priority,
+        "max_age": route.max_age or None,
         "qos": _qos_values(route.qos),
         "publisher_qos": _qos_values(route.publisher_qos),
         "subscriber_qos": _qos_values(route.subscriber_qos),
@@ -87,6 +88,9 @@ def _lines(route: RouteSnapshot, link: LinkSnapshot | None, other: str, figures:
     yield f"State: {route.state.upper()}{cause} since {clock(route.since)}{f': {route.reason}' if route.reason else ''}"
     if route.arming is not None and route.arming.demanded_by:
         yield f"Has to be armed: {', '.join(route.arming.demanded_by)}"
+    if route.arming is not None and route.arming.armed:
+        left = "" if route.arming.left is None else f", {route.arming.left:.0f} s left without a key"
+        yield f"ARMED by: {route.arming.by}{left}"
     towards = "sent to" if route.outgoing else "received from"
     if not is_topic:
         towards = "calls go to" if route.outgoing else "calls come from"
@@ -116,6 +120,8 @@ def _carriers(route: RouteSnapshot) -> Iterator[str]:
         yield f"{route.spec.compression} compression"
     if route.max_rate is not None:
         yield f"at most {route.max_rate:g} {'Hz' if route.calls is None else 'calls/s'}"
+    if route.max_age:
+        yield f"dropped if older than {route.max_age:g} s"
     if route.pattern:
         yield f"matches {route.pattern}"
 

@@ -283,9 +283,19 @@ def carried_out(commands: Iterable[Future[None]]) -> None:
         raise failure
 
 
-def done_with_all(arguments: Namespace, found: Sequence[RouteSnapshot | PatternSnapshot], what: str) -> int:
-    """Say what was done to all routes of a name, where there are several."""
-    if len(found) == 1:
+def done_with_all(
+    arguments: Namespace, found: Sequence[RouteSnapshot | PatternSnapshot], what: str, *, one: bool = False
+) -> int:
+    """Say what was done to all routes of a name, where there are several.
+
+    Args:
+        arguments: of the command.
+        found: the routes.
+        what: was done, in words.
+        one: whether to say it of a single route, too.
+    """
+    several = len(found) > 1
+    if not several and not one:
         return done(arguments)
     routes = [
         {
@@ -299,7 +309,7 @@ def done_with_all(arguments: Namespace, found: Sequence[RouteSnapshot | PatternS
     for each in () if arguments.json else routes:
         there = f", {each['remote_topic']} there" if each["remote_topic"] else ""
         print_line(f"{what}: {arguments.topic} of {each['link']} ({each['direction']}{there})")
-    return done(arguments, routes=routes)
+    return done(arguments, routes=routes) if several else done(arguments)
 
 
 def _patterns_meant(engine: RemoteEngine, arguments: Namespace) -> list[PatternSnapshot]:

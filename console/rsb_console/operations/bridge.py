@@ -113,6 +113,9 @@ class BridgeOperations:
             return
         if route.arming.armed:
             await self._disarm(engine, route)
+        elif route.state is State.PAUSED:
+            text = f"{route.topic} cannot be armed: it is paused; resume it first"
+            self._console.notify(text, title="Not done", severity="warning", markup=False)
         elif await self._console.ask(ConfirmScreen(f"Arm {route.topic} of {route.link}?", arming_means(route), "Arm")):
             await self._console.command(engine.arming.arm(route.key))
 

@@ -107,19 +107,19 @@ def _topic_lines(route: RouteSnapshot, peer: str, width: int) -> Iterator[Line]:
     yield ()
     yield from parts.plot(route, "Rate", "Hz", width)
     yield ()
-    yield from _ledger(route.ledger, route.max_rate)
+    yield from _ledger(route.ledger, route.max_rate, route.max_age)
     yield ()
     yield from _figures(route, width)
 
 
-def _ledger(ledger: Ledger, limit: float | None) -> Iterator[Line]:
+def _ledger(ledger: Ledger, limit: float | None, max_age: float) -> Iterator[Line]:
     """Return the ledger. The delivered share leaves out throttled, unknown and in-flight messages."""
     due = ledger.offered - ledger.throttled - ledger.unknown - ledger.in_flight
     rows = [
         ("offered", ledger.offered, "", ""),
         ("delivered", ledger.delivered, "", parts.share(ledger.delivered, due)),
         ("throttled", ledger.throttled, "", f"  limit {limit:g} Hz" if limit else ""),
-        ("expired", ledger.expired, "stale", ""),
+        ("expired", ledger.expired, "stale", f"  limit {max_age:g} s" if max_age else ""),
         ("in flight", ledger.in_flight, "", ""),
         ("dropped", ledger.dropped_total, "down", ""),
         *((f"  {cause}", count, "down", "") for cause, count in ledger.dropped.items() if count),

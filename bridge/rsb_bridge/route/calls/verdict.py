@@ -40,6 +40,7 @@ class CallsFacts(NamedTuple):
         paused_by: who, in words; empty: it is not known.
         disarmed: why it is not armed, though it has to be; empty: it is, or need not be.
         disarming: what was sent before it was disarmed may still be acted on.
+        can_be_armed: whether an operator may arm it; else `disarmed` says what to do first.
         no_path: why its transport does not get through; empty: it does.
         breaking: why what carries it breaks before anything arrives; empty: it does not.
         waits_for: what has to come before calls can cross.
@@ -68,6 +69,7 @@ class CallsFacts(NamedTuple):
     paused_by: str = ""
     disarmed: str = ""
     disarming: bool = False
+    can_be_armed: bool = True
     no_path: str = ""
     breaking: str = ""
     waits_for: str = ""
