@@ -101,7 +101,7 @@ def _disarmed(facts: Standing) -> Verdict | None:
     if not facts.disarmed:
         return None
     if facts.disarming:
-        text = f"{facts.disarmed}: the other side may still publish what was sent before, for a second at most"
+        text = f"{facts.disarmed}; the other side may act on earlier messages for up to 1 s"
         return Verdict(State.DISARMING, Cause.DISARMING, text)
     text = f"{facts.disarmed}: arm it on a console of either side (key A), or with rsb-console arm {facts.topic}"
     return Verdict(State.DISARMED, Cause.DISARMED, text)
