@@ -127,7 +127,9 @@ def _shown(engine: Engine, topic: str) -> tuple[State, str]:
     return found.state, found.cause
 
 
-def test_without_it_they_do_come_out(bridge: Bridge, holding: HoldingRelay, robot: Domain, pc: Domain) -> None:
+def test_without_max_age_old_messages_come_out(
+    bridge: Bridge, holding: HoldingRelay, robot: Domain, pc: Domain
+) -> None:
     """What the test above is about is there: the relay holds messages, and old ones come out."""
     out, heard = robot.publisher("/cmd"), pc.listener("/cmd")
     server = bridge.server()

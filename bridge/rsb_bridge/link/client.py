@@ -150,7 +150,7 @@ class ClientLink(Link):
         await self._ended.wait()
 
     async def _connect(self, key: Key | None) -> Failure | None:
-        """Connect to the server, or to the announced one that proves the key. Return the failure, or None for success."""
+        """Connect to the server, or to the announced one that proves the key; return the failure, or None."""
         secret = key.secret if key else None
 
         def begin(suite: Suite | None) -> ClientConnection:

@@ -264,7 +264,7 @@ class Session(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defa
         server_ip: IPv4 or IPv6 address, host name, or Bluetooth MAC, which makes the link RFCOMM. A server binds it.
             ``zenoh``: the link goes over the Zenoh network of `zenoh`.
         server_port: TCP and UDP port, or RFCOMM channel, or 0 over Zenoh.
-        bluetooth_address: MAC of the server's adapter, for single topics over Bluetooth beside an IP link. Each names
+        bluetooth_address: MAC of the server's adapter, for single topics over Bluetooth on an IP link. Each names
             a channel as its port; topics with the same channel share it.
         domain_id: ROS domain, or None for ``$ROS_DOMAIN_ID``, or 0 without that.
         use_name: the client's topics have its name before them on the server, in both directions.

@@ -186,7 +186,7 @@ def add_remote_commands(
     arm = remote("arm", "arm what has to be armed, for as long as this runs", _EXIT_ARM, about_topic=True)
     route_arguments(arm, complete)
     route_arguments(
-        remote("disarm", "disarm all routes of a name, also those that others armed", about_topic=True), complete
+        remote("disarm", "disarm all routes of a name, also if others armed them", about_topic=True), complete
     )
     retry = remote("retry", "connect now instead of later, and open refused topics again")
     only = "the link with this client only"
