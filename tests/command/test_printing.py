@@ -1,4 +1,4 @@
-"""Texts from engines, peers, files and arguments do nothing to a terminal, whichever command prints them."""
+"""Texts from engines, peers, files and arguments do nothing to a terminal, in any command."""
 
 from __future__ import annotations
 

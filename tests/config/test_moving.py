@@ -1,4 +1,4 @@
-"""Which topics are taken for commands that move a robot."""
+"""Topics that are taken for commands that move a robot."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a peer sends is checked against its type before ROS gets it: a real node keeps its memory."""
+"""A peer's messages are checked against their types before ROS gets them: a real node keeps its memory."""
 
 from __future__ import annotations
 

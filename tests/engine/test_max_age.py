@@ -1,4 +1,4 @@
-"""No message and no request that is older than `max_age` comes out, whatever holds it up on the way."""
+"""No message and no request that is older than `max_age` is published, after any delay on the way."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What one peer's long control messages cost the others: a slice of work between two of their turns."""
+"""Long control messages of one peer: the others wait for one slice of work only."""
 
 from __future__ import annotations
 

@@ -44,7 +44,7 @@ class LinkLease:
         return wire.FEATURE in self._peer.features
 
     def hold(self) -> None:
-        """Keep it from now on, as a route is about to be armed; the next message to the other side follows a number."""
+        """Keep the lease from now on, for a route that is about to be armed, and send a number at once."""
         if self.state.over is not None:
             self._end()
         if not self.state.is_on:

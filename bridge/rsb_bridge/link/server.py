@@ -41,7 +41,7 @@ if TYPE_CHECKING:
 
 _SESSION_CHANGED = "the server's session has changed: try again"
 _ASKED_AS = 3
-"""Clients as which other servers are asked whether they have the key."""
+"""Number of clients whose keys other servers are asked to prove."""
 _PROVES_WITHIN = 1.0
 """s in which another server has to answer; this server waits so long before it listens."""
 _SHUT_DOWN = "the server shuts its links down: try again"

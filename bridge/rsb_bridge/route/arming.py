@@ -185,18 +185,18 @@ class Arming:
 
     @property
     def newest_number(self) -> int:
-        """The number of the lease that a message carries which an operator makes now."""
+        """The lease's number for a message that an operator makes now."""
         return self.lease.newest_before(float("inf")) if self.lease is not None else 0
 
     def pack(self, message: Message, number: int) -> Message:
-        """A message as it is sent, with a number that its receiver can tell its age by."""
+        """Return a message as it is sent, with the lease's number before it."""
         if not self.required:
             return message
         content, stamp, flags = message
         return with_number(number, content), stamp, flags | LEASED
 
     def unpack(self, message: Message) -> Message | None:
-        """A message as it is published, or None if it is too old for that.
+        """Return a message without the lease's number, or None if it is too old.
 
         Raises:
             ProtocolError: it is too short.
@@ -248,7 +248,7 @@ class Arming:
         self._begin_deadman(now, PEER_GRACE)
 
     def end(self, why: Disarmed, reason: str = "") -> None:
-        """Disarm it, for a reason in other words than usual or in these; in this opening it cannot be armed again."""
+        """Disarm this opening for good; `reason` replaces the usual text of `why`."""
         self.why, self.reason = why, reason or SAID[why]
         self._clear(_Phase.SPENT)
 

@@ -113,7 +113,7 @@ class Acceptor:
         shortage: called with a message each time that streams cannot be accepted, because the process may have no more
             descriptors or the like; they wait, and accepting them is tried again.
         prove: finds out which of the hosts that announce themselves as servers have a key of this one.
-        others: called with a message if other servers are announced that have none.
+        others: called with a message if other servers are announced.
     """
 
     make_handler: Callable[[], StreamHandler]
