@@ -1,8 +1,8 @@
-"""What one peer's long control messages cost all other links: the processor time of the I/O loop's longest callback.
+"""Measures the cost of one peer's long control messages for all other links: CPU time of the loop's longest callback.
 
 ``python -m bench.control_messages [REPEATS]``. A server without ROS has a link to a peer, which sends each message; the
-loop's callbacks are measured on their thread, so that other load on the machine counts little. The first line is what
-the loop needs beside, with a ping: the ratio is to that.
+loop's callbacks are measured on their thread, so that other load on the machine counts little. The first line is
+the loop's own need with a ping: the ratio is to that.
 """
 
 from __future__ import annotations
@@ -77,7 +77,7 @@ class _Longest:
 
     @classmethod
     def reset(cls) -> None:
-        """Begin anew."""
+        """Reset the figures."""
         cls.most = cls.in_all = 0.0
 
 

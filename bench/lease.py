@@ -1,4 +1,4 @@
-"""How often a bad link disarms, and how many armed messages are too old: computed with the lease itself.
+"""Computes how often a bad link disarms, and how many armed messages are too old, with the lease itself.
 
 ``python -m bench.lease`` prints a line for each link and limit. The streams lose packets as TCP does: a packet that is
 lost comes a retransmission later, and everything behind it waits. Datagrams that are lost do not count.

@@ -1,4 +1,4 @@
-"""What strangers in a Zenoh network cost the two sides of a link: memory, CPU, log lines, and what still crosses.
+"""Measures the cost of strangers in a Zenoh network for a link: memory, CPU, log lines, and the messages that cross.
 
 ``python -m bench.zenoh_strangers [SECONDS]``: one attack after another, each against a link of its own that carries 50
 messages a second. The messages are counted by their publisher and their listener.

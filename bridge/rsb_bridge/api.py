@@ -123,12 +123,12 @@ class EngineApi(Protocol):
         ...
 
     def edit_topic(self, key: str, topic: Topic, *, drop_arm: bool = False) -> Future[str]:
-        """Put another topic in a route's place. Gives the new route's key; where that fails, the old one stays.
+        """Replace a route's topic. Gives the new route's key; if that fails, the old route stays.
 
         Args:
             key: of the route or the pattern.
-            topic: as it is to be.
-            drop_arm: an operator has agreed that the name need not be armed any more. Without that, a change from
+            topic: the new entry.
+            drop_arm: whether an operator has agreed to end the demand to be armed. Without that, a change from
                 ``arm: true`` to false is refused, and any other change keeps the demand.
         """
         ...

@@ -43,7 +43,7 @@ class BridgeArming:
             await link.table.arming.arm(route, console())
 
     async def disarm(self, key: str) -> None:
-        """Disarm a topic, whoever armed it; returns once nothing that was sent before can be published any more."""
+        """Disarm a topic, even if another operator armed it; return once no earlier message can be published."""
         with self._command():
             link, route = self._find(key)
             link.table.arming.disarm(route, Disarmed.OPERATOR)

@@ -343,10 +343,10 @@ class Bridge:
             return await self._reload(session, keys)
 
     def _dropped_by(self, session: Session) -> dict[Source, str]:
-        """Return the demands that another session does not make any more, each with what an operator is told."""
+        """Return the demands that another session no longer makes, each with a text for operators."""
         demands = self.context.demands
         return {
-            source: f"{source.name}: need not be armed any more ({demands.origin(source)} demands it now)"
+            source: f"{source.name}: no longer has to be armed ({demands.origin(source)} demands it now)"
             for source in Demands(sources_of(session)).missing(demands.sources)
         }
 

@@ -77,12 +77,12 @@ class TopicCommands:
         return key
 
     def edit(self, key: str, topic: Topic, *, drop_arm: bool = False) -> str:
-        """Put another topic in a route's place, or another pattern in a pattern's; the new key.
+        """Replace a route's topic, or a pattern by another one; return the new key.
 
         Args:
             key: of the route or the pattern.
-            topic: as it is to be.
-            drop_arm: the operator agrees that it need not be armed any more.
+            topic: the new entry.
+            drop_arm: whether the operator agrees to end the demand that its name be armed.
         """
         with self._demands.changing(operator()):
             return self._edit(key, topic, drop_arm=drop_arm)
@@ -110,11 +110,11 @@ class TopicCommands:
         return new_key
 
     def remove(self, key: str, *, drop_arm: bool = False) -> None:
-        """Stop bridging a topic, or following a pattern. What a pattern matches, it leaves out from then on.
+        """Stop bridging a topic, or following a pattern. A pattern that matches the topic leaves it out from then on.
 
         Args:
             key: of the route or the pattern.
-            drop_arm: the operator agrees that the name need not be armed any more.
+            drop_arm: whether the operator agrees to end the demand that its name be armed.
         """
         with self._demands.changing(operator()):
             self._remove(key, drop_arm=drop_arm)
@@ -139,18 +139,18 @@ class TopicCommands:
     def _drop_demands(
         self, link: Link, entry: Topic, name: str, route: Route | None, *, wanted: bool, names_it: bool = False
     ) -> None:
-        """Drop the demands of an entry, and those of `armed` on its name, if an operator wants that.
+        """Drop the demands of an entry, and the demands of `armed` on its name, if an operator wants that.
 
         Args:
-            link: which has the entry.
+            link: the entry's link.
             entry: a topic, or a pattern.
             name: of it on this side.
             route: of the topic, or None for a pattern.
             wanted: whether the operator has agreed.
-            names_it: whether the change itself says that it need not be armed.
+            names_it: whether the change itself removes `arm` from the entry.
 
         Raises:
-            LinkError: the operator has not agreed to what the change says, or something else demands it, too.
+            LinkError: the operator has not agreed, or another line demands arming, too.
         """
         demands = self._demands
         key = "" if link.is_client else link.name, entry.identity
@@ -161,14 +161,14 @@ class TopicCommands:
         ]
         if names_it and not wanted:
             lines = ", ".join(map(demands.origin, own)) or PEER_DEMANDS
-            raise LinkError(f"{name} has to be armed ({lines}): to drop that, agree to it (--drop-arm)")
+            raise LinkError(f"{name} has to be armed ({lines}): agree to end that (--drop-arm)")
         if not wanted:
             return
         demand = None if route is None else link.table.arming.demand_on(route, demands)
         others = [each for each in ([] if demand is None else demand.sources) if each not in own]
         if others or (not own and route is not None and route.arming.required):
             lines = ", ".join(map(demands.origin, others)) or PEER_DEMANDS
-            raise LinkError(f"{name} would still have to be armed: {lines} demands it; change that instead")
+            raise LinkError(f"{name} still has to be armed: {lines} demands it, too; change that instead")
         demands.permit(own)
         if route is not None and (listed := link.table.yielded.get(route.key)) is not None:
             link.table.yielded[route.key] = msgspec.structs.replace(listed, arm=False, deadman=None)

@@ -339,7 +339,7 @@ def storm(rogue: Rogue, transport: str, what: str, size: int) -> int:
         ("udp", "large", 300_000),
     ],
 )
-def test_no_byte_beyond_the_leave_is_let_in(
+def test_no_byte_beyond_the_limit_is_taken(
     pair: Callable[..., Pair], tmp_path: Path, transport: str, what: str, size: int
 ) -> None:
     """Over several connections, since the leave is for an hour."""

@@ -141,7 +141,7 @@ def test_a_peer_whose_count_goes_on_growing_is_not_waited_for_for_ever(monkeypat
     assert asyncio.run(here.bench._settled_there(cast("Route", None), 1, order)).received == received
 
 
-def test_no_message_beyond_the_leave_is_taken_whatever_its_size() -> None:
+def test_no_message_of_any_size_beyond_the_limit_is_taken() -> None:
     here = Here()
     drain = here.open(UP)
     publish(drain, 10, 100_000)

@@ -211,7 +211,7 @@ def test_padding_between_elements_repeats() -> None:
         [("a", 0, 0, 0, "")],
     ],
 )
-def test_what_cannot_be_checked_is_said(fields: list[tuple[str, int, int, int, str]]) -> None:
+def test_types_that_cannot_be_checked_are_named(fields: list[tuple[str, int, int, int, str]]) -> None:
     with pytest.raises(UncheckableError):
         Checker(of(*fields))
 

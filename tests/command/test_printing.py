@@ -1,4 +1,4 @@
-"""Texts from engines, peers, files and arguments do nothing to a terminal, whichever command prints them."""
+"""Texts from engines, peers, files and arguments do nothing to a terminal, in any command."""
 
 from __future__ import annotations
 
@@ -90,7 +90,7 @@ def test_what_is_clean_is_left_as_it_is() -> None:
     assert several_lines("a\tb\nc\r\n") == "a\tb\nc\r\n"
 
 
-def test_standard_error_is_clean_whoever_writes_there() -> None:
+def test_everything_on_standard_error_is_clean() -> None:
     stream = io.StringIO()
     CleanErrors(stream).writelines([f"a {EVIL}"])
     assert clean_lines(stream.getvalue())

@@ -1,4 +1,4 @@
-"""Which topics are taken for commands that move a robot."""
+"""Topics that are taken for commands that move a robot."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from rsb_bridge.model.session import Client, Session, Topic
         Topic("/a", "receive", remote_topic="/cmd_vel"),
     ],
 )
-def test_it_moves_a_robot(topic: Topic) -> None:
+def test_commands_move_a_robot(topic: Topic) -> None:
     assert moves_a_robot(topic)
 
 
@@ -30,7 +30,7 @@ def test_it_moves_a_robot(topic: Topic) -> None:
     "topic",
     [Topic("/scan", "receive"), Topic("/map", "transmit", "OccupancyGrid"), Topic("/cmd", "receive", kind="service")],
 )
-def test_it_moves_nothing(topic: Topic) -> None:
+def test_other_topics_move_nothing(topic: Topic) -> None:
     assert not moves_a_robot(topic)
 
 

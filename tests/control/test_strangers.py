@@ -308,7 +308,7 @@ def test_a_refused_console_is_freed_at_once_and_counts_no_more(
     assert robot.access.strangers.used == 0
 
 
-def test_who_has_attached_is_no_stranger(machine: Machine) -> None:
+def test_an_attached_operator_is_no_stranger(machine: Machine) -> None:
     robot = Reachable(machine)
     with Stranger(robot.port) as anna, Stranger(robot.port) as silent:
         anna.attach()

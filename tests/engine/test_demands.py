@@ -1,4 +1,4 @@
-"""Demands to be armed belong to names, between two real domains: whatever crosses is counted by the nodes there."""
+"""Demands to be armed belong to names, between two real domains, whose nodes count the messages that cross."""
 
 from __future__ import annotations
 

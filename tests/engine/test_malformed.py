@@ -1,4 +1,4 @@
-"""What a peer sends is checked against its type before ROS gets it: a real node keeps its memory."""
+"""A peer's messages are checked against their types before ROS gets them: a real node keeps its memory."""
 
 from __future__ import annotations
 
@@ -143,7 +143,7 @@ def test_eight_bytes_of_a_request_do_not_reach_a_node(bridge: Bridge, victim: Vi
     assert happened(server, EventCode.ROUTE_MALFORMED, "rcl_interfaces/srv/SetParameters_Request from robot1: param")
 
 
-def test_nor_do_those_of_a_message(bridge: Bridge, victim: Victim, robot: Domain) -> None:
+def test_eight_bytes_of_a_message_do_not_reach_a_node(bridge: Bridge, victim: Victim, robot: Domain) -> None:
     server, client = bridge.both(Topic("/report", "transmit"))
     out = robot.publisher("/report", DiagnosticArray)
     carries([out], server, ["/report"])
@@ -156,7 +156,7 @@ def test_nor_do_those_of_a_message(bridge: Bridge, victim: Victim, robot: Domain
     assert happened(server, EventCode.ROUTE_MALFORMED, "diagnostic_msgs/msg/DiagnosticArray from robot1")
 
 
-def test_a_peer_that_means_it_does_not_get_them_there_either(
+def test_a_hostile_peer_cannot_send_them_either(
     bridge: Bridge, victim: Victim, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """It has no ROS of its own; what it sends of a type that the node expects goes over the link as it is."""
@@ -177,7 +177,7 @@ def test_a_peer_that_means_it_does_not_get_them_there_either(
 
 
 @pytest.mark.parametrize("compression", ["none", "zstd"])
-def test_latched_and_compressed_ones_are_checked_too(
+def test_latched_and_compressed_messages_are_checked_too(
     compression: Any, bridge: Bridge, robot: Domain, pc: Domain
 ) -> None:
     out = robot.publisher("/kept", DiagnosticArray, LATCHED)

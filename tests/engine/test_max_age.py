@@ -1,4 +1,4 @@
-"""No message and no request that is older than `max_age` comes out, whatever holds it up on the way."""
+"""No message and no request that is older than `max_age` is published, after any delay on the way."""
 
 from __future__ import annotations
 
@@ -127,7 +127,9 @@ def _shown(engine: Engine, topic: str) -> tuple[State, str]:
     return found.state, found.cause
 
 
-def test_without_it_they_do_come_out(bridge: Bridge, holding: HoldingRelay, robot: Domain, pc: Domain) -> None:
+def test_without_max_age_old_messages_come_out(
+    bridge: Bridge, holding: HoldingRelay, robot: Domain, pc: Domain
+) -> None:
     """What the test above is about is there: the relay holds messages, and old ones come out."""
     out, heard = robot.publisher("/cmd"), pc.listener("/cmd")
     server = bridge.server()

@@ -97,7 +97,7 @@ def test_a_link_comes_up_though_each_of_its_streams_is_answered_by_a_stranger(
 
 
 @pytest.mark.parametrize("count", [1, 30, 1000])
-def test_announced_servers_that_are_none_cost_seconds_and_no_link(bridge: Bridge, router: Router, count: int) -> None:
+def test_false_servers_cost_seconds_and_no_link(bridge: Bridge, router: Router, count: int) -> None:
     stranger = Stranger(router.endpoint, "fleet")
     tokens = [stranger.declare(f"{ROOT}/fleet/here/server/{number:016x}/fake") for number in range(count)]
     try:

@@ -496,7 +496,7 @@ def test_a_link_whose_round_trip_is_too_long_cannot_be_armed(pair: Pair, loop: V
 
 
 @pytest.mark.parametrize("at", [0, 1], ids=["the robot", "the control PC"])
-def test_a_side_that_stood_still_disarms_whatever_it_hears_first(at: int, pair: Pair, loop: VirtualLoop) -> None:
+def test_a_side_that_stood_still_disarms_although_answers_come_first(at: int, pair: Pair, loop: VirtualLoop) -> None:
     robot, pc = pair
     arm(pc, loop).result()
     let_time_pass(pair, loop, 2.0)

@@ -1,4 +1,4 @@
-"""What one peer's long control messages cost the others: a slice of work between two of their turns."""
+"""Long control messages of one peer: the others wait for one slice of work only."""
 
 from __future__ import annotations
 
@@ -176,7 +176,7 @@ def test_entries_come_no_faster_than_a_thousand_routes_report(loop: Any, entries
 
 
 @pytest.mark.parametrize("entries", [1, 100, ROUTES_PER_LINK])
-def test_parts_say_what_the_whole_says(entries: int) -> None:
+def test_parts_decode_as_the_whole_does(entries: int) -> None:
     data = encode(long_report(entries))
     whole, parts = decode(data), decode_in_parts(data)
     assert isinstance(whole, Report)

@@ -1,4 +1,4 @@
-"""What is kept of strangers, who have not proven that they have a key: little, within a budget, and not for long."""
+"""Memory of strangers, who have not proven a key: small, within a budget, and freed soon."""
 
 from __future__ import annotations
 

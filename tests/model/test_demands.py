@@ -1,4 +1,4 @@
-"""Which names a session demands to be armed, whatever makes the demand."""
+"""Names that a session demands to be armed, by entries, patterns and `armed`."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Ages as the two halves of a route measure them, and what is made of what expires."""
+"""Ages as the two halves of a route measure them, and the verdict on messages that expire."""
 
 from __future__ import annotations
 

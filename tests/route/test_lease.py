@@ -92,7 +92,7 @@ def test_a_message_with_a_number_that_was_not_sent_does_not_pass(number: int, pa
     assert not pair.here.passes(number)
 
 
-def test_a_standstill_of_this_side_ends_it_whatever_is_read_first(pair: Pair) -> None:
+def test_a_standstill_of_this_side_ends_it_although_answers_come_first(pair: Pair) -> None:
     answers = [pair.there.beat() for _ in range(3)]
     pair.clock.now += LASTS + EPSILON
     for answer in answers:

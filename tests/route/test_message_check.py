@@ -1,4 +1,4 @@
-"""Which messages are checked, and that the check of one link's messages leaves the loop to the others."""
+"""Messages that are checked, and the bound of the time that one link's checks take."""
 
 from __future__ import annotations
 

@@ -59,7 +59,7 @@ def fakes(count: int) -> list[str]:
     return [f"fake{number}" for number in range(count)]
 
 
-def test_the_only_one_is_used_as_soon_as_it_has_proven_the_key() -> None:
+def test_a_single_address_is_used_as_soon_as_it_has_proven_the_key() -> None:
     async def test() -> None:
         network = Network(real=0.05)
         results = await network.search(["real"])
@@ -142,7 +142,7 @@ def test_tries_and_memory_are_bounded() -> None:
     run(test)
 
 
-def test_whoever_gives_up_leaves_nothing_behind() -> None:
+def test_a_cancelled_search_leaves_nothing_behind() -> None:
     async def test() -> None:
         network = Network(real=0.05)
         search = asyncio.create_task(network.search([*fakes(50), "real"]))

@@ -332,7 +332,7 @@ def test_what_comes_while_a_stream_is_proven_stays_in_order(router: Router) -> N
     asyncio.run(test())
 
 
-def test_datagrams_of_who_has_no_stream_here_are_dropped(router: Router) -> None:
+def test_datagrams_of_endpoints_without_a_stream_are_dropped(router: Router) -> None:
     async def test() -> None:
         async with in_network(router) as server:
             came: list[str] = []

@@ -94,6 +94,6 @@ def test_an_operator_and_an_engine_in_a_zenoh_network_have_one_secret(at: str) -
     assert (console.sample_secret is None) == (not at)
 
 
-def test_a_console_says_that_it_takes_tags_beside_its_version() -> None:
+def test_a_console_announces_tags_with_its_version() -> None:
     offer = parse_operator(operator_header(7, "anna", "robot1", bytes(8)) + b"message")
     assert (offer.version, offer.tags) == (7, True)

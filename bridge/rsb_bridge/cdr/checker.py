@@ -41,7 +41,7 @@ _NATIVE: Final = int(sys.byteorder == "little")
 
 
 class MalformedError(ValueError):
-    """A message is not one of its type; the text says which field shows it.
+    """A message does not fit its type; the text names the field.
 
     Attributes:
         field: path of the field, ``transforms[].header.frame_id``, or an empty string for the message as a whole.
@@ -78,15 +78,15 @@ class _Kind(IntEnum):
 
 
 class _Step(NamedTuple):
-    """One length and what it counts.
+    """A length and the elements that it counts.
 
     Attributes:
         kind: of the content.
-        sizes: bytes from the end of the content before it to the end of the length, or to the array.
-        bound: the largest number, or an array's.
-        unit: bytes of one of the units.
-        repeated: of elements of fixed size.
-        body: of elements of varying size.
+        sizes: bytes from the end of the previous content to the end of the length, or to the array.
+        bound: the largest number of elements, or an array's number.
+        unit: bytes of one unit.
+        repeated: elements of fixed size.
+        body: the body of elements of varying size.
         name: of the field.
     """
 
@@ -187,7 +187,7 @@ class Checker:
             The number of lengths in sequences that were read, which is about what the check costs.
 
         Raises:
-            MalformedError: it is none of the type.
+            MalformedError: it does not fit the type.
             TooComplexError: it has more than `STEPS` lengths in sequences.
         """
         size = len(payload)

@@ -19,7 +19,7 @@ Meter: TypeAlias = "Callable[[int], bool]"
 
 
 class MeteredDataReader(DataReader):
-    """Opens frames as long as the meter allows; what comes after that is ignored, and the meter ends the route."""
+    """Opens frames as long as the meter allows, and ignores all further ones; the meter ends the route."""
 
     def __init__(self, opener: StreamOpener, route: int, meter: Meter, budget: Budget) -> None:
         super().__init__(opener, route, budget=budget)
@@ -43,7 +43,7 @@ class MeteredDataReader(DataReader):
 
 
 class MeteredDatagramReader(DatagramReader):
-    """Likewise for datagrams. Those that are forged count for nothing."""
+    """Opens datagrams as long as the meter allows. Forged datagrams are not counted."""
 
     def __init__(self, opener: DatagramOpener, route: int, meter: Meter, budget: Budget) -> None:
         super().__init__(opener, route, budget=budget)

@@ -1,4 +1,4 @@
-"""The rules of a session's `armed`: names and patterns that have to be armed, though no entry says so."""
+"""The rules of a session's `armed`: names and patterns that have to be armed even without an entry."""
 
 from __future__ import annotations
 

@@ -16,7 +16,7 @@ _TYPES = frozenset(
         "ActuatorControls", "AttitudeTarget", "PositionTarget", "Thruster", "MultiDOFJointTrajectory",
     }
 )  # fmt: skip
-"""Names of message types, whatever their package."""
+"""Names of message types, of any package."""
 _NAMES = ("cmd*", "*_cmd", "*_cmd_vel", "joint_trajectory", "joint_command*", "*_command", "*_commands", "servo_*")
 """Last parts of names."""
 

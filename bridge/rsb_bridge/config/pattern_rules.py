@@ -83,7 +83,7 @@ def too_many_patterns(topics: Sequence[Topic], where: str) -> Iterator[Problem]:
 
 
 def form_problems(text: str, location: str, *, hidden: bool = False) -> Iterator[Problem]:
-    """Yield what is wrong with a name or a pattern; `hidden`: it may match hidden names."""
+    """Yield the mistakes in a name or a pattern, which may match hidden names if `hidden`."""
     if is_pattern(text) and not is_valid(text):
         yield Problem(location, f"{show(text)} is not a pattern of names: {_FORM}")
     elif not is_pattern(text) and not is_topic_name(text):

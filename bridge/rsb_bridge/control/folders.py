@@ -105,7 +105,7 @@ def find_sockets(environ: Mapping[str, str]) -> list[Path]:
 
 
 def hidden_bridges(environ: Mapping[str, str]) -> int | None:
-    """Return the uid of a user whose sockets this user may not see or does not look at, or None if there is none."""
+    """Return the uid of a user whose sockets this process cannot or does not list, or None."""
     for folder in searched_folders(environ):
         with contextlib.suppress(OSError):
             owner = folder.stat().st_uid
@@ -208,8 +208,8 @@ def _connect(path: Path, timeout: float) -> socket.socket:
             connection.settimeout(timeout)
             connection.connect(_address(folder, path.name))
             _, uid, _ = peer_of(connection)
-            # Whoever started the services' folder there was root, who named their user. Any other user may pose as a
-            # bridge: in a folder of /tmp that bears root's number, or under a path that root is told.
+            # Only root can make the services' folder, for a user that root chose. Any other user may pose as a bridge:
+            # in a folder of /tmp that bears root's number, or under a path that somebody gives root.
             service = path.parent == SERVICES and uid == os.fstat(folder).st_uid and os.geteuid() == 0
             if not (may_control(uid) or service):
                 raise StrangerError(path, uid)
@@ -220,7 +220,7 @@ def _connect(path: Path, timeout: float) -> socket.socket:
 
 
 def may_control(uid: int) -> bool:
-    """Whether a user may control bridges of this process's user: that user and root, whatever the files' modes say."""
+    """Whether a user may control bridges of this process's user: that user and root may, for any mode of the files."""
     return uid in (0, os.geteuid())
 
 

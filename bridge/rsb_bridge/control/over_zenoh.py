@@ -220,8 +220,8 @@ class FleetWay:
         """The warning that engines of the name did not prove the key, or an empty string."""
         if not self.unproven:
             return ""
-        what = "1 other engine has" if self.unproven == 1 else f"{self.unproven} other engines have"
-        return f"{what} this one's name and no key: set access control on the router (docs/zenoh.md)"
+        what = "engine of this name has" if self.unproven == 1 else "engines of this name have"
+        return f"{self.unproven} other {what} not proven the key: set access control on the router (docs/zenoh.md)"
 
     async def open(self, within: float) -> Connection:
         """Find it, and connect."""

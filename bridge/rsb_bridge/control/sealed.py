@@ -235,7 +235,7 @@ class SealedConsole(asyncio.Protocol):
         self._acceptor.remove(self)
 
     def _give_share_back(self) -> None:
-        """Be no stranger any more, or be gone."""
+        """Stop counting the connection as a stranger's."""
         self.when_attached = _nothing
         if self._counted:
             self._counted = False

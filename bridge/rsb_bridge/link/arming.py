@@ -95,7 +95,7 @@ class LinkArming:
         self._say_who_demands(route)
 
     def renew_demand(self, route: Route) -> bool:
-        """Take this side's session as it is now for a route; return whether it has to be opened anew for that."""
+        """Apply this side's present session to a route; return whether the route has to be reopened."""
         if not route.id:
             return False
         own, before = self._own(route) or NO_DEMAND, route.arming.own or NO_DEMAND
@@ -164,7 +164,7 @@ class LinkArming:
         if not route.accepted:
             return route.refusal or "it is being set up"
         if not arming.required:
-            return "it need not be: neither session demands it"
+            return "neither session demands arming"
         if not self.lease.supported:
             return SAID[Disarmed.PEER_TOO_OLD]
         if route.paused:
@@ -174,7 +174,7 @@ class LinkArming:
         return "it is being set up anew; try again in a moment" if arming.spent else ""
 
     def disarm(self, route: Route, why: Disarmed, reason: str = "") -> None:
-        """Disarm a route on both sides; nothing happens where it is not armed."""
+        """Disarm a route on both sides, if it is armed."""
         if not route.arming.held:
             return
         who = acting_operator() if why is Disarmed.OPERATOR else ""
@@ -224,7 +224,7 @@ class LinkArming:
     # --- the other side
 
     def settled(self, message: Settled) -> None:
-        """The peer publishes nothing of an opening any more that was disarmed."""
+        """Note that the peer publishes nothing more of a disarmed opening."""
         for route in self._routes():
             route.settling.answered(message.route)
 

@@ -31,7 +31,7 @@ class BenchBudget:
         """Why nothing, or nothing of this kind, may be caused now; empty: it may.
 
         Args:
-            leave: what the session says now; None: nothing is allowed.
+            leave: the limits that the session sets now, or None if nothing is allowed.
             seconds: s for which is to be sent.
             size: bytes that are to be sent.
             rate: Hz at which.
@@ -56,12 +56,12 @@ class BenchBudget:
         self._bytes += size
 
     def take(self, leave: Leave | None, *, wire: int = 0, payload: int = 0) -> bool:
-        """Take what the peer has sent, before anything is done with it; False: it would be more than the leave.
+        """Count bytes from the peer before they are used; return False if they exceed the peer's limits.
 
         Args:
-            leave: what the session says now; None: nothing is allowed.
+            leave: the limits that the session sets now, or None if nothing is allowed.
             wire: bytes as they came, with headers and seals.
-            payload: bytes of a message of these, which compression may have made fewer.
+            payload: bytes of a message after decompression.
         """
         self._renew()
         most = 0.0 if leave is None else leave.megabytes * 1e6

@@ -150,7 +150,7 @@ class ClientLink(Link):
         await self._ended.wait()
 
     async def _connect(self, key: Key | None) -> Failure | None:
-        """Connect to the server, or to the announced one that proves the key; None: the link is up."""
+        """Connect to the server, or to the announced one that proves the key; return the failure, or None."""
         secret = key.secret if key else None
 
         def begin(suite: Suite | None) -> ClientConnection:
@@ -167,7 +167,7 @@ class ClientLink(Link):
         return await self._open(self.transport, host, self.port, connection, partial(self._linked, connection))
 
     async def _find(self, hosts: list[str], begin: Callable[[Suite | None], ClientConnection]) -> Failure | None:
-        """Connect to the announced server that proves the key; None: the link is up."""
+        """Connect to the announced server that proves the key. Return the failure, or None if the link is up."""
         remedied = partial(with_remedy, name=self.name, has_key=True)
         proven, failures, unproven = await self._search.find(hosts, begin, remedied)
         if proven:

@@ -50,7 +50,7 @@ class ConnectAttempt(StreamHandler):
     Args:
         connection: the state machine of the handshake, or of a route's data preamble.
         address: of the server, for messages.
-        refusal_message: what an operator is told of a refusal.
+        refusal_message: gives the text for operators about a refusal.
         let_in: called when the server accepts the stream.
         sample_secret: both sides have it already, or None.
 
@@ -148,7 +148,7 @@ class ConnectAttempt(StreamHandler):
 
 
 def no_answer(address: str) -> str:
-    """Return what an operator is told of a server that does not answer."""
+    """Return the text for operators about a server that does not answer."""
     remedy = "check there that rsb-console runs and does not hang (ss -lntp there)"
     return f"{address} accepts, but does not answer: {remedy}"
 
@@ -157,9 +157,9 @@ def failure_of(event: Event, address: str, refusal_message: Callable[[RefusalCod
     """Return the failure that an event of the handshake means.
 
     Args:
-        event: says why the handshake has failed.
+        event: the failure of the handshake.
         address: of the server.
-        refusal_message: what an operator is told of a refusal.
+        refusal_message: gives the text for operators about a refusal.
     """
     match event:
         case Refused(code, message):

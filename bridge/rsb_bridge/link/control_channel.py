@@ -30,15 +30,15 @@ _AT_ONCE = 8
 which takes 0.5 ms; further ones are each further endpoint, each `_BYTES_A_UNIT` and each `_ENTRIES_A_UNIT` of it.
 Nothing more is done after a whole slice of a message (`rsb_bridge.link.slices`)."""
 _BYTES_A_UNIT = 1 << 10
-"""Bytes that are decoded in 0.5 ms, whatever they say."""
+"""Bytes of any message that are decoded in 0.5 ms."""
 _ENTRIES_A_UNIT = 8
 _MESSAGES, _MESSAGES_A_SECOND = 4096, 500.0
 """As many as a thousand routes take when they are opened, and what may come after them for ever."""
 _BYTES, _BYTES_A_SECOND = 4 * CONTROL_LIMIT, CONTROL_LIMIT
-"""Likewise. The thread of all links may need 0.5 s of processor time to decode so much."""
+"""Bytes of control messages that are handled at once, and then in a second. They take 0.5 s of CPU time at most."""
 _ENTRIES, _ENTRIES_A_SECOND = 40_000, 10_000.0
-"""Entries of reports and lists, likewise: a thousand routes report once a second, and up to ten times as often where
-much crosses. Those that may come for ever take a fifth of the thread's time."""
+"""Entries of reports and lists that are handled at once, and then in a second. A thousand routes report once a second,
+and up to ten times as often at high rates. A steady flood of entries takes a fifth of the thread's time."""
 
 
 _NOT_TOO_EARLY = 0.001
@@ -86,7 +86,7 @@ class ControlChannel(StreamHandler):
         self._allowance = TokenBucket(_MESSAGES, _MESSAGES_A_SECOND, self._loop.time())
         self._volume = TokenBucket(_BYTES, _BYTES_A_SECOND, self._loop.time())
         self._entries = TokenBucket(_ENTRIES, _ENTRIES_A_SECOND, self._loop.time())
-        self._work: Slices | None = None  # what is left to do of the newest message
+        self._work: Slices | None = None  # the rest of the newest message
         self._owes = False  # more came than the volume allows
         connection.decodes = False
         stream.handler = self

@@ -23,7 +23,7 @@ _KERNELS = 1.0
 _LONGEST_PING = 3600.0
 """s; a ping that takes longer means that a clock was set."""
 _UNANSWERED = 600
-"""Pings that are remembered; what is answered later says nothing of the clock."""
+"""Pings that are remembered; later answers do not count for the clock."""
 _ANSWERS, _ANSWERS_A_SECOND = 10, 4.0
 """A peer pings once a second; after a pause of its process, several times at once."""
 

@@ -22,7 +22,7 @@ class LinkLease:
         context: has the clock and the loop.
         peer: the other side.
         is_needed: whether any route is armed or asked for.
-        disarm: disarms all, as something stood still.
+        disarm: disarms all routes when something stood still.
 
     Attributes:
         state: what it proves now.
@@ -44,7 +44,7 @@ class LinkLease:
         return wire.FEATURE in self._peer.features
 
     def hold(self) -> None:
-        """Keep it from now on, as a route is about to be armed; the next message to the other side follows a number."""
+        """Keep the lease from now on, for a route that is about to be armed, and send a number at once."""
         if self.state.over is not None:
             self._end()
         if not self.state.is_on:
@@ -80,7 +80,7 @@ class LinkLease:
         self._peer.send(wire.Lease(*self.state.beat()))
 
     def _over(self) -> None:
-        """Nothing passes any more. What notices that may be in the midst of publishing, so the rest comes after it."""
+        """Disarm all routes at the next turn of the loop: the caller may be in the midst of publishing."""
         self._loop.call_soon(self._end)
 
     def _end(self) -> None:

@@ -295,7 +295,7 @@ class Link(ABC):
         self.log(Level.INFO, EventCode.LINK_UP, linked, link_status=True)
         self.neighbourhood.tell()
         if self._shifts_stamps:
-            self.send(self.keepalive.ping())  # until it is answered, no message is known to be young
+            self.send(self.keepalive.ping())  # the age of messages is unknown until it is answered
         self.table.connected()
         self.patterns.connected()
 
@@ -440,7 +440,7 @@ class Link(ABC):
         """Whether a route was open under that id, and is not now."""
         return self.table.ids.is_closed(route_id)
 
-    # --- what has to be armed
+    # --- demands to be armed
 
     def demand_sources(self) -> Iterable[Source]:
         """Yield the entries that demand arming, as operators have left them."""
@@ -448,7 +448,7 @@ class Link(ABC):
         return sources_of_entries(listed_topics(self), self.name, on_server=not self.is_client, use_name=use_name)
 
     def apply_demands(self) -> None:
-        """Open the routes anew whose demands have changed."""
+        """Reopen the routes whose demands have changed."""
         self.table.apply_demands()
 
     def demand_dropped(self, source: Source) -> None:

@@ -83,7 +83,7 @@ class PeerOperators:
 
     def dropped_demand(self, route: Route, who: str) -> None:
         """Somebody there has dropped the demand that a topic be armed."""
-        self._did(EventCode.OPERATOR_ARM_DROPPED, "its demand to be armed dropped", route, who, "", "")
+        self._did(EventCode.OPERATOR_ARM_DROPPED, "the demand to be armed dropped", route, who, "", "")
 
     def called(self, route: Route, message: ByHand) -> None:
         """Somebody there calls by hand what a route provides, or has done so."""

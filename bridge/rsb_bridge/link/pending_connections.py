@@ -175,7 +175,7 @@ class PendingConnections:
         turned_away = self.strangers.turned_away
         if turned_away > self._turned_away and self.refusals.is_new("", EventCode.LINK_STRANGERS):
             self._turned_away = turned_away
-            text = f"{turned_away:,} connections or samples of strangers dropped: a flood? A firewall keeps it off"
+            text = f"{turned_away:,} connections or samples of strangers dropped: block the flood with a firewall"
             self.context.log(Level.WARNING, EventCode.LINK_STRANGERS, text)
 
     def close(self) -> None:

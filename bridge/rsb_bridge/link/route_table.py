@@ -210,7 +210,7 @@ class RouteTable:
             self._owner.send(self._amendment(route, proposal))
 
     def _amendment(self, route: Route, proposal: Propose, who: str = "") -> Amend:
-        """Return the message by which a route's limits become those of a proposal."""
+        """Return the message that changes a route's limits to a proposal's."""
         if route.proposed_here:
             proposal = msgspec.structs.replace(proposal, max_age=self.arming.max_age(route, proposal))
         return amendment(proposal, route.id, who)
@@ -221,7 +221,7 @@ class RouteTable:
         self.arming.disarm(route, Disarmed.PAUSED)
 
     def apply_demands(self) -> None:
-        """Open the routes anew whose demands have changed."""
+        """Reopen the routes whose demands have changed."""
         for route in tuple(self.routes.values()):
             before = route.arming.own
             if not self.arming.renew_demand(route):
@@ -232,7 +232,7 @@ class RouteTable:
             if route.proposed_here:
                 self.propose(route)
             else:
-                route.request_reopen(EventCode.ROUTE_AMENDED, "this side's session demands something else of it")
+                route.request_reopen(EventCode.ROUTE_AMENDED, "its demands in this side's session have changed")
 
     def retry(self) -> None:
         """Propose at once what was refused."""

@@ -41,9 +41,9 @@ if TYPE_CHECKING:
 
 _SESSION_CHANGED = "the server's session has changed: try again"
 _ASKED_AS = 3
-"""Clients as which other servers are asked whether they have the key."""
+"""Number of clients whose keys other servers are asked to prove."""
 _PROVES_WITHIN = 1.0
-"""s that another server has; whoever listens waits for it."""
+"""s in which another server has to answer; this server waits so long before it listens."""
 _SHUT_DOWN = "the server shuts its links down: try again"
 _REPLACED_PAUSE = 10.0
 """s that a replaced client waits, which was silent for a moment: it would find its name taken."""
@@ -97,7 +97,7 @@ class Server:
         """
         keyed = [entry for entry in self.entries.values() if entry.keys][:_ASKED_AS]
         if not keyed:
-            return hosts  # no server without encryption can be told from another
+            return hosts  # without encryption, a client cannot tell two servers apart
         found = await asyncio.gather(*(self._with_the_key_of(entry, hosts) for entry in keyed))
         return sorted(set(chain.from_iterable(found)))
 

@@ -1,4 +1,4 @@
-"""A client's search for its server among those that a Zenoh network announces: the one that proves the key is used."""
+"""A client's search among the servers that a Zenoh network announces: it uses the server that proves the key."""
 
 from __future__ import annotations
 
@@ -76,7 +76,7 @@ class _Try(StreamHandler):
         connection: begins the handshake.
         host: the server's.
         address: the same, for messages.
-        refusal_message: what an operator is told of a refusal.
+        refusal_message: gives the text for operators about a refusal.
         asked_for: called if an answer asks for another cipher suite.
         finish: takes the outcome.
     """
@@ -121,7 +121,7 @@ class _Try(StreamHandler):
     def _prove(self, stream: Stream, connection: ClientConnection, events: list[Event]) -> None:
         refusal = None
         if connection.at not in ("", self._host):
-            return  # somebody passes on what another server says
+            return  # a stranger relays another server's answer
         stream.adopt()
         stream.authenticate(connection.sample_secret, opener=True)
         if isinstance(events[0], Established):
@@ -150,7 +150,7 @@ class _Try(StreamHandler):
 
 
 class ServerSearch:
-    """Tries announced servers by the handshake, and remembers those that did not prove the key.
+    """Tries announced servers by the handshake, and remembers failed ones.
 
     Args:
         transport: announces the servers.
@@ -173,7 +173,7 @@ class ServerSearch:
         Args:
             hosts: all that are announced.
             connect: begins a handshake, with the suite that a server asks for.
-            refusal_message: what an operator is told of a refusal.
+            refusal_message: gives the text for operators about a refusal.
 
         Returns:
             The servers, the failures of others, and how many others there are.

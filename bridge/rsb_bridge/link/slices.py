@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 _E = TypeVar("_E")
 
 ENTRIES = 64
-"""Entries of one slice: a report's take about 20 microseconds each, to decode and to judge the route anew."""
+"""Entries of one slice: to decode an entry of a report and to judge its route takes about 20 microseconds."""
 BYTES = 8 << 10
 """Bytes of one slice, or one entry: 8 KiB of short texts take about 4 ms to decode."""
 

@@ -1,4 +1,4 @@
-"""Names that have to be armed, or have a `max_age`: what a session demands belongs to the name, whoever bridges it."""
+"""Names that have to be armed, or have a `max_age`. A session's demand belongs to the name, on every route."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ class Source:
 
     @property
     def is_pattern(self) -> bool:
-        """Whether it stands for all names that match."""
+        """Whether it is a pattern, and matches many names."""
         return is_pattern(self.name)
 
 
@@ -98,7 +98,7 @@ def local_name(topic: Topic, client: str, *, on_server: bool, use_name: bool) ->
 
 
 def sources_of_entries(topics: Iterable[Topic], client: str, *, on_server: bool, use_name: bool) -> Iterator[Source]:
-    """Yield the entries of one link that demand anything; the arguments are those of `local_name`."""
+    """Yield the entries of one link that demand anything; `local_name` has the same arguments."""
     for topic in topics:
         if topic.arm or topic.max_age is not None:
             name = local_name(topic, client, on_server=on_server, use_name=use_name)

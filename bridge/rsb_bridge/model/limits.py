@@ -39,9 +39,9 @@ _FIRST_DDS_PORT = 7400
 DDS_PORTS = 250
 """Ports of one ROS domain, the first ones from 7400 (DDSI-RTPS 2.5, section 9.6.1.1: PB 7400, DG 250)."""
 _MULTICAST = (0, 1)
-"""Of a domain's ports, those that all its nodes share for discovery and for data (section 9.6.1.1: d0 0, d2 1)."""
+"""Offsets of the ports that all nodes of a domain share for discovery and for data (section 9.6.1.1: d0 0, d2 1)."""
 _UNICAST = Range(10, 75)
-"""Of a domain's ports, those of its first 33 participants, two each (d1 10, d3 11, PG 2). Nodes that discover
+"""Offsets of the ports of a domain's first 33 participants, two each (d1 10, d3 11, PG 2). Nodes that discover
 each other without multicast look for so many at most: 4 with Fast DDS's defaults, 10 with those of Cyclone DDS, some
 dozens where a user raises that. Later participants take what is free."""
 CHANNEL = Range(1, 30)

@@ -1,4 +1,4 @@
-"""How old a message or a request may be when it is published, by what the two sides' sessions say of it."""
+"""The largest age of messages and requests when they are published, from the sessions of both sides."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable
 
 ARMED = 1.0
-"""s: the limit of what has to be armed, unless a session sets one."""
+"""The limit (s) of topics that have to be armed, unless a session sets another one."""
 
 
 def default_max_age(seconds: float | None, *, armed: bool) -> float | None:
@@ -22,9 +22,9 @@ def default_max_age(seconds: float | None, *, armed: bool) -> float | None:
 
 
 def smallest_max_age(demands: Iterable[float | None]) -> float | None:
-    """Return the limit (s) that holds of several demands, 0 for no limit, or None if none says anything.
+    """Return the smallest limit (s) of several demands, 0 for no limit, or None if no demand sets one.
 
-    The smallest limit holds. Whoever says 0 asks for no limit, and does not lift the limits of others.
+    A demand of 0 asks for no limit, and does not lift the limits of others.
     """
     given = [each for each in demands if each is not None]
     return min(filter(None, given), default=0.0) if given else None

@@ -25,7 +25,7 @@ class Holder(Protocol):
         ...
 
     def apply_demands(self) -> None:
-        """Open the routes anew whose demands have changed."""
+        """Reopen the routes whose demands have changed."""
         ...
 
     def demand_dropped(self, source: Source) -> None:
@@ -92,8 +92,8 @@ class RunningDemands:
     def of(
         self, kind: Kind, name: str, type_name: str = "", *, client: str = "", client_name: str = ""
     ) -> Demand | None:
-        """Return the present demand on a name; the arguments are those of `Demands.of`."""
-        if self._depth and (self._is_stale or self._given != self._armed()):  # what is under way drops nothing yet
+        """Return the present demand on a name; `Demands.of` has the same arguments."""
+        if self._depth and (self._is_stale or self._given != self._armed()):  # unfinished: drops nothing yet
             demands = Demands((*self._settled.sources, *self._present()))
         else:
             self._settle()
@@ -149,7 +149,7 @@ class RunningDemands:
         self.changed()
 
     def apply(self) -> None:
-        """Open the routes anew whose demands have changed."""
+        """Reopen the routes whose demands have changed."""
         if self._depth or not self._is_due:
             return
         self._settle()

@@ -233,7 +233,7 @@ class Operator(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_def
 
 
 class Armed(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True):
-    """A name that has to be armed on this side, whichever entry or side bridges it.
+    """A name that has to be armed on this side, on every route.
 
     Attributes:
         name: a name or a pattern on this side.
@@ -256,46 +256,45 @@ class Armed(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defaul
 
 
 class Session(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True, kw_only=True):
-    """What one bridge process does.
+    """The session of one bridge process.
 
     Attributes:
         name: must match on both sides; the prefix (``/scan`` -> ``/robot1/scan``) when `use_name` is set.
         role: a client connects, a server binds.
         server_ip: IPv4 or IPv6 address, host name, or Bluetooth MAC, which makes the link RFCOMM. A server binds it.
-            ``zenoh``: the link goes over the Zenoh network that `zenoh` gives.
-        server_port: TCP and UDP port, or RFCOMM channel; 0: none, over Zenoh.
-        bluetooth_address: MAC of the server's adapter, for single topics over Bluetooth beside an IP link. Each names
-            a channel as its port; those that name the same share it.
-        domain_id: ROS domain; None: ``$ROS_DOMAIN_ID``, else 0.
+            ``zenoh``: the link goes over the Zenoh network of `zenoh`.
+        server_port: TCP and UDP port, or RFCOMM channel, or 0 over Zenoh.
+        bluetooth_address: MAC of the server's adapter, for single topics over Bluetooth on an IP link. Each names
+            a channel as its port; topics with the same channel share it.
+        domain_id: ROS domain, or None for ``$ROS_DOMAIN_ID``, or 0 without that.
         use_name: the client's topics have its name before them on the server, in both directions.
         use_encryption: False sends everything in the clear.
         key_file: path, relative to the session file.
         next_key_file: on a server, the key that replaces it. Both are valid as long as it is given.
-        stale_after: s without a message until a topic is stale (thesis: 15); 0: never.
+        stale_after: s without a message until a topic is stale (thesis: 15), or 0 for never.
         late_after: s that messages may take until their topic is late, or 0 for no limit.
         stale_warnings: how many times to warn of it (thesis: 5).
         check_messages: whether what peers send is checked against its type before ROS gets it.
-        shutdown_topic: "shutdown" as ``std_msgs/String`` on it closes the sockets on both sides; None: no such topic.
-        diagnostics_topic: the state of links and routes is published on it, as ``diagnostic_msgs/DiagnosticArray``;
-            None: nowhere.
-        metrics: the address on which Prometheus finds the metrics, ``127.0.0.1:9464``; None: nowhere.
+        shutdown_topic: "shutdown" as ``std_msgs/String`` on it closes the sockets on both sides; or None.
+        diagnostics_topic: the topic of the state of links and routes, as ``diagnostic_msgs/DiagnosticArray``; or None.
+        metrics: the address on which Prometheus finds the metrics, ``127.0.0.1:9464``; or None.
         on_fault: the command to run when a fault begins, changes or is over, or None. It is a list of words, or a text
             that `rsb_bridge.config.fault_command` splits into words as a shell would.
         topics: a client's topics.
-        armed: names and patterns on this side that have to be armed, though no entry says so.
-        clients: those that a server lets in; empty: one, with the session's own name and key.
-        ports: which TCP and UDP ports of their own clients' topics may have on the server; None: 16 for each client.
-        allow: on a client, what the server may bridge, as in `Client`; empty: it may read all topics, and publish, call
-            and serve what `topics` lists.
-        deny: on a client, what it may not bridge, likewise; stronger than `allow`.
-        profile: what the link's network is like, which sets what nothing else does (`rsb_bridge.model.profiles`).
+        armed: names and patterns on this side that have to be armed, with or without an entry.
+        clients: the clients of a server, or empty for one client with the session's own name and key.
+        ports: TCP and UDP ports that clients' topics may have on the server, or None for any 16 for each client.
+        allow: on a client, the server's rights to bridge, as in `Client`. If empty, the server may read all topics, and
+            publish, call and serve the entries of `topics`.
+        deny: on a client, names that the server may not bridge; stronger than `allow`.
+        profile: the kind of the link's network, for settings that nothing else sets (`rsb_bridge.model.profiles`).
         shared_keys: clients are meant to have the same key, though each may then take the other's name and rights.
-        bench: on a client, the server may measure the link, and cause so much by that; on a server without a list of
-            clients, likewise its client. None: it may not.
-        zenoh: the Zenoh network, for links over it, and to be seen in its fleet whatever the links run over; None:
-            there is none.
-        operators: those who may attach over a network.
-        group: of the fleet, that its robot belongs to; None: none.
+        bench: on a client, the limits within which the server may measure the link, or None if it may not. On a server
+            without a list of clients, the limits of its client.
+        zenoh: the Zenoh network, for links over it, and to be seen in its fleet even if links use another transport; or
+            None.
+        operators: the operators who may attach over a network.
+        group: the fleet's group of its robot, or None.
     """
 
     name: str
@@ -341,7 +340,7 @@ class Session(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defa
 
     @property
     def accepted_clients(self) -> tuple[Client, ...]:
-        """The clients that a server lets in."""
+        """The clients of a server."""
         return self.clients or (Client(self.name, bench=self.bench, group=self.group),)
 
     @property

@@ -33,7 +33,7 @@ class State(StrEnum):
     WAITING = "waiting"
     """Nothing is known to be wrong; no message has come yet."""
     DISARMING = "disarming"
-    """It was disarmed, and the other side may still publish what was sent before, for a second at most."""
+    """The topic was disarmed, and the other side may act on earlier messages for up to 1 s."""
     PAUSED = "paused"
     DISARMED = "disarmed"
     """It has to be armed by an operator before anything crosses."""
@@ -174,12 +174,12 @@ class ArmingSnapshot:
     """Whether a topic that has to be armed is armed.
 
     Attributes:
-        armed: it is, on this side.
-        by: the operator who armed it, in words; an operator of the other side has its name before; empty: it is not.
-        here: it was armed on this side.
-        left: s until it disarms, unless that operator presses a key; None: it is not armed, or has no deadman.
-        deadman: s; 0: none.
-        demanded_by: the lines that demand arming, in words: ``robot.yaml:14``; of an older bridge, nothing.
+        armed: whether it is armed on this side.
+        by: the operator who armed it, or empty. An operator of the other side has that side's name before.
+        here: whether it was armed on this side.
+        left: s until it disarms unless that operator presses a key, or None if it is not armed or has no deadman.
+        deadman: s, or 0 for none.
+        demanded_by: the lines that demand arming: ``robot.yaml:14``; an older bridge names none.
     """
 
     armed: bool

@@ -16,8 +16,8 @@ _READ_WITHIN = 1_000_000
 """ns within which both clocks have to be read."""
 _TRIES = 10
 _UNSURE_FOR = 10_000_000_000
-"""ns after the wall clock was set in which wall stamps are not trusted: what was stamped before may still come, if the
-thread that takes from ROS is held up."""
+"""ns after the wall clock was set in which wall stamps are not trusted: older stamps may still come, if the thread that
+takes from ROS is held up."""
 
 
 class StampClock:

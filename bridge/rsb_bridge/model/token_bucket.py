@@ -24,7 +24,7 @@ class TokenBucket:
         return self._left
 
     def spend(self, amount: float, now: float) -> None:
-        """Take `amount` tokens, also where there are fewer: then those that are owed are missing."""
+        """Take `amount` tokens, even if there are fewer: the bucket then owes the rest."""
         self._left = self.left(now) - amount
 
     def take(self, amount: float, now: float) -> bool:

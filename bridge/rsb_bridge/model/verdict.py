@@ -23,7 +23,7 @@ class Cause(StrEnum):
     DISARMED = "disarmed"
     """It has to be armed by an operator before anything crosses."""
     DISARMING = "disarming"
-    """It was disarmed; what was sent before may still be published, for a second at most."""
+    """The topic was disarmed, and the other side may act on earlier messages for up to 1 s."""
     NO_PATH = "no_path"
     """Its transport does not get through, though the link is up."""
     SUBSCRIBE_FAILED = "subscribe_failed"

@@ -1,7 +1,7 @@
-"""The turns of the ROS thread: how long ago it last took what had come.
+"""The turns of the ROS thread, and the time of the last one.
 
 A process that was stopped goes on as if nothing had happened, and its thread then takes messages that have waited in
-DDS meanwhile. So whoever must know how old a message can be has the thread note the time at each turn.
+DDS meanwhile. So the thread notes the time at each turn while anybody has to know how old messages can be.
 """
 
 from __future__ import annotations

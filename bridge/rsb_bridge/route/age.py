@@ -43,7 +43,7 @@ class Expired(NamedTuple):
     Attributes:
         cause: of most of them.
         lost: how many.
-        of: of so many.
+        of: the number of messages among which these were lost.
         limit: s that they may be old.
         since: s, when it began.
     """
@@ -81,7 +81,7 @@ class MessageAge:
         self._since: float | None = None
 
     def settle(self, demands: Iterable[float | None], *, armed: bool, lifespan: float = 0.0) -> None:
-        """Take what both sides say.
+        """Apply the demands of both sides.
 
         Args:
             demands: of both sides: s, 0 for no limit, or None if a session sets none.
@@ -98,7 +98,7 @@ class MessageAge:
     def stamped(self, batch: Sequence[RawMessage], *, keep_old: bool = False) -> list[RawMessage]:
         """Return messages from ROS, each with the time from which its age counts as its stamp.
 
-        Those that are too old already are left out and counted, unless `keep_old`.
+        Messages that are already too old are left out and counted, unless `keep_old`.
         """
         clock = self._look()
         shift, born = clock.shift, self.publishers.born
@@ -132,7 +132,7 @@ class MessageAge:
         return not self.is_on or stamp >= self._context.stamps.now() - self._limit_ns
 
     def young(self, messages: Sequence[Message]) -> Sequence[Message]:
-        """Return those of some messages of this side that may be sent now, and count the others."""
+        """Return the messages of this side that may be sent now, and count the others."""
         oldest = self._context.stamps.now() - self._limit_ns
         young = [each for each in messages if each[1] >= oldest]
         if len(young) == len(messages):
@@ -206,7 +206,7 @@ class MessageAge:
         return lost.total(), max(messages - before, lost.total()), lost
 
     def late(self) -> Expired | None:
-        """Return what was dropped in the last seconds, or None if it was little."""
+        """Return the drops of the last seconds, or None if there were few."""
         if self._since is None:
             return None
         lost, of, by_cause = self._recent()
@@ -218,8 +218,8 @@ class MessageAge:
 
 _REMEDIES = {
     Cause.LINK_SLOW: "the link holds them up: check the network, or set max_rate or priority",
-    Cause.CLOCK_UNKNOWN: "their age is not known, as the link is new or slow, or a clock was set: wait 10 s",
-    Cause.PUBLISHER_STAMPS_OLD: "they are old by their publisher's stamps: set its host's clock, or see what delays it",
+    Cause.CLOCK_UNKNOWN: "their age is unknown (new or slow link, or a clock was set): wait 10 s",
+    Cause.PUBLISHER_STAMPS_OLD: "their stamps are old: set the clock of the publisher's host, or find the delay there",
 }
 
 

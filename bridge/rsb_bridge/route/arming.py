@@ -93,14 +93,14 @@ class Arming:
     """One side's half of it.
 
     Attributes:
-        required: it has to be armed before anything crosses, as either side's session says.
-        deadman: s without a key after which it disarms; 0: none.
+        required: whether either side's session demands arming.
+        deadman: s without a key after which it disarms, or 0 for no limit.
         own: the demand of this side's session, or None if it makes none.
         demanded_by: the lines that demand arming, in words.
-        by: the operator who armed it, in words; empty: it is not armed.
-        console: that operator's console, on this side; None: it was armed on the other side, or is not.
-        why: it is not armed.
-        reason: the same in words.
+        by: the operator who armed it, or empty if it is not armed.
+        console: that operator's console on this side, or None if it was armed on the other side or is not armed.
+        why: the cause why it is not armed.
+        reason: the same as a text.
         lease: of the link, or None before the first opening: nothing passes without it.
     """
 
@@ -178,25 +178,25 @@ class Arming:
         return not self.required or (self.stands(now) and self.lease is not None and self.lease.alive)
 
     def admits(self, number: int) -> bool:
-        """Whether a message that came with this number of the lease may be published, if `passes`; 0: it has none."""
+        """Whether a message with this number of the lease, or 0 for none, may be published, if `passes`."""
         if not self.required:
             return True
         return number >= self._first and self.lease is not None and self.lease.passes(number)
 
     @property
     def newest_number(self) -> int:
-        """The number of the lease that a message carries which an operator makes now."""
+        """The lease's number for a message that an operator makes now."""
         return self.lease.newest_before(float("inf")) if self.lease is not None else 0
 
     def pack(self, message: Message, number: int) -> Message:
-        """A message as it is sent, with a number that its receiver can tell its age by."""
+        """Return a message as it is sent, with the lease's number before it."""
         if not self.required:
             return message
         content, stamp, flags = message
         return with_number(number, content), stamp, flags | LEASED
 
     def unpack(self, message: Message) -> Message | None:
-        """A message as it is published, or None if it is too old for that.
+        """Return a message without the lease's number, or None if it is too old.
 
         Raises:
             ProtocolError: it is too short.
@@ -248,7 +248,7 @@ class Arming:
         self._begin_deadman(now, PEER_GRACE)
 
     def end(self, why: Disarmed, reason: str = "") -> None:
-        """Disarm it, for a reason in other words than usual or in these; in this opening it cannot be armed again."""
+        """Disarm this opening for good; `reason` replaces the usual text of `why`."""
         self.why, self.reason = why, reason or SAID[why]
         self._clear(_Phase.SPENT)
 

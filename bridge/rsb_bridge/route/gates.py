@@ -96,7 +96,7 @@ def _disarming(facts: Standing) -> Verdict | None:
     """A gate: before that of a pause, as a pause disarms, too."""
     if not (facts.disarmed and facts.disarming):
         return None
-    text = f"{facts.disarmed}: the other side may still publish what was sent before, for a second at most"
+    text = f"{facts.disarmed}; the other side may act on earlier messages for up to 1 s"
     return Verdict(State.DISARMING, Cause.DISARMING, text)
 
 

@@ -294,7 +294,7 @@ class IncomingRoute(TopicRoute):
         try:
             header = _NO_HISTORY
             if flags & (HISTORY | LEASED):
-                if flags & LEASED:  # though it need not be armed
+                if flags & LEASED:  # on a route that needs no arming
                     raise _NotPublishedError("disarmed", None, "")
                 header, payload = split_history(payload)
             content = self._unpacker.unpack(payload) if flags & ZSTD else payload
@@ -322,7 +322,7 @@ class IncomingRoute(TopicRoute):
             raise _NotPublishedError("publish failed", EventCode.ROUTE_PUBLISH_FAILED, str(error)) from None
 
     def _still_young(self, stamp: int) -> Callable[[], bool] | None:
-        """Return what a message that has to wait is asked for before it is published, or None for nothing."""
+        """Return the check before the publication of a message that has to wait, or None for no check."""
         if not self.age.is_on:
             return None
 

@@ -30,7 +30,7 @@ _FIRST_WITHIN = 10.0
 SLOW = LASTS - BEAT
 """Round trip in seconds from which on a link is too slow: most messages would be too old."""
 _KEPT = 64
-"""Numbers that are remembered on each side: more than those of `GIVEN_UP_AFTER`."""
+"""Numbers that each side remembers: more than are sent within `GIVEN_UP_AFTER`."""
 
 
 class Standstill(Enum):
@@ -38,11 +38,11 @@ class Standstill(Enum):
 
     LOOP = "this side's bridge stood still"
     ROS_THREAD = "this side's ROS thread stood still"
-    PEER = "the other side, or the way to it, stood still"
+    PEER = "the other side or the network stood still"
 
 
 class Marked(Protocol):
-    """What is taken from ROS: a named tuple with a field `lease`."""
+    """A message or a request from ROS: a named tuple with a field `lease`."""
 
     def _replace(self, *, lease: int) -> Self: ...
 
@@ -51,12 +51,12 @@ M = TypeVar("M", bound=Marked)
 
 
 class Lease:
-    """One side's half. It belongs to the I/O loop, but for `newest_before`.
+    """One side's half. It belongs to the I/O loop, except `newest_before`.
 
     Args:
         steady: s on a clock that nobody sets, and that goes on while the machine sleeps.
         turns: of the ROS thread.
-        ended: told once when it is over, right after nothing passes any more.
+        ended: called once when it is over, after the last message has passed.
 
     Attributes:
         number: the newest that this side has sent.
@@ -94,7 +94,7 @@ class Lease:
         self._acknowledged = self.number  # those before this one do not count
 
     def end(self) -> None:
-        """Send no more numbers, and forget those of the other side."""
+        """Send no more numbers, and forget the other side's."""
         self._turns.leave(self)
         self._on = False
         self._heard = ()
@@ -188,7 +188,7 @@ class Marker:
         self._made = self._since = lease.now
 
     def marked(self, taken: Sequence[M]) -> Sequence[M]:
-        """Return what was taken, with the number that says how old it can be at most."""
+        """Return messages with the number of the lease that bounds their age."""
         if self._is_empty:
             self._since = max(self._made, self._turns.since)
         self._is_empty = len(taken) < self._batch

@@ -102,7 +102,7 @@ class MessageCheck:
         """Check a message.
 
         Raises:
-            MalformedError: it is none of its type.
+            MalformedError: it does not fit its type.
             TooComplexError: it has too many lengths, or the link's messages have.
         """
         checker = self.checker

@@ -353,7 +353,7 @@ class OutgoingRoute(TopicRoute):
         return admitted
 
     def _stamped(self, batch: Sequence[RawMessage]) -> Sequence[RawMessage]:
-        """Return messages with the stamps that the other side gets, without those that are too old."""
+        """Return the messages that are young enough, with the stamps for the other side."""
         if not self.age.is_on:
             shift = self.peer.stamp_shift
             return [each._replace(stamp=shifted(each.stamp, shift)) for each in batch]

@@ -60,9 +60,9 @@ class PublisherClocks:
         return source + shortest
 
     def forget(self) -> None:
-        """Begin anew: this side's clock was set.
+        """Forget all measurements, because this side's clock was set.
 
-        A stamp from before the subscription may now be one from before that, and proves nothing any more.
+        From then on, a stamp from before the subscription may come from the old clock, and proves nothing.
         """
         self._wrong.clear()
         self.since = None

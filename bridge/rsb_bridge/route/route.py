@@ -337,7 +337,7 @@ class Route:
         self.advance()
 
     def disarm(self, why: Disarmed, reason: str = "") -> None:
-        """Nothing more may cross in this opening, for a reason in other words than usual or in these."""
+        """Disarm this opening for good; `reason` replaces the usual text of `why`."""
         arming, lease = self.arming, self.arming.lease
         if arming.armed and self.outgoing and lease is not None:
             self.settling.begin(self.id, lease.left)
@@ -358,7 +358,7 @@ class Route:
             self.log(Level.INFO, EventCode.ROUTE_AMENDED, changes)
 
     def settle_age(self) -> None:
-        """Take in how old messages may be, whenever a side says something else about it."""
+        """Apply both sides' limits of age; called after each change of them."""
         own = self.arming.own
         demands = self.proposal.max_age, self.age.accepted, None if own is None else own.max_age
         self.age.settle(demands, armed=self.arming.required, lifespan=self._lifespan)

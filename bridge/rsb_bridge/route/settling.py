@@ -1,7 +1,7 @@
 """The moment between a disarm and its effect on the other side.
 
-A sending half stops at once, but what it has sent before may still be published. That ends when the other side answers
-that it has disarmed, too, and at the latest when the lease under which the last message left has run out.
+A sending half stops at once, but the other side may still publish earlier messages. That ends when the other side
+answers that it has disarmed, too, and at the latest when the lease of the last message has run out.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ class Settling:
         self._changed()
 
     def answered(self, route_id: int) -> None:
-        """The other side publishes nothing of an opening any more."""
+        """Note that the other side publishes nothing more of an opening."""
         if self._timer is not None and route_id == self._route_id:
             self._timer.cancel()
             self._end()

@@ -24,7 +24,7 @@ BATCH_BYTES = 256 * 1024
 """As much as is worth one call, where the link is not slow."""
 
 _STRANGER_READS = 4096
-"""Bytes that are read at a time from a stranger: as long as a handshake takes, little of it waits here."""
+"""Bytes that are read at a time from a stranger, so that few of them wait here during a handshake."""
 _READS = 256 * 1024
 """Bytes that are read at a time from a peer that has proven its key."""
 _LINGER = 2.0

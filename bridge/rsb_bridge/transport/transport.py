@@ -113,7 +113,7 @@ class Acceptor:
         shortage: called with a message each time that streams cannot be accepted, because the process may have no more
             descriptors or the like; they wait, and accepting them is tried again.
         prove: finds out which of the hosts that announce themselves as servers have a key of this one.
-        others: called with a message if other servers are announced that have none.
+        others: called with a message if other servers are announced.
     """
 
     make_handler: Callable[[], StreamHandler]
@@ -190,11 +190,11 @@ class StreamTransport(_Transport):
 
     @property
     def announced_servers(self) -> int:
-        """The number of servers that are announced now, as far as is known without asking."""
+        """The number of announced servers that this side has heard of."""
         return 0
 
     def several(self, hosts: Sequence[str]) -> str:
-        """Return what an operator is told of several servers that prove one key."""
+        """Return the text for operators about several servers that prove one key."""
         return f"several servers have this link's key: {', '.join(hosts)}"
 
     @property

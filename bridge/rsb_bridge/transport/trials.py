@@ -36,7 +36,7 @@ class Results(NamedTuple, Generic[T]):
 
     Attributes:
         proven: results of the addresses that proved the key, by address.
-        failures: reasons of those that did not, as far as they have answered.
+        failures: reasons of the addresses that answered without a proof.
         others: announced addresses that have not proven the key, whether they were tried or not.
     """
 
@@ -139,7 +139,7 @@ class Trials(Generic[T]):
         self._failed = {each: failed for each, failed in self._failed.items() if each in present}
 
     def _due(self, announced: Iterable[str]) -> list[str]:
-        """Return the addresses to try, first those that proved the key before, then those that failed least often."""
+        """Return the addresses to try: earlier proofs of the key first, then the fewest failures."""
         now, nothing = self._now(), (0, 0.0)
         ordered = sorted(announced, key=lambda each: (each not in self._proven, self._failed.get(each, nothing)))
         due = [each for each in ordered if self._failed.get(each, nothing)[1] <= now]

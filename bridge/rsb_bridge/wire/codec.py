@@ -15,7 +15,7 @@ from rsb_bridge.wire.questions import TopicList
 _T = TypeVar("_T")
 
 WHOLE = 8 << 10
-"""Bytes of a message that is decoded at once, whatever it is: at most 4 ms."""
+"""Bytes of any message that is decoded at once, in at most 4 ms."""
 _NOT_PRINTABLE = f"matching regex {PRINTABLE!r}"
 
 _encoder = msgspec.msgpack.Encoder()

@@ -1,4 +1,4 @@
-"""What two sides tell each other so that nothing old is published of what has to be armed (PROTOCOL.md, 7.2)."""
+"""The messages by which two sides keep old messages of armed topics from being published (PROTOCOL.md, 7.2)."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ _Number: TypeAlias = Annotated[int, Meta(ge=0, le=LAST_NUMBER)]
 
 
 class Lease(ControlMessageBase, frozen=True):
-    """Either side, several times a second while a route of the link is armed or an operator asks for it.
+    """A number from either side, sent several times a second while a route is armed or an operator asks for that.
 
     Attributes:
-        number: of this message among those of its sender, counting up.
-        echo: the newest number that its sender has heard from the other side, or 0 if it has heard none.
+        number: of this message among its sender's, counting up.
+        echo: the newest number that its sender has heard from the other side, or 0 before the first.
     """
 
     number: _Number

@@ -44,7 +44,7 @@ HOST_BYTES = 64
 _AT_BYTES = 64
 _VERSION = struct.Struct(">H")
 _TAGS = 0x8000
-"""The bit of a console's version that says that it takes sample tags (`rsb_bridge.wire.sample_tags`)."""
+"""The bit of a console's version that announces sample tags (`rsb_bridge.wire.sample_tags`)."""
 
 
 class OperatorPreamble(NamedTuple):

@@ -31,7 +31,7 @@ _NAMED = 6
 
 
 def summary(session: Session, places: Mapping[SourceKey, str] | None = None) -> Iterator[str]:
-    """What a session says, line by line.
+    """Describe a session, line by line.
 
     Args:
         session: without mistakes.
@@ -59,7 +59,7 @@ def summary(session: Session, places: Mapping[SourceKey, str] | None = None) -> 
     if session.role == "server" and not session.clients:
         yield f"  accepts {session.name}: everything"
     for source in filter(lambda each: each.arm, demands.sources):
-        yield f"  has to be armed, whichever side bridges it: {_demanded(source, places or {})}"
+        yield f"  has to be armed on all its routes: {_demanded(source, places or {})}"
 
 
 def _demands_on(

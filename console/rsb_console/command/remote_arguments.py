@@ -173,10 +173,10 @@ def add_remote_commands(
     edit = remote("edit", "change a topic or service that is bridged", about_topic=True)
     route_arguments(edit, complete)
     _topic_keys(edit, complete)
-    _drop_arm(edit, "with arm=false: agree that the name need not be armed any more")
+    _drop_arm(edit, "with arm=false: also end the demand that the name be armed")
     remove = remote("remove", "stop bridging a topic or service, on both sides", about_topic=True)
     route_arguments(remove, complete)
-    _drop_arm(remove, "the name need not be armed any more, either; without this it has to be, whoever bridges it")
+    _drop_arm(remove, "also end the demand that the name be armed; without this it is kept")
     for name, summary in (
         ("pause", "stop carrying a topic's messages or a service's calls, on both sides; all routes of the name"),
         ("resume", "carry what is paused again; all routes of the name"),
@@ -185,7 +185,9 @@ def add_remote_commands(
     _ack_arguments(remote("ack", "acknowledge a fault, until it changes", _EXIT_ACK, about_topic=True), complete)
     arm = remote("arm", "arm what has to be armed, for as long as this runs", _EXIT_ARM, about_topic=True)
     route_arguments(arm, complete)
-    route_arguments(remote("disarm", "disarm all routes of a name, whoever armed them", about_topic=True), complete)
+    route_arguments(
+        remote("disarm", "disarm all routes of a name, also if others armed them", about_topic=True), complete
+    )
     retry = remote("retry", "connect now instead of later, and open refused topics again")
     only = "the link with this client only"
     complete(retry.add_argument("--link", default="", metavar="CLIENT", help=only), "links")

@@ -21,7 +21,7 @@ _MOST_DESCRIPTORS = 65_536  # some systems' hard limit is a billion, and some pr
 
 
 class CleanErrors:
-    """Standard error, for whatever writes there: argparse, logging, warnings, tracebacks. Nothing acts on a terminal.
+    """Standard error for argparse, logging, warnings and tracebacks, with control characters escaped.
 
     Args:
         stream: the stream itself.
@@ -46,7 +46,7 @@ class CleanErrors:
 
 
 def print_line(text: str) -> None:
-    """Write one line to standard output. Whoever its parts are from, none acts on a terminal or ends the line."""
+    """Write one line to standard output, with control characters and ends of lines escaped."""
     _print(one_line(text))
 
 

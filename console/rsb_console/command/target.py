@@ -106,7 +106,7 @@ def chosen_bridge(arguments: Namespace) -> RunningBridge:
     running = "".join(f"\n  {bridge}" for bridge in found)
     if not found:
         other = hidden_bridges(os.environ)
-        hint = "" if other is None else f"; some may be those of {user_name(other)}: {run_as(other)}"
+        hint = "" if other is None else f"; some may belong to {user_name(other)}: {run_as(other)}"
         raise NoBridgeError(f"no bridge runs here that you may attach to{hint}")
     if not chosen:
         raise NoBridgeError(f"no bridge {name!r} runs here; these do:{running}")
@@ -260,7 +260,7 @@ def all_chosen(engine: RemoteEngine, arguments: Namespace) -> Sequence[RouteSnap
     """Return every route of the name that the arguments give, of all links, or every such pattern.
 
     Raises:
-        UsageError: there is none.
+        UsageError: no route or pattern has the name.
     """
     meant = _patterns_meant if is_pattern(arguments.topic) else _routes_meant
     return meant(engine, arguments)
@@ -286,13 +286,13 @@ def carried_out(commands: Iterable[Future[None]]) -> None:
 def done_with_all(
     arguments: Namespace, found: Sequence[RouteSnapshot | PatternSnapshot], what: str, *, one: bool = False
 ) -> int:
-    """Say what was done to all routes of a name, where there are several.
+    """Report a command on all routes of a name, if there are several.
 
     Args:
         arguments: of the command.
         found: the routes.
-        what: was done, in words.
-        one: whether to say it of a single route, too.
+        what: the command's effect, in words.
+        one: whether to report a single route, too.
     """
     several = len(found) > 1
     if not several and not one:

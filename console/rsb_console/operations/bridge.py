@@ -51,9 +51,9 @@ def _removal(route: RouteSnapshot) -> str:
 
 
 def _dropping(route: RouteSnapshot) -> tuple[str, str]:
-    """Return the question whether a name need not be armed any more: its title and its message."""
+    """Return the title and the message of the question whether to end a demand to be armed."""
     lines = () if route.arming is None else route.arming.demanded_by
-    crosses = "It crosses without being armed from then on, on both sides."
+    crosses = "From then on it crosses without being armed, on both sides."
     by = f"\nIt has to be armed now: {', '.join(lines)}." if lines else ""
     return f"No longer arm {route.topic}?", f"{crosses}{by}"
 
@@ -183,7 +183,7 @@ class BridgeOperations:
             now, since, new = engine.snapshot(), _last_event(engine), draft.topic
             drops = route.spec.arm and not new.arm
             if drops and not await self._console.ask(ConfirmScreen(*_dropping(route), "Drop")):
-                raise EngineError("not changed: it has to be armed, as before")
+                raise EngineError("not changed: it still has to be armed")
             key = await asyncio.wrap_future(engine.edit_topic(route.key, new, drop_arm=drops))
             if new.topic != route.spec.topic and not new.is_pattern:
                 new = named_by_client(new, now, route.link)
@@ -204,7 +204,7 @@ class BridgeOperations:
             return
         message = f"{_removal(route)}, on both sides of the link with {self._console.peer_of(route)}."
         if route.arming is not None or route.spec.arm:
-            message += " Whoever bridges it again has to arm it (armed in the session)."
+            message += " Its name still has to be armed (armed in the session)."
         if route.pattern:
             message += f" {route.pattern} leaves it out from then on (except)."
         if not await self._console.ask(ConfirmScreen(f"Remove {route.topic}?", message, "Remove")):

@@ -143,7 +143,7 @@ class Added(Change):
             f"It stops crossing at once, on both sides of the link {self.link}.",
         ]
         if self.spec.arm:
-            lines.append("Whoever bridges it again has to arm it (armed in the session).")
+            lines.append("Its name still has to be armed (armed in the session).")
         lines += [f"The pattern {pattern.topic} matches it, and bridges it from then on." for _, pattern in claiming]
         return Undo(f"Undo the addition: remove {self.topic}?", tuple(lines), "Remove", True, act)
 

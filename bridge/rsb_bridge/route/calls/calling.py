@@ -40,7 +40,7 @@ if TYPE_CHECKING:
     from rsb_bridge.wire.records import CallsReport, LaneEntry
 
 _CALLER = 16
-"""Bytes of `Request.caller` that say who asks; the others say which request it is."""
+"""Bytes of `Request.caller` that identify the caller; the others identify the request."""
 _AT_ONCE = 1.0
 """s of `max_rate` that may come at once."""
 

@@ -23,7 +23,7 @@ class Refused(StrEnum):
     MALFORMED = "malformed"
     """The request or the response is not one of its type; ROS did not get it."""
     TOO_COMPLEX = "too complex"
-    """Likewise, it or the link's others have more strings and sequences than are checked."""
+    """The request or the response has too many strings and sequences to check, or the link's calls have."""
     NOT_SENT = "not sent"
     """The middleware refused the request."""
     NOT_ARRIVED = "not arrived"
@@ -48,7 +48,7 @@ REMEDIES = {
     Refused.TOO_COMPLEX: "the link's calls have more strings and sequences than are checked: send less",
     Refused.NOT_SENT: "the middleware refused the request; the log of the providing side says why",
     Refused.NOT_ARRIVED: "the link dropped before the goal arrived, so it was not started: send it again",
-    Refused.TOO_OLD: "the request was older than max_age and was dropped: look what holds it up, and ask again",
+    Refused.TOO_OLD: "the request was older than max_age: find what delays it, and ask again",
     Refused.LOST: "its server went while the call was under way, and may have acted on it",
     Refused.OTHER: "the other side gives a reason that this version does not know: update this side",
 }

@@ -195,7 +195,7 @@ class CallsRoute(Route):
         return None if self.arming.stands(self.context.now()) else Refused.DISARMED
 
     def held_now(self, lane: int) -> Refused | None:
-        """Why a call of a lane may not pass at this moment; None: it may."""
+        """Return the reason why a call of a lane may not pass now, or None if it may."""
         if (why := self.held(lane)) is not None or not self.lanes[lane].limited:
             return why
         return None if self.arming.passes(self.context.now()) else Refused.DISARMED
@@ -291,11 +291,11 @@ class CallsRoute(Route):
             self._take(frame._replace(content=content))
 
     def _malformed(self, frame: CallFrame, part: str) -> Refused | None:
-        """Why a frame's content may not be given to ROS, or None if it may.
+        """Return the reason why ROS may not get a frame's content, or None if it may.
 
         Args:
             frame: that came.
-            part: what follows the lane's type in that of the content: ``_Request``, ``_Response`` or nothing.
+            part: the suffix of the lane's type: ``_Request``, ``_Response`` or nothing.
         """
         if not self.context.session.check_messages or frame.lane >= len(self._types):
             return None

@@ -27,34 +27,34 @@ class Trouble(NamedTuple):
 
 
 class CallsFacts(NamedTuple):
-    """What a half knows of its route.
+    """One half's knowledge of its route.
 
     Attributes:
-        sends: it is the callers' half.
+        sends: whether it is the callers' half.
         topic: the name on this side.
         domain_id: of this side.
-        link_down: why the link is down; empty: it is up.
-        refusal: why the route is refused; empty: it is not.
-        loop: why its calls would go in a circle; empty: they would not.
-        paused: an operator has paused it.
-        paused_by: who, in words; empty: it is not known.
-        disarmed: why it is not armed, though it has to be; empty: it is, or need not be.
-        disarming: what was sent before it was disarmed may still be acted on.
-        can_be_armed: whether an operator may arm it; else `disarmed` says what to do first.
-        no_path: why its transport does not get through; empty: it does.
-        breaking: why what carries it breaks before anything arrives; empty: it does not.
-        waits_for: what has to come before calls can cross.
-        limit: calls a second that an operator allows; 0: all.
-        limited_by: who says so.
-        unavailable: why nothing can be called, as far as this side knows; None: it knows of nothing.
-        warning: what is wrong though calls cross; None: nothing.
-        offered: callers can call it, as far as this half knows.
-        came: calls have come in this opening.
-        came_before: calls have come in earlier ones, and not in this one.
+        link_down: the reason why the link is down, or empty.
+        refusal: the reason why the route is refused, or empty.
+        loop: the reason why its calls would go in a circle, or empty.
+        paused: whether an operator has paused it.
+        paused_by: the operator, or empty if unknown.
+        disarmed: the reason why it is not armed although it has to be, or empty.
+        disarming: whether the other side may still act on messages from before it was disarmed.
+        can_be_armed: whether an operator may arm it; if not, `disarmed` names the step that has to come first.
+        no_path: the reason why its transport does not get through, or empty.
+        breaking: the reason why its channel breaks before anything arrives, or empty.
+        waits_for: the step that has to come before calls can cross.
+        limit: calls a second that an operator allows, or 0 for no limit.
+        limited_by: the reason for the limit, in words.
+        unavailable: the reason why nothing can be called, or None if this side knows of none.
+        warning: the trouble that does not keep calls from crossing, or None.
+        offered: whether callers can call it, as far as this half knows.
+        came: whether calls have come in this opening.
+        came_before: whether calls have come in earlier openings, but none in this one.
         expired: calls in the last `LATELY` s that had no answer in time.
-        unanswered: the last calls that are over had no answer in time, however long ago that was.
-        refused: calls refused in the last `LATELY` s, by why.
-        failing_since: s, when that began; None: there are none.
+        unanswered: whether the last calls that are over had no answer in time, however long ago that was.
+        refused: calls refused in the last `LATELY` s, by cause.
+        failing_since: s, when calls began to fail, or None if none fails.
         timeout: s, after which a call is given up.
         providers: the nodes that should answer, in words.
     """

@@ -192,7 +192,7 @@ class Pipe(asyncio.Transport):
         self.longest = _LONGEST
 
     def authenticate(self, secret: bytes, *, opener: bool) -> None:
-        """Tag all samples from now on, and take only those that the peer has tagged.
+        """Tag all samples from now on, and take only samples with the peer's tags.
 
         Args:
             secret: of both sides (`rsb_bridge.wire.sample_tags`).

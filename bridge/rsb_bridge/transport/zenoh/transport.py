@@ -86,7 +86,7 @@ class Links:
         """The endpoint of a link that is up.
 
         Raises:
-            OSError: there is none.
+            OSError: none is announced.
         """
         if self._endpoint is None:
             raise OSError("not in the Zenoh network")
@@ -142,7 +142,7 @@ class Zenoh(ZenohTraits, StreamTransport):
         """Return the other servers.
 
         Raises:
-            OSError: there is none.
+            OSError: none is announced.
         """
         fleet = self._links.network.settings.fleet
         servers = _servers(endpoint)
