@@ -20,7 +20,7 @@ TOPIC_KEYS = (
 )
 CALL_KEYS = (
     "type=, timeout=, protocol=, port=, remote_service= (remote_action=, remote_node=), compression=, max_rate=, "
-    "paused=, arm=, deadman=, except="
+    "max_age=, paused=, arm=, deadman=, except="
 )
 KINDS = ("topic", "service", "action", "parameters")
 
