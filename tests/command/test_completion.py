@@ -70,7 +70,7 @@ def offered(line: str, folder: Path) -> set[str]:
         ("rsb-console edit /scan --link ", {"robot1"}),
         ("rsb-console pause --bridge nobody /", set()),
         ("rsb-console add /scan ", {"transmit", "receive"}),
-        ("rsb-console add /scan transmit max", {"max_rate="}),
+        ("rsb-console add /scan transmit max", {"max_rate=", "max_age="}),
         ("rsb-console add --service /dock --provider ", {"client", "server"}),
         ("rsb-console add --service /dock time", {"timeout="}),
         ("rsb-console add --kind ", {"topic", "service", "action", "parameters"}),
