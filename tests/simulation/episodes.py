@@ -146,6 +146,22 @@ async def aged(world: World, rounds: int = 25) -> None:
         await asyncio.sleep(30.0)
 
 
+async def linked_by_a_slow_way(world: World) -> None:
+    """The link comes up while one direction takes longer than `max_age`: the offset of the clocks is measured wrong."""
+    (robot,) = world.robots
+    ends = robot.station.machine, world.server.machine
+    await asyncio.sleep(10.0)
+    with world.trouble("a slow way", robot):
+        for slow in world.network.both_ways(*ends):
+            slow.latency = (0.55, 0.65)
+            robot.station.kill()
+            await asyncio.sleep(1.0)
+            robot.station.start()
+            await asyncio.sleep(60.0)
+            slow.mend()
+        await asyncio.sleep(30.0)
+
+
 async def _pause_all(world: World, *, paused: bool) -> None:
     run = world.server.run
     for link in run.links() if run is not None else ():

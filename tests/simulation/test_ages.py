@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import msgspec
 import pytest
 from tests.simulation.climate import STILL
-from tests.simulation.episodes import aged
+from tests.simulation.episodes import aged, linked_by_a_slow_way
 from tests.simulation.mutations import Mutation
 from tests.simulation.world import Violation, World
 
@@ -80,23 +80,33 @@ def _taken(self: Any, source: int, taken: int, publisher: bytes) -> int:
 
 
 _MISTAKES = (
-    ("the receiver publishes messages of any age", ((MessageAge, "why_old", _any_age),)),
-    ("the uncertainty of the other side's clock counts for nothing", ((MessageAge, "why_old", _exact),)),
-    ("stamps are of a clock that may be set", ((StampClock, "now", _wall),)),
-    ("a clock that is set is not noticed", ((StampClock, "look", _unseen),)),
-    ("a message's age counts from when it was taken", ((PublisherClocks, "born", _taken),)),
+    ("the receiver publishes messages of any age", ((MessageAge, "why_old", _any_age),), aged),
+    (
+        "the uncertainty of the other side's clock counts for nothing",
+        ((MessageAge, "why_old", _exact),),
+        linked_by_a_slow_way,
+    ),
+    ("stamps are of a clock that may be set", ((StampClock, "now", _wall),), aged),
+    ("a clock that is set is not noticed", ((StampClock, "look", _unseen),), aged),
+    ("a message's age counts from when it was taken", ((PublisherClocks, "born", _taken),), aged),
 )
 
 
-@pytest.mark.parametrize(("what", "changes"), _MISTAKES, ids=[what for what, _ in _MISTAKES])
-def test_each_rule_is_needed(what: str, changes: Any, play: Play) -> None:
+def test_nothing_old_is_published_when_the_link_comes_up_over_a_slow_way(play: Play) -> None:
+    world, flow = aging_world(1)
+    play(world, _SECONDS, linked_by_a_slow_way(world))
+    assert flow.heard > 1000
+
+
+@pytest.mark.parametrize(("what", "changes", "doing"), _MISTAKES, ids=[what for what, *_ in _MISTAKES])
+def test_each_rule_is_needed(what: str, changes: Any, doing: Any, play: Play) -> None:
     found = []
     for seed in range(1, 9):
         world, _ = aging_world(seed)
         mutation = Mutation(what, changes, "s old, more than", _AGES, seed, 1.0)
         try:
             with mutation.made():
-                play(world, _SECONDS, aged(world))
+                play(world, _SECONDS, doing(world))
         except Violation as violation:
             if mutation.finds not in str(violation):
                 raise
