@@ -5,6 +5,8 @@ from __future__ import annotations
 import fnmatch
 from typing import TYPE_CHECKING
 
+from rsb_bridge.model.demands import Demands, demand_on_entry, sources_of
+
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
@@ -33,7 +35,12 @@ def moves_a_robot(topic: Topic) -> bool:
 
 def without_max_age(session: Session) -> Iterator[str]:
     """Yield the names of a session's topics that move a robot and whose messages may be of any age."""
-    entries = (*session.topics, *(topic for client in session.clients for topic in client.topics))
-    for topic in entries:
-        if topic.max_age is None and not topic.arm and moves_a_robot(topic):
+    demands = Demands(sources_of(session))
+    own = [(None, topic) for topic in session.topics]
+    of_clients = [(client, topic) for client in session.clients for topic in client.topics]
+    for client, topic in (*own, *of_clients):
+        is_limited = topic.max_age is not None or topic.arm
+        if not (is_limited or topic.is_pattern):
+            is_limited = demand_on_entry(demands, session, client, topic).max_age is not None
+        if not is_limited and moves_a_robot(topic):
             yield topic.topic

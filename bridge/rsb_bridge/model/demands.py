@@ -13,7 +13,7 @@ from rsb_bridge.model.max_age import ARMED, default_max_age, smallest_max_age
 from rsb_bridge.model.names import server_topic
 from rsb_bridge.model.patterns import Pattern, is_pattern
 from rsb_bridge.model.qos import AUTO
-from rsb_bridge.model.session import DEADMAN, Armed, Identity, Kind, Session, Topic
+from rsb_bridge.model.session import DEADMAN, Armed, Client, Identity, Kind, Session, Topic
 from rsb_bridge.model.type_names import expand_type_name
 
 if TYPE_CHECKING:
@@ -243,6 +243,21 @@ class Demands:
             if rest := [each for each in rest if not self._covers(each)]:
                 found[source] = tuple(rest)
         return found
+
+
+def demand_on_entry(demands: Demands, session: Session, client: Client | None, topic: Topic) -> Demand:
+    """Return the demand on the name of an entry, which is no pattern.
+
+    Args:
+        demands: of the session.
+        session: with the entry.
+        client: on a server, the client whose entry it is, or None.
+        topic: the entry.
+    """
+    owner = "" if client is None else client.name
+    use_name = session.use_name if client is None or client.use_name is None else client.use_name
+    name = local_name(topic, owner, on_server=client is not None, use_name=use_name)
+    return demands.of(topic.kind, name, topic.type, client=owner, client_name=topic.topic) or NO_DEMAND
 
 
 def _kept(source: Source, name: str) -> Source:

@@ -15,7 +15,7 @@ from rsb_bridge.config.rights_table import listings
 from rsb_bridge.config.topic_rules import transport_of
 from rsb_bridge.config.validation import domain_of
 from rsb_bridge.config.yaml_text import inline
-from rsb_bridge.model.demands import NO_DEMAND, Demands, describe, local_name, sources_of
+from rsb_bridge.model.demands import Demands, demand_on_entry, describe, sources_of
 from rsb_bridge.model.profiles import PROFILES, compression_of, described, profile_of
 from rsb_bridge.model.session import Grant
 from rsb_bridge.model.text import join_first
@@ -68,9 +68,7 @@ def _demands_on(
     """Return the demands on the name of an entry that the entry itself does not show, or an empty string."""
     if topic.is_pattern:
         return ""
-    use_name = session.use_name if client is None or client.use_name is None else client.use_name
-    name = local_name(topic, "" if client is None else client.name, on_server=client is not None, use_name=use_name)
-    demand = demands.of(topic.kind, name, topic.type) or NO_DEMAND
+    demand = demand_on_entry(demands, session, client, topic)
     limit = f", dropped if older than {demand.max_age:g} s" if demand.max_age and not topic.max_age else ""
     if not demand.arm:
         return limit
