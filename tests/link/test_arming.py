@@ -586,6 +586,17 @@ def test_a_max_age_that_the_other_side_edits_holds_on_both(
         assert [route(side).age.max_age for side in pair] == [seconds, seconds]
 
 
+def test_an_edit_of_another_limit_there_leaves_the_entry_without_a_max_age(make_armable: Callable[..., Pair]) -> None:
+    pair = robot, pc = make_armable(Topic("/cmd_vel", "receive", arm=True))
+    robot.context.demands.apply()
+    topic = msgspec.structs.replace(route(pc).spec, max_rate=5.0)
+    proposal = proposal_of(topic, pc.context.transports["tcp"], client_name="robot1", use_name=False)
+    pc.table.amend(route(pc), topic, proposal)
+    hear_all(pair)
+    assert (route(robot).spec.max_rate, route(robot).spec.max_age) == (5.0, None)
+    assert [route(side).age.max_age for side in pair] == [1.0, 1.0]
+
+
 def test_a_peer_that_proposes_and_removes_has_no_demands_counted_anew(
     pair: Pair, loop: VirtualLoop, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, TypeAlias
 
 import msgspec
+from msgspec import UNSET
 
 from rsb_bridge.link.arming import DROPPED, LinkArming
 from rsb_bridge.link.authorizing import allow_rate, authorized, check_overlap, check_room, denied
@@ -213,7 +214,11 @@ class RouteTable:
         """Return the message that changes a route's limits to a proposal's."""
         if route.proposed_here:
             proposal = msgspec.structs.replace(proposal, max_age=self.arming.max_age(route, proposal))
-        return amendment(proposal, route.id, who)
+        message = amendment(proposal, route.id, who)
+        if not route.proposed_here and proposal.max_age == route.proposal.max_age:
+            # The proposer's entry may set none: then its limit comes from another line, which is not to be copied.
+            message = msgspec.structs.replace(message, max_age=UNSET)
+        return message
 
     def pause(self, route: Route, *, paused: bool) -> None:
         """Pause or resume a route on both sides; what was armed has to be armed again."""
