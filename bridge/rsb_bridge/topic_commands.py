@@ -88,6 +88,8 @@ class TopicCommands:
             return self._edit(key, topic, drop_arm=drop_arm)
 
     def _edit(self, key: str, topic: Topic, *, drop_arm: bool) -> str:
+        if drop_arm and topic.arm:
+            raise LinkError(f"{topic.topic} would still have to be armed: set arm=false beside --drop-arm")
         if (pattern := self._pattern(key)) is not None:
             link, old = pattern
             if not topic.is_pattern:

@@ -232,6 +232,9 @@ def test_an_edit_that_names_the_demand_is_refused_until_it_is_agreed_to(bridge: 
     key, plain = route(client, "/cmd_vel").key, Topic("/cmd_vel", "receive")
     with pytest.raises(EngineError, match="drop-arm"):
         client.edit_topic(key, plain).result(60)
+    with pytest.raises(EngineError, match="arm=false"):
+        client.edit_topic(key, msgspec.structs.replace(COMMANDS, max_rate=5.0), drop_arm=True).result(60)
+    assert not happened(server, EventCode.OPERATOR_ARM_DROPPED)
     there = route(server, "/cmd_vel")
     with pytest.raises(EngineError, match=PEER_DEMANDS):
         server.edit_topic(
