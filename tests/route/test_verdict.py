@@ -15,6 +15,7 @@ from rsb_bridge.model.qos import Qos
 from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.verdict import EXPIRES, FINE, Cause, Verdict, about, worse
 from rsb_bridge.ros.api import Endpoint
+from rsb_bridge.route.age import Expired
 from rsb_bridge.route.both_sides import BothSides, lasting, record_of
 from rsb_bridge.route.verdict import LOWER_MTU, USE_TCP, Facts, judge, named
 from rsb_bridge.route.yielding import Share, Yielded
@@ -213,6 +214,13 @@ def test_a_route_that_flows_is_fine() -> None:
         ),
         (SENDER, {"loss": Loss(9, 10, "queue full", 0.0)}, State.SLOW, Cause.QUEUE_FULL, ["max_rate", "compression"]),
         (SENDER, {"loss": Loss(9, 10, "of a newer peer", 0.0)}, State.SLOW, Cause.LOSSY, ["9 of the last 10"]),
+        (
+            SENDER,
+            {"loss": Loss(8, 8, "queue full", 0.0), "expired": Expired(Cause.LINK_SLOW, 325, 333, 0.3, 0.0)},
+            State.LATE,
+            Cause.LINK_SLOW,
+            [],
+        ),
         (SENDER, {"limit": 5.0}, State.OK, Cause.THROTTLED, ["limit 5 Hz"]),
         (
             RECEIVER,

@@ -335,8 +335,8 @@ def _remedy_for_loss(facts: Facts) -> str:
 
 def _lossy(facts: Facts) -> Verdict | None:
     loss = facts.loss
-    if loss is None:
-        return None
+    if loss is None or (facts.expired is not None and facts.expired.lost > loss.lost):
+        return None  # most of what did not come was too old, which `_expired` tells
     cause, why = _LOSSES.get(loss.cause, (Cause.LOSSY, f"lost on the way{_remedy_for_loss(facts)}"))
     if facts.full is not None and cause in (Cause.LOSSY, Cause.QUEUE_FULL):
         why = f"the link is full ({facts.full.share}): set max_rate, compression: zstd or priority"
