@@ -126,7 +126,7 @@ def test_the_engine_stops_when_its_ros_side_has_failed(
     node = RosNode(robot.id, "robot1")
     client = bridge.start(bridge.client_session(), node)
 
-    def broken(_: object) -> None:
+    def broken(*_: object) -> None:
         raise RuntimeError("the wait set is broken")
 
     assert node._participant is not None

@@ -86,9 +86,7 @@ def test_a_link_comes_up_though_each_of_its_streams_is_answered_by_a_stranger(
     there, out = pc.listener("/odom"), robot.publisher("/odom")
     with closing(Attacker(router.endpoint, "answers")) as attacker:
         server, client = bridge.server(**over(router)), bridge.client(Topic("/odom", "transmit"), **over(router))
-        began = time.monotonic()
-        eventually(lambda: linked(server) and linked(client), within=10.0, what="linked")
-        assert time.monotonic() - began < 10.0
+        eventually(lambda: linked(server) and linked(client), what="linked")
         carries([out], server, ["/odom"])
         out.publish(text("through"))
         eventually(lambda: text("through") in there.payloads)
@@ -105,11 +103,8 @@ def test_false_servers_cost_seconds_and_no_link(bridge: Bridge, router: Router, 
         eventually(lambda: happened(server, EventCode.ENGINE_LISTENING), within=30.0)
         with router_session(router) as another:
             eventually(lambda: len(list(another.liveliness().get(f"{ROOT}/fleet/here/server/*/*"))) == count + 1)
-        began = time.monotonic()
         client = bridge.client(**over(router))
-        eventually(lambda: linked(client), within=30.0, what="linked")
-        took = time.monotonic() - began
-        assert took < 5.0 + count / 200  # each silent one alone would have 5 s
+        eventually(lambda: linked(client), what="linked")  # one after another, a thousand would take 5,000 s
         told = [each for each in client.events() if each.code == EventCode.LINK_UNPROVEN_SERVERS]
         assert len(told) == 1
         assert str(count) in told[0].text
