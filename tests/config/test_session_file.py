@@ -17,11 +17,12 @@ from rsb_bridge.config.keys import KeyFileError, write_key
 from rsb_bridge.config.session_file import SessionError, dump, load, parse, save, validate, validate_topic
 from rsb_bridge.model.qos import PROFILES
 from rsb_bridge.model.session import Client, Session, Topic
+from rsb_bridge.model.text import is_clean
 
 FILE = Path("robot1.yaml")
 SESSION = Session(name="robot1", role="client", server_ip="127.0.0.1", server_port=49152, key_file="key.txt")
 
-words = st.text(st.characters(codec="utf-8", exclude_categories=["C", "Z"]), min_size=1, max_size=20)
+words = st.text(st.characters(codec="utf-8", exclude_categories=["C", "Z"]), min_size=1, max_size=20).filter(is_clean)
 names = st.one_of(words, st.sampled_from(["no", "1e5", "12:30:45", "null", "~", "0x1F", "- a", "*a", "a: b", "'", '"']))
 topic_names = st.from_regex(r"(/[A-Za-z_][A-Za-z0-9_]{0,5}){1,3}", fullmatch=True)
 rates = st.none() | st.floats(min_value=0.001, max_value=1e6)

@@ -118,7 +118,7 @@ def test_a_thread_that_ends_by_itself_says_so(
     watcher = Watcher(node)
     assert node._participant is not None
 
-    def broken(_: object) -> None:
+    def broken(*_: object) -> None:
         raise RuntimeError("the wait set is broken")
 
     monkeypatch.setattr(node._participant, "wait", broken)

@@ -112,6 +112,7 @@ class ZenohFleet:
         try:
             await self._ends.wait()
         finally:
+            presence.changed = _ignore  # else engines that come meanwhile are watched by nobody who ends that
             for watch in tuple(self._watches.values()):
                 watch.cancel()
             await asyncio.gather(*self._watches.values(), return_exceptions=True)
@@ -217,3 +218,7 @@ class ZenohFleet:
                 name=name, group=before.group, role=before.role, state=state, why=why, since=time.time(),
                 seen=before.seen, host=before.host, version=before.version, links=before.links, routes=before.routes,
             )  # fmt: skip
+
+
+def _ignore(_: Member, __: bool) -> None:
+    """Take no notice of an engine that comes or goes."""
