@@ -40,9 +40,12 @@ ROLES: tuple[Role, ...] = ("client", "server")
 @SUITES
 @pytest.mark.parametrize("aes", [True, False])
 def test_both_sides_establish_and_hold_the_same_keys(suite: Suite, aes: bool) -> None:
-    client_events, server_events = shake_hands(make_client(suite), make_server(suite, aes=aes))
+    connection = make_client(suite)
+    assert connection.suite is suite
+    client_events, server_events = shake_hands(connection, make_server(suite, aes=aes))
     client, server = the(Established, client_events), the(Established, server_events)
     expected = Suite.CHACHAPOLY if suite is Suite.AESGCM and not aes else suite
+    assert connection.suite is expected
     assert (client.peer, server.peer) == (WELCOME, HELLO)
     for event in (client, server):
         assert (event.keys.suite, event.keys.link_id) == (expected, WELCOME.link_id)

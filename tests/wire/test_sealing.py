@@ -223,6 +223,13 @@ def test_no_other_route_direction_or_link_opens_it(suite: Suite) -> None:
             keys.stream_opener(route, role).open(sealed, b"header")
 
 
+@SUITES
+def test_both_sides_of_one_link_derive_the_same_secret_of_sample_tags(suite: Suite) -> None:
+    ours, theirs, other = session_keys(suite), session_keys(suite), session_keys(suite, bytes(32))
+    assert ours.sample_secret == theirs.sample_secret
+    assert ours.sample_secret is None or ours.sample_secret != other.sample_secret
+
+
 def test_a_route_has_one_sealer_each_way() -> None:
     keys = session_keys()
     keys.route_sealer(1, "client")

@@ -1,0 +1,52 @@
+"""Long control messages, whose entries are decoded one by one."""
+
+from __future__ import annotations
+
+import msgspec
+import pytest
+
+from rsb_bridge.model.qos import Qos
+from rsb_bridge.wire.codec import WHOLE, decode_in_parts, encode
+from rsb_bridge.wire.messages import Report
+from rsb_bridge.wire.parts import ReportParts, TopicListParts, report_entries, topic_entries
+from rsb_bridge.wire.protocol_error import ProtocolError
+from rsb_bridge.wire.questions import TopicList
+from rsb_bridge.wire.records import CallsReport, ReceivedReport, SentReport, TopicEntry
+
+SENT, RECEIVED, CALLS = SentReport(route=1, offered=5), ReceivedReport(route=2, received=7), CallsReport(route=3)
+
+
+@pytest.mark.parametrize("times", [1, 500])
+def test_the_entries_are_those_of_the_whole(times: int) -> None:
+    report = Report(sent=(SENT,) * times, received=(RECEIVED,) * times, calls=(CALLS,) * times)
+    data = encode(report)
+    parts = decode_in_parts(data)
+    is_long = len(data) > WHOLE
+    assert isinstance(parts, ReportParts if is_long else Report)
+    found = list(report_entries(parts))
+    assert [entry for entry, _ in found] == [*report.sent, *report.received, *report.calls]
+    assert all((size > 0) == is_long for _, size in found)
+    assert sum(size for _, size in found) < len(data)
+
+
+@pytest.mark.parametrize("times", [1, 500])
+def test_so_are_those_of_a_list_of_topics(times: int) -> None:
+    topics = TopicList(7, (TopicEntry("/a", "a/msg/B", "", Qos(depth=1), 1, 1),) * times)
+    parts = decode_in_parts(encode(topics))
+    assert isinstance(parts, TopicList | TopicListParts)
+    assert tuple(entry for entry, _ in topic_entries(parts)) == topics.topics
+
+
+def test_an_entry_that_is_invalid_is_found_when_it_is_reached() -> None:
+    wrong = msgspec.to_builtins(Report(sent=(SENT,) * 500, received=()))
+    wrong["sent"][-1]["route"] = 0
+    entries = report_entries(decode_in_parts(msgspec.msgpack.encode({"message": "report", **wrong})))
+    for _ in range(499):
+        next(entries)
+    with pytest.raises(msgspec.DecodeError):
+        next(entries)
+
+
+def test_what_is_no_message_is_refused() -> None:
+    with pytest.raises(ProtocolError):
+        decode_in_parts(b"\xc1")
