@@ -40,7 +40,9 @@ def test_so_are_those_of_a_list_of_topics(times: int) -> None:
 def test_an_entry_that_is_invalid_is_found_when_it_is_reached() -> None:
     wrong = msgspec.to_builtins(Report(sent=(SENT,) * 500, received=()))
     wrong["sent"][-1]["route"] = 0
-    entries = report_entries(decode_in_parts(msgspec.msgpack.encode({"message": "report", **wrong})))
+    parts = decode_in_parts(msgspec.msgpack.encode({"message": "report", **wrong}))
+    assert isinstance(parts, ReportParts)
+    entries = report_entries(parts)
     for _ in range(499):
         next(entries)
     with pytest.raises(msgspec.DecodeError):
