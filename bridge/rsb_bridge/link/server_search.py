@@ -125,6 +125,7 @@ class _Try(StreamHandler):
         stream.adopt()
         stream.authenticate(connection.sample_secret, opener=True)
         if isinstance(events[0], Established):
+            stream.trust()
             stream.pause_reading()
         else:
             refusal = failure_of(events[0], self._address, self._refusal_message)
