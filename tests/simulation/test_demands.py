@@ -19,7 +19,7 @@ from tests.simulation.test_patterns import Yard, lived
 
 from rsb_bridge.api import EngineError
 from rsb_bridge.link.arming import LinkArming
-from rsb_bridge.model.demands import Demand, Demands, Source
+from rsb_bridge.model.demands import NO_DEMAND, Demand, Demands, Source
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.model.running_demands import RunningDemands
 from rsb_bridge.model.session import Topic
@@ -173,10 +173,10 @@ def _forgotten(self: RunningDemands, sources: object, who: str) -> None:
     """As edits were: an entry that goes takes its demand along."""
 
 
-def _of_the_entry(self: LinkArming, route: Route) -> Demand | None:
+def _of_the_entry(self: LinkArming, route: Route) -> Demand:
     """As it was: only the entry that has made the route counts."""
     if not route.proposed_here or not route.spec.arm:
-        return None
+        return NO_DEMAND
     deadman = route.spec.deadman_seconds
     return Demand(deadman, None, (Source(("", route.local_topic), route.local_topic, deadman),))
 

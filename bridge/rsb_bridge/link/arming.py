@@ -75,19 +75,18 @@ class LinkArming:
         proposal = route.proposal
         route.arming.opened(required=proposal.arm, deadman=proposal.deadman)
         route.arming.lease = self.lease.state
-        route.arming.own = self._own(route)
-        if (own := route.arming.own) is not None:
-            route.arming.demand(required=own.arm, deadman=own.deadman)
+        own = route.arming.own = self._own(route)
+        route.arming.demand(required=own.arm, deadman=own.deadman)
         self._say_who_demands(route)
 
     def demanded(self, route: Route) -> dict[str, Any]:
         """Return this side's demand for the present opening, as fields of a proposal."""
-        own = route.arming.own or NO_DEMAND
+        own = route.arming.own
         return {"arm": own.arm, "deadman": own.deadman, "max_age": self.max_age(route, route.proposal)}
 
     def max_age(self, route: Route, proposal: Propose) -> float | None:
         """Return what this side demands of the age of messages, and the proposal of a route that it proposes."""
-        return smallest_max_age((proposal.max_age, (route.arming.own or NO_DEMAND).max_age))
+        return smallest_max_age((proposal.max_age, route.arming.own.max_age))
 
     def accepted(self, route: Route, *, required: bool, deadman: float) -> None:
         """The other side accepts an opening, and says whether it has to be armed."""
@@ -98,7 +97,7 @@ class LinkArming:
         """Apply this side's present session to a route; return whether the route has to be reopened."""
         if not route.id:
             return False
-        own, before = self._own(route) or NO_DEMAND, route.arming.own or NO_DEMAND
+        own, before = self._own(route), route.arming.own
         if (own.arm, own.deadman) != (before.arm, before.deadman):
             return True
         if own.max_age != before.max_age and not route.proposed_here:
@@ -128,13 +127,13 @@ class LinkArming:
         kind, type_name = route.spec.kind, route.proposal.type
         return demands.of(kind, route.local_topic, type_name, client=client, client_name=far)
 
-    def _own(self, route: Route) -> Demand | None:
-        return self.demand_on(route, self._context.demands)
+    def _own(self, route: Route) -> Demand:
+        return self.demand_on(route, self._context.demands) or NO_DEMAND
 
     def _say_who_demands(self, route: Route) -> None:
         """Name the lines that demand arming, for operators."""
         arming = route.arming
-        own = () if arming.own is None else tuple(map(self._context.demands.origin, arming.own.sources))
+        own = tuple(map(self._context.demands.origin, arming.own.sources))
         arming.demanded_by = own or ((PEER_DEMANDS,) if arming.required else ())
 
     # --- operators of this side

@@ -228,16 +228,15 @@ class RouteTable:
     def apply_demands(self) -> None:
         """Reopen the routes whose demands have changed."""
         for route in tuple(self.routes.values()):
-            before = route.arming.own
-            if not self.arming.renew_demand(route):
-                if route.id and route.proposed_here and route.arming.own != before:
-                    route.settle_age()
-                    self._owner.send(self._amendment(route, route.proposal))
-                continue
-            if route.proposed_here:
-                self.propose(route)
-            else:
-                route.request_reopen(EventCode.ROUTE_AMENDED, "its demands in this side's session have changed")
+            before = route.arming.own.max_age
+            if self.arming.renew_demand(route):
+                if route.proposed_here:
+                    self.propose(route)
+                else:
+                    route.request_reopen(EventCode.ROUTE_AMENDED, "its demands in this side's session have changed")
+            elif route.arming.own.max_age != before:
+                route.settle_age()
+                self._owner.send(self._amendment(route, route.proposal))
 
     def retry(self) -> None:
         """Propose at once what was refused."""
@@ -364,8 +363,8 @@ class RouteTable:
                 self._refuse(proposal, "port_taken", str(error))
             return
         if current():  # else it was closed while its port was being bound
-            arming, own = route.arming, route.arming.own
-            max_age = None if own is None else own.max_age
+            arming = route.arming
+            max_age = arming.own.max_age
             self._owner.send(Accept(route.id, route.local_topic, arming.required, arming.deadman, max_age))
             self._accepted(route)
 

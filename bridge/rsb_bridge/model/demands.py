@@ -205,8 +205,9 @@ class Demands:
 
     def _matching_of_client(self, kind: Kind, client: str, name: str) -> Iterator[Source]:
         for source in self._of_client.get(client, ()):
-            is_left_out = any(_matches(each, name) for each in source.excepts)
-            if source.kind in (None, kind) and _matches(source.on_client, name) and not is_left_out:
+            if source.kind not in (None, kind) or not _matches(source.on_client, name):
+                continue
+            if not any(_matches(each, name) for each in source.excepts):
                 yield source
 
     def _covers(self, old: Source) -> bool:

@@ -10,6 +10,7 @@ from __future__ import annotations
 from enum import Enum, StrEnum, auto
 from typing import TYPE_CHECKING
 
+from rsb_bridge.model.demands import NO_DEMAND, Demand
 from rsb_bridge.model.snapshot import ArmingSnapshot
 from rsb_bridge.route.lease import SLOW
 from rsb_bridge.wire.framing import LEASED
@@ -18,7 +19,6 @@ from rsb_bridge.wire.lease import split_number, with_number
 if TYPE_CHECKING:
     from collections.abc import Callable, Hashable
 
-    from rsb_bridge.model.demands import Demand
     from rsb_bridge.route.lease import Lease
     from rsb_bridge.wire.framing import Message
 
@@ -95,7 +95,7 @@ class Arming:
     Attributes:
         required: whether either side's session demands arming.
         deadman: s without a key after which it disarms, or 0 for no limit.
-        own: the demand of this side's session, or None if it makes none.
+        own: the demand of this side's session.
         demanded_by: the lines that demand arming, in words.
         by: the operator who armed it, or empty if it is not armed.
         console: that operator's console on this side, or None if it was armed on the other side or is not armed.
@@ -112,7 +112,7 @@ class Arming:
     def __init__(self, *, required: bool = False, deadman: float = 0.0) -> None:
         self.required = required
         self.deadman = deadman
-        self.own: Demand | None = None
+        self.own: Demand = NO_DEMAND
         self.demanded_by: tuple[str, ...] = ()
         self.why = Disarmed.NOT_YET
         self.reason = SAID[self.why]

@@ -359,8 +359,7 @@ class Route:
 
     def settle_age(self) -> None:
         """Apply both sides' limits of age; called after each change of them."""
-        own = self.arming.own
-        demands = self.proposal.max_age, self.age.accepted, None if own is None else own.max_age
+        demands = self.proposal.max_age, self.age.accepted, self.arming.own.max_age
         self.age.settle(demands, armed=self.arming.required, lifespan=self._lifespan)
 
     @property
