@@ -146,8 +146,11 @@ def test_nothing_passes_before_both_sides_agree(pair: Pair, loop: VirtualLoop) -
     assert stands(robot, pc) == [False, False]
     robot.hear()
     robot.hear()
-    assert stands(robot, pc) == [True, False]
+    assert route(robot).arming.armed, "it has agreed, but has no answer to its own number yet"
+    assert not route(robot).flowing
+    assert stands(robot, pc) == [False, False]
     assert passes(robot, pc) == [False, False]
+    assert route(robot).verdict().state is State.DISARMED
     hear_all(pair)
     turn(loop)
     assert task.done()

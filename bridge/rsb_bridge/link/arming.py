@@ -65,7 +65,11 @@ class LinkArming:
         self._propose = propose
         self._budget = TokenBucket(_AT_ONCE, _A_SECOND, context.now())
         self.lease = LinkLease(
-            context, peer, lambda: any(route.arming.held for route in routes()), self._disarm_as_it_stood_still
+            context,
+            peer,
+            lambda: any(route.arming.held for route in routes()),
+            self._lease_lives,
+            self._disarm_as_it_stood_still,
         )
 
     # --- which routes have to be armed
@@ -188,6 +192,11 @@ class LinkArming:
         if route.proposed_here:
             self._propose(route)
 
+    def _lease_lives(self) -> None:
+        for route in self._routes():
+            if route.arming.armed:
+                route.armed()
+
     def _disarm_as_it_stood_still(self, where: Standstill) -> None:
         for route in self._routes():
             self.disarm(route, Disarmed.LEASE, where.value)
@@ -268,7 +277,8 @@ class LinkArming:
             arming.take(who, now)
             self._peer.send(Armed(route.id))
             self._armed_by(route, who, from_peer=True)
-            route.armed()
+            if self.lease.state.alive:
+                route.armed()
 
     def _refuse(self, route: Route, why: Disarmed) -> None:
         self._peer.send(Disarm(route.id, why))

@@ -22,6 +22,7 @@ class LinkLease:
         context: has the clock and the loop.
         peer: the other side.
         is_needed: whether any route is armed or asked for.
+        lives: called when the two sides hear each other, for the first time or again.
         disarm: disarms all routes when something stood still.
 
     Attributes:
@@ -29,12 +30,18 @@ class LinkLease:
     """
 
     def __init__(
-        self, context: Context, peer: Peer, is_needed: Callable[[], bool], disarm: Callable[[Standstill], None]
+        self,
+        context: Context,
+        peer: Peer,
+        is_needed: Callable[[], bool],
+        lives: Callable[[], None],
+        disarm: Callable[[Standstill], None],
     ) -> None:
         self.state = Lease(context.clock.steady, context.ros.turns, self._over)
         self._loop = context.loop
         self._peer = peer
         self._is_needed = is_needed
+        self._lives = lives
         self._disarm = disarm
         self._timer: asyncio.TimerHandle | None = None
 
@@ -57,8 +64,11 @@ class LinkLease:
         """Take a number of the other side's. A side that has not heard any yet is answered at once."""
         was_alive = self.state.alive
         self.state.hear(message.number, message.echo)
-        if self.state.is_on and (not message.echo or (self.state.alive and not was_alive)):
+        lives = self.state.alive and not was_alive
+        if self.state.is_on and (lives or not message.echo):
             self._send()
+        if lives:
+            self._lives()
 
     def stop(self) -> None:
         """The connection is over."""

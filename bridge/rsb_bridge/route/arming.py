@@ -170,12 +170,14 @@ class Arming:
         return self._phase is _Phase.SPENT
 
     def stands(self, now: float) -> bool:
-        """Whether operators want messages to cross at `now` (s)."""
-        return not self.required or (self._phase is _Phase.ARMED and now < self._deadline)
+        """Whether operators want messages to cross at `now` (s), and the two sides have agreed on it."""
+        if not self.required:
+            return True
+        return self._phase is _Phase.ARMED and now < self._deadline and self.lease is not None and self.lease.begun
 
     def passes(self, now: float) -> bool:
         """Whether messages may cross at `now` (s): operators want it, and the two sides hear each other."""
-        return not self.required or (self.stands(now) and self.lease is not None and self.lease.alive)
+        return not self.required or (self.lease is not None and self.lease.alive and self.stands(now))
 
     def admits(self, number: int) -> bool:
         """Whether a message with this number of the lease, or 0 for none, may be published, if `passes`."""

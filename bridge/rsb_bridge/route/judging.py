@@ -48,7 +48,8 @@ def standing_of(route: Route) -> Standing:
         paused=route.paused,
         paused_by=route.pausing.who,
         disarmed="" if stands else SAID[why_not] if why_not else SAID[overdue] if overdue else route.arming.reason,
-        disarming=route.settling.under_way or (route.outgoing and route.arming.armed and not stands),
+        disarming=route.settling.under_way
+        or (route.outgoing and route.arming.armed and overdue is not None and not stands),
         can_be_armed=why_not is None,
         no_path=_trouble(route),
         waits_for="" if route.flowing else _first_missing(route),

@@ -126,6 +126,11 @@ class Lease:
     # --- what it is asked
 
     @property
+    def begun(self) -> bool:
+        """Whether the other side has answered in time since `begin`."""
+        return self._answered
+
+    @property
     def now(self) -> float:
         """Seconds on the clock of the lease."""
         return self._steady()
