@@ -74,7 +74,6 @@ class Network:
         self._lock = threading.Lock()  # never held for long: the loops take it, too
         self._opening = threading.Lock()
         self._session: zenoh.Session | None = None
-        self._listener: Any = None
         self._deleted: Any = None
         self._config_used: zenoh.Config | None = None
         self._endpoints: list[Endpoint] = []
@@ -183,11 +182,13 @@ class Network:
         except zenoh.ZError as error:
             raise OSError(why_unreachable(self.settings, config, str(error))) from None
         self._deleted = zenoh.SampleKind.DELETE
-        _open_sessions.add(session)
-        listener = session.info.declare_transport_events_listener(self._changed)
+        changes = session.info.declare_transport_events_listener()
+        watcher = threading.Thread(target=self._watch, args=(changes,), name="zenoh-watch", daemon=True)
+        _open_sessions[session] = watcher
         with self._lock:
             if not self._closed:
-                self._session, self._listener, self._config_used = session, listener, config
+                self._session, self._config_used = session, config
+                watcher.start()
                 return
         _close(session)  # nobody waited for it
 
@@ -227,8 +228,13 @@ class Network:
         _set(config, "transport/link/tx/queue/congestion_control/drop/wait_before_drop", 0)
         return config
 
+    def _watch(self, changes: zenoh.TransportEventsListener[Any]) -> None:
+        """See routers and peers come and go, until the session is closed."""
+        for event in changes:
+            self._changed(event)
+
     def _changed(self, event: zenoh.TransportEvent) -> None:
-        """A router or peer has come or gone; on a thread of Zenoh's."""
+        """A router or peer has come or gone."""
         session, gone = self._session, event.transport.zid
         if session is None:
             return
@@ -256,14 +262,21 @@ def _from_its_folder(config: zenoh.Config, folder: Path) -> None:
             _set(config, f"{TLS}/{key}", str((folder / settings[key]).absolute()))
 
 
-_open_sessions: set[zenoh.Session] = set()
-"""A process that ends with one of them open would wait for the threads of its callbacks for ever."""
+_open_sessions: dict[zenoh.Session, threading.Thread] = {}
+"""Each with the thread that watches it. A process that ended with one of them open would wait for ever."""
 
 
 def _close_all() -> None:
     for session in tuple(_open_sessions):
-        _open_sessions.discard(session)
-        session.close()  # type: ignore[no-untyped-call]
+        _close_now(session)
+
+
+def _close_now(session: zenoh.Session) -> None:
+    """Close it, and have its watcher end: a thread that is in Zenoh when the interpreter ends aborts the process."""
+    watcher = _open_sessions.pop(session, None)
+    session.close()  # type: ignore[no-untyped-call]
+    if watcher is not None and watcher.ident is not None:
+        watcher.join(_CLOSE_WITHIN)
 
 
 # As concurrent.futures does: `atexit` comes after the wait for threads, and Zenoh has each callback on one of its own.
@@ -272,7 +285,6 @@ threading._register_atexit(_close_all)  # type: ignore[attr-defined]
 
 def _close(session: zenoh.Session) -> None:
     """Close it, and wait for that, but not for long: with a router that takes nothing, Zenoh waits for seconds."""
-    _open_sessions.discard(session)
-    closing = threading.Thread(target=session.close, name="zenoh-close", daemon=True)
+    closing = threading.Thread(target=_close_now, args=(session,), name="zenoh-close", daemon=True)
     closing.start()
     closing.join(_CLOSE_WITHIN)
