@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import contextlib
 import random
 import time
+from collections import Counter
 from typing import TYPE_CHECKING
 
 from tests.system.torture.relay import STREAMS
@@ -12,6 +12,7 @@ from tests.system.torture.stage import RATE, TOPIC, Stage
 from tests.system.torture.threads import stopped
 
 from rsb_bridge.api import EngineError
+from rsb_bridge.route.lease import SLOW
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -29,6 +30,8 @@ NOT_AGAIN = "cannot be armed anew"
 FREEZE = 8.0
 HOLD = 4.0
 _STREAM_GAP = 0.3
+_TRIES = 10
+_TRY_AGAIN_AFTER = 0.2
 
 
 def freeze_robot(stage: Stage, seconds: float = FREEZE) -> None:
@@ -280,18 +283,34 @@ def kill_console(stage: Stage) -> None:
 
 
 def arm_and_disarm(stage: Stage, rounds: int = 36, seed: int = 1) -> None:
-    """Arm and disarm quickly over a network with delays at random."""
+    """Arm and disarm quickly over a network with delays at random, with which round trips are just short enough."""
     choice = random.Random(seed)
-    stage.relay.delay = lambda: choice.uniform(0.0, 0.5)
-    for _ in range(rounds):
+    stage.relay.delay = lambda: choice.uniform(0.0, SLOW / 2 - 0.03)
+    sides = [stage.robot, stage.pc] * (rounds // 2)  # a side's operators may arm 20 times in a row
+    choice.shuffle(sides)
+    refused: Counter[str] = Counter()
+    for side in sides:
         bridge = choice.choice((stage.pc, stage.robot))
         bridge.console.arming.disarm(bridge.routes()[0].key).result(30)
         stage.disarmed()
         stage.await_disarmed()
-        with contextlib.suppress(EngineError):  # the link may be lost on the way
-            stage.arm(choice.choice((stage.pc, stage.robot)))
+        _arm_at_last(stage, side, refused)
         time.sleep(choice.uniform(0.0, 1.0))
     stage.relay.delay = lambda: 0.0
+    if refused:
+        stage.notes.append(f"refused: {dict(refused)}")
+
+
+def _arm_at_last(stage: Stage, side: Bridge, refused: Counter[str]) -> None:
+    """Arm, again and again while it is refused, as the topic may still be being set up on one side."""
+    for _ in range(_TRIES):
+        try:
+            stage.arm(side)
+        except EngineError as error:
+            refused[str(error)] += 1
+            time.sleep(_TRY_AGAIN_AFTER)
+        else:
+            return
 
 
 ATTACKS: dict[str, Attack] = {
@@ -396,5 +415,5 @@ def attack(nodes: Nodes, name: str, transport: Transport, work: Attack | None = 
             notes.append(f"{NOT_AGAIN}: {error}")
         stage.settle()
         found = stage.findings()
-        found.notes += notes
+        found.notes += stage.notes + notes
         return found

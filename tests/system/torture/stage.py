@@ -185,6 +185,7 @@ class Stage:
         relay: the network between them; over Zenoh, between the robot and the router.
         router: over Zenoh.
         windows: times in which an operator meant messages to cross.
+        notes: what an attack has to say.
     """
 
     def __init__(
@@ -202,6 +203,7 @@ class Stage:
         self.router: Router | None = None
         self.relay: GateRelay
         self.windows: list[Window] = []
+        self.notes: list[str] = []
         self._resources = contextlib.ExitStack()
         self._lock = threading.Lock()
         self._entries = entries
