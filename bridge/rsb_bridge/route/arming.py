@@ -197,8 +197,8 @@ class Arming:
         content, stamp, flags = message
         return with_number(number, content), stamp, flags | LEASED
 
-    def unpack(self, message: Message) -> Message | None:
-        """Return a message without the lease's number, or None if it is too old.
+    def unpack(self, message: Message) -> tuple[int, Message]:
+        """Return the lease's number of a message, or 0 for none, and the message without it.
 
         Raises:
             ProtocolError: it is too short.
@@ -207,7 +207,7 @@ class Arming:
         number = 0
         if flags & LEASED:
             number, payload = split_number(payload)
-        return (payload, stamp, flags & ~LEASED) if self.admits(number) else None
+        return number, (payload, stamp, flags & ~LEASED)
 
     def snapshot(self, now: float) -> ArmingSnapshot | None:
         """As user interfaces show it at `now` (s); None: it need not be armed."""

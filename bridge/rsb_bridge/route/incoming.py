@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter, deque
+from functools import partial
 from typing import TYPE_CHECKING, ClassVar
 
 import msgspec
@@ -234,7 +235,7 @@ class IncomingRoute(TopicRoute):
         stamp, messages = now, iter(messages)
         required = self.arming.required
         for message in messages:
-            arrived = self._of_lease(message) if required else message
+            number, arrived = self._of_lease(message) if required else (0, message)
             if arrived is None:
                 self._received += 1
                 self._dropped["disarmed"] += 1
@@ -249,7 +250,7 @@ class IncomingRoute(TopicRoute):
                 self._leave_out()
                 continue
             try:
-                self._publish(payload, flags, stamp)
+                self._publish(payload, flags, stamp, number)
             except _NotPublishedError as error:
                 self._dropped[error.cause] += 1
                 if error.code is not None:
@@ -269,12 +270,13 @@ class IncomingRoute(TopicRoute):
                 self._show(payload, flags, self.context.wall_ns(), latency)
             self.count(count, size)
 
-    def _of_lease(self, message: Message) -> Message | None:
-        """A message of a route that has to be armed, without its lease header, or None if it is too old."""
+    def _of_lease(self, message: Message) -> tuple[int, Message | None]:
+        """Return the lease's number of an armed route's message, and the rest of it, or None if it is too old."""
         try:
-            return self.arming.unpack(message)
+            number, arrived = self.arming.unpack(message)
         except ProtocolError:
-            return None
+            return 0, None
+        return number, arrived if self.arming.admits(number) else None
 
     def _go_on(self) -> None:
         later, self._later = self._later, deque()
@@ -285,8 +287,8 @@ class IncomingRoute(TopicRoute):
         text = f"the other side sends more than the {self.limit.here:g} Hz that this side allows: the rest is left out"
         self.notices.message_error(EventCode.ROUTE_TOO_FAST, text)
 
-    def _publish(self, payload: bytes, flags: int, stamp: int) -> None:
-        """Publish one message, or raise _NotPublishedError."""
+    def _publish(self, payload: bytes, flags: int, stamp: int, number: int) -> None:
+        """Publish one message, which has a number of the lease or 0, or raise _NotPublishedError."""
         try:
             output = self._outputs.sinks[flags >> SOURCE_SHIFT]
         except IndexError:
@@ -300,12 +302,13 @@ class IncomingRoute(TopicRoute):
             content = self._unpacker.unpack(payload) if flags & ZSTD else payload
             if self.check.checker is not None:
                 self.check.check(content)
-            if self.age.is_on and (why := self.age.why_old(stamp)) is not None:
-                self.age.expired(why, 1)
-                raise _NotPublishedError(EXPIRED, None, "")
+            look = partial(self._look, stamp, number) if self.arming.required or self.age.is_on else None
             if not isinstance(output, LatchedTopic):
-                output.publish(content)
-            elif not output.publish(header, content, self._still_young(stamp)):
+                output.publish(content, look)
+                return
+            if look is not None:
+                look()
+            if not output.publish(header, content, self._still_young(stamp)):
                 raise _NotPublishedError("already published", None, "")
         except ExpandsTooMuchError as error:
             raise _NotPublishedError("expands too much", EventCode.ROUTE_EXPANDS_TOO_MUCH, str(error)) from None
@@ -320,6 +323,17 @@ class IncomingRoute(TopicRoute):
             raise _NotPublishedError("slow subscriber", EventCode.ROUTE_SLOW_SUBSCRIBER, str(error)) from None
         except (RosError, zstandard.ZstdError, ProtocolError) as error:
             raise _NotPublishedError("publish failed", EventCode.ROUTE_PUBLISH_FAILED, str(error)) from None
+
+    def _look(self, stamp: int, number: int) -> None:
+        """Raise _NotPublishedError if a message may not be published now.
+
+        All that takes its time is done before: checks of contents, questions to DDS, new publishers.
+        """
+        if not self.arming.admits(number):
+            raise _NotPublishedError("disarmed", None, "")
+        if self.age.is_on and (why := self.age.why_old(stamp)) is not None:
+            self.age.expired(why, 1)
+            raise _NotPublishedError(EXPIRED, None, "")
 
     def _still_young(self, stamp: int) -> Callable[[], bool] | None:
         """Return the check before the publication of a message that has to wait, or None for no check."""

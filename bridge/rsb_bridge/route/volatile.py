@@ -88,8 +88,12 @@ class VolatileTopic:
         """Subscriptions of other nodes that match now."""
         return self._publisher.subscriber_count
 
-    def publish(self, content: bytes) -> None:
+    def publish(self, content: bytes, look: Callable[[], None] | None = None) -> None:
         """Publish a message.
+
+        Args:
+            content: of the message.
+            look: called right before DDS gets the message, which it does not get if this raises anything; or None.
 
         Raises:
             RosError: the middleware refused it.
@@ -112,6 +116,12 @@ class VolatileTopic:
                 raise
             self._begin_anew(self._renew)
             self._take(size, 0)
+        if look is not None:
+            try:
+                look()
+            except Exception:
+                self._free.append(self._waiting.pop())  # for the next message
+                raise
         self._publisher.publish(content)
 
     def close(self) -> None:

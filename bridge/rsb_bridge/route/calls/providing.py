@@ -248,19 +248,23 @@ class ProvidingRoute(CallsRoute):
         """Why a call is not made here; if it is, it has its place in the link's budget."""
         now = self.context.now()
         limited = self._is_limited(frame)
-        if limited and self.age.is_on and self.age.why_old(frame.stamp) is not None:
-            return Refused.TOO_OLD
-        if limited and (why := self.held_now(frame.lane)) is not None:
+        if limited and (why := self._why_held(frame)) is not None:
             return why
-        if limited and not self.arming.admits(frame.lease):
-            return Refused.DISARMED
         if self._told is None or not self._told.lanes:  # asking DDS again would take its time at each call
             return Refused.PROVIDER_GONE
         if (why := self._malformed(frame, "_Request")) is not None:
             return why
+        if limited and (why := self._why_held(frame)) is not None:  # the look at its content may have taken long
+            return why
         if limited and not self.limit.admits(now):
             return Refused.CALLS_A_SECOND
         return self.peer.budget.provided.take(frame_size(frame.content), now)
+
+    def _why_held(self, frame: CallFrame) -> Refused | None:
+        """Why a call that operators limit may not be made now."""
+        if self.age.is_on and self.age.why_old(frame.stamp) is not None:
+            return Refused.TOO_OLD
+        return self.held_now(frame.lane) or (None if self.arming.admits(frame.lease) else Refused.DISARMED)
 
     def _is_limited(self, frame: CallFrame) -> bool:
         """Whether what operators limit is about this call."""

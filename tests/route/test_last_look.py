@@ -1,0 +1,133 @@
+"""Armed messages and requests are looked at last right before DDS gets them, whatever took its time before."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import pytest
+from tests.route.calls.test_held import GOAL, providing
+from tests.route.test_unpacking import OnePublisher, Published, opened
+from tests.route.test_volatile import unwanted
+from tests.support.offline import FakePeer
+
+from rsb_bridge.model.lanes import SEND_GOAL
+from rsb_bridge.ros.turns import RosTurns
+from rsb_bridge.route.calls.refusals import Refused
+from rsb_bridge.route.lease import LASTS, Lease
+from rsb_bridge.route.volatile import FREE, VolatileTopic
+from rsb_bridge.wire.budget import Budget
+from rsb_bridge.wire.calls import CallFrame, What
+from rsb_bridge.wire.framing import LEASED
+from rsb_bridge.wire.lease import with_number
+from rsb_bridge.wire.messages import Provide
+from rsb_bridge.wire.records import LaneEntry
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from tests.support.virtual_time import VirtualLoop
+
+    from rsb_bridge.context import Context
+    from rsb_bridge.route.incoming import IncomingRoute
+    from rsb_bridge.route.route import Route
+
+LONG = bytes(4) + bytes(FREE)
+"""A message before which DDS is asked what it still holds."""
+
+
+class _Waits:
+    """A check of contents, in which the process stands still."""
+
+    loops = False
+
+    def __init__(self, loop: VirtualLoop, seconds: float) -> None:
+        self._loop = loop
+        self._seconds = seconds
+
+    def check(self, _: bytes) -> None:
+        self._loop.jump(self._seconds)
+
+
+class _Asked(Published):
+    """A publisher that stands still when it is asked what it holds."""
+
+    def __init__(self, loop: VirtualLoop, seconds: float) -> None:
+        super().__init__()
+        self._loop = loop
+        self._seconds = seconds
+
+    @property
+    def acknowledged(self) -> bool:  # type: ignore[override]
+        self._loop.jump(self._seconds)
+        return True
+
+
+def _arm(route: Route, context: Context) -> int:
+    """Arm a route by the other side; return the newest number of this side."""
+    lease = route.arming.lease = Lease(context.clock.steady, RosTurns(), lambda: None)
+    route.arming.demand(required=True, deadman=0.0)
+    lease.begin()
+    route.arming.take("anna", context.now())
+    number, _ = lease.beat()
+    lease.hear(1, number)
+    return number
+
+
+def _stands_in_the_check(route: IncomingRoute, _: OnePublisher, loop: VirtualLoop, seconds: float) -> None:
+    route.check.checker = _Waits(loop, seconds)  # type: ignore[assignment]
+
+
+def _stands_in_dds(route: IncomingRoute, ros: OnePublisher, loop: VirtualLoop, seconds: float) -> None:
+    route._outputs.close()
+    ros.published = _Asked(loop, seconds)
+    route._outputs.sinks.append(VolatileTopic(ros.published, 10, route.peer.budget.unacknowledged, loop.time))
+
+
+@pytest.mark.parametrize("stand", [_stands_in_the_check, _stands_in_dds])
+@pytest.mark.parametrize(("seconds", "count"), [(LASTS / 2, 1), (LASTS * 1.1, 0)])
+def test_nothing_is_published_that_became_old_on_the_way_to_dds(
+    stand: Callable[[IncomingRoute, OnePublisher, VirtualLoop, float], None],
+    seconds: float,
+    count: int,
+    loop: VirtualLoop,
+    make_context: Callable[..., Context],
+) -> None:
+    ros = OnePublisher()
+    context = make_context(ros=ros)
+    route = opened(context, FakePeer(), "/cmd")
+    number = _arm(route, context)
+    stand(route, ros, loop, seconds)
+    route.deliver([(with_number(number, LONG), context.stamps.now(), LEASED)])
+    assert len(ros.published.sizes) == count
+    report = route._received_report()
+    assert (report.received, report.delivered, report.dropped.get("disarmed", 0)) == (1, count, 1 - count)
+
+
+@pytest.mark.parametrize(("seconds", "why"), [(LASTS / 2, None), (LASTS * 1.1, Refused.DISARMED)])
+def test_no_goal_begins_that_became_old_on_the_way_to_dds(
+    seconds: float, why: Refused | None, loop: VirtualLoop, make_context: Callable[..., Context]
+) -> None:
+    context = make_context()
+    route = providing(context)
+    route._told = Provide(route=1, lanes=(LaneEntry("a/action/B_SendGoal", "h", 1),))
+    number = _arm(route, context)
+
+    def slow(frame: CallFrame, part: str) -> Refused | None:
+        loop.jump(seconds)
+        return None
+
+    route._malformed = slow  # type: ignore[method-assign]
+    assert route._refusal(CallFrame(What.CALL, SEND_GOAL, 1, 0, GOAL, number)) is why
+
+
+def test_a_message_that_is_not_wanted_any_more_counts_as_no_more_memory(loop: VirtualLoop) -> None:
+    published, budget = Published(), Budget(10 * len(LONG))
+    topic = VolatileTopic(published, 1000, budget, loop.time)
+
+    for _ in range(100):
+        with pytest.raises(TimeoutError):
+            topic.publish(LONG, unwanted)
+    assert not published.sizes
+    assert budget.held <= len(LONG)
+    topic.publish(LONG)
+    assert published.sizes == [len(LONG)]
