@@ -33,11 +33,14 @@ class Window:
         asked: the moment before the operator armed the topic.
         shown: the moment when either side first said that it is disarmed, or None while it is armed.
         by: what said so first.
+        agreed: whether the operator has been told that it is armed. What a console shows before that may be of an
+            earlier arming.
     """
 
     asked: float
     shown: float | None = None
     by: str = ""
+    agreed: bool = False
 
     def show(self, by: str) -> None:
         """Note that something says now that the topic is disarmed, unless something has said so before."""

@@ -317,6 +317,7 @@ class Stage:
             with self._lock:
                 window.show("an error")
             raise
+        window.agreed = True
         return window
 
     def arm_and_flow(self, count: int = 20, by: Bridge | None = None) -> Window:
@@ -327,7 +328,7 @@ class Stage:
 
     def begin_window(self) -> Window:
         """Note that an operator is about to arm the topic by other means."""
-        window = Window(time.monotonic())
+        window = Window(time.monotonic(), agreed=True)
         with self._lock:
             self.windows.append(window)
             self._arms = None
@@ -389,7 +390,8 @@ class Stage:
                     continue
                 disarmed, words = shows
                 if not disarmed:
-                    showed[name] = window
+                    if window.agreed:
+                        showed[name] = window
                 elif showed.get(name) is window:
                     with self._lock:
                         window.show(f"{name} ({words})")
