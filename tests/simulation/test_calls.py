@@ -17,6 +17,7 @@ from rsb_bridge.link.link import Link
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.verdict import Cause
+from rsb_bridge.route.arming import Arming
 from rsb_bridge.route.calls import budget
 from rsb_bridge.transport.tcp import Tcp
 
@@ -272,6 +273,49 @@ def test_arming(play: Play) -> None:
         assert say(booth)[1] == (State.DISARMED, Cause.DISARMED)
 
     lived(play, booth, live())
+
+
+async def _called_at_once(booth: Booth) -> None:
+    """An operator of the providing side arms it, on a slow link; callers ask as soon as it is offered."""
+    booth.teller()
+    world = booth.world
+    for path in world.network.both_ways(booth.near.machine, booth.far.machine):
+        path.latency = (0.3, 0.3)
+    await asyncio.sleep(SETTLED)
+    assert booth.far.run is not None
+    arming = booth.far.run.bridge.arming
+    for number in range(4):
+        arms = world.loop.create_task(booth.far.run.command(arming.arm(booth.halves()[1].key)))
+        asker = booth.asker(f"/asker{number}")
+        while not asker.client.ready:  # noqa: ASYNC110 — plain state of a simulated world
+            booth.asker(f"/comes_and_goes{number}").client.close()  # each side looks at once for what has changed
+            await asyncio.sleep(0.02)
+        asker.ask()
+        await arms
+        await until(lambda asker=asker: asker.right == 1, 2.0)  # type: ignore[misc]
+        asker.client.close()
+        await booth.far.run.command(arming.disarm(booth.halves()[1].key))
+        await until(lambda: not booth.offered, 2.0)
+        await asyncio.sleep(2.0)
+    assert [calls.refused for calls in booth.counted()] == [{}, {}]
+
+
+@pytest.mark.parametrize("provider", ["server", "client"])
+def test_a_call_at_once_after_the_other_side_has_armed_it_is_answered(provider: str, play: Play) -> None:
+    booth = Booth(1, provider, arm=True, deadman=0.0, max_age=0.0)
+    lived(play, booth, _called_at_once(booth))
+
+
+def _stands_at_once(self: Arming, now: float) -> bool:
+    """As `Arming.stands`, but the lease may not have begun."""
+    return not self.required or (self.armed and self.overdue(now) is None)
+
+
+def test_it_has_to_be_offered_only_once_the_lease_has_begun(play: Play) -> None:
+    booth = Booth(arm=True, deadman=0.0, max_age=0.0)
+    with patch.object(Arming, "stands", _stands_at_once), pytest.raises(TimeoutError):
+        lived(play, booth, _called_at_once(booth))
+    assert [set(calls.refused) for calls in booth.counted()] == [{"disarmed"}, set()]
 
 
 def _different_version_there(booth: Booth) -> None:
