@@ -126,6 +126,23 @@ def why(side: Side) -> str:
 
 
 @pytest.mark.parametrize("at", [0, 1], ids=["on the robot", "on the control PC"])
+def test_a_message_from_before_it_was_armed_is_not_published(at: int, pair: Pair, loop: VirtualLoop) -> None:
+    """The lease goes on from one arming to the next, and a number of the first may still be young."""
+    arm(pair[at], loop).result()
+    receiving = pair[0]
+    lease = route(receiving).arming.lease
+    assert lease is not None
+    before = lease.number
+    assert route(receiving).arming.admits(before)
+    pair[at].table.arming.disarm(route(pair[at]), Disarmed.OPERATOR)
+    hear_all(pair)
+    arm(pair[at], loop).result()
+    assert lease.passes(before)
+    assert not route(receiving).arming.admits(before)
+    assert route(receiving).arming.admits(lease.number)
+
+
+@pytest.mark.parametrize("at", [0, 1], ids=["on the robot", "on the control PC"])
 def test_an_operator_of_either_side_arms_both(at: int, pair: Pair, loop: VirtualLoop) -> None:
     assert passes(*pair) == [False, False]
     arm(pair[at], loop).result()

@@ -238,6 +238,11 @@ class Flow:
             padding = self._random.randrange(2 * self.size)
             self.writer.publish(_HEAD.pack(_CDR, self.number, self.life, self.sent) + bytes(padding))
 
+    def made_at(self, payload: bytes) -> float | None:
+        """Return when (s) a message was published by its node, or None if that was too long ago to know."""
+        label = label_of(payload)
+        return None if label is None else self._published_at.get(label)
+
     def _beat(self, life: int) -> None:
         if self.writer is None or self.life != life:
             return

@@ -46,7 +46,7 @@ class Node:
         self._domain = domain
         self.node_name = f"rsb_{name}_{instance_id}"
         self._name = f"/{self.node_name}"
-        self._stopped = False
+        self._stopped = self._stalled = False
 
     def start(self) -> None:
         """It is in the domain already."""
@@ -61,8 +61,21 @@ class Node:
 
     def _turn(self) -> None:
         if self.turns.watched and not self._stopped:
-            self.turns.turned()
+            if not self._stalled:
+                self.turns.turned()
             self._turn_on()
+
+    def stall(self) -> None:
+        """Have its thread stand still: it takes no messages, and does not turn. Calls go on."""
+        self._stalled = True
+        for reader in self.readers:
+            reader.stalled = True
+
+    def go_on(self) -> None:
+        """End `stall`."""
+        self._stalled = False
+        for reader in self.readers:
+            reader.go_on()
 
     def _taking(self, sink: Sink) -> Sink:
         def take(batch: Sequence[RawMessage]) -> None:
@@ -131,6 +144,7 @@ class Node:
         self._check_type(type_name, type_hash)
         taking = self._taking(sink)
         reader = Reader(self._domain, self._name, topic, type_name, type_hash, qos, taking, origin, on_failure)
+        reader.stalled = self._stalled
         _keep(self.readers, reader)
         if self.on_reader is not None:
             self.on_reader(reader, origin)

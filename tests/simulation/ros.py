@@ -245,6 +245,7 @@ class Reader:
         lost: messages that came and could not be kept until they were taken.
         taken: messages so far.
         on_take: told of each batch, before the sink.
+        stalled: whether the thread that takes stands still; what comes is kept as usual.
     """
 
     def __init__(
@@ -269,6 +270,7 @@ class Reader:
         self.lost = 0
         self.taken = 0
         self.closed = False
+        self.stalled = False
         self.on_take: Callable[[list[RawMessage]], None] | None = None
         self._origin = (node, origin)
         self._sink = sink
@@ -296,9 +298,15 @@ class Reader:
             domain = self._domain
             domain.loop.call_later(domain.random.uniform(*domain.taking), self._drain, context=self._context)
 
+    def go_on(self) -> None:
+        """Take again what has come meanwhile, soon."""
+        self.stalled = False
+        if self._pending:
+            self._drain_soon()
+
     def _drain(self) -> None:
         self._draining = False
-        if self.closed:
+        if self.closed or self.stalled:
             return
         now = self._domain.wall_ns()  # a process that was frozen receives then what came meanwhile
         batch = [each._replace(stamp=now) for each in itertools.islice(self._pending, _BATCH)]

@@ -14,10 +14,12 @@ from tests.simulation import action_invariants, faults
 from tests.simulation.action_invariants import halves_of, left_at_rest, said
 from tests.simulation.action_server import Plan
 from tests.simulation.climate import STILL
+from tests.simulation.services import Server
 from tests.simulation.world import World
 
 from rsb_bridge.model.session import Topic
 from rsb_bridge.route.calls import calling_action, kept_answers, kept_calls, providing_action
+from rsb_bridge.route.lease import Lease
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Coroutine, Iterator
@@ -307,3 +309,38 @@ def test_nothing_is_left_over_after_a_course_of_faults(seed: int, play: Play) ->
         await court.goal(runs=1.0)
 
     lived(play, court, live(), 1000.0)
+
+
+@pytest.mark.parametrize("mistaken", [False, True], ids=["as it is", "one answer begins the lease"])
+def test_a_goal_right_after_arming_is_accepted(mistaken: bool, play: Play) -> None:
+    """A goal that is sent at once may overtake what keeps the lease."""
+    court = Court("server", arm=True, deadman=0.0, max_age=0.0)
+    told: list[bool | None] = []
+
+    async def live() -> None:
+        await asyncio.sleep(10.0)
+        court.world.network.path(court.near.machine, court.far.machine).latency = (0.0, 0.4)
+        run, services = court.near.run, court.far.domain.services
+        assert run is not None
+        for _ in range(6):
+            (route,) = [route for link in run.links() for route in link.routes.values()]
+            arms = court.world.loop.create_task(run.command(run.bridge.arming.arm(route.key)))
+            while (goal := court.errand.send(Plan(runs=0.1))) is None:
+                Server(services, "/passer_by", "/else", "std_srvs/srv/Empty", "", lambda _: None).close()
+                await asyncio.sleep(0.02)  # the providing side has reasons to look at its graph meanwhile
+            await arms
+            await asyncio.sleep(3.0)
+            told.append(goal.told)
+            await run.command(run.bridge.arming.disarm(route.key))
+            await asyncio.sleep(3.0)
+
+    async def troubled() -> None:
+        with court.world.flow_trouble(court.errand, "armed at times"):
+            await live()
+
+    with contextlib.ExitStack() as stack:
+        if mistaken:
+            stack.enter_context(patch.object(Lease, "begun", property(lambda lease: lease._answered)))
+        play(court.world, 60.0, troubled())
+    assert len(told) == 6
+    assert (False in told) == mistaken

@@ -13,11 +13,13 @@ from tests.simulation.booths import SETTLED, TYPE, Booth
 from tests.simulation.ros import hash_of
 
 from rsb_bridge.link import roles
+from rsb_bridge.link.arming import LinkArming
 from rsb_bridge.link.link import Link
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.verdict import Cause
 from rsb_bridge.route.calls import budget
+from rsb_bridge.route.lease import Lease
 from rsb_bridge.transport.tcp import Tcp
 
 if TYPE_CHECKING:
@@ -272,6 +274,71 @@ def test_arming(play: Play) -> None:
         assert say(booth)[1] == (State.DISARMED, Cause.DISARMED)
 
     lived(play, booth, live())
+
+
+async def _called_at_once(booth: Booth) -> None:
+    """An operator of the callers' side arms it; a call that is made at once may overtake what keeps the lease."""
+    booth.teller()
+    booth.world.network.path(booth.near.machine, booth.far.machine).latency = (0.0, 0.6)
+    await asyncio.sleep(SETTLED)
+    assert booth.near.run is not None
+    run, arming = booth.near.run, booth.near.run.bridge.arming
+    for number in range(12):
+        asker, key = booth.asker(f"/asker{number}"), booth.halves()[0].key
+        arms = booth.world.loop.create_task(run.command(arming.arm(key)))
+        while not asker.client.ready:  # the providing side has reasons to look at its graph meanwhile
+            booth.teller("/passer_by", suffix="_else").server.close()
+            await asyncio.sleep(0.02)
+        asker.ask()
+        await arms
+        await asyncio.sleep(2.0)
+        assert [calls.refused for calls in booth.counted()] == [{}, {}]
+        assert asker.right == 1
+        asker.client.close()
+        await run.command(arming.disarm(key))
+        await asyncio.sleep(SETTLED)
+
+
+@pytest.mark.parametrize("provider", ["server", "client"])
+def test_a_call_right_after_arming_is_answered(provider: str, play: Play) -> None:
+    booth = Booth(1, provider, arm=True, deadman=0.0, max_age=0.0)
+    lived(play, booth, _called_at_once(booth))
+
+
+def test_it_has_to_be_offered_only_once_the_lease_has_begun(play: Play) -> None:
+    booth = Booth(arm=True, deadman=0.0, max_age=0.0)
+    begun = property(lambda _: True)
+    with patch.object(Lease, "begun", begun), pytest.raises(AssertionError, match="'disarmed': 1"):
+        lived(play, booth, _called_at_once(booth))
+
+
+async def _offered_soon(booth: Booth) -> None:
+    """An operator arms it on a slow link, where nothing else happens."""
+    booth.teller()
+    for path in booth.world.network.both_ways(booth.near.machine, booth.far.machine):
+        path.latency = (0.3, 0.3)
+    await asyncio.sleep(SETTLED)
+    assert booth.near.run is not None
+    arming = booth.near.run.bridge.arming.arm(booth.halves()[0].key)
+    arms = booth.world.loop.create_task(booth.near.run.command(arming))
+    await until(lambda: booth.offered, 1.5)
+    await arms
+
+
+def test_it_is_offered_once_the_two_sides_hear_each_other(play: Play) -> None:
+    booth = Booth(arm=True, deadman=0.0)
+    lived(play, booth, _offered_soon(booth))
+
+
+def test_it_has_to_be_opened_when_the_lease_begins(play: Play) -> None:
+    booth = Booth(arm=True, deadman=0.0)
+    with patch.object(LinkArming, "_lease_lives", _forgotten), pytest.raises(TimeoutError):
+        lived(play, booth, _offered_soon(booth))
+    assert not booth.offered
+
+
+def _forgotten(*_: object) -> None:
+    """What was forgotten."""
 
 
 def _different_version_there(booth: Booth) -> None:

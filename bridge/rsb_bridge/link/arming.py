@@ -195,6 +195,7 @@ class LinkArming:
     def _lease_lives(self) -> None:
         for route in self._routes():
             if route.arming.armed:
+                route.arming.lease_lives()
                 route.armed()
 
     def _disarm_as_it_stood_still(self, where: Standstill) -> None:
@@ -277,7 +278,7 @@ class LinkArming:
             arming.take(who, now)
             self._peer.send(Armed(route.id))
             self._armed_by(route, who, from_peer=True)
-            if self.lease.state.alive:
+            if self.lease.state.begun:
                 route.armed()
 
     def _refuse(self, route: Route, why: Disarmed) -> None:

@@ -62,12 +62,13 @@ class LinkLease:
 
     def handle(self, message: wire.Lease) -> None:
         """Take a number of the other side's. A side that has not heard any yet is answered at once."""
-        was_alive = self.state.alive
-        self.state.hear(message.number, message.echo)
-        lives = self.state.alive and not was_alive
-        if self.state.is_on and (lives or not message.echo):
+        state = self.state
+        was_alive, had_begun = state.alive, state.begun
+        state.hear(message.number, message.echo)
+        lives = state.alive and not was_alive
+        if state.is_on and (lives or not message.echo):
             self._send()
-        if lives:
+        if state.alive and state.begun and not (was_alive and had_begun):
             self._lives()
 
     def stop(self) -> None:

@@ -228,7 +228,7 @@ class Arming:
             by: the operator, in words.
             console: on which.
             now: s.
-            answered: called once the other side has answered, or it is clear that it will not.
+            answered: called once messages may cross, or it is clear that they will not.
         """
         self._hold(_Phase.ASKED, by, console)
         self._answered = answered
@@ -239,9 +239,14 @@ class Arming:
         if self._phase is not _Phase.ASKED or now >= self._deadline:
             return False
         self._phase = _Phase.ARMED
-        self._answer()
+        if self.lease is not None and self.lease.begun:
+            self._answer()
         self._begin_deadman(now, 0.0)
         return True
+
+    def lease_lives(self) -> None:
+        """Messages may cross from now on: the operator who armed it is told."""
+        self._answer()
 
     def take(self, by: str, now: float) -> None:
         """An operator of the other side arms it, or has pressed a key, at `now` (s)."""

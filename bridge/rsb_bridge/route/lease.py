@@ -72,7 +72,8 @@ class Lease:
         self._on = False
         self._began = self._beaten = 0.0
         self._sent: dict[int, float] = {}  # when, by number
-        self._answered = False
+        self._answered = self._begun = False
+        self._first_answer = 0  # the first number since `begin` that carried one of the other side's, or 0
         self._acknowledged = 0  # the newest number that the other side has heard
         self._confirmed = float("-inf")  # when that was sent
         self._round_trip = 0.0
@@ -90,7 +91,8 @@ class Lease:
         self._turns.watch(self)
         self._on, self.over = True, None
         self._began = self._beaten = self._steady()
-        self._confirmed, self._answered = float("-inf"), False
+        self._confirmed, self._answered, self._begun = float("-inf"), False, False
+        self._first_answer = 0
         self._acknowledged = self.number  # those before this one do not count
 
     def end(self) -> None:
@@ -110,6 +112,8 @@ class Lease:
         self._sent[self.number] = now
         if len(self._sent) > _KEPT:
             del self._sent[next(iter(self._sent))]
+        if self._heard and not self._first_answer:
+            self._first_answer = self.number
         return self.number, self._heard[-1][0] if self._heard else 0
 
     def hear(self, number: int, echo: int) -> None:
@@ -121,14 +125,19 @@ class Lease:
         sent = self._sent.get(echo)
         if sent is not None and echo > self._acknowledged:
             self._acknowledged, self._confirmed, self._round_trip = echo, sent, now - sent
-            self._answered = self._answered or self._round_trip <= LASTS
+            in_time = self._round_trip <= LASTS
+            self._answered = self._answered or in_time
+            self._begun = self._begun or (in_time and 0 < self._first_answer <= echo)
 
     # --- what it is asked
 
     @property
     def begun(self) -> bool:
-        """Whether the other side has answered in time since `begin`."""
-        return self._answered
+        """Whether the two sides have answered each other in time since `begin`, as far as this one knows.
+
+        The other side has then heard that this one hears it, so it takes what is sent from now on.
+        """
+        return self._begun
 
     @property
     def now(self) -> float:

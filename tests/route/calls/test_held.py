@@ -111,10 +111,11 @@ def test_an_old_goal_is_refused_however_it_was_held_up(make_context: Callable[..
         return route._refusal(CallFrame(What.CALL, SEND_GOAL, 1, 0, GOAL, number))
 
     before, _ = lease.beat()
+    lease.hear(1, 0)
     lease.beat()
     route.arming.take("anna", context.now())
     number, _ = lease.beat()
-    lease.hear(1, number)
+    lease.hear(2, number)
     assert refusal(number) is Refused.PROVIDER_GONE, "it may pass"
     assert [refusal(each) for each in (0, before, number + 1)] == [Refused.DISARMED] * 3
     for _ in range(5):
