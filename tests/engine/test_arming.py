@@ -263,5 +263,10 @@ def test_the_first_type_that_is_loaded_does_not_end_the_lease(
     server, client = bridge.both(Topic("/home", "receive", kind="service", arm=True, deadman=0.0))
     eventually(lambda: all(route(each, "/home").state == "disarmed" for each in (server, client)))
     consoles.arm(server, "/home")
-    eventually(lambda: len(loaded) == 2 or not route(server, "/home").arming.armed)
-    holds(lambda: all(route(each, "/home").arming.armed for each in (server, client)), 2 * LASTS)
+
+    def stay_armed() -> bool:
+        found = [route(each, "/home").arming for each in (server, client)]
+        return all(each is not None and each.armed for each in found)
+
+    eventually(lambda: len(loaded) == 2 or not stay_armed())
+    holds(stay_armed, 2 * LASTS)
