@@ -228,6 +228,17 @@ def test_the_same_topic_twice_in_one_direction_is_refused_and_both_ways_is_not()
     assert refusal.startswith("robot1.yaml:9: topic /a: /a (receive) is there already, as number 2")
 
 
+@pytest.mark.parametrize("use_name", ["", "use_name: true\n"])
+def test_one_topic_of_the_server_cannot_come_under_two_names(use_name: str) -> None:
+    """The bridge refuses such a route, and did not start."""
+    of_server = "/robot1/a" if use_name else "/a"
+    text = CLIENT + use_name + "topics:\n  - {topic: /a, direction: receive}\n"
+    assert len(parse(text + "  - {topic: /b, remote_topic: /c, direction: receive}\n", FILE).topics) == 2
+    assert len(parse(text + f"  - {{topic: /b, remote_topic: {of_server}, direction: transmit}}\n", FILE).topics) == 2
+    (refusal,) = refusals(text + f"  - {{topic: /b, remote_topic: {of_server}, direction: receive}}\n")
+    assert f"topic /b, remote_topic: /a comes from the server's {of_server}, too" in refusal
+
+
 def test_two_topics_cannot_have_one_port_of_their_own_unless_protocols_differ() -> None:
     text = CLIENT + "topics:\n  - {topic: /a, direction: transmit, port: 5000}\n"
     assert parse(text + "  - {topic: /b, direction: transmit, port: 5000, protocol: udp}\n", FILE)

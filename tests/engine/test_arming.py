@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 from msgspec.structs import replace
+from std_srvs.srv import SetBool
 from tests.support.bridge import balance, carries, happened, heard, linked, route
 from tests.support.consoles import Consoles
 from tests.support.domain import LATCHED, RELIABLE, text
@@ -16,8 +17,10 @@ from rsb_bridge.api import EngineError
 from rsb_bridge.config.session_file import save
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.session import Topic
+from rsb_bridge.ros.node import RosNode
 from rsb_bridge.route.arming import Disarmed
 from rsb_bridge.route.incoming import IncomingRoute
+from rsb_bridge.route.lease import LASTS
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -241,3 +244,29 @@ def test_what_is_not_marked_cannot_be_armed(bridge: Bridge, consoles: Consoles) 
     with pytest.raises(EngineError, match="demands"):
         consoles.arm(server)
     assert route(client, "/cmd").arming is None
+
+
+def test_the_first_type_that_is_loaded_does_not_end_the_lease(
+    bridge: Bridge, robot: Domain, consoles: Consoles, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A type is loaded for the first time in a process: NumPy comes with it, from a slow disk."""
+    loaded, original = set(), RosNode.installed_service_hash
+
+    def load(node: RosNode, type_name: str) -> str | None:
+        if node not in loaded:
+            loaded.add(node)
+            time.sleep(1.5 * LASTS)
+        return original(node, type_name)
+
+    monkeypatch.setattr(RosNode, "installed_service_hash", load)
+    robot.node.create_service(SetBool, "/home", lambda _, answer: answer)
+    server, client = bridge.both(Topic("/home", "receive", kind="service", arm=True, deadman=0.0))
+    eventually(lambda: all(route(each, "/home").state == "disarmed" for each in (server, client)))
+    consoles.arm(server, "/home")
+
+    def stay_armed() -> bool:
+        found = [route(each, "/home").arming for each in (server, client)]
+        return all(each is not None and each.armed for each in found)
+
+    eventually(lambda: len(loaded) == 2 or not stay_armed())
+    holds(stay_armed, 2 * LASTS)

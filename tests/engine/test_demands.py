@@ -325,6 +325,17 @@ def test_the_lines_are_named_on_both_sides(bridge: Bridge, yard: Yard) -> None:
     assert lines(client) == (PEER_DEMANDS,)
 
 
+def test_a_pattern_whose_name_the_other_side_bridges_keeps_no_further_demand(bridge: Bridge, yard: Yard) -> None:
+    """A kept name would stay demanded once an operator drops the pattern's demand, though nobody has asked for that."""
+    server = bridge.server(clients=(Client("robot1", topics=(Topic("/cmd*", "receive", arm=True),)),))
+    client = bridge.client(Topic("/motor", "receive", remote_topic="/cmd_vel"))
+    eventually(lambda: linked(client) and linked(server))
+    eventually(lambda: required(server, "/cmd_vel") and required(client, "/motor"))
+    yard.add("/cmd_vel")
+    eventually(lambda: route(server, "/cmd_vel").publishers)
+    holds(lambda: server.session.armed == (), 2.0)
+
+
 def test_a_second_route_of_a_name_has_to_be_armed_too(bridge: Bridge, robot: Domain, pc: Domain) -> None:
     """The server lists the robot's topic under another name of its own."""
     motors = robot.listener("/cmd_vel")

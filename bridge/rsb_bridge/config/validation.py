@@ -22,6 +22,7 @@ from rsb_bridge.config.file_form import (
     as_topic,
     as_written,
     foreign,
+    key_of,
     locations,
 )
 from rsb_bridge.config.grants import grant_problems, leave_problems
@@ -40,14 +41,18 @@ from rsb_bridge.config.topic_rules import (
 )
 from rsb_bridge.config.zenoh_rules import zenoh_problems
 from rsb_bridge.model import transports
+from rsb_bridge.model.demands import local_name
 from rsb_bridge.model.http_address import host_and_port
 from rsb_bridge.model.limits import DOMAIN, NAME_BYTES, TOPIC_PORT
 from rsb_bridge.model.names import is_prefix, well_formed
+from rsb_bridge.model.patterns import is_pattern
 from rsb_bridge.model.session import Identity, Problem, Session, Topic, is_mac
 from rsb_bridge.model.text import is_clean
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
+
+    from rsb_bridge.model.session import Kind
 
 
 _ANY_ADDRESS = ("0.0.0.0", "::", "00:00:00:00:00:00")  # noqa: S104 (refused, not bound)
@@ -273,15 +278,16 @@ def _topics(topics: Sequence[Topic], where: str, session: Session, client: str |
     """
     for topic, here in zip(topics, locations(topics), strict=True):
         yield from topic_problems(topic, join(where, here), session, client)
-    yield from _clashes(topics, where, session)
+    yield from _clashes(topics, where, session, client)
     yield from too_many_patterns(topics, where)
     yield from overlaps(topics, where)
 
 
-def _clashes(topics: Sequence[Topic], where: str, session: Session) -> Iterator[Problem]:
+def _clashes(topics: Sequence[Topic], where: str, session: Session, client: str | None) -> Iterator[Problem]:
     """Topics of one link that are there twice, or want one port."""
     places = locations(topics)
     routes: dict[Identity, int] = {}
+    sources: dict[tuple[Kind, str], int] = {}
     ports: dict[tuple[str, int], int] = {}
     shared = -1
     link = transports.of_link(session.server_ip)
@@ -294,6 +300,12 @@ def _clashes(topics: Sequence[Topic], where: str, session: Session) -> Iterator[
             end = topic.direction if topic.kind == "topic" else f"provider: {topic.provider}"
             number = sum(each.kind == topic.kind for each in topics[: first + 1])
             yield Problem(location, f"{topic.topic} ({end}) is there already, as number {number}")
+        elif topic.direction == "receive" and not is_pattern(topic.topic):
+            on_server = local_name(topic, client or "", on_server=True, use_name=client is not None)
+            other = topics[sources.setdefault((topic.kind, on_server), at)]
+            if other is not topic:
+                found = f"{other.topic} comes from the server's {on_server}, too: bridge it once, under one name"
+                yield Problem(join(location, key_of(topic.kind, "remote_topic")), found)
         if topic.port is None:
             continue
         transport = transport_of(topic, session)

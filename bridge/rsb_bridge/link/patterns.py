@@ -345,7 +345,7 @@ class LinkPatterns:
                 total -= 1
                 self._drop(gone, "gone, and others that match need its room")
             try:
-                self.link.proposed.add(topic).pattern = entry.topic.topic
+                self.link.proposed.add(topic, by_pattern=True).pattern = entry.topic.topic
             except LinkError as error:
                 if not self.link.proposed.is_bridged(topic):  # under another name on the client
                     entry.left_out[topic.topic] = str(error)

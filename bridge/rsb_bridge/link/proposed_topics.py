@@ -55,8 +55,12 @@ class ProposedTopics:
         topics = [topic for topic in proposed if not is_bench_topic(topic.topic)]
         return (*topics, *tuple(self._table.yielded.values()))
 
-    def add(self, topic: Topic) -> Route:
+    def add(self, topic: Topic, *, by_pattern: bool = False) -> Route:
         """Bridge one more topic, which this side proposes; where a pattern has made its route, that is the topic's now.
+
+        Args:
+            topic: what to bridge.
+            by_pattern: a pattern wants it, which demands by itself what it demands.
 
         Raises:
             LinkError: the topic has a mistake, or there is such a route.
@@ -65,7 +69,7 @@ class ProposedTopics:
         route = self._table.routes.get(route_key(self._client_name, proposal))
         if route is not None and route.pattern:
             return self.replace(route, topic)
-        return self._table.add(topic, proposal, proposed_here=True)
+        return self._table.add(topic, proposal, proposed_here=True, by_pattern=by_pattern)
 
     def check(self, topic: Topic) -> None:
         """Check a pattern.

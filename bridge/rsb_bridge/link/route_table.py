@@ -94,7 +94,9 @@ class RouteTable:
 
     # --- adding and removing
 
-    def add(self, spec: Topic, proposal: Propose, *, proposed_here: bool, edited: bool = False) -> Route:
+    def add(
+        self, spec: Topic, proposal: Propose, *, proposed_here: bool, edited: bool = False, by_pattern: bool = False
+    ) -> Route:
         """Make a route's half on this side; if this side proposes it, ask the peer for the other half.
 
         Args:
@@ -102,13 +104,14 @@ class RouteTable:
             proposal: of it, with this side's names.
             proposed_here: whether this side proposes it.
             edited: it takes the place of a route that was removed right before.
+            by_pattern: a pattern wants it, which demands by itself what it demands.
 
         Raises:
             LinkError: there is such a route, or one that bridges the same service.
         """
         key = route_key(self._owner.name, proposal)
         if key in self.routes:
-            if spec.arm and not self.routes[key].proposed_here:
+            if spec.arm and not by_pattern and not self.routes[key].proposed_here:
                 self.arming.keep_demand(self.routes[key], spec)
                 self._context.demands.apply()
             raise LinkError(f"{proposal.topic} is bridged in that direction already: edit or remove that route")

@@ -12,7 +12,7 @@ from __future__ import annotations
 import ctypes
 import re
 import threading
-from functools import partial
+from functools import cache, partial
 from typing import TYPE_CHECKING, NamedTuple, Protocol, TypeVar
 
 from rclpy.utilities import get_rmw_implementation_identifier
@@ -99,9 +99,14 @@ def remedy(type_name: str) -> str:
 
 def layouts_known() -> bool:
     """Whether type supports of this middleware are laid out as this module knows them."""
+    return get_rmw_implementation_identifier() == "rmw_fastrtps_cpp" and _is_jazzy()
+
+
+@cache
+def _is_jazzy() -> bool:
     from importlib.metadata import version  # noqa: PLC0415  2 MB, which installed messages do without
 
-    return get_rmw_implementation_identifier() == "rmw_fastrtps_cpp" and version("rclpy").startswith(_JAZZY)
+    return version("rclpy").startswith(_JAZZY)
 
 
 def _check_named(type_name: str, type_hash: str) -> None:

@@ -11,6 +11,7 @@ import ctypes
 import importlib
 import importlib.util
 import sys
+import threading
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -118,6 +119,8 @@ def _address_of(interface: type) -> int:
 
 
 _GENERATOR = "rosidl_generator_py"
+_leaving_out = threading.Lock()
+"""Types are loaded on several threads."""
 
 
 def _leave_out_generator() -> None:
@@ -126,8 +129,12 @@ def _leave_out_generator() -> None:
     The package imports both, and does without the second where that cannot be imported, as in an installation without
     its parser. That takes 5 MB of memory and a tenth of the time in which a bridge starts.
     """
-    if _GENERATOR in sys.modules:
-        return
+    with _leaving_out:
+        if _GENERATOR not in sys.modules:
+            _import_without_generator()
+
+
+def _import_without_generator() -> None:
     part = f"{_GENERATOR}.generate_py_impl"
     modules: dict[str, Any] = sys.modules
     modules[part] = None  # which has its import fail

@@ -126,6 +126,8 @@ class CallingRoute(CallsRoute):
         """The lanes that can be offered now."""
         if self._unavailable is not None or self.notices.loop or not (self.connected and self._has_providers):
             return frozenset()
+        if self._provided is not None and not self._load(self._provided.lanes):
+            return frozenset()
         resumed = self._provided is not None and self._provided.pause_revision >= self._resumed_at
         return frozenset(
             number for number, lane in enumerate(self.lanes) if not self.held(number) and (resumed or not lane.limited)
@@ -153,9 +155,9 @@ class CallingRoute(CallsRoute):
         if self._provided is not None and (entries := self._provided.lanes):
             self._know_type(entries)
             self._warning = others_called(self.lanes, entries, names, callers)
-            self._unavailable = self._rivals.look(services, offered=bool(self._reach)) or types_clash(
-                ros, self.lanes, entries, names, callers
-            )
+            self._unavailable = self._rivals.look(services, offered=bool(self._reach))
+            if self._unavailable is None and self._load(entries):
+                self._unavailable = types_clash(ros, self.lanes, entries, names, callers)
         self._served_here = [] if self._provided is None or self._provided.lanes else self._rivals.nodes(services)
 
     def _offer(self, provided: Provide, lanes: frozenset[int]) -> None:

@@ -16,7 +16,8 @@ Where a lane's frames pass, for kinds that do more than carry them:
 from __future__ import annotations
 
 from collections import deque
-from typing import TYPE_CHECKING, ClassVar, NoReturn
+from functools import partial
+from typing import TYPE_CHECKING, Any, ClassVar, NoReturn
 
 import msgspec
 import zstandard
@@ -27,6 +28,7 @@ from rsb_bridge.model.lanes import LANES
 from rsb_bridge.model.session import CALL_TIMEOUT
 from rsb_bridge.model.snapshot import Ledger, Level
 from rsb_bridge.model.stamp_clock import shifted
+from rsb_bridge.ros.api import RosError
 from rsb_bridge.route.both_sides import lasting, node_names, record_of
 from rsb_bridge.route.calls.failures import Failures
 from rsb_bridge.route.calls.ledger import CallsLedger
@@ -44,6 +46,7 @@ from rsb_bridge.wire.framing import LEASED, ZSTD, Message, ProtocolError
 from rsb_bridge.wire.lease import split_number
 
 if TYPE_CHECKING:
+    import asyncio
     from collections.abc import Iterable, Sequence
 
     from rsb_bridge.channel.channel import DuplexChannel
@@ -81,6 +84,8 @@ class CallsRoute(Route):
         self._unpacker = Unpacker(peer.budget.expansion, context)
         self._checks = [MessageCheck(context, peer.budget.checks) for _ in self.lanes]
         self._types: tuple[str, ...] = ()  # by lane, as last known
+        self._loaded: tuple[str, ...] = ()  # by lane, of those of which it was tried
+        self._loading: tuple[str, ...] = ()
         self._later: deque[Message] = deque()
         self._report: CallsReport | None = None  # the peer's, of the present opening
         self._told_report: CallsReport | None = None
@@ -185,6 +190,30 @@ class CallsRoute(Route):
         types = [route_type_of(lane, entry.type) for lane, entry in zip(self.lanes, entries, strict=True)]
         self.type_name = next(filter(None, types), "")
         self.type_hash = entries[0].type_hash if len(entries) == 1 else ""
+
+    def _load(self, entries: Sequence[LaneEntry]) -> bool:
+        """Return whether the types of lanes are loaded; if not, load them on another thread, and advance then.
+
+        The first type that a process loads takes up to a second, as NumPy comes with it. In the loop that would end the
+        lease of whatever is armed.
+        """
+        types = tuple(entry.type for entry in entries)
+        if types not in {self._loaded, self._loading}:
+            self._loading, ros = types, self.context.ros
+            installed = [ros.installed_hash if lane.is_topic else ros.installed_service_hash for lane in self.lanes]
+            loads = [partial(of, each) for of, each in zip(installed, types, strict=True) if each]
+            future = self.context.loop.run_in_executor(None, lambda: [load() for load in loads])
+            future.add_done_callback(lambda done: self._types_loaded(types, done))
+        return types == self._loaded
+
+    def _types_loaded(self, types: tuple[str, ...], done: asyncio.Future[Any]) -> None:
+        if done.cancelled() or types != self._loading:
+            return
+        if (error := done.exception()) is not None and not isinstance(error, RosError):
+            raise error
+        self._loaded, self._loading = types, ()
+        if self.id:
+            self.advance()
 
     def held(self, lane: int) -> Refused | None:
         """Why a lane carries nothing, as operators want; None: it may. A cancel, above all, is never held up."""
