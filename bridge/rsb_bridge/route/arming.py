@@ -216,8 +216,12 @@ class Arming:
         armed = self.stands(now)
         grace = PEER_GRACE if self.console is None else 0.0  # the operator has no more time for it
         left = max(0.0, self._deadline - grace - now) if armed and self.deadman else None
-        by = self.by if armed else ""
-        return ArmingSnapshot(armed, by, self.console is not None, left, self.deadman, self.demanded_by)
+        here = self.console is not None
+        if armed:
+            return ArmingSnapshot(armed, self.by, here, left, self.deadman, self.demanded_by)
+        overdue = self.overdue(now)
+        why, reason = (self.why, self.reason) if overdue is None else (overdue, SAID[overdue])
+        return ArmingSnapshot(armed, "", here, left, self.deadman, self.demanded_by, why, reason)
 
     # --- arming
 
