@@ -73,8 +73,8 @@ SAID = {
     Disarmed.REMOVED: "the topic is not bridged any more",
     Disarmed.CHANNEL_LOST: "its data connection ended",
     Disarmed.REOPENED: "the topic was set up anew",
-    Disarmed.LEASE: "a side or the link stood still for too long",
-    Disarmed.LINK_SLOW: f"the link is too slow: a round trip takes more than {SLOW:g} s; arm it on a faster link",
+    Disarmed.LEASE: "a side or the link stood still",
+    Disarmed.LINK_SLOW: f"the link is too slow: a round trip takes over {SLOW:g} s; use a faster link",
     Disarmed.PEER_TOO_OLD: "the other side's rsb-console is too old for arming: update it",
 }
 

@@ -38,7 +38,7 @@ class Standstill(Enum):
 
     LOOP = "this side's bridge stood still"
     ROS_THREAD = "this side's ROS thread stood still"
-    PEER = "the other side or the network stood still"
+    PEER = "the other side or the link stood still"
 
 
 class Marked(Protocol):
