@@ -89,6 +89,7 @@ def test_each_label_has_room_beside_its_field() -> None:
         for field in form_of(app).query(Field):
             label = field.query_one(".label")
             await until(pilot, lambda field=field: not field.display or field.size.width > 0, "laid out")
+            assert label.styles.width is not None
             assert len(field.spec.label) < label.styles.width.value, field.spec.key
 
     drive(app, steps)
