@@ -94,6 +94,7 @@ class TopicCommands:
             link, old = pattern
             if not topic.is_pattern:
                 raise LinkError(f"{old.topic} is a pattern, and {topic.topic} is none: {_INSTEAD}")
+            link.patterns.check_replace(old.identity, topic)
             self._drop_demands(link, old, _local(link, old), None, wanted=drop_arm, names_it=old.arm and not topic.arm)
             new_key, name = link.patterns.replace(old.identity, topic), topic.topic
         else:
@@ -103,6 +104,7 @@ class TopicCommands:
                 raise LinkError(f"{topic.topic} is a pattern, and {old.topic} is none: {_INSTEAD}")
             if topic.topic != old.topic:
                 topic = link.client_names(topic)
+            link.proposed.check_replace(route, topic)
             names_it = old.arm and not topic.arm
             self._drop_demands(link, old, route.local_topic, route, wanted=drop_arm, names_it=names_it)
             new = link.proposed.replace(route, topic)
@@ -142,6 +144,8 @@ class TopicCommands:
         self, link: Link, entry: Topic, name: str, route: Route | None, *, wanted: bool, names_it: bool = False
     ) -> None:
         """Drop the demands of an entry, and the demands of `armed` on its name, if an operator wants that.
+
+        The other side is told at once, so it is known that the change itself cannot be refused any more.
 
         Args:
             link: the entry's link.

@@ -101,6 +101,13 @@ async def test_the_line_that_demands_it_is_among_the_details(app: ConsoleApp, pi
     await shown(pilot, "robot.yaml:14")
 
 
+@on_main()
+async def test_a_state_is_named_as_in_programs(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    put(app, replace(DISARMED, state=State.DISARMING, cause="disarming"))
+    await shown(pilot, f"{State.DISARMING.upper()}  /cmd_vel")  # the row, which has no room for the sign
+    await shown(pilot, f"⊖ {State.DISARMING.upper()} ")  # the details
+
+
 @on_main((80, 24))
 async def test_the_marks_are_there_on_a_small_screen(app: ConsoleApp, pilot: Pilot[None]) -> None:
     put(app, ARMED)
@@ -266,3 +273,20 @@ def test_another_disarms_what_the_command_holds_armed(robot: Robot) -> None:
         assert "ARMED" in arming.stdout.readline()
         assert robot.ask("disarm", CHATTER) == [{"ok": True}]
         assert arming.wait(60) == 1
+
+
+def test_the_command_says_who_has_disarmed_it(robot: Robot) -> None:
+    """It told the operator to arm again what a colleague had just disarmed."""
+    command = robot.command("arm", "--json", CHATTER)
+    with subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, text=True) as arming:
+        assert arming.stdout is not None
+        assert json.loads(arming.stdout.readline())["armed"] is True
+        robot.ask("disarm", CHATTER)
+        (ended,) = map(json.loads, arming.stdout)
+        assert arming.wait(60) == 1
+    (event,) = [each for each in robot.ask("events") if each["code"] == "operator.disarmed"]
+    assert event["who"]
+    assert (ended["ok"], ended["cause"]) == (False, "operator")
+    assert event["who"] in ended["error"]
+    assert "rsb-console arm" not in ended["error"]
+    assert robot.topic()["arming"]["why"] == "operator"

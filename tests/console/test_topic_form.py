@@ -25,8 +25,10 @@ from textual.pilot import Pilot
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.model.session import Client, Session, Topic
 from rsb_bridge.model.snapshot import TopicInfo
+from rsb_console.screens.form import FormScreen
 from rsb_console.screens.topic_suggestions import suggestions_for
 from rsb_console.session.draft import Ends, problems_of, topic_of, values_of
+from rsb_console.widgets.form import Field
 
 SERVER = msgspec.structs.replace(
     SESSION, role="server", clients=(Client("robot1", use_name=True), Client("robot2")), server_ip="0.0.0.0"
@@ -75,6 +77,22 @@ def test_a_topic_is_found_by_a_few_letters_and_comes_with_its_type(size: tuple[i
         await shown(pilot, "/camera/depth: added")
 
     drive(app, steps, size=size)
+
+
+def test_each_label_has_room_beside_its_field() -> None:
+    app = scripted_app()
+
+    async def steps(pilot: Pilot[None]) -> None:
+        await shown(pilot, "/robot2/scan")
+        await pilot.press("a")
+        await until(pilot, lambda: isinstance(app.screen, FormScreen), "the form")
+        for field in form_of(app).query(Field):
+            label = field.query_one(".label")
+            await until(pilot, lambda field=field: not field.display or field.size.width > 0, "laid out")
+            assert label.styles.width is not None
+            assert len(field.spec.label) < label.styles.width.value, field.spec.key
+
+    drive(app, steps)
 
 
 def test_a_whole_name_is_taken_as_typed_though_a_longer_one_is_offered() -> None:

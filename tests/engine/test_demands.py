@@ -245,6 +245,30 @@ def test_an_edit_that_names_the_demand_is_refused_until_it_is_agreed_to(bridge: 
     yard.publish_until({"/cmd_vel"})
 
 
+def test_an_edit_that_is_refused_drops_nothing_and_tells_nobody(bridge: Bridge, yard: Yard) -> None:
+    """The other side read that the demand was dropped, though the edit had failed."""
+    pattern, other = Topic("/arm*", "receive", arm=True), Topic("/leg*", "receive")
+    yard.add("/cmd_vel")
+    server, client = bridge.both(COMMANDS, FREE, pattern, other)
+    eventually(lambda: set_up((server, client), "/cmd_vel"))
+    shown = next(each for link in now(client).links for each in link.patterns if each.spec.topic == "/arm*")
+    refused = (
+        (route(client, "/cmd_vel").key, FREE),
+        (route(client, "/cmd_vel").key, Topic("/cmd_vel", "receive", max_rate=-1.0)),
+        (shown.key, other),
+    )
+    for key, topic in refused:
+        with pytest.raises(EngineError):
+            client.edit_topic(key, topic, drop_arm=True).result(60)
+    client.edit_topic(route(client, "/free").key, msgspec.structs.replace(FREE, max_rate=5.0)).result(60)
+    eventually(lambda: happened(server, EventCode.OPERATOR_EDITED))  # comes after whatever was sent before
+    for engine in (server, client):
+        assert happened(engine, EventCode.OPERATOR_ARM_DROPPED) is None
+    assert required(client, "/cmd_vel")
+    assert client.session.armed == ()
+    assert [each.topic for each in client.session.topics if each.arm] == ["/cmd_vel", "/arm*"]
+
+
 def test_a_line_that_only_limits_the_age_has_no_demand_to_drop(bridge: Bridge, yard: Yard) -> None:
     yard.add("/cmd_vel")
     limited = Topic("/cmd_vel", "receive", max_age=5.0)

@@ -487,6 +487,30 @@ def test_a_peer_that_knows_no_lease_cannot_be_armed_nor_arm(pair: Pair, loop: Vi
     robot.table.handle(Arm(route(robot).id, "an older console"))
     assert pc.inbox.popleft() == Disarm(route(robot).closed_ids[-1], Disarmed.PEER_TOO_OLD)
     assert stands(*pair) == [False, False]
+    assert why(robot) == Disarmed.PEER_TOO_OLD
+
+
+def test_the_budget_of_armings_bounds_the_events_of_attempts(pair: Pair) -> None:
+    robot, pc = pair
+    pc.features = robot.features = (lanes.FEATURE,)
+    for _ in range(100):
+        robot.table.handle(Arm(route(robot).id, "an older console"))
+    found = [each.cause for each in events(robot, EventCode.ROUTE_DISARMED)]
+    assert set(found) == {Disarmed.PEER_TOO_OLD}
+    assert 1 < len(found) < 30
+
+
+@pytest.mark.parametrize("by", [0, 1], ids=["the robot's", "the control PC's"])
+def test_both_sides_know_which_operator_disarmed_it(by: int, pair: Pair, loop: VirtualLoop) -> None:
+    arm(pair[0], loop).result()
+    with acting("berta"):
+        pair[by].table.arming.disarm(route(pair[by]), Disarmed.OPERATOR)
+    hear_all(pair)
+    for side in pair:
+        snapshot = route(side).arming.snapshot(loop.time())
+        assert snapshot is not None
+        assert (snapshot.armed, snapshot.why) == (False, Disarmed.OPERATOR)
+        assert "berta" in snapshot.reason
 
 
 def test_what_cannot_be_armed_says_so_before_anybody_tries(pair: Pair) -> None:

@@ -12,9 +12,11 @@ from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.verdict import Cause, Verdict
 from rsb_bridge.route import topic_route as module
 from rsb_bridge.route.incoming import IncomingRoute
+from rsb_bridge.route.judging import standing_of
 from rsb_bridge.route.outgoing import OutgoingRoute
 from rsb_bridge.route.verdict import judge
 from rsb_bridge.wire.messages import Propose
+from rsb_bridge.wire.records import SentReport
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -70,6 +72,26 @@ def test_a_route_learns_nothing_while_its_link_is_full_or_it_is_in_trouble(
         assert not route.learns
         route.judged.announce(Verdict(State.SLOW, Cause.SLOW, "the publisher is slow"), 2.0)
         assert route.learns
+
+
+def test_a_receiver_claims_to_wait_for_nothing_that_only_the_sender_knows(make_context: Callable[..., Context]) -> None:
+    """Whenever a route was opened, its row said for seconds that no publisher was seen, or that it waits for one."""
+    context = make_context()
+    proposal = Propose(route=1, topic="/scan", remote_topic="/scan", from_client=True)
+    receiver = IncomingRoute(context, FakePeer(), Topic("/scan", "receive"), proposal, proposed_here=True)
+    for number in (1, 3):
+        receiver.close("opened anew")
+        receiver.open(number)
+        assert standing_of(receiver).waits_for == "peer accepted"
+        receiver.on_accepted()
+        claims = {stage.name for stage in receiver.stages()}
+        assert standing_of(receiver).waits_for not in claims
+        assert {stage.name for stage in receiver.stages() if stage.done is False} == set()
+        before = receiver.verdict()
+        assert (before.state, before.cause) == (State.WAITING, Cause.NO_MESSAGE)
+        receiver.reported(SentReport(route=number, publishers=0))
+        assert receiver.verdict() != before, "judged again before the next tick"
+        assert next(stage for stage in receiver.stages() if stage.done is False).name == "publisher seen"
 
 
 def test_the_sending_side_knows_of_messages_before_its_own_start(make_context: Callable[..., Context]) -> None:

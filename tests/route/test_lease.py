@@ -170,6 +170,37 @@ def test_what_is_left_of_a_batch_is_as_old_as_what_came_before_it() -> None:
     assert marker.marked([message])[0].lease > first
 
 
+def test_what_comes_long_after_a_full_batch_is_not_counted_as_left_of_it() -> None:
+    """Exactly a batch had come; the next command, later, was marked with a number of then, and dropped."""
+    pair = Pair(thread=True)
+    pair.live(1.0)
+    marker, message = Marker(pair.here, pair.turns, batch=2), RawMessage(b"", 0)
+    pair.turns.turned()
+    first = marker.marked([message, message])[0].lease
+    for _ in range(8):  # turns that find nothing
+        pair.clock.now += BEAT
+        pair.turns.turned()
+        pair.exchange()
+    pair.clock.now += BEAT
+    pair.turns.turned()
+    number = marker.marked([message])[0].lease
+    assert number > first
+    assert pair.there.passes(number)
+
+
+def test_what_is_left_of_a_batch_at_the_next_turn_is_as_old_as_that() -> None:
+    pair = Pair(thread=True)
+    pair.live(1.0)
+    marker, message = Marker(pair.here, pair.turns, batch=2), RawMessage(b"", 0)
+    pair.turns.turned()
+    first = marker.marked([message, message])[0].lease
+    for _ in range(3):
+        pair.clock.now += BEAT
+        pair.exchange()
+        pair.turns.turned()
+        assert {each.lease for each in marker.marked([message, message])} == {first}
+
+
 def test_a_watched_thread_notes_its_turns_and_another_does_not() -> None:
     clock, woken = Clock(), []
     turns = RosTurns(lambda: woken.append(1), clock)

@@ -15,8 +15,11 @@ from rsb_bridge.model.qos import Qos
 from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.verdict import EXPIRES, FINE, Cause, Verdict, about, worse
 from rsb_bridge.ros.api import Endpoint
-from rsb_bridge.route.age import Expired
+from rsb_bridge.route.age import Expired, expired_verdict
+from rsb_bridge.route.arming import SAID, Disarmed
 from rsb_bridge.route.both_sides import BothSides, lasting, record_of
+from rsb_bridge.route.lateness import QUEUE, WAY, Late, late_verdict
+from rsb_bridge.route.lease import Standstill
 from rsb_bridge.route.verdict import LOWER_MTU, USE_TCP, Facts, judge, named
 from rsb_bridge.route.yielding import Share, Yielded
 from rsb_bridge.telemetry.watches import Loss
@@ -24,6 +27,8 @@ from rsb_bridge.wire.records import VerdictRecord
 
 NOW = 2e6
 """s."""
+ON_ONE_LINE = 80
+"""Characters of a text that the first screen shows whole."""
 STRING, INT = "std_msgs/msg/String", "std_msgs/msg/Int32"
 RELIABLE, BEST_EFFORT, LATCHED = Qos(), Qos(reliability="best_effort"), Qos(durability="transient_local")
 
@@ -478,3 +483,34 @@ def test_what_recovers_begins_no_new_fault(facts: dict[str, Any]) -> None:
     verdict = verdict_on(SENDER, **facts, shown_cause=cause)
     assert (verdict.state, verdict.cause) == (State.SLOW, cause)
     assert "%" not in verdict.text
+
+
+_WHY_DISARMED = [*SAID.values(), *(each.value for each in Standstill)]
+
+
+@pytest.mark.parametrize("why", _WHY_DISARMED)
+@pytest.mark.parametrize("state", [State.DISARMED, State.DISARMING])
+def test_a_disarmed_topic_has_its_text_on_one_line(why: str, state: State) -> None:
+    can_be_armed = why not in (SAID[Disarmed.PEER_TOO_OLD], SAID[Disarmed.LINK_SLOW])
+    disarming = state is State.DISARMING
+    if disarming and not can_be_armed:
+        return
+    facts = SENDER._replace(topic="/cmd_vel", disarmed=why, disarming=disarming, can_be_armed=can_be_armed)
+    verdict = judge(facts)
+    assert verdict.state is state
+    assert len(verdict.text) <= ON_ONE_LINE, verdict.text
+
+
+@pytest.mark.parametrize("cause", [Cause.LINK_SLOW, Cause.CLOCK_UNKNOWN, Cause.PUBLISHER_STAMPS_OLD])
+def test_messages_that_expire_have_their_text_on_one_line(cause: Cause) -> None:
+    verdict = expired_verdict(Expired(cause, 100, 100, 0.05, NOW))
+    assert (verdict.state, verdict.cause) == (State.LATE, cause)
+    assert len(verdict.text) <= ON_ONE_LINE, verdict.text
+
+
+@pytest.mark.parametrize("how", [{"where": WAY}, {"where": QUEUE}, {}, {"was_full": True}, {"undecided": True}])
+def test_late_messages_have_their_text_on_one_line(how: dict[str, Any]) -> None:
+    late = Late(1.4, 0.2, **({"where": "", "full": None, "since": NOW} | how))
+    verdict = late_verdict(late)
+    assert verdict.cause is Cause.LATE
+    assert len(verdict.text) <= ON_ONE_LINE, verdict.text

@@ -182,7 +182,7 @@ class LinkArming:
             return
         who = acting_operator() if why is Disarmed.OPERATOR else ""
         self._peer.send(Disarm(route.id, why, who))
-        self._ended(route, why, reason)
+        self._ended(route, why, f"disarmed by {who}" if who else reason)
         if why is Disarmed.OPERATOR:
             route.settling.then(lambda: self._disarmed_by(route, who))
 
@@ -252,10 +252,12 @@ class LinkArming:
                 self._peer_operators.dropped_demand(route, message.who)
             case Disarm():
                 if route.arming.held:
-                    route_id, why = route.id, _reason(message.cause)
+                    route_id, why, reason = route.id, _reason(message.cause), ""
                     if why is Disarmed.OPERATOR:
-                        self._disarmed_by(route, self._peer_operators.says(message.who), from_peer=True)
-                    self._ended(route, why)
+                        who = self._peer_operators.says(message.who)
+                        reason = f"disarmed ({who})"
+                        self._disarmed_by(route, who, from_peer=True)
+                    self._ended(route, why, reason)
                     route.settling.answered(route_id)
 
     def _armed_there(self, route: Route, who: str) -> None:
@@ -271,8 +273,10 @@ class LinkArming:
             self._refuse(route, Disarmed.TOO_OFTEN)
         elif not self.lease.supported:
             self._refuse(route, Disarmed.PEER_TOO_OLD)
+            self._not_armed(route, Disarmed.PEER_TOO_OLD, who)
         elif route.paused:
             self._refuse(route, Disarmed.PAUSED)
+            self._not_armed(route, Disarmed.PAUSED, who)
         else:
             self.lease.hold()
             arming.take(who, now)
@@ -286,6 +290,10 @@ class LinkArming:
         route.arming.end(why)
         if route.proposed_here:
             self._propose(route)
+
+    def _not_armed(self, route: Route, why: Disarmed, who: str) -> None:
+        """Record an attempt of the other side's operator, which the budget of armings bounds."""
+        route.log(Level.WARNING, EventCode.ROUTE_DISARMED, f"not armed: {SAID[why]} ({who})", cause=why)
 
     def _armed_by(self, route: Route, who: str, *, from_peer: bool = False) -> None:
         self._record(EventCode.OPERATOR_ARMED, route, who, "disarmed", "armed", from_peer=from_peer)

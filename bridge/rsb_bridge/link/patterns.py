@@ -101,11 +101,15 @@ class LinkPatterns:
         Raises:
             LinkError: it has a mistake, or there is such a pattern at another place.
         """
+        self.check_replace(identity, topic)
+        self._set(topic if each.identity == identity else each for each in self.all())
+        return self.key_of(topic)
+
+    def check_replace(self, identity: Identity, topic: Topic) -> None:
+        """Raise `LinkError` where `replace` would."""
         self.link.proposed.check(topic)
         if topic.identity != identity and any(each.identity == topic.identity for each in self.all()):
             raise LinkError(f"{topic.topic} is followed in that direction already: edit or remove that pattern")
-        self._set(topic if each.identity == identity else each for each in self.all())
-        return self.key_of(topic)
 
     def remove(self, identity: Identity) -> None:
         """Follow a pattern no more: all routes that it has made are removed, unless another one matches."""

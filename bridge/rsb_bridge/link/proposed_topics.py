@@ -105,23 +105,28 @@ class ProposedTopics:
                 old route stays.
         """
         table, proposal = self._table, self._proposal(topic)
+        if (key := route_key(self._client_name, proposal)) != route.key:
+            table.keep_demand(topic, key)
+        self._check_replace(route, topic, proposal)
         if _can_amend(route, proposal):
-            if not route.proposed_here and (problem := table.unsupported_change(route, proposal)):
-                raise LinkError(problem)
             route.pattern = ""
             table.amend(route, topic, proposal)
             return route
         at = list(table.routes).index(route.key)
         table.remove(route, "edited", told=False)
-        try:
-            new = table.add(topic, proposal, proposed_here=True, edited=True)
-        except LinkError:
-            old = self.add(route.spec)
-            old.pattern = route.pattern
-            table.move(old, at)
-            raise
+        new = table.add(topic, proposal, proposed_here=True, edited=True)
         table.move(new, at)
         return new
+
+    def check_replace(self, route: Route, topic: Topic) -> None:
+        """Raise `LinkError` where `replace` would."""
+        self._check_replace(route, topic, self._proposal(topic))
+
+    def _check_replace(self, route: Route, topic: Topic, proposal: Propose) -> None:
+        if not _can_amend(route, proposal):
+            self._table.check_add(topic, proposal, route_key(self._client_name, proposal), instead_of=route)
+        elif not route.proposed_here and (problem := self._table.unsupported_change(route, proposal)):
+            raise LinkError(problem)
 
     def _proposal(self, topic: Topic) -> Propose:
         name, prefixed, transports = self._client_name, self._prefixed(), self._context.transports

@@ -110,12 +110,9 @@ class RouteTable:
             LinkError: there is such a route, or one that bridges the same service.
         """
         key = route_key(self._owner.name, proposal)
-        if key in self.routes:
-            if spec.arm and not by_pattern and not self.routes[key].proposed_here:
-                self.arming.keep_demand(self.routes[key], spec)
-                self._context.demands.apply()
-            raise LinkError(f"{proposal.topic} is bridged in that direction already: edit or remove that route")
-        check_overlap(spec, self.routes.values())
+        if not by_pattern:
+            self.keep_demand(spec, key)
+        self.check_add(spec, proposal, key)
         half = half_of(proposal, is_client=self._owner.is_client)
         route = self.routes[key] = half(self._context, self._owner, spec, proposal, proposed_here=proposed_here)
         allow_rate(route, self._owner)
@@ -125,6 +122,19 @@ class RouteTable:
         if proposed_here and self._owner.linked:
             self.propose(route, acting_operator(), edited=edited)
         return route
+
+    def check_add(self, spec: Topic, proposal: Propose, key: str, instead_of: Route | None = None) -> None:
+        """Raise `LinkError` where a topic cannot be added, or not in a route's place."""
+        if self.routes.get(key, instead_of) is not instead_of:
+            raise LinkError(f"{proposal.topic} is bridged in that direction already: edit or remove that route")
+        check_overlap(spec, [each for each in self.routes.values() if each is not instead_of])
+
+    def keep_demand(self, spec: Topic, key: str) -> None:
+        """Keep what a topic demands that cannot be added because the other side proposes the route with its key."""
+        route = self.routes.get(key)
+        if spec.arm and route is not None and not route.proposed_here:
+            self.arming.keep_demand(route, spec)
+            self._context.demands.apply()
 
     def move(self, route: Route, at: int) -> None:
         """Give a route its place among the others, in whose order a session has its topics."""

@@ -139,7 +139,10 @@ class RunningDemands:
                 self.apply()
 
     def permit(self, sources: Collection[Source]) -> None:
-        """Let demands go in the present change, as an operator has agreed to by name."""
+        """Let demands go in the present change, as an operator has agreed to by name.
+
+        The other side is told now, before the change closes the routes; so nothing may refuse the change after this.
+        """
         self._permitted.update(sources)
         gone = {as_armed(each) for each in sources}
         self._set_armed(tuple(each for each in self._armed() if each not in gone))

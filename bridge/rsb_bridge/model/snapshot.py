@@ -180,6 +180,9 @@ class ArmingSnapshot:
         left: s until it disarms unless that operator presses a key, or None if it is not armed or has no deadman.
         deadman: s, or 0 for none.
         demanded_by: the lines that demand arming: ``robot.yaml:14``; an older bridge names none.
+        why: the cause why it is not armed, as of `EventCode.ROUTE_DISARMED`, or "operator" or "not_yet"; empty while it
+            is armed, and of an older bridge.
+        reason: the same in words, with the operator who disarmed it.
     """
 
     armed: bool
@@ -188,6 +191,8 @@ class ArmingSnapshot:
     left: float | None = None
     deadman: float = 0.0
     demanded_by: tuple[str, ...] = ()
+    why: str = ""
+    reason: str = ""
 
 
 @dataclass(frozen=True, slots=True)

@@ -32,6 +32,7 @@ class RosTurns:
         watched: whether anybody wants to know; else nothing is noted.
         at: s, the last turn.
         since: s; what is taken in this turn came after that.
+        count: turns that were noted.
     """
 
     def __init__(self, wake: Callable[[], None] | None = None, steady: Callable[[], float] | None = None) -> None:
@@ -40,6 +41,7 @@ class RosTurns:
         self._watchers: set[Hashable] = set()
         self._caught_up_at = 0.0
         self.watched = False
+        self.count = 0
         self.at = self.since = float("inf")
 
     def watch(self, watcher: Hashable) -> None:
@@ -67,3 +69,4 @@ class RosTurns:
         if now >= self._caught_up_at:
             self.since = self.at
         self.at = now
+        self.count += 1

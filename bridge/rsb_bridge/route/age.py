@@ -217,14 +217,14 @@ class MessageAge:
 
 
 _REMEDIES = {
-    Cause.LINK_SLOW: "the link holds them up: check the network, or set max_rate or priority",
-    Cause.CLOCK_UNKNOWN: "their age is unknown (new or slow link, or a clock was set): wait 10 s",
-    Cause.PUBLISHER_STAMPS_OLD: "their stamps are old: set the clock of the publisher's host, or find the delay there",
+    Cause.LINK_SLOW: "the link is too slow: set max_rate or priority",
+    Cause.CLOCK_UNKNOWN: "age unknown (clock set or slow link): wait 10 s",
+    Cause.PUBLISHER_STAMPS_OLD: "stamps are old: check the publisher's clock",
 }
 
 
 def expired_verdict(expired: Expired) -> Verdict:
     """Return the verdict on a topic of whose messages many are too old."""
     share = f"{max(1, round(100 * expired.lost / expired.of))} %"
-    text = f"{share} dropped by max_age or lifespan ({expired.limit:g} s): {_REMEDIES[expired.cause]}"
+    text = f"{share} dropped, age limit {expired.limit:g} s: {_REMEDIES[expired.cause]}"
     return Verdict(State.LATE, expired.cause, text, expired.since)

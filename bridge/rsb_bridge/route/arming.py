@@ -73,8 +73,8 @@ SAID = {
     Disarmed.REMOVED: "the topic is not bridged any more",
     Disarmed.CHANNEL_LOST: "its data connection ended",
     Disarmed.REOPENED: "the topic was set up anew",
-    Disarmed.LEASE: "a side or the link stood still for too long",
-    Disarmed.LINK_SLOW: f"the link is too slow: a round trip takes more than {SLOW:g} s; arm it on a faster link",
+    Disarmed.LEASE: "a side or the link stood still",
+    Disarmed.LINK_SLOW: f"the link is too slow: a round trip takes over {SLOW:g} s; use a faster link",
     Disarmed.PEER_TOO_OLD: "the other side's rsb-console is too old for arming: update it",
 }
 
@@ -216,8 +216,12 @@ class Arming:
         armed = self.stands(now)
         grace = PEER_GRACE if self.console is None else 0.0  # the operator has no more time for it
         left = max(0.0, self._deadline - grace - now) if armed and self.deadman else None
-        by = self.by if armed else ""
-        return ArmingSnapshot(armed, by, self.console is not None, left, self.deadman, self.demanded_by)
+        here = self.console is not None
+        if armed:
+            return ArmingSnapshot(armed, self.by, here, left, self.deadman, self.demanded_by)
+        overdue = self.overdue(now)
+        why, reason = (self.why, self.reason) if overdue is None else (overdue, SAID[overdue])
+        return ArmingSnapshot(armed, "", here, left, self.deadman, self.demanded_by, why, reason)
 
     # --- arming
 

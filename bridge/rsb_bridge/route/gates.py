@@ -96,7 +96,7 @@ def _disarming(facts: Standing) -> Verdict | None:
     """A gate: before that of a pause, as a pause disarms, too."""
     if not (facts.disarmed and facts.disarming):
         return None
-    text = f"{facts.disarmed}; the other side may act on earlier messages for up to 1 s"
+    text = f"{facts.disarmed}; messages sent before it may act for 1 s"
     return Verdict(State.DISARMING, Cause.DISARMING, text)
 
 
@@ -112,7 +112,7 @@ def _disarmed(facts: Standing) -> Verdict | None:
         return None
     if not facts.can_be_armed:
         return Verdict(State.DISARMED, Cause.DISARMED, facts.disarmed)
-    text = f"{facts.disarmed}: arm it on a console of either side (key A), or with rsb-console arm {facts.topic}"
+    text = f"{facts.disarmed}: arm it (key A, rsb-console arm {facts.topic})"
     return Verdict(State.DISARMED, Cause.DISARMED, text)
 
 

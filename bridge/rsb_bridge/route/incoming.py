@@ -103,6 +103,7 @@ class IncomingRoute(TopicRoute):
         self._dropped: Counter[str] = Counter()
         self._before: tuple[str, ReceivedReport] | None = None
         self._report: SentReport | None = None
+        self._is_reported = False  # this opening
         self._sender_ledger = Ledger()
         self._subscriber_qos: Qos | None = None
         self._clash = ""
@@ -113,6 +114,11 @@ class IncomingRoute(TopicRoute):
         self._hint = ("", "")
 
     # --- setting up
+
+    def open(self, route_id: int) -> None:
+        """Begin a new opening, of which the sender has still to report."""
+        self._is_reported = False
+        super().open(route_id)
 
     def close(self, reason: str) -> None:
         """End the opening. The next one is counted anew, as the sender does, who is told then what came of this one."""
@@ -154,6 +160,7 @@ class IncomingRoute(TopicRoute):
             self.log(Level.INFO, EventCode.ROUTE_CONNECTED, f"← {self.transport.name} connected ({description.type})")
         self.peer.send(Ready(route=self.id, sources=len(self._outputs), before=self._counted_before(), newest=newest))
         self.life.take(Event.READY)
+        self._verdict = None
         self.advance()
 
     def _counted_before(self) -> ReceivedReport | None:
@@ -407,6 +414,9 @@ class IncomingRoute(TopicRoute):
         """The sender's ledger, which counts for both sides."""
         failed_before = self._failure
         self._report = report
+        if not self._is_reported:
+            self._is_reported = True
+            self._verdict = None
         self.judged.take(report.verdict, self.context.now())
         peer = self.judged.peer
         self.notices.set_loop(peer.text if peer.cause == Cause.LOOP else "")
@@ -480,6 +490,10 @@ class IncomingRoute(TopicRoute):
         peer = self.judged.peer
         return peer.text if peer.cause == Cause.SUBSCRIBE_FAILED else ""
 
+    @property
+    def awaits_report(self) -> bool:
+        return not self._is_reported
+
     def end_nodes(self) -> tuple[tuple[str, ...], tuple[str, ...]]:
         return self._report.nodes if self._report else (), node_names(self.endpoints)
 
@@ -488,7 +502,7 @@ class IncomingRoute(TopicRoute):
 
     def _stages(self) -> tuple[Stage, ...]:
         """From the publisher there to the subscriber here."""
-        report = self._report
+        report = self._report if self._is_reported else None
         known = bool(self.type_name)
         publishers = report.publishers if report else 0
         clash = self._clash or (self.judged.peer.text if self.judged.peer.cause == Cause.QOS_INCOMPATIBLE else "")

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, NamedTuple
 
 from rsb_bridge.route.arming import SAID, Disarmed
+from rsb_bridge.route.stages import accepted_stage
 from rsb_bridge.route.verdict import Facts
 from rsb_bridge.wire import lease
 
@@ -93,7 +94,10 @@ def _trouble(route: Route) -> str:
 def _first_missing(route: Route) -> str:
     """What has to come before anything can cross; a step that has failed before one that is open."""
     missing = [stage for stage in route.stages() if not stage.done]
-    first = next((stage for stage in missing if stage.done is False), next(iter(missing), None))
+    first = next((stage for stage in missing if stage.done is False), None)
+    if first is None and route.awaits_report:
+        return "the other side's report" if route.accepted else accepted_stage(route).name
+    first = first or next(iter(missing), None)
     return (first.detail or first.name) if first else ""
 
 

@@ -196,12 +196,12 @@ def _why(late: Late) -> str:
     if late.was_full:
         return "the link was full, and what waited still arrives"
     if late.where == QUEUE:
-        return "messages wait in the sender's queue: set max_rate, compression: zstd or priority"
+        return "queued at the sender: set max_rate or priority"
     if late.undecided:
         return "held up on the way"
     if late.where == WAY:
-        return "held up on the way: check the network, tunnels and the receiver"
-    return "held up on the way or by the sender: check the network and tunnels"
+        return "held up on the way: check network and receiver"
+    return "held up on the way or by the sender: check both"
 
 
 def seconds_text(seconds: float) -> str:

@@ -38,7 +38,7 @@ class Standstill(Enum):
 
     LOOP = "this side's bridge stood still"
     ROS_THREAD = "this side's ROS thread stood still"
-    PEER = "the other side or the network stood still"
+    PEER = "the other side or the link stood still"
 
 
 class Marked(Protocol):
@@ -191,7 +191,7 @@ class Marker:
     Args:
         lease: of the link.
         turns: of the thread.
-        batch: how much is taken at once; if it is that much, there may be more.
+        batch: how much is taken at once; if it is that much, there may be more, which is taken in the next turn.
     """
 
     def __init__(self, lease: Lease, turns: RosTurns, batch: int) -> None:
@@ -199,12 +199,14 @@ class Marker:
         self._turns = turns
         self._batch = batch
         self._is_empty = True
+        self._turn = turns.count
         self._made = self._since = lease.now
 
     def marked(self, taken: Sequence[M]) -> Sequence[M]:
         """Return messages with the number of the lease that bounds their age."""
-        if self._is_empty:
+        turn, before = self._turns.count, self._turn
+        if self._is_empty or turn > before + 1:  # a turn in between has found nothing
             self._since = max(self._made, self._turns.since)
-        self._is_empty = len(taken) < self._batch
+        self._turn, self._is_empty = turn, len(taken) < self._batch
         number = self._lease.newest_before(self._since)
         return [each._replace(lease=number) for each in taken]

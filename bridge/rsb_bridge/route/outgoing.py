@@ -194,6 +194,7 @@ class OutgoingRoute(TopicRoute):
             return
         self._ledger.missed.subscribed(self.context.now(), self._ledger.offered)
         self.silence.rearm(self.context.now())
+        self._verdict = None
         self.log(Level.INFO, EventCode.ROUTE_CONNECTED, f"→ {self.transport.name} connected ({self.type_name})")
 
     def _unsubscribe(self) -> None:

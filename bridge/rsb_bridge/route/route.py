@@ -405,6 +405,11 @@ class Route:
         return self.channel.trouble() if self.channel is not None else ""
 
     @property
+    def awaits_report(self) -> bool:
+        """Whether the other side, which has still to report of this opening, alone knows the first steps."""
+        return False
+
+    @property
     def connected(self) -> bool:
         """Whether there is a way for messages; those that are under way when the route is paused still go it."""
         return self.accepted and self.channel is not None and self.channel.ready

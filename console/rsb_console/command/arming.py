@@ -50,8 +50,8 @@ def arm(arguments: Namespace) -> int:
         route = chosen_route(engine, arguments)
         result(engine.arming.arm(route.key))
         _say_armed(arguments, route)
-        why = _hold(engine, route.key)
-    return failed(arguments, f"{route.topic} is not armed any more: {why}", FAILURE)
+        why, cause = _hold(engine, route.key)
+    return failed(arguments, f"{route.topic} is not armed any more: {why}", FAILURE, cause=cause)
 
 
 def _say_armed(arguments: Namespace, route: RouteSnapshot) -> None:
@@ -64,18 +64,20 @@ def _say_armed(arguments: Namespace, route: RouteSnapshot) -> None:
     sys.stdout.flush()
 
 
-def _hold(engine: RemoteEngine, key: str) -> str:
-    """Keep a topic armed; returns, once it is not, why."""
+def _hold(engine: RemoteEngine, key: str) -> tuple[str, str]:
+    """Keep a topic armed; return, once it is not, why, in words and as a cause."""
     keys = _Keys()
     while True:
         result(engine.arming.keep(pressed=keys.wait(_TOLD_EVERY)))
         if engine.unreachable:
-            return engine.unreachable
+            return engine.unreachable, ""
         route = next((each for each in engine.snapshot().routes if each.key == key), None)
         if route is None:
-            return "it is not bridged any more"
-        if route.arming is None or not route.arming.armed:
-            return route.reason
+            return "it is not bridged any more", "removed"
+        if route.arming is None:
+            return "it need not be armed any more", ""
+        if not route.arming.armed:
+            return route.arming.reason or route.reason, route.arming.why
 
 
 def disarm(arguments: Namespace) -> int:

@@ -78,10 +78,10 @@ def reported(work: Callable[[Namespace], T], arguments: Namespace) -> T | int:
         return failed(arguments, f"the bridge has not answered for {ANSWERED_WITHIN:.0f} s", FAILURE)
 
 
-def failed(arguments: Namespace, message: str, code: int) -> int:
-    """Say why it is not done. Returns the exit code."""
+def failed(arguments: Namespace, message: str, code: int, **more: str) -> int:
+    """Say why it is not done; `more` is for programs. Returns the exit code."""
     if getattr(arguments, "json", False):
-        print_line(json_line({"ok": False, "error": message}))
+        print_line(json_line({"ok": False, "error": message} | more))
     else:
         print_error(message)
     return code

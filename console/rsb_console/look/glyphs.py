@@ -31,11 +31,7 @@ STATE_SIGN = {
     State.STALE: "▲",
     State.DOWN: "✗",
 }
-STATE_WORD = {state: state.upper() for state in State} | {
-    State.OK: "ok",
-    State.WAITING: "WAIT",
-    State.DISARMING: "DISARMS",
-}
+STATE_WORD = {state: state.upper() for state in State} | {State.OK: "ok", State.WAITING: "WAIT"}
 ARMED, ARMED_WORD = "◆", "ARMED"
 KNOWN, ACK_WORD = "a", "ack"
 """Mark of an acknowledged fault."""

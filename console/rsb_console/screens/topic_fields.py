@@ -73,7 +73,7 @@ def _specs(session: Session, ends: Ends, kind: Kind, route: RouteSnapshot | None
     yield from _how(session, kind, None if route is None else route.spec.protocol)
     yield Spec(
         "arm",
-        "Has to be armed",
+        "Must be armed",
         "Carries nothing until an operator arms it (key A).",
         options=(("", "no"), ("yes", "yes")),
     )

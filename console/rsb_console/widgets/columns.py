@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 R = TypeVar("R")
 WIDE = 70  # cells; a narrower table shows a state's sign without its word
 HISTORY = 12  # s
+_STATE_WIDTH = 10  # cells
 TOTAL_FROM = 92  # cells from which on there is room for the bytes in all
 _SHORT_NAMES = {"zenoh-drop": "DROP"}
 _BESIDE_CALLS = 100  # cells from which on there is room for a topic's bytes beside what is to be known of calls
@@ -69,7 +70,9 @@ def _by_state(route: RouteSnapshot) -> tuple[float, int, str]:
 def _state(route: RouteSnapshot) -> str:
     if route.acknowledged is not None:
         return f"{ACK_WORD} {STATE_WORD[route.state]}"
-    return f"{_sign(route)} {ARMED_WORD if is_armed(route) and route.state is State.OK else STATE_WORD[route.state]}"
+    word = ARMED_WORD if is_armed(route) and route.state is State.OK else STATE_WORD[route.state]
+    text = f"{_sign(route)} {word}"
+    return text if len(text) <= _STATE_WIDTH else word
 
 
 def _sign(route: RouteSnapshot) -> str:
@@ -132,7 +135,7 @@ def _last_failure(route: RouteSnapshot) -> str:
 
 
 COLUMNS: tuple[Column[RouteSnapshot], ...] = (
-    Column("STATE", 10, _state, _by_state, right=False, from_width=WIDE),
+    Column("STATE", _STATE_WIDTH, _state, _by_state, right=False, from_width=WIDE),
     Column("", 2, _sign, _by_state, right=False),
     Column(
         "KIND",

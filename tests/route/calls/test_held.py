@@ -17,8 +17,8 @@ from rsb_bridge.route.calls.calling_action import CallingAction
 from rsb_bridge.route.calls.goal_messages import accepted_by
 from rsb_bridge.route.calls.kept_calls import KeptCall
 from rsb_bridge.route.calls.providing_action import ProvidingAction
-from rsb_bridge.route.calls.refusals import Refused
-from rsb_bridge.route.lease import BEAT, Lease
+from rsb_bridge.route.calls.refusals import REMEDIES, Refused
+from rsb_bridge.route.lease import BEAT, LASTS, Lease
 from rsb_bridge.wire.calls import CallFrame, What
 from rsb_bridge.wire.messages import Provide
 from rsb_bridge.wire.records import LaneEntry
@@ -123,6 +123,29 @@ def test_an_old_goal_is_refused_however_it_was_held_up(make_context: Callable[..
         newest, _ = lease.beat()
         lease.hear(newest, newest)
     assert (refusal(newest), refusal(number)) == (Refused.PROVIDER_GONE, Refused.DISARMED)
+
+
+def test_what_is_armed_is_not_said_to_be_disarmed_while_the_link_is_silent(
+    make_context: Callable[..., Context], loop: VirtualLoop
+) -> None:
+    """The caller was told to arm what was armed."""
+    context = make_context()
+    route = providing(context, arm=True)
+    lease = route.arming.lease = Lease(context.clock.steady, RosTurns(), lambda: None)
+    lease.begin()
+    assert route.held_now(SEND_GOAL) is Refused.DISARMED
+    route.arming.take("anna", context.now())
+    number, _ = lease.beat()
+    lease.hear(1, number)
+    assert route.held_now(SEND_GOAL) is None
+    while loop.time() <= LASTS + BEAT:
+        loop.jump(BEAT)
+        lease.beat()  # nobody answers
+    assert route.arming.stands(context.now())
+    assert route.held_now(SEND_GOAL) is Refused.UNHEARD
+    assert route.held_now(CANCEL_GOAL) is None
+    with pytest.raises(CallError, match=REMEDIES[Refused.UNHEARD]):
+        loop.run_until_complete(route.call_by_hand(SEND_GOAL, GOAL))
 
 
 class Answers:

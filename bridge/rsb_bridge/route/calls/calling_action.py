@@ -40,7 +40,7 @@ if TYPE_CHECKING:
     from rsb_bridge.wire.messages import Propose, Provide
 
 _OUTLIVING = (CANCEL_GOAL, GET_RESULT)
-_FOR_NOW = (Refused.PAUSED, Refused.DISARMED, Refused.PROVIDER_GONE, Refused.LOST)
+_FOR_NOW = (Refused.PAUSED, Refused.DISARMED, Refused.UNHEARD, Refused.PROVIDER_GONE, Refused.LOST)
 """Refusals after which asking again may help."""
 
 

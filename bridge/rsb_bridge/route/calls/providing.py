@@ -297,8 +297,8 @@ class ProvidingRoute(CallsRoute):
 
     async def call_by_hand(self, lane: int, request: bytes) -> bytes:
         """Call the node here; that is no call of the other side's, and not counted. What has to be armed has to be."""
-        if self.lanes[lane].limited and not self.arming.passes(self.context.now()):  # be it paused, too
-            raise CallError(f"{self.local_topic} cannot be called now: {REMEDIES[Refused.DISARMED]}")
+        if (why := self.unarmed_now(lane)) is not None:  # be it paused, too
+            raise CallError(f"{self.local_topic} cannot be called now: {REMEDIES[why]}")
         name, within = self.local_names[lane], self.timeout_of(lane)
         return await call_directly(self.context, name, self.entry(lane), request, within)
 

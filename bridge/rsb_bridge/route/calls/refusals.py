@@ -16,6 +16,8 @@ class Refused(StrEnum):
     """More come than the link, the entry or the rights allow."""
     PAUSED = "paused"
     DISARMED = "disarmed"
+    UNHEARD = "link silent"
+    """It is armed, and the two sides have not heard each other for a second; an older peer reads `OTHER`."""
     PROVIDER_GONE = "provider gone"
     """Nobody serves it any more; the call reached nobody."""
     TOO_LARGE = "too large"
@@ -41,7 +43,8 @@ REMEDIES = {
     Refused.BYTES_UNDER_WAY: "the calls under way on this link hold too many bytes: make fewer at once",
     Refused.CALLS_A_SECOND: "more calls a second are made than are allowed: call less often, or raise max_rate",
     Refused.PAUSED: "it is paused: resume it",
-    Refused.DISARMED: "it is not armed: arm it",
+    Refused.DISARMED: "it was not armed when the request was made: ask again once it is armed",
+    Refused.UNHEARD: "it is armed, but the two sides do not hear each other: ask again, or check the link",
     Refused.PROVIDER_GONE: "nobody serves it any more: start its node",
     Refused.TOO_LARGE: "the request or the response is longer than a message may be",
     Refused.MALFORMED: "the request or the response is malformed; the log of the side that got it says where",

@@ -223,11 +223,16 @@ class CallsRoute(Route):
             return Refused.PAUSED
         return None if self.arming.stands(self.context.now()) else Refused.DISARMED
 
+    def unarmed_now(self, lane: int) -> Refused | None:
+        """Return the reason why what has to be armed may not pass a lane now, or None if it may."""
+        now = self.context.now()
+        if not self.lanes[lane].limited or self.arming.passes(now):
+            return None
+        return Refused.UNHEARD if self.arming.stands(now) else Refused.DISARMED
+
     def held_now(self, lane: int) -> Refused | None:
         """Return the reason why a call of a lane may not pass now, or None if it may."""
-        if (why := self.held(lane)) is not None or not self.lanes[lane].limited:
-            return why
-        return None if self.arming.passes(self.context.now()) else Refused.DISARMED
+        return self.held(lane) or self.unarmed_now(lane)
 
     def open(self, route_id: int) -> None:
         """Begin a new opening."""
