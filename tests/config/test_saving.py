@@ -10,9 +10,10 @@ from typing import TYPE_CHECKING, Any
 
 import msgspec
 import pytest
-from hypothesis import given
+from hypothesis import assume, given
 from hypothesis import strategies as st
 from msgspec.structs import replace
+from tests.config.test_call_entries import called
 
 from rsb_bridge.config.merge import identity, merge
 from rsb_bridge.config.session_file import (
@@ -491,7 +492,7 @@ grants = st.builds(
 patterns = st.lists(names | grants, max_size=3, unique=True).map(tuple)
 some_topics = st.builds(Topic, topic=names, direction=st.sampled_from(["transmit", "receive"]), **fields_of_a_topic)
 fields_of_a_client = {
-    "topics": st.lists(some_topics, max_size=3, unique_by=lambda each: (each.topic, each.direction)).map(tuple),
+    "topics": st.lists(some_topics, max_size=3, unique_by=(identity, called)).map(tuple),
     "key_file": st.sampled_from([None, "a.key", "no", "b: c"]),
     "use_name": st.sampled_from([None, False]),
     "allow": patterns,
@@ -511,7 +512,7 @@ fields_of_a_session = {
 }
 clients_sessions = st.builds(
     Session, role=st.just("client"), server_ip=st.just("10.0.0.1"), server_port=st.integers(2000, 2009),
-    topics=st.lists(some_topics, max_size=5, unique_by=lambda each: (each.topic, each.direction)).map(tuple),
+    topics=st.lists(some_topics, max_size=5, unique_by=(identity, called)).map(tuple),
     allow=patterns, deny=patterns, **fields_of_a_session,
 )  # fmt: skip
 servers_sessions = st.builds(
@@ -578,6 +579,8 @@ def test_a_save_is_a_merge(sessions: st.SearchStrategy[Session], line_break: str
     path = Path("robot1.yaml")
     assert parse(text, path) == session
     now, owners = data.draw(changed(session))
+    for each in (now, *now.clients):
+        assume(len({called(topic) for topic in each.topics}) == len(each.topics))
     result = merged(text, now)
     assert same(parse(result, path), now), result
     lines = iter(re.split(r"\r?\n", result))

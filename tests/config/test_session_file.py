@@ -12,6 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from rclpy.exceptions import InvalidTopicNameException
 from rclpy.validate_full_topic_name import validate_full_topic_name
+from tests.config.test_call_entries import called
 
 from rsb_bridge.config.keys import KeyFileError, write_key
 from rsb_bridge.config.session_file import SessionError, dump, load, parse, save, validate, validate_topic
@@ -77,7 +78,7 @@ sessions = st.one_of(
         role=st.just("client"),
         server_ip=st.sampled_from(["10.0.0.1", "fe80::1%eth0", "robot-1.local"]),
         server_port=st.integers(1, 65535),
-        topics=st.lists(topics, max_size=5, unique_by=lambda topic: (topic.topic, topic.direction)).map(tuple),
+        topics=st.lists(topics, max_size=5, unique_by=(lambda topic: topic.identity, called)).map(tuple),
         **common,
     ),
     st.builds(Session, role=st.just("client"), server_ip=macs, server_port=st.integers(1, 30), **common),

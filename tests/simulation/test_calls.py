@@ -308,7 +308,7 @@ def test_a_call_right_after_arming_is_answered(provider: str, play: Play) -> Non
 def test_it_has_to_be_offered_only_once_the_lease_has_begun(play: Play) -> None:
     booth = Booth(arm=True, deadman=0.0, max_age=0.0)
     begun = property(lambda _: True)
-    with patch.object(Lease, "begun", begun), pytest.raises(AssertionError, match="'disarmed': 1"):
+    with patch.object(Lease, "begun", begun), pytest.raises(AssertionError, match="'link silent': 1"):
         lived(play, booth, _called_at_once(booth))
 
 
