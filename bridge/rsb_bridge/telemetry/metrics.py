@@ -38,8 +38,8 @@ DROPPED = frozenset(
 )  # fmt: skip
 REFUSED = frozenset(
     {
-        "bytes under way", "calls a second", "calls under way", "disarmed", "malformed", "not arrived", "not sent",
-        "paused", "provider gone", "too complex", "too large", "too old",
+        "bytes under way", "calls a second", "calls under way", "disarmed", "link silent", "malformed", "not arrived",
+        "not sent", "paused", "provider gone", "too complex", "too large", "too old",
     }
 )  # fmt: skip
 _LINK = ("link",)
