@@ -64,7 +64,7 @@ def test_a_topic_whose_publisher_goes_and_comes_back_on_both_sides(
 ) -> None:
     here, there = Told(tmp_path, "here"), Told(tmp_path, "there")
     chat = pc.listener("/chat")
-    topic = Topic("/chat", "transmit", expected_rate=5.0, stale_after=3.0)
+    topic = Topic("/chat", "transmit", expected_rate=2.0, stale_after=3.0)  # this test looks, and publishes, at 4 Hz
     server, client = bridge.server(on_fault=str(there.program)), bridge.client(topic, on_fault=str(here.program))
     out = robot.publisher("/chat")
     eventually(lambda: linked(client) and linked(server) and chat.matched)
