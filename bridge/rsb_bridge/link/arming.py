@@ -194,9 +194,13 @@ class LinkArming:
 
     def _lease_lives(self) -> None:
         for route in self._routes():
-            if route.arming.armed:
-                route.arming.lease_lives()
-                route.armed()
+            self._open_if_begun(route)
+
+    def _open_if_begun(self, route: Route) -> None:
+        """Let messages cross if both sides have agreed and the lease has begun; else this is called again then."""
+        if route.arming.armed and self.lease.state.begun:
+            route.arming.opens()
+            route.armed()
 
     def _disarm_as_it_stood_still(self, where: Standstill) -> None:
         for route in self._routes():
@@ -247,7 +251,7 @@ class LinkArming:
                     self.disarm(route, Disarmed.LINK_SLOW)
                 elif route.arming.agreed(self._context.now()):
                     self._armed_by(route, route.arming.by)
-                    route.armed()
+                    self._open_if_begun(route)
             case Disarm() if message.cause == DROPPED:
                 self._peer_operators.dropped_demand(route, message.who)
             case Disarm():
@@ -282,8 +286,7 @@ class LinkArming:
             arming.take(who, now)
             self._peer.send(Armed(route.id))
             self._armed_by(route, who, from_peer=True)
-            if self.lease.state.begun:
-                route.armed()
+            self._open_if_begun(route)
 
     def _refuse(self, route: Route, why: Disarmed) -> None:
         self._peer.send(Disarm(route.id, why))

@@ -243,12 +243,10 @@ class Arming:
         if self._phase is not _Phase.ASKED or now >= self._deadline:
             return False
         self._phase = _Phase.ARMED
-        if self.lease is not None and self.lease.begun:
-            self._answer()
         self._begin_deadman(now, 0.0)
         return True
 
-    def lease_lives(self) -> None:
+    def opens(self) -> None:
         """Messages may cross from now on: the operator who armed it is told."""
         self._answer()
 

@@ -241,8 +241,12 @@ class IncomingRoute(TopicRoute):
         count = size = 0
         stamp, messages = now, iter(messages)
         required = self.arming.required
+        number = 0  # of the lease
+        arrived: Message | None
         for message in messages:
-            number, arrived = self._of_lease(message) if required else (0, message)
+            arrived = message
+            if required:
+                number, arrived = self._of_lease(message)
             if arrived is None:
                 self._received += 1
                 self._dropped["disarmed"] += 1

@@ -184,11 +184,11 @@ class Network:
         self._deleted = zenoh.SampleKind.DELETE
         changes = session.info.declare_transport_events_listener()
         watcher = threading.Thread(target=self._watch, args=(changes,), name="zenoh-watch", daemon=True)
+        watcher.start()
         _open_sessions[session] = watcher
         with self._lock:
             if not self._closed:
                 self._session, self._config_used = session, config
-                watcher.start()
                 return
         _close(session)  # nobody waited for it
 
@@ -275,7 +275,7 @@ def _close_now(session: zenoh.Session) -> None:
     """Close it, and have its watcher end: a thread that is in Zenoh when the interpreter ends aborts the process."""
     watcher = _open_sessions.pop(session, None)
     session.close()  # type: ignore[no-untyped-call]
-    if watcher is not None and watcher.ident is not None:
+    if watcher is not None:
         watcher.join(_CLOSE_WITHIN)
 
 
