@@ -7,10 +7,12 @@ import os
 import signal
 import subprocess
 import sys
+from pathlib import Path
 from typing import Any
 
 import zenoh
 from tests.support.ports import free_port
+from tests.support.waiting import eventually
 
 _PROGRAM = """
 import sys, zenoh
@@ -21,6 +23,10 @@ sys.stdin.read()
 """
 _NO_SHARED_MEMORY = {"shared_memory": {"enabled": False}}
 """A process that is killed would leave some behind."""
+
+
+def _state(thread: Path) -> str:
+    return (thread / "stat").read_text().rpartition(")")[2].split()[0]
 
 
 class _Process:
@@ -35,6 +41,11 @@ class _Process:
 
     def signal(self, number: int) -> None:
         os.kill(self._process.pid, number)
+
+    def wait_until_stopped(self) -> None:
+        """Wait for all its threads: SIGSTOP reaches them one after another."""
+        threads = Path(f"/proc/{self._process.pid}/task")
+        eventually(lambda: all(_state(each) == "T" for each in threads.iterdir()))
 
     def kill(self) -> None:
         """End it as a power cut does."""
@@ -83,8 +94,10 @@ class Router:
         process.kill()
 
     def pause(self) -> None:
-        """Have it take nothing any more, with all its connections open."""
+        """Have it take nothing any more, with all its connections open; returns once it stands still."""
         self._signal(signal.SIGSTOP)
+        assert self._process is not None
+        self._process.wait_until_stopped()
 
     def go_on(self) -> None:
         """Undo `pause`."""
@@ -118,6 +131,8 @@ def stranger(router: Router, **settings: Any) -> Any:
     config = zenoh.Config()
     config.insert_json5("mode", '"client"')
     config.insert_json5("connect/endpoints", json.dumps([router.endpoint]))
+    # Else a sample is dropped if the queue is full for a millisecond, as it is on a busy machine.
+    config.insert_json5("transport/link/tx/queue/congestion_control/drop/wait_before_drop", "10000000")
     config.insert_json5("scouting/multicast/enabled", "false")
     config.insert_json5("transport/shared_memory/enabled", "false")
     for key, value in settings.items():

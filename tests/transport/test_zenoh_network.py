@@ -620,12 +620,12 @@ def test_a_router_that_takes_nothing_holds_up_no_loop() -> None:
                 server.on_stream = lambda who, which, header: end
                 server_key = client.key(server.address, NOBODY)
                 await until(lambda: server.address in client.seen)
+                server.add(client.address, NOBODY, end)
                 router.pause()
                 for number in range(120):
                     client.outbox.put(server_key, bytes([number]) * 100_000, Header(Kind.DATA, 2, number))
                 client.outbox.put(client.key(server.address, "1" * 16), b"link", Header(Kind.DATA, 0, 0))
                 assert client.outbox.waiting(server_key, 2) > 2_000_000
-                server.add(client.address, NOBODY, end)
                 router.go_on()
                 await until(lambda: sum(len(payload) == 100_000 for _, payload in end.came) == 120)
                 data = [header.number for header, payload in end.came if len(payload) == 100_000]
