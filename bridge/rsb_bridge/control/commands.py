@@ -6,8 +6,8 @@ from typing import TypeAlias
 
 import msgspec
 
-from rsb_bridge.model.benchmark import Order  # noqa: TC001 -- msgspec resolves the hints
-from rsb_bridge.model.session import Client, Topic  # noqa: TC001 -- msgspec resolves the hints
+from rsb_bridge.model.benchmark import Order
+from rsb_bridge.model.session import Client, Topic
 
 
 class _Command(msgspec.Struct, frozen=True, tag_field="is", omit_defaults=True):

@@ -16,12 +16,12 @@ from typing import TYPE_CHECKING, Generic, TypeAlias, TypeVar
 
 import msgspec
 
-from rsb_bridge.control.commands import Command  # noqa: TC001 -- msgspec resolves the hints
-from rsb_bridge.model.benchmark import Outcome  # noqa: TC001
-from rsb_bridge.model.history import HistoryReport  # noqa: TC001
-from rsb_bridge.model.peek import PeekedMessage  # noqa: TC001 -- msgspec resolves the hints
-from rsb_bridge.model.reloaded import Reloaded  # noqa: TC001 -- msgspec resolves the hints
-from rsb_bridge.model.session import Session  # noqa: TC001 -- msgspec resolves the hints
+from rsb_bridge.control.commands import Command
+from rsb_bridge.model.benchmark import Outcome
+from rsb_bridge.model.history import HistoryReport
+from rsb_bridge.model.peek import PeekedMessage
+from rsb_bridge.model.reloaded import Reloaded
+from rsb_bridge.model.session import Session
 from rsb_bridge.model.snapshot import Event, LinkSnapshot, RefusedClient, RouteSnapshot, TopicInfo
 from rsb_bridge.model.verdict import state_for_any, state_of
 

@@ -13,8 +13,8 @@ from rsb_bridge.history.subject import OUTAGES_OF_ONE, Ended, Subject
 from rsb_bridge.history.subjects import SUBJECTS, Key, Subjects
 from rsb_bridge.model import history as model
 from rsb_bridge.model.history import KEPT_FOR, LINK, Gap, HistoryReport
-from rsb_bridge.model.session import Kind  # noqa: TC001 -- likewise
-from rsb_bridge.model.snapshot import Event  # noqa: TC001 -- msgspec resolves the hints
+from rsb_bridge.model.session import Kind
+from rsb_bridge.model.snapshot import Event
 from rsb_bridge.model.verdict import Cause
 
 if TYPE_CHECKING:

@@ -12,10 +12,10 @@ from typing import Any, Literal
 
 import msgspec
 
-from rsb_bridge.model.benchmark import Leave  # noqa: TC001 -- msgspec resolves the hints
+from rsb_bridge.model.benchmark import Leave
 from rsb_bridge.model.patterns import is_pattern
-from rsb_bridge.model.priority import Priority  # noqa: TC001 - msgspec resolves the annotation at run time
-from rsb_bridge.model.profiles import Compression, ProfileName  # noqa: TC001 - likewise
+from rsb_bridge.model.priority import Priority
+from rsb_bridge.model.profiles import Compression, ProfileName
 from rsb_bridge.model.qos import Qos, parse_qos
 from rsb_bridge.model.text import one_line
 

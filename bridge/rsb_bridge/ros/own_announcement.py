@@ -9,7 +9,7 @@ import msgspec
 from msgspec import Meta
 
 from rsb_bridge.ros.api import Endpoint, RosError
-from rsb_bridge.wire.fields import Hops, Name  # noqa: TC001 - msgspec resolves the annotations at run time
+from rsb_bridge.wire.fields import Hops, Name
 
 if TYPE_CHECKING:
     from collections.abc import Hashable

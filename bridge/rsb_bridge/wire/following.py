@@ -10,7 +10,7 @@ from msgspec import Meta
 from rsb_bridge.model.patterns import NAMES_FOLLOWED, PATTERNS_PER_LINK
 
 # msgspec resolves the annotations at run time
-from rsb_bridge.wire.fields import Count, Name  # noqa: TC001
+from rsb_bridge.wire.fields import Count, Name
 from rsb_bridge.wire.message import ControlMessageBase
 
 

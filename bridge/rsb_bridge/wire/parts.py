@@ -14,7 +14,7 @@ from msgspec import Meta, Raw
 from rsb_bridge.model.limits import ROUTES_PER_LINK
 
 # msgspec resolves the annotations at run time
-from rsb_bridge.wire.fields import Count  # noqa: TC001
+from rsb_bridge.wire.fields import Count
 from rsb_bridge.wire.records import CallsReport, FullRecord, ReceivedReport, SentReport, TopicEntry
 
 if TYPE_CHECKING:

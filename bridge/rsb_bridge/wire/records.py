@@ -11,7 +11,7 @@ import msgspec
 from rsb_bridge.model.qos import Qos, qos_problem
 
 # msgspec resolves the annotations at run time
-from rsb_bridge.wire.fields import Causes, Count, Hops, Name, NodeNames, Reason, RouteId  # noqa: TC001
+from rsb_bridge.wire.fields import Causes, Count, Hops, Name, NodeNames, Reason, RouteId
 
 
 class Source(msgspec.Struct, frozen=True, omit_defaults=True):
