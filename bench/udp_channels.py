@@ -25,7 +25,7 @@ from rsb_bridge.route.send_queue import QueueLimits, SendQueue
 from rsb_bridge.transport import udp
 from rsb_bridge.transport.streams import StreamHandler
 from rsb_bridge.transport.transport import Acceptor
-from rsb_bridge.wire.budget import Budget
+from rsb_bridge.wire.framing import Budget
 from rsb_bridge.wire.sealing import SessionKeys, Suite
 
 if TYPE_CHECKING:

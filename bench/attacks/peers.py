@@ -16,10 +16,21 @@ from tests.support.rogue import Rogue
 from rsb_bridge.model.limits import dds_ports
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.ros.std_string import STRING_HASH
-from rsb_bridge.wire.amending import Amend, Pause
 from rsb_bridge.wire.framing import ZSTD
-from rsb_bridge.wire.messages import Accept, Close, Describe, Ping, Propose, Ready, Refuse
-from rsb_bridge.wire.questions import AskType, ListTopics, TopicList
+from rsb_bridge.wire.messages import (
+    Accept,
+    Amend,
+    AskType,
+    Close,
+    Describe,
+    ListTopics,
+    Pause,
+    Ping,
+    Propose,
+    Ready,
+    Refuse,
+    TopicList,
+)
 from rsb_bridge.wire.records import Source, TopicEntry
 
 if TYPE_CHECKING:

@@ -19,7 +19,7 @@ from rsb_bridge.route.calls.by_hand import CallError
 from rsb_bridge.route.calls.route import CallsRoute
 from rsb_bridge.route.peeking import PeekError, Peeking
 from rsb_bridge.route.topic_route import TopicRoute
-from rsb_bridge.wire.by_hand import ByHand
+from rsb_bridge.wire.messages import ByHand
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
     from rsb_bridge.bridge import Bridge
     from rsb_bridge.model.benchmark import Outcome
-    from rsb_bridge.wire.benchmark import BenchAnswer
+    from rsb_bridge.wire.messages import BenchAnswer
 
 LEAVE = Leave(seconds=60.0, max_rate=5_000.0, megabytes=50.0)
 WITHIN = 60.0

@@ -11,7 +11,7 @@ from rsb_bridge.model.benchmark import Leave, Order, bench_topic
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.ros.no_ros import NoRos
 from rsb_bridge.ros.synthetic import Synthetic, Time
-from rsb_bridge.wire.benchmark import BenchAnswer, BenchAsk
+from rsb_bridge.wire.messages import BenchAnswer, BenchAsk
 
 if TYPE_CHECKING:
     import pytest

@@ -17,8 +17,7 @@ from rsb_bridge.channel.shared_stream import SharedStream
 from rsb_bridge.channel.stream import stream_channel
 from rsb_bridge.transport.rfcomm import RfcommStream
 from rsb_bridge.transport.streams import Stream, StreamHandler
-from rsb_bridge.wire.budget import Budget
-from rsb_bridge.wire.framing import DataWriter
+from rsb_bridge.wire.framing import Budget, DataWriter
 from rsb_bridge.wire.sealing import SessionKeys, Suite
 
 if TYPE_CHECKING:

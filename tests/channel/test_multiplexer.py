@@ -13,8 +13,7 @@ from rsb_bridge.channel.data_keys import DataKeys
 from rsb_bridge.channel.multiplexer import CHUNK, MultiplexedReceiver, MultiplexedSender, Multiplexer
 from rsb_bridge.transport.rfcomm import RfcommStream
 from rsb_bridge.transport.streams import Stream, StreamHandler
-from rsb_bridge.wire.budget import Budget
-from rsb_bridge.wire.framing import HEADER, LENGTH, DataWriter, FrameReader
+from rsb_bridge.wire.framing import HEADER, LENGTH, Budget, DataWriter, FrameReader
 from rsb_bridge.wire.sealing import Sealer, SessionKeys, Suite
 
 if TYPE_CHECKING:

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from tests.channel.test_duplex import End, Place, Route
 
     from rsb_bridge.wire.framing import Message
-    from rsb_bridge.wire.receipts import Receipts
+    from rsb_bridge.wire.messages import Receipts
 
 
 @dataclass

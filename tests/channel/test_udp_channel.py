@@ -18,8 +18,8 @@ from rsb_bridge.channel.udp_channel import ClientUdpChannel, ServerUdpChannel, U
 from rsb_bridge.transport.streams import StreamHandler
 from rsb_bridge.transport.transport import Acceptor
 from rsb_bridge.transport.udp import Udp
-from rsb_bridge.wire.budget import Budget
 from rsb_bridge.wire.datagram import PROBE_ROUTE, DatagramWriter, Probe
+from rsb_bridge.wire.framing import Budget
 from rsb_bridge.wire.sealing import SessionKeys, Suite
 
 if TYPE_CHECKING:

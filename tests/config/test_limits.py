@@ -25,9 +25,9 @@ from rsb_bridge.model.qos import PROFILES
 from rsb_bridge.model.session import Session, Topic
 from rsb_bridge.transport.registry import default_transports
 from rsb_bridge.wire.codec import decode, decode_hello, encode
-from rsb_bridge.wire.framing import ProtocolError
 from rsb_bridge.wire.messages import Hello, Propose
 from rsb_bridge.wire.preamble import control_header, parse_control
+from rsb_bridge.wire.protocol_error import ProtocolError
 from rsb_bridge.wire.sealing import Suite
 
 TRANSPORTS = default_transports()

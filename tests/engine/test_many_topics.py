@@ -21,8 +21,7 @@ from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import Level
 from rsb_bridge.transport import names, tcp
-from rsb_bridge.wire.messages import Accept, Ping, Pong, Propose
-from rsb_bridge.wire.questions import ListTopics, TopicList
+from rsb_bridge.wire.messages import Accept, ListTopics, Ping, Pong, Propose, TopicList
 
 if TYPE_CHECKING:
     from tests.support.bridge import Bridge

@@ -26,7 +26,7 @@ from rsb_bridge.model.session import Topic, ZenohSettings
 from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.verdict import LinkCause
 from rsb_bridge.transport.zenoh.endpoint import ROOT
-from rsb_bridge.wire import sample_tags
+from rsb_bridge.wire import sealing
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -136,7 +136,7 @@ def test_a_side_without_tags_links_and_carries(
     older: str, bridge: Bridge, router: Router, robot: Domain, pc: Domain, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     there, out = pc.listener("/odom"), robot.publisher("/odom")
-    known = tuple(each for each in roles.FEATURES if each != sample_tags.FEATURE)
+    known = tuple(each for each in roles.FEATURES if each != sealing.FEATURE)
 
     def begin(side: str) -> Engine:
         with monkeypatch.context() as patch:

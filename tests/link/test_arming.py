@@ -27,10 +27,7 @@ from rsb_bridge.route.gates import gated
 from rsb_bridge.route.judging import standing_of
 from rsb_bridge.route.lease import LASTS, SLOW
 from rsb_bridge.route.verdict import Facts
-from rsb_bridge.wire.amending import Pause
-from rsb_bridge.wire.arming import Arm, Armed, Disarm
-from rsb_bridge.wire.lease import Lease
-from rsb_bridge.wire.messages import Close, Describe, Propose, Provide
+from rsb_bridge.wire.messages import Arm, Armed, Close, Describe, Disarm, Lease, Pause, Propose, Provide
 from rsb_bridge.wire.records import LaneEntry
 from rsb_bridge.wire.records import Source as Origin
 

@@ -21,12 +21,20 @@ from rsb_bridge.link.slices import BYTES, ENTRIES, in_slices
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.limits import ROUTES_PER_LINK
 from rsb_bridge.model.qos import Qos
-from rsb_bridge.wire.codec import WHOLE, decode, decode_in_parts, encode
+from rsb_bridge.wire.codec import (
+    WHOLE,
+    ReportParts,
+    TopicListParts,
+    decode,
+    decode_in_parts,
+    encode,
+    report_entries,
+    topic_entries,
+)
 from rsb_bridge.wire.events import Received, Undecoded
-from rsb_bridge.wire.framing import CONTROL_LIMIT, ProtocolError
-from rsb_bridge.wire.messages import ControlMessage, Describe, Ping, Report
-from rsb_bridge.wire.parts import ReportParts, TopicListParts, report_entries, topic_entries
-from rsb_bridge.wire.questions import TopicList
+from rsb_bridge.wire.framing import CONTROL_LIMIT
+from rsb_bridge.wire.messages import ControlMessage, Describe, Ping, Report, TopicList
+from rsb_bridge.wire.protocol_error import ProtocolError
 from rsb_bridge.wire.records import CallsReport, ReceivedReport, SentReport, Source, TopicEntry
 
 if TYPE_CHECKING:
@@ -222,7 +230,7 @@ def unbounded(kind: inspect.Type, where: str) -> list[str]:
 
 
 def test_all_other_lists_in_control_messages_are_short() -> None:
-    """A new list needs a limit, or parts of its own (`rsb_bridge.wire.parts`)."""
+    """A new list needs a limit, or parts of its own (`rsb_bridge.wire.codec`)."""
     kinds = get_args(ControlMessage)
     found = {each for kind in kinds for each in unbounded(inspect.type_info(kind), kind.__name__)}
     assert found == {"Report.sent", "Report.received", "Report.calls", "TopicList.topics"}

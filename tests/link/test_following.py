@@ -12,8 +12,7 @@ from rsb_bridge.link.following import FollowedByPeer
 from rsb_bridge.link.pattern_entry import PatternEntry
 from rsb_bridge.model.patterns import NAMES_FOLLOWED
 from rsb_bridge.model.session import Session, Topic
-from rsb_bridge.wire.following import Follow, Followed, FoundName, NamePattern
-from rsb_bridge.wire.messages import Propose
+from rsb_bridge.wire.messages import Follow, Followed, FoundName, NamePattern, Propose
 
 if TYPE_CHECKING:
     from rsb_bridge.context import Context

@@ -14,7 +14,7 @@ from tests.support.waiting import eventually
 
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.verdict import LinkCause
-from rsb_bridge.wire.foreign import recognise
+from rsb_bridge.wire.preamble import recognise
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

@@ -18,9 +18,7 @@ from rsb_bridge.model.limits import LATE_AFTER_FEATURE, MAX_AGE_FEATURE
 from rsb_bridge.model.max_age import ARMED
 from rsb_bridge.model.session import Client, Kind, Topic
 from rsb_bridge.model.snapshot import State
-from rsb_bridge.wire.amending import Amend
-from rsb_bridge.wire.messages import Accept, Ping, Pong, Propose, Provide, Refuse
-from rsb_bridge.wire.questions import ListTopics, TopicList
+from rsb_bridge.wire.messages import Accept, Amend, ListTopics, Ping, Pong, Propose, Provide, Refuse, TopicList
 
 if TYPE_CHECKING:
     from tests.support.bridge import Bridge

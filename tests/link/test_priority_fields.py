@@ -14,8 +14,7 @@ from rsb_bridge.model.session import Topic
 from rsb_bridge.route.limits import limits_changed
 from rsb_bridge.route.route import Route
 from rsb_bridge.transport.registry import default_transports
-from rsb_bridge.wire.amending import Amend
-from rsb_bridge.wire.messages import Propose
+from rsb_bridge.wire.messages import Amend, Propose
 
 
 def proposal(topic: Topic) -> Propose:

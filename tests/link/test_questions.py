@@ -13,7 +13,7 @@ from rsb_bridge.link.questions import QUESTIONS_KEPT, Questions
 from rsb_bridge.link.topic_lists import TopicLists
 from rsb_bridge.ros.graph_entries import CALLED
 from rsb_bridge.ros.no_ros import NoRos
-from rsb_bridge.wire.questions import AskType, ListTopics, TopicList, TypeText
+from rsb_bridge.wire.messages import AskType, ListTopics, TopicList, TypeText
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Coroutine

@@ -16,7 +16,7 @@ from rsb_bridge.ros.graph_entries import MOST_ENTRIES
 from rsb_bridge.ros.no_ros import NoRos
 from rsb_bridge.wire.codec import decode_in_parts, encode
 from rsb_bridge.wire.framing import CONTROL_LIMIT
-from rsb_bridge.wire.questions import ListTopics, TopicList
+from rsb_bridge.wire.messages import ListTopics, TopicList
 from rsb_bridge.wire.records import TopicEntry
 
 if TYPE_CHECKING:

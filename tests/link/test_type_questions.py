@@ -15,7 +15,7 @@ from rsb_bridge.link.type_questions import TypeQuestions
 from rsb_bridge.ros import type_descriptions
 from rsb_bridge.ros.api import RosError
 from rsb_bridge.ros.type_descriptions import TypeDescriptions
-from rsb_bridge.wire.questions import AskType, TypeText
+from rsb_bridge.wire.messages import AskType, TypeText
 
 if TYPE_CHECKING:
     from collections.abc import Coroutine

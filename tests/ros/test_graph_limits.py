@@ -14,8 +14,7 @@ from rsb_bridge.model.qos import Qos, clamp_qos, match_publishers, match_subscri
 from rsb_bridge.ros.conversions import endpoint_of
 from rsb_bridge.ros.rcl import Participant
 from rsb_bridge.wire.codec import decode, encode
-from rsb_bridge.wire.messages import Describe, Report
-from rsb_bridge.wire.questions import TopicList
+from rsb_bridge.wire.messages import Describe, Report, TopicList
 from rsb_bridge.wire.records import ReceivedReport, SentReport, Source, TopicEntry
 
 STRING = "std_msgs/msg/String"

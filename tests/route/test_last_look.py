@@ -15,10 +15,8 @@ from rsb_bridge.ros.turns import RosTurns
 from rsb_bridge.route.calls.refusals import Refused
 from rsb_bridge.route.lease import LASTS, Lease
 from rsb_bridge.route.volatile import FREE, VolatileTopic
-from rsb_bridge.wire.budget import Budget
-from rsb_bridge.wire.calls import CallFrame, What
-from rsb_bridge.wire.framing import LEASED
-from rsb_bridge.wire.lease import with_number
+from rsb_bridge.wire.framing import LEASED, Budget
+from rsb_bridge.wire.headers import CallFrame, What, with_number
 from rsb_bridge.wire.messages import Provide
 from rsb_bridge.wire.records import LaneEntry
 

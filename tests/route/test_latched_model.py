@@ -22,8 +22,8 @@ from rsb_bridge.route.latched import PUBLISHER_COST, LatchedFullError, LatchedTo
 from rsb_bridge.telemetry.event_log import EventLog
 from rsb_bridge.telemetry.meters import RateMeter
 from rsb_bridge.transport.registry import default_transports
-from rsb_bridge.wire.budget import Budget
-from rsb_bridge.wire.history import HistoryHeader, publisher_id
+from rsb_bridge.wire.framing import Budget
+from rsb_bridge.wire.headers import HistoryHeader, publisher_id
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -10,7 +10,7 @@ import pytest
 
 from rsb_bridge.ros.api import RosError
 from rsb_bridge.route.volatile import BURST_DEPTH, FREE, SlowSubscriberError, VolatileTopic
-from rsb_bridge.wire.budget import Budget
+from rsb_bridge.wire.framing import Budget
 
 LIMIT = 40_000_000
 

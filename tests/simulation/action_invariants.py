@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
     from rsb_bridge.link.link import Link
     from rsb_bridge.route.calls.route import CallsRoute
-    from rsb_bridge.wire.calls import CallFrame
+    from rsb_bridge.wire.headers import CallFrame
 
 REACHED_WITHIN = 15.0
 """s from when nothing keeps an action from being reached until its clients see it."""

@@ -9,7 +9,7 @@ from tests.simulation.action_invariants import in_flight, left_of_ended_calls
 
 from rsb_bridge.route.calls.calling import CallingRoute
 from rsb_bridge.route.calls.route import CallsRoute
-from rsb_bridge.wire.calls import CALL_HEADER_LENGTH
+from rsb_bridge.wire.headers import CALL_HEADER_LENGTH
 
 if TYPE_CHECKING:
     from tests.simulation.exchanges import Exchange

@@ -16,7 +16,7 @@ from rsb_bridge.route.calls import kept_answers
 from rsb_bridge.route.calls.calling_action import CallingAction
 from rsb_bridge.route.calls.providing_action import ProvidingAction
 from rsb_bridge.route.calls.refusals import Refused
-from rsb_bridge.wire.calls import CallFrame, What
+from rsb_bridge.wire.headers import CallFrame, What
 
 if TYPE_CHECKING:
     import pytest

@@ -22,7 +22,7 @@ from rsb_bridge.model.codes import EventCode
 from rsb_bridge.transport.streams import StreamHandler
 from rsb_bridge.transport.transport import Acceptor
 from rsb_bridge.transport.udp import Udp
-from rsb_bridge.wire.budget import Budget
+from rsb_bridge.wire.framing import Budget
 from rsb_bridge.wire.sealing import SessionKeys, Suite
 
 if TYPE_CHECKING:

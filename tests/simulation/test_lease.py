@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 
     from rsb_bridge.model.session import Protocol
     from rsb_bridge.route.route import Route
-    from rsb_bridge.wire import lease as wire
+    from rsb_bridge.wire import messages as wire
 
 SECONDS = 90.0
 _CLIMATE = replace(STILL, checks=(1.0, 1.0), patience=4.0)

@@ -18,7 +18,7 @@ from rsb_bridge.route.pause import Revisions
 from rsb_bridge.route.peer_budget import PeerBudget
 from rsb_bridge.telemetry.event_log import EventLog
 from rsb_bridge.transport.registry import Transports, default_transports
-from rsb_bridge.wire import lease
+from rsb_bridge.wire.headers import LEASE_FEATURE
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -77,7 +77,7 @@ class FakePeer:
     full_out: Fullness | None = None
     fullness_undecided = False
     full_in: Fullness | None = None
-    features: tuple[str, ...] = (FEATURE, lease.FEATURE)
+    features: tuple[str, ...] = (FEATURE, LEASE_FEATURE)
     down_reason = ""
     connections = 1
 

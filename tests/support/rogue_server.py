@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Self
 from rsb_bridge.wire.connection import Credential, ServerConnection
 from rsb_bridge.wire.events import Established, Received
 from rsb_bridge.wire.framing import CONTROL_LIMIT
+from rsb_bridge.wire.handshake import ReplayCache
 from rsb_bridge.wire.messages import Hello, Welcome
-from rsb_bridge.wire.replay_cache import ReplayCache
 
 if TYPE_CHECKING:
     from rsb_bridge.wire.messages import ControlMessage

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, NamedTuple, cast
 
 from rsb_bridge.transport.zenoh.pipe import Pipe
 from rsb_bridge.transport.zenoh.sample import Header, Kind
-from rsb_bridge.wire.sample_tags import SampleTags
+from rsb_bridge.wire.sealing import SampleTags
 
 if TYPE_CHECKING:
     from rsb_bridge.transport.zenoh.endpoint import Endpoint

@@ -18,8 +18,7 @@ from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.model.session import Client, Topic
 from rsb_bridge.telemetry.event_limit import A_SECOND, AT_ONCE
-from rsb_bridge.wire.amending import Pause
-from rsb_bridge.wire.messages import Close, Ping, Pong, Propose
+from rsb_bridge.wire.messages import Close, Pause, Ping, Pong, Propose
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator

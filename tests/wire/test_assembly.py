@@ -6,9 +6,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rsb_bridge.wire.assembly import Assembly
-from rsb_bridge.wire.budget import Budget
-from rsb_bridge.wire.framing import HEADER, MORE, ZSTD, DataReader, DataWriter, Message, ProtocolError
+from rsb_bridge.wire.framing import HEADER, MORE, ZSTD, Assembly, Budget, DataReader, DataWriter, Message
+from rsb_bridge.wire.protocol_error import ProtocolError
 from rsb_bridge.wire.sealing import Sealer, SealError, StreamOpener, Suite
 
 KEY = bytes(range(32))

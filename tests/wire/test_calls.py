@@ -8,8 +8,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rsb_bridge.wire.calls import CALL_HEADER_LENGTH, MOST_TOOK, CallFrame, What, unpack_call
-from rsb_bridge.wire.framing import ProtocolError
+from rsb_bridge.wire.headers import CALL_HEADER_LENGTH, MOST_TOOK, CallFrame, What, unpack_call
+from rsb_bridge.wire.protocol_error import ProtocolError
 
 FRAMES = [
     CallFrame(What.CALL, 0, 1, 0, b"\0\1\0\0request"),

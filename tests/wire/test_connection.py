@@ -26,12 +26,10 @@ from rsb_bridge.wire.codec import encode
 from rsb_bridge.wire.connection import ClientConnection, Credential, ServerConnection
 from rsb_bridge.wire.events import Established, Event, Failed, Received, Refused
 from rsb_bridge.wire.framing import CONTROL_LIMIT, LENGTH, DataWriter, pack_frame
-from rsb_bridge.wire.handshake import NoiseHandshake
-from rsb_bridge.wire.messages import Hello, Ping, Pong, Ready, Welcome
+from rsb_bridge.wire.handshake import NoiseHandshake, ReplayCache
+from rsb_bridge.wire.messages import Hello, Ping, Pong, Ready, TopicList, Welcome
 from rsb_bridge.wire.preamble import Kind, Refusal, RefusalCode, preamble_frame, refuse_frame
-from rsb_bridge.wire.questions import TopicList
 from rsb_bridge.wire.records import TopicEntry
-from rsb_bridge.wire.replay_cache import ReplayCache
 from rsb_bridge.wire.sealing import Role, Sealer, Suite
 
 ROLES: tuple[Role, ...] = ("client", "server")

@@ -5,7 +5,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rsb_bridge.wire.budget import Budget
 from rsb_bridge.wire.datagram import (
     FRAGMENTS_LIMIT,
     PROBE_ROUTE,
@@ -16,7 +15,8 @@ from rsb_bridge.wire.datagram import (
     addressee,
     unpack_probe,
 )
-from rsb_bridge.wire.framing import SOURCE_FLAGS, SOURCE_SHIFT, ZSTD, ProtocolError
+from rsb_bridge.wire.framing import SOURCE_FLAGS, SOURCE_SHIFT, ZSTD, Budget
+from rsb_bridge.wire.protocol_error import ProtocolError
 from rsb_bridge.wire.sealing import DatagramOpener, Sealer, Suite
 
 KEY = bytes(range(32))

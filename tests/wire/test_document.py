@@ -14,7 +14,7 @@ from rsb_bridge.model.limits import DEPTH, QOS_TIME, RATE, REASON_LENGTH, STALE_
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.model.session import Kind
 from rsb_bridge.route.calls.refusals import Refused
-from rsb_bridge.wire import calls, following, messages, preamble, records
+from rsb_bridge.wire import headers, messages, preamble, records
 from rsb_bridge.wire.fields import RefuseCode
 
 DOCUMENT = (Path(rsb_bridge.__file__).parent / "PROTOCOL.md").read_text(encoding="utf-8")
@@ -29,8 +29,8 @@ STRUCTS = {
     "LaneEntry": records.LaneEntry,
     "CallsReport": records.CallsReport,
     "TopicEntry": records.TopicEntry,
-    "NamePattern": following.NamePattern,
-    "FoundName": following.FoundName,
+    "NamePattern": messages.NamePattern,
+    "FoundName": messages.FoundName,
     "qos": Qos,
 } | {message.__name__: message for message in typing.get_args(messages.ControlMessage)}
 
@@ -90,8 +90,8 @@ def test_the_limits_are_documented() -> None:
 
 def test_the_frames_of_calls_are_documented() -> None:
     text = _section(8)
-    assert f"a header of {calls.CALL_HEADER_LENGTH} bytes" in " ".join(text.split())
-    for what in calls.What:
+    assert f"a header of {headers.CALL_HEADER_LENGTH} bytes" in " ".join(text.split())
+    for what in headers.What:
         assert f"{what.value} {what.name.lower()}" in text
 
 

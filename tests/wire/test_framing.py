@@ -7,20 +7,20 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rsb_bridge.wire.budget import Budget
 from rsb_bridge.wire.framing import (
     DATA,
     MORE,
     SOURCE_FLAGS,
     SOURCE_SHIFT,
     ZSTD,
+    Budget,
     DataReader,
     DataWriter,
     FrameReader,
     Message,
-    ProtocolError,
     pack_frame,
 )
+from rsb_bridge.wire.protocol_error import ProtocolError
 from rsb_bridge.wire.sealing import Sealer, SealError, StreamOpener, Suite
 
 FLAGS = [0, ZSTD, SOURCE_FLAGS, ZSTD | 1 << SOURCE_SHIFT]

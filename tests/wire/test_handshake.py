@@ -7,8 +7,8 @@ The second ciphertext depends on that hash, and the third and fourth on the fina
 import pytest
 from cryptography.hazmat.primitives.asymmetric.x25519 import X25519PrivateKey
 
-from rsb_bridge.wire.framing import ProtocolError
 from rsb_bridge.wire.handshake import NoiseHandshake, PlainHandshake
+from rsb_bridge.wire.protocol_error import ProtocolError
 from rsb_bridge.wire.sealing import Sealer, SealError, StreamOpener, Suite
 
 PSK = bytes.fromhex("54686973206973206d7920417573747269616e20706572737065637469766521")

@@ -6,8 +6,8 @@ import struct
 
 import pytest
 
-from rsb_bridge.wire.framing import ProtocolError
-from rsb_bridge.wire.history import HistoryHeader, publisher_id, split_history
+from rsb_bridge.wire.headers import HistoryHeader, publisher_id, split_history
+from rsb_bridge.wire.protocol_error import ProtocolError
 
 PUBLISHER = bytes(range(16))
 

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import pytest
 
-from rsb_bridge.wire.lease import LAST_NUMBER, split_number, with_number
+from rsb_bridge.wire.headers import LAST_LEASE, split_number, with_number
 from rsb_bridge.wire.protocol_error import ProtocolError
 
 
-@pytest.mark.parametrize("number", [0, 1, LAST_NUMBER])
+@pytest.mark.parametrize("number", [0, 1, LAST_LEASE])
 @pytest.mark.parametrize("content", [b"", b"content"])
 def test_the_number_stands_before_the_content(number: int, content: bytes) -> None:
     packed = with_number(number, content)

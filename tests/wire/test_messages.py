@@ -9,35 +9,47 @@ from hypothesis import strategies as st
 
 from rsb_bridge.model.qos import PROFILES, Qos
 from rsb_bridge.model.text import sanitize_text
-from rsb_bridge.wire.amending import Amend, Limit, Pause
-from rsb_bridge.wire.arming import Arm, Armed, Disarm
-from rsb_bridge.wire.benchmark import BenchAnswer, BenchAsk
-from rsb_bridge.wire.by_hand import ByHand
 from rsb_bridge.wire.codec import decode, decode_hello, decode_welcome, encode
-from rsb_bridge.wire.following import Follow, Followed, FoundName, NamePattern
-from rsb_bridge.wire.framing import ProtocolError
-from rsb_bridge.wire.lease import Lease, Settled
 from rsb_bridge.wire.messages import (
     Accept,
+    Amend,
+    Arm,
+    Armed,
+    AskType,
+    BenchAnswer,
+    BenchAsk,
+    ByHand,
     Close,
     ControlMessage,
     Describe,
+    Disarm,
     Duplicate,
+    Follow,
+    Followed,
+    FoundName,
     Hello,
+    Lease,
+    Limit,
+    ListTopics,
+    NamePattern,
     Neighbours,
+    Pause,
     Ping,
     Pong,
     Propose,
     Provide,
     Publishers,
     Ready,
+    Receipts,
     Refuse,
     Report,
+    Settled,
     Shutdown,
+    TopicList,
+    TypeText,
     Welcome,
 )
-from rsb_bridge.wire.questions import AskType, ListTopics, TopicList, TypeText
-from rsb_bridge.wire.receipts import Receipts
+from rsb_bridge.wire.protocol_error import ProtocolError
 from rsb_bridge.wire.records import (
     CallsReport,
     LaneEntry,

@@ -7,8 +7,7 @@ import pytest
 
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.wire.codec import decode, decode_hello, encode
-from rsb_bridge.wire.messages import ControlMessage, Hello, Propose, Report
-from rsb_bridge.wire.questions import ListTopics, TopicList
+from rsb_bridge.wire.messages import ControlMessage, Hello, ListTopics, Propose, Report, TopicList
 from rsb_bridge.wire.records import CallsReport, SentReport, TopicEntry
 
 SAID = {

@@ -10,8 +10,8 @@ from tests.wire.links import KEY, OTHER_KEY, make_client, make_server, the
 from rsb_bridge.model.fingerprints import fingerprint_of
 from rsb_bridge.wire.connection import Credential
 from rsb_bridge.wire.events import Admitted, Event, Failed, Opened, Refused
-from rsb_bridge.wire.framing import LENGTH, PREAMBLE_LIMIT, ProtocolError, pack_frame
-from rsb_bridge.wire.handshake import NoiseHandshake
+from rsb_bridge.wire.framing import LENGTH, PREAMBLE_LIMIT, pack_frame
+from rsb_bridge.wire.handshake import NoiseHandshake, ReplayCache
 from rsb_bridge.wire.operators import (
     HOST_BYTES,
     RECORD_CONTENT,
@@ -31,7 +31,7 @@ from rsb_bridge.wire.preamble import (
     preamble_frame,
     refuse_frame,
 )
-from rsb_bridge.wire.replay_cache import ReplayCache
+from rsb_bridge.wire.protocol_error import ProtocolError
 
 VERSION = 7
 TAG = SUITE.tag_length

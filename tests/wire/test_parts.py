@@ -6,11 +6,17 @@ import msgspec
 import pytest
 
 from rsb_bridge.model.qos import Qos
-from rsb_bridge.wire.codec import WHOLE, decode_in_parts, encode
-from rsb_bridge.wire.messages import Report
-from rsb_bridge.wire.parts import ReportParts, TopicListParts, report_entries, topic_entries
+from rsb_bridge.wire.codec import (
+    WHOLE,
+    ReportParts,
+    TopicListParts,
+    decode_in_parts,
+    encode,
+    report_entries,
+    topic_entries,
+)
+from rsb_bridge.wire.messages import Report, TopicList
 from rsb_bridge.wire.protocol_error import ProtocolError
-from rsb_bridge.wire.questions import TopicList
 from rsb_bridge.wire.records import CallsReport, ReceivedReport, SentReport, TopicEntry
 
 SENT, RECEIVED, CALLS = SentReport(route=1, offered=5), ReceivedReport(route=2, received=7), CallsReport(route=3)

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from rsb_bridge.channel.metered import Meter
-    from rsb_bridge.wire.budget import Budget
+    from rsb_bridge.wire.framing import Budget
     from rsb_bridge.wire.sealing import Role, SessionKeys
 
 

@@ -10,8 +10,7 @@ from rsb_bridge.wire.framing import DataReader
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from rsb_bridge.wire.budget import Budget
-    from rsb_bridge.wire.framing import Message
+    from rsb_bridge.wire.framing import Budget, Message
     from rsb_bridge.wire.sealing import Buffer, DatagramOpener, StreamOpener
 
 Meter: TypeAlias = "Callable[[int], bool]"

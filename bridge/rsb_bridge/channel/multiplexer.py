@@ -14,7 +14,8 @@ from typing import TYPE_CHECKING
 
 from rsb_bridge.channel.receipts import ReceiptSender, WindowedSender
 from rsb_bridge.model.priority import weight_of
-from rsb_bridge.wire.framing import LENGTH, ProtocolError
+from rsb_bridge.wire.framing import LENGTH
+from rsb_bridge.wire.protocol_error import ProtocolError
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

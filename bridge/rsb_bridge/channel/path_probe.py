@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from rsb_bridge.wire.datagram import PROBE_ROUTE, Probe, Receipt, unpack_probe
-from rsb_bridge.wire.framing import ProtocolError
+from rsb_bridge.wire.protocol_error import ProtocolError
 
 if TYPE_CHECKING:
     from rsb_bridge.channel.data_keys import DataKeys

@@ -10,7 +10,7 @@ from enum import Enum
 from typing import TYPE_CHECKING
 
 from rsb_bridge.channel.window import FIRST_RECEIPT, ReceiptCounter, Window
-from rsb_bridge.wire.receipts import MOST_RECEIPTS, Receipts
+from rsb_bridge.wire.messages import MOST_RECEIPTS, Receipts
 
 if TYPE_CHECKING:
     import asyncio

@@ -10,12 +10,13 @@ from typing import TYPE_CHECKING, Protocol
 
 from rsb_bridge.channel.multiplexer import Multiplexer
 from rsb_bridge.transport.streams import Stream, StreamHandler
-from rsb_bridge.wire.framing import CONTROL_LIMIT, DATA, HEADER, FrameReader, ProtocolError
+from rsb_bridge.wire.framing import CONTROL_LIMIT, DATA, HEADER, FrameReader
 from rsb_bridge.wire.preamble import MAGIC, Refusal
+from rsb_bridge.wire.protocol_error import ProtocolError
 from rsb_bridge.wire.sealing import SealError
 
 if TYPE_CHECKING:
-    from rsb_bridge.wire.budget import Budget
+    from rsb_bridge.wire.framing import Budget
 
 
 class SharedStreamOwner(Protocol):

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 from rsb_bridge.channel.large_messages import LARGE, LargeMessages
 from rsb_bridge.channel.receipts import ReceiptSender, WindowedSender
 from rsb_bridge.transport.streams import Stream, StreamHandler
-from rsb_bridge.wire.framing import ProtocolError
+from rsb_bridge.wire.protocol_error import ProtocolError
 from rsb_bridge.wire.sealing import SealError
 
 if TYPE_CHECKING:

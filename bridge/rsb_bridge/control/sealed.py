@@ -28,9 +28,9 @@ from rsb_bridge.model.token_bucket import TokenBucket
 from rsb_bridge.transport.streams import OpenNetworkTransport
 from rsb_bridge.wire.connection import Credential
 from rsb_bridge.wire.events import Admitted, Failed, Opened, Refused
+from rsb_bridge.wire.handshake import ReplayCache
 from rsb_bridge.wire.operators import OperatorEngine
 from rsb_bridge.wire.preamble import Refusal, RefusalCode
-from rsb_bridge.wire.replay_cache import ReplayCache
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -15,7 +15,7 @@ from rsb_bridge.model.max_age import default_max_age, smallest_max_age
 from rsb_bridge.model.snapshot import Level
 from rsb_bridge.model.token_bucket import TokenBucket
 from rsb_bridge.route.arming import SAID, Disarmed
-from rsb_bridge.wire.arming import Arm, Armed, Disarm
+from rsb_bridge.wire.messages import Arm, Armed, Disarm
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Hashable
@@ -28,9 +28,7 @@ if TYPE_CHECKING:
     from rsb_bridge.route.lease import Standstill
     from rsb_bridge.route.peer import Peer
     from rsb_bridge.route.route import Route
-    from rsb_bridge.wire.arming import ArmingMessage
-    from rsb_bridge.wire.lease import Settled
-    from rsb_bridge.wire.messages import Propose
+    from rsb_bridge.wire.messages import ArmingMessage, Propose, Settled
 
 _AT_ONCE, _A_SECOND = 20.0, 1 / 30
 """Armings by one link's peer: each is in the log, so more than people need are refused."""

@@ -28,7 +28,7 @@ from rsb_bridge.model.benchmark import (
 from rsb_bridge.model.session import Topic
 from rsb_bridge.model.text import sanitize_text
 from rsb_bridge.ros.synthetic import Arrived, resources, synthetic_of
-from rsb_bridge.wire.benchmark import BenchAnswer, BenchAsk
+from rsb_bridge.wire.messages import BenchAnswer, BenchAsk
 
 if TYPE_CHECKING:
     from collections.abc import Callable

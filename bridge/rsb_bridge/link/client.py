@@ -23,7 +23,7 @@ from rsb_bridge.model.snapshot import Level
 from rsb_bridge.model.verdict import LinkCause
 from rsb_bridge.transport import descriptors
 from rsb_bridge.transport.streams import Stream, os_error_message
-from rsb_bridge.wire import sample_tags
+from rsb_bridge.wire import sealing
 from rsb_bridge.wire.connection import ClientConnection, DataConnection
 from rsb_bridge.wire.events import Accepted, Established, Event
 from rsb_bridge.wire.messages import Welcome
@@ -101,7 +101,7 @@ class ClientLink(Link):
 
     @property
     def sample_secret(self) -> bytes | None:
-        return super().sample_secret if sample_tags.FEATURE in self._hello.features else None
+        return super().sample_secret if sealing.FEATURE in self._hello.features else None
 
     def shared_port(self) -> int:
         return self.port

@@ -13,15 +13,16 @@ from rsb_bridge.model.token_bucket import TokenBucket
 from rsb_bridge.transport.streams import Stream, StreamHandler
 from rsb_bridge.wire.codec import decode_in_parts
 from rsb_bridge.wire.events import DataFrame, Event, Failed, Received, Refused, Undecoded
-from rsb_bridge.wire.framing import CONTROL_LIMIT, ProtocolError
+from rsb_bridge.wire.framing import CONTROL_LIMIT
 from rsb_bridge.wire.messages import Describe, Shutdown
+from rsb_bridge.wire.protocol_error import ProtocolError
 from rsb_bridge.wire.sealing import SealError
 
 if TYPE_CHECKING:
     from rsb_bridge.link.slices import Slices
+    from rsb_bridge.wire.codec import ReportParts, TopicListParts
     from rsb_bridge.wire.connection import ClientConnection, ServerConnection
     from rsb_bridge.wire.messages import ControlMessage
-    from rsb_bridge.wire.parts import ReportParts, TopicListParts
 
 _MOST_WAITING = 8 * CONTROL_LIMIT
 """Bytes; a thousand routes' reports are a fifth of one frame, and 6 s of silence end the link."""

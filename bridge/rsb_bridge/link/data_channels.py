@@ -23,8 +23,8 @@ if TYPE_CHECKING:
     from rsb_bridge.model.snapshot import Level
     from rsb_bridge.route.route import Route
     from rsb_bridge.transport.streams import Stream, StreamHandler
-    from rsb_bridge.wire.budget import Budget
-    from rsb_bridge.wire.receipts import Receipts
+    from rsb_bridge.wire.framing import Budget
+    from rsb_bridge.wire.messages import Receipts
     from rsb_bridge.wire.sealing import Role, SessionKeys
 
 

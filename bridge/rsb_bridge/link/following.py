@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from rsb_bridge.model.lanes import LANES
 from rsb_bridge.model.limits import TEXT_LENGTH
 from rsb_bridge.model.patterns import NAMES_FOLLOWED, Pattern, is_valid
-from rsb_bridge.wire.following import Followed, FoundName
+from rsb_bridge.wire.messages import Followed, FoundName
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection
@@ -16,8 +16,7 @@ if TYPE_CHECKING:
     from rsb_bridge.context import Context
     from rsb_bridge.link.name_watch import Named, Names
     from rsb_bridge.model.session import Kind
-    from rsb_bridge.wire.following import Follow, NamePattern
-    from rsb_bridge.wire.messages import ControlMessage
+    from rsb_bridge.wire.messages import ControlMessage, Follow, NamePattern
 
 _KINDS: dict[str, Kind] = {kind: kind for kind in LANES}
 _IN_ONE_MESSAGE = 200

@@ -5,7 +5,8 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from rsb_bridge.route.lease import BEAT, Lease, Standstill
-from rsb_bridge.wire import lease as wire
+from rsb_bridge.wire import messages as wire
+from rsb_bridge.wire.headers import LEASE_FEATURE
 
 if TYPE_CHECKING:
     import asyncio
@@ -48,7 +49,7 @@ class LinkLease:
     @property
     def supported(self) -> bool:
         """Whether the other side takes part."""
-        return wire.FEATURE in self._peer.features
+        return LEASE_FEATURE in self._peer.features
 
     def hold(self) -> None:
         """Keep the lease from now on, for a route that is about to be armed, and send a number at once."""

@@ -35,14 +35,26 @@ from rsb_bridge.route.peer_budget import PeerBudget
 from rsb_bridge.tasks import Tasks
 from rsb_bridge.transport.streams import CLOSED_BY_PEER
 from rsb_bridge.transport.transport import StreamTransport
-from rsb_bridge.wire import sample_tags
-from rsb_bridge.wire.benchmark import BenchAnswer, BenchAsk
-from rsb_bridge.wire.following import Follow, Followed
-from rsb_bridge.wire.framing import ProtocolError
-from rsb_bridge.wire.messages import Duplicate, Neighbours, Ping, Pong, Report, Shutdown
-from rsb_bridge.wire.parts import ReportParts, TopicListParts
-from rsb_bridge.wire.questions import AskType, ListTopics, TopicList, TypeText
-from rsb_bridge.wire.receipts import Receipts
+from rsb_bridge.wire import sealing
+from rsb_bridge.wire.codec import ReportParts, TopicListParts
+from rsb_bridge.wire.messages import (
+    AskType,
+    BenchAnswer,
+    BenchAsk,
+    Duplicate,
+    Follow,
+    Followed,
+    ListTopics,
+    Neighbours,
+    Ping,
+    Pong,
+    Receipts,
+    Report,
+    Shutdown,
+    TopicList,
+    TypeText,
+)
+from rsb_bridge.wire.protocol_error import ProtocolError
 
 if TYPE_CHECKING:
     import asyncio
@@ -234,7 +246,7 @@ class Link(ABC):
     @property
     def sample_secret(self) -> bytes | None:
         """The secret of the sample tags of routes' streams, or None if the peer sends none."""
-        if self.keys is None or sample_tags.FEATURE not in self.features:
+        if self.keys is None or sealing.FEATURE not in self.features:
             return None
         return self.keys.sample_secret
 

@@ -24,8 +24,7 @@ from rsb_bridge.model.patterns import (
     ROUTES_PER_PATTERN,
 )
 from rsb_bridge.model.snapshot import Level
-from rsb_bridge.wire.following import Follow, NamePattern
-from rsb_bridge.wire.messages import Welcome
+from rsb_bridge.wire.messages import Follow, NamePattern, Welcome
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterable
@@ -36,7 +35,7 @@ if TYPE_CHECKING:
     from rsb_bridge.model.patterns import Pattern
     from rsb_bridge.model.session import Identity, Kind, Topic
     from rsb_bridge.route.route import Route
-    from rsb_bridge.wire.following import Followed
+    from rsb_bridge.wire.messages import Followed
 
 _REMEMBERED: Final = 10_000
 _GONE: Final = f"gone for {GONE_AFTER / 60:g} min"

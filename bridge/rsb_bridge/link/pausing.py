@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from rsb_bridge.link.peer_operators import acting_operator
-from rsb_bridge.wire.amending import Pause
+from rsb_bridge.wire.messages import Pause
 
 if TYPE_CHECKING:
     from rsb_bridge.link.peer_operators import PeerOperators

@@ -18,8 +18,7 @@ if TYPE_CHECKING:
     from rsb_bridge.context import Context
     from rsb_bridge.model.session import Topic
     from rsb_bridge.route.route import Route
-    from rsb_bridge.wire.by_hand import ByHand
-    from rsb_bridge.wire.messages import Propose
+    from rsb_bridge.wire.messages import ByHand, Propose
 
 _AT_ONCE, _A_SECOND = 20.0, 1 / 300
 """Actions of one link's peer that are recorded: the time line keeps 500 of all operators."""

@@ -16,8 +16,7 @@ from rsb_bridge.model.names import server_topic
 from rsb_bridge.model.priority import RANKS, priority_of
 from rsb_bridge.model.profiles import PLAIN, compression_of
 from rsb_bridge.model.session import Topic
-from rsb_bridge.wire.amending import Amend
-from rsb_bridge.wire.messages import Propose
+from rsb_bridge.wire.messages import Amend, Propose
 
 if TYPE_CHECKING:
     from collections.abc import Container

@@ -8,8 +8,8 @@ from rsb_bridge.link.slices import in_slices
 from rsb_bridge.route.calls.route import CallsRoute
 from rsb_bridge.route.incoming import IncomingRoute
 from rsb_bridge.route.outgoing import OutgoingRoute
+from rsb_bridge.wire.codec import report_entries
 from rsb_bridge.wire.messages import Report
-from rsb_bridge.wire.parts import report_entries
 from rsb_bridge.wire.records import ReceivedReport, SentReport
 
 if TYPE_CHECKING:
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
     from rsb_bridge.link.slices import Slices
     from rsb_bridge.route.route import Route
-    from rsb_bridge.wire.parts import ReportParts
+    from rsb_bridge.wire.codec import ReportParts
     from rsb_bridge.wire.records import CallsReport, FullRecord
 
 _REPORTED_AT_ONCE = 250

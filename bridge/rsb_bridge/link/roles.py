@@ -29,7 +29,8 @@ from rsb_bridge.model.snapshot import Level
 from rsb_bridge.model.verdict import LinkCause
 from rsb_bridge.tasks import Tasks
 from rsb_bridge.transport.transport import ListenError
-from rsb_bridge.wire import lease, sample_tags
+from rsb_bridge.wire import sealing
+from rsb_bridge.wire.headers import LEASE_FEATURE
 from rsb_bridge.wire.messages import Hello, Welcome
 from rsb_bridge.wire.sealing import Suite
 
@@ -50,9 +51,9 @@ Keys = Mapping[str, tuple[Key, ...]]
 """Those that are valid, the next one last, by client's name; none: without encryption."""
 FEATURES = (
     lanes.FEATURE, priority.FEATURE, benchmark.FEATURE, patterns.FEATURE, window.FEATURE, LATE_AFTER_FEATURE,
-    lease.FEATURE,
+    LEASE_FEATURE,
     MAX_AGE_FEATURE,
-    sample_tags.FEATURE,
+    sealing.FEATURE,
 )  # fmt: skip
 """What this version can do beyond version 2 of the wire format."""
 ReportStep = Callable[[str], None]

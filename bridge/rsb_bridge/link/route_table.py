@@ -23,11 +23,27 @@ from rsb_bridge.route.arming import Disarmed
 from rsb_bridge.route.keys import route_key
 from rsb_bridge.tasks import in_slices
 from rsb_bridge.transport.transport import ListenError
-from rsb_bridge.wire.amending import Amend, Limit, Pause
-from rsb_bridge.wire.arming import Arm, Armed, ArmingMessage, Disarm
-from rsb_bridge.wire.by_hand import ByHand
-from rsb_bridge.wire.lease import Lease, LeaseMessage, Settled
-from rsb_bridge.wire.messages import Accept, Close, Describe, Propose, Provide, Publishers, Ready, Refuse
+from rsb_bridge.wire.messages import (
+    Accept,
+    Amend,
+    Arm,
+    Armed,
+    ArmingMessage,
+    ByHand,
+    Close,
+    Describe,
+    Disarm,
+    Lease,
+    LeaseMessage,
+    Limit,
+    Pause,
+    Propose,
+    Provide,
+    Publishers,
+    Ready,
+    Refuse,
+    Settled,
+)
 
 if TYPE_CHECKING:
     from rsb_bridge.context import Context

@@ -19,9 +19,9 @@ from rsb_bridge.model.profiles import profile_of
 from rsb_bridge.model.snapshot import Level
 from rsb_bridge.model.verdict import LinkCause
 from rsb_bridge.transport.transport import ListenError, StreamTransport
+from rsb_bridge.wire.handshake import ReplayCache
 from rsb_bridge.wire.messages import Duplicate, Hello, Propose, Shutdown
 from rsb_bridge.wire.preamble import DataPreamble, Refusal, RefusalCode, parse_further
-from rsb_bridge.wire.replay_cache import ReplayCache
 from rsb_bridge.wire.sealing import SealError
 
 if TYPE_CHECKING:

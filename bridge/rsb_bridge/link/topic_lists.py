@@ -18,9 +18,9 @@ from rsb_bridge.model.lanes import LANES
 from rsb_bridge.model.limits import TEXT_LENGTH
 from rsb_bridge.model.snapshot import TopicInfo
 from rsb_bridge.ros.graph_entries import CALLED, graph_of
+from rsb_bridge.wire.codec import topic_entries
 from rsb_bridge.wire.framing import CONTROL_LIMIT
-from rsb_bridge.wire.parts import topic_entries
-from rsb_bridge.wire.questions import ListTopics, TopicList
+from rsb_bridge.wire.messages import ListTopics, TopicList
 from rsb_bridge.wire.records import TopicEntry
 
 if TYPE_CHECKING:
@@ -29,8 +29,8 @@ if TYPE_CHECKING:
     from rsb_bridge.link.slices import Slices
     from rsb_bridge.model.session import Kind
     from rsb_bridge.ros.api import RosInterface
+    from rsb_bridge.wire.codec import TopicListParts
     from rsb_bridge.wire.messages import ControlMessage
-    from rsb_bridge.wire.parts import TopicListParts
 
 _ANSWERED_WITHIN = 5.0
 _MOST_ENTRIES = 4000

@@ -10,7 +10,7 @@ import zstandard
 from rsb_bridge.cdr.description import DESCRIPTION_LIMIT
 from rsb_bridge.link.errors import LinkError
 from rsb_bridge.link.questions import Questions
-from rsb_bridge.wire.questions import AskType, TypeText
+from rsb_bridge.wire.messages import AskType, TypeText
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Coroutine

@@ -14,7 +14,7 @@ from rsb_bridge.model.demands import NO_DEMAND, Demand
 from rsb_bridge.model.snapshot import ArmingSnapshot
 from rsb_bridge.route.lease import SLOW
 from rsb_bridge.wire.framing import LEASED
-from rsb_bridge.wire.lease import split_number, with_number
+from rsb_bridge.wire.headers import split_number, with_number
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Hashable

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from rsb_bridge.model.limits import LATCHED_DEPTH
 from rsb_bridge.ros.api import RosError
-from rsb_bridge.wire.history import HistoryHeader, publisher_id
+from rsb_bridge.wire.headers import HistoryHeader, publisher_id
 
 if TYPE_CHECKING:
     import asyncio

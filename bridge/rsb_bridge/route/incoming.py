@@ -33,9 +33,10 @@ from rsb_bridge.route.topic_route import TopicRoute
 from rsb_bridge.route.unpacking import ExpandsTooMuchError, Unpacker
 from rsb_bridge.route.verdict import no_subscriber
 from rsb_bridge.route.volatile import SlowSubscriberError
-from rsb_bridge.wire.framing import HISTORY, LEASED, SOURCE_SHIFT, ZSTD, Message, ProtocolError
-from rsb_bridge.wire.history import PUBLISHER_ID_LENGTH, HistoryHeader, split_history
+from rsb_bridge.wire.framing import HISTORY, LEASED, SOURCE_SHIFT, ZSTD, Message
+from rsb_bridge.wire.headers import PUBLISHER_ID_LENGTH, HistoryHeader, split_history
 from rsb_bridge.wire.messages import Describe, Propose, Ready, Refuse
+from rsb_bridge.wire.protocol_error import ProtocolError
 from rsb_bridge.wire.records import ReceivedReport, SentReport
 
 if TYPE_CHECKING:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, NamedTuple
 from rsb_bridge.route.arming import SAID, Disarmed
 from rsb_bridge.route.stages import accepted_stage
 from rsb_bridge.route.verdict import Facts
-from rsb_bridge.wire import lease
+from rsb_bridge.wire.headers import LEASE_FEATURE
 
 if TYPE_CHECKING:
     from rsb_bridge.route.route import Route
@@ -61,7 +61,7 @@ def standing_of(route: Route) -> Standing:
 
 def _why_not_armable(route: Route) -> Disarmed | None:
     """Return the reason why no operator can arm it now, whoever tries, or None."""
-    if lease.FEATURE not in route.peer.features:
+    if LEASE_FEATURE not in route.peer.features:
         return Disarmed.PEER_TOO_OLD
     return Disarmed.LINK_SLOW if route.arming.why is Disarmed.LINK_SLOW else None
 

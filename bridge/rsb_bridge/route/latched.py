@@ -21,8 +21,8 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterable, Iterator
 
     from rsb_bridge.ros.api import Publisher
-    from rsb_bridge.wire.budget import Budget
-    from rsb_bridge.wire.history import HistoryHeader
+    from rsb_bridge.wire.framing import Budget
+    from rsb_bridge.wire.headers import HistoryHeader
 
 PUBLISHER_COST = 1 << 20
 """Bytes that are counted with each publisher, which bounds their number. DDS needs about 170 kB."""

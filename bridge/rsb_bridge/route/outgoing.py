@@ -29,7 +29,7 @@ from rsb_bridge.route.type_budget import TypeUse
 from rsb_bridge.route.verdict import no_subscriber
 from rsb_bridge.transport.transport import DatagramTransport
 from rsb_bridge.wire.fields import MOST_PUBLISHERS
-from rsb_bridge.wire.history import publisher_id
+from rsb_bridge.wire.headers import publisher_id
 from rsb_bridge.wire.messages import Describe, Propose, Publishers, Ready
 from rsb_bridge.wire.records import ReceivedReport, SentReport
 

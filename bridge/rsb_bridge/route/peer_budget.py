@@ -8,8 +8,7 @@ from rsb_bridge.route.message_check import CHECKED_A_SECOND, CHECKED_AT_ONCE
 from rsb_bridge.route.rate_limit import AllowedRates
 from rsb_bridge.route.type_budget import TypeBudget
 from rsb_bridge.route.unpacking import ExpansionBudget
-from rsb_bridge.wire.budget import Budget
-from rsb_bridge.wire.framing import UNFINISHED_LIMIT
+from rsb_bridge.wire.framing import UNFINISHED_LIMIT, Budget
 
 KEPT_LIMIT = 1 << 30
 """Bytes of messages that all publishers of a link keep together."""

@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING
 import zstandard
 
 from rsb_bridge.model.token_bucket import TokenBucket
-from rsb_bridge.wire.framing import HISTORY, MESSAGE_LIMIT, ZSTD, ProtocolError
-from rsb_bridge.wire.history import split_history
+from rsb_bridge.wire.framing import HISTORY, MESSAGE_LIMIT, ZSTD
+from rsb_bridge.wire.headers import split_history
+from rsb_bridge.wire.protocol_error import ProtocolError
 
 if TYPE_CHECKING:
     import asyncio

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from rsb_bridge.ros.api import Publisher
-    from rsb_bridge.wire.budget import Budget
+    from rsb_bridge.wire.framing import Budget
 
 FREE = 1 << 16
 """Bytes that each publisher may hold uncounted, so that topics of small messages go on whatever the others hold."""

@@ -161,7 +161,7 @@ class Stream(asyncio.Protocol):
         """Take only what the peer proves to have sent, where others could send, too.
 
         Args:
-            secret: of both sides (`rsb_bridge.wire.sample_tags`), or None if the peer proves nothing.
+            secret: of both sides (`rsb_bridge.wire.sealing`), or None if the peer proves nothing.
             opener: this side opened the stream.
         """
         if secret is not None and isinstance(self._transport, OpenNetworkTransport):

@@ -2,15 +2,76 @@
 
 from __future__ import annotations
 
-from typing import TypeVar, Union, get_args
+from typing import TYPE_CHECKING, Annotated, TypeAlias, TypeVar, Union, get_args
 
 import msgspec
+from msgspec import Meta, Raw
 
-from rsb_bridge.wire.fields import PRINTABLE
-from rsb_bridge.wire.framing import ProtocolError
-from rsb_bridge.wire.messages import ControlMessage, Hello, Report, Welcome
-from rsb_bridge.wire.parts import ReportParts, TopicListParts
-from rsb_bridge.wire.questions import TopicList
+from rsb_bridge.model.limits import ROUTES_PER_LINK
+from rsb_bridge.wire.fields import PRINTABLE, Count
+from rsb_bridge.wire.messages import ControlMessage, Hello, Report, TopicList, Welcome
+from rsb_bridge.wire.protocol_error import ProtocolError
+from rsb_bridge.wire.records import CallsReport, FullRecord, ReceivedReport, SentReport, TopicEntry
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+# msgspec resolves the annotations at run time
+
+
+_E = TypeVar("_E")
+
+_Entries: TypeAlias = Annotated[tuple[Raw, ...], Meta(max_length=ROUTES_PER_LINK)]
+
+
+class ReportParts(msgspec.Struct, frozen=True, tag_field="message", tag="report"):
+    """A `rsb_bridge.wire.messages.Report` whose entries are not decoded."""
+
+    sent: _Entries
+    received: _Entries
+    calls: _Entries = ()
+    full: FullRecord | None = None
+
+
+class TopicListParts(msgspec.Struct, frozen=True, tag_field="message", tag="topiclist"):
+    """A `rsb_bridge.wire.messages.TopicList` whose entries are not decoded."""
+
+    request: Count
+    topics: tuple[Raw, ...]
+
+
+_sent = msgspec.msgpack.Decoder(SentReport)
+_received = msgspec.msgpack.Decoder(ReceivedReport)
+_calls = msgspec.msgpack.Decoder(CallsReport)
+_topic = msgspec.msgpack.Decoder(TopicEntry)
+
+
+def report_entries(report: Report | ReportParts) -> Iterator[tuple[SentReport | ReceivedReport | CallsReport, int]]:
+    """Yield the entries of a report, each decoded when it is asked for, with its bytes, or 0 if it was decoded before.
+
+    Raises:
+        msgspec.DecodeError: the next one is invalid.
+    """
+    yield from _decoded(report.sent, _sent)
+    yield from _decoded(report.received, _received)
+    yield from _decoded(report.calls, _calls)
+
+
+def topic_entries(topics: TopicList | TopicListParts) -> Iterator[tuple[TopicEntry, int]]:
+    """Yield the entries of a list of topics, as `report_entries` does."""
+    yield from _decoded(topics.topics, _topic)
+
+
+def _decoded(
+    entries: tuple[_E, ...] | tuple[Raw, ...], decoder: msgspec.msgpack.Decoder[_E]
+) -> Iterator[tuple[_E, int]]:
+    for entry in entries:
+        if isinstance(entry, Raw):
+            content = memoryview(entry)
+            yield decoder.decode(content), len(content)
+        else:
+            yield entry, 0
+
 
 _T = TypeVar("_T")
 

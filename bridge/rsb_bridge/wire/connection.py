@@ -9,7 +9,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, NamedTuple
 
 from rsb_bridge.model.fingerprints import FINGERPRINT_LENGTH, fingerprint_of
-from rsb_bridge.wire import sample_tags
+from rsb_bridge.wire import sealing
 from rsb_bridge.wire.codec import decode, decode_hello, decode_welcome, encode
 from rsb_bridge.wire.events import (
     Accepted,
@@ -20,12 +20,14 @@ from rsb_bridge.wire.events import (
     Refused,
     Undecoded,
 )
-from rsb_bridge.wire.framing import CONTROL, CONTROL_LIMIT, DATA, HEADER, FrameReader, ProtocolError, pack_frame
+from rsb_bridge.wire.framing import CONTROL, CONTROL_LIMIT, DATA, HEADER, FrameReader, pack_frame
 from rsb_bridge.wire.handshake import Handshake, NoiseHandshake, PlainHandshake
 from rsb_bridge.wire.preamble import (
     MAGIC,
     ControlPreamble,
     Kind,
+    Phase,
+    PreambleStream,
     Refusal,
     RefusalCode,
     control_header,
@@ -39,15 +41,14 @@ from rsb_bridge.wire.preamble import (
     preamble_frame,
     take_frame,
 )
-from rsb_bridge.wire.preamble_stream import Phase, PreambleStream
-from rsb_bridge.wire.protocol_error import ForeignProtocolError
+from rsb_bridge.wire.protocol_error import ForeignProtocolError, ProtocolError
 from rsb_bridge.wire.sealing import Buffer, Sealer, SealError, SessionKeys, StreamOpener, Suite
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
+    from rsb_bridge.wire.handshake import ReplayCache
     from rsb_bridge.wire.messages import ControlMessage, Hello, Welcome
-    from rsb_bridge.wire.replay_cache import ReplayCache
 
 _NOT_CONFIRMED = "the client did not confirm the handshake"
 _CONTROL_HEADER = HEADER.pack(CONTROL, 0, 0, 0)
@@ -230,9 +231,9 @@ class ClientConnection(_Control):
         keys = self._handshake.split()
         self._proven, self._at = self._key is not None, welcome.at
         if keys.export is not None and all(
-            sample_tags.FEATURE in each for each in (self._hello.features, welcome.features)
+            sealing.FEATURE in each for each in (self._hello.features, welcome.features)
         ):
-            self._sample_secret = sample_tags.derive_sample_secret(keys.export)
+            self._sample_secret = sealing.derive_sample_secret(keys.export)
         self._start_sealing(self._suite, keys.client, keys.server)
         self._write(b"")  # the confirmation, which a replay of a recorded first message can't give
         if welcome.taken:
@@ -356,8 +357,8 @@ class ServerConnection(_Control):
         keys = handshake.split()
         self._start_sealing(offer.suite, keys.server, keys.client)
         self._fingerprint = b"" if key is None else offer.fingerprint
-        if keys.export is not None and sample_tags.FEATURE in hello.features:
-            self._sample_secret = sample_tags.derive_sample_secret(keys.export)
+        if keys.export is not None and sealing.FEATURE in hello.features:
+            self._sample_secret = sealing.derive_sample_secret(keys.export)
         if welcome.taken:
             self._unconfirmed = Refused(RefusalCode.NAME_TAKEN, welcome.taken, hello)
         elif welcome.shut_down:

@@ -6,7 +6,6 @@ import struct
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
-from rsb_bridge.wire.budget import Budget
 from rsb_bridge.wire.framing import (
     HISTORY,
     LEASED,
@@ -14,9 +13,10 @@ from rsb_bridge.wire.framing import (
     SOURCE_FLAGS,
     UNFINISHED_LIMIT,
     ZSTD,
+    Budget,
     Message,
-    ProtocolError,
 )
+from rsb_bridge.wire.protocol_error import ProtocolError
 from rsb_bridge.wire.sealing import Buffer, DatagramOpener, Sealer, SealError
 
 MAGIC = 0xB5

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import hashlib
 import hmac
+from collections import deque
 from typing import NamedTuple, Protocol
 
 from cryptography.hazmat.primitives.asymmetric.x25519 import X25519PrivateKey, X25519PublicKey
 
-from rsb_bridge.wire.framing import ProtocolError
+from rsb_bridge.wire.protocol_error import ProtocolError
 from rsb_bridge.wire.sealing import KEY_LENGTH, Sealer, StreamOpener, Suite
 
 _NAMES = {
@@ -156,3 +157,23 @@ def _hkdf(chaining_key: bytes, material: bytes) -> tuple[bytes, bytes, bytes]:
     first = hmac.digest(temporary, b"\x01", "sha256")
     second = hmac.digest(temporary, first + b"\x02", "sha256")
     return first, second, hmac.digest(temporary, second + b"\x03", "sha256")
+
+
+_MOST = 512
+_EPHEMERAL_LENGTH = 32
+"""Bytes at a first message's beginning that its sender chooses anew each time (X25519)."""
+
+
+class ReplayCache:
+    """A client's newest first messages that opened under its key."""
+
+    def __init__(self) -> None:
+        self._seen: deque[bytes] = deque(maxlen=_MOST)
+
+    def is_new(self, message: bytes) -> bool:
+        """Remember a first message; returns False where it came before."""
+        ephemeral = message[:_EPHEMERAL_LENGTH]
+        if ephemeral in self._seen:
+            return False
+        self._seen.append(ephemeral)
+        return True

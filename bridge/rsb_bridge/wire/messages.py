@@ -5,21 +5,22 @@ from __future__ import annotations
 from typing import Annotated, TypeAlias
 
 import msgspec
-from msgspec import Meta
+from msgspec import UNSET, Meta, UnsetType
 
+from rsb_bridge.model.benchmark import MOST_SIZE
 from rsb_bridge.model.lanes import MOST_LANES
-from rsb_bridge.model.qos import Qos  # noqa: TC001 - msgspec resolves the annotation at run time
+from rsb_bridge.model.limits import DEADMAN_TIME
+from rsb_bridge.model.patterns import NAMES_FOLLOWED, PATTERNS_PER_LINK
+from rsb_bridge.model.qos import Qos
 from rsb_bridge.model.sources import MOST_SOURCES
-from rsb_bridge.wire.amending import Amend, Limit, Pause
-from rsb_bridge.wire.arming import Arm, Armed, Disarm, check_deadman
-from rsb_bridge.wire.benchmark import BenchAnswer, BenchAsk
-from rsb_bridge.wire.by_hand import ByHand
 from rsb_bridge.wire.fields import (
     Bridges,
     Compression,
     Count,
+    DescriptionText,
     Features,
     Hertz,
+    Kinds,
     LateAfter,
     LinkId,
     MaxAge,
@@ -41,11 +42,7 @@ from rsb_bridge.wire.fields import (
     check_limits,
     check_max_age,
 )
-from rsb_bridge.wire.following import Follow, Followed
-from rsb_bridge.wire.lease import Lease, Settled
-from rsb_bridge.wire.message import ControlMessageBase as _Message
-from rsb_bridge.wire.questions import AskType, ListTopics, TopicList, TypeText
-from rsb_bridge.wire.receipts import Receipts
+from rsb_bridge.wire.headers import LeaseNumber
 from rsb_bridge.wire.records import (
     CallsReport,
     FullRecord,
@@ -53,11 +50,16 @@ from rsb_bridge.wire.records import (
     ReceivedReport,
     SentReport,
     Source,
+    TopicEntry,
     check_qos,
 )
 
 
-class Hello(_Message, frozen=True):
+class ControlMessageBase(msgspec.Struct, frozen=True, tag_field="message", tag=str.lower):
+    """One control message: a msgpack map whose `message` is the type's name in lower case."""
+
+
+class Hello(ControlMessageBase, frozen=True):
     """The client, in the handshake.
 
     Attributes:
@@ -77,7 +79,7 @@ class Hello(_Message, frozen=True):
     host: Name = ""
 
 
-class Welcome(_Message, frozen=True):
+class Welcome(ControlMessageBase, frozen=True):
     """The server, in the handshake.
 
     Attributes:
@@ -105,7 +107,7 @@ class Welcome(_Message, frozen=True):
     at: Name = ""
 
 
-class Propose(_Message, frozen=True, kw_only=True):
+class Propose(ControlMessageBase, frozen=True, kw_only=True):
     """Either side: bridge this topic. Answered by `Accept` or `Refuse`.
 
     Attributes:
@@ -167,7 +169,7 @@ class Propose(_Message, frozen=True, kw_only=True):
         check_deadman(self.deadman)
 
 
-class Accept(_Message, frozen=True):
+class Accept(ControlMessageBase, frozen=True):
     """A `Propose` is accepted.
 
     Attributes:
@@ -189,7 +191,7 @@ class Accept(_Message, frozen=True):
         check_max_age(self.max_age)
 
 
-class Refuse(_Message, frozen=True):
+class Refuse(ControlMessageBase, frozen=True):
     """A `Propose` is refused, or an accepted route turns out to be impossible.
 
     Attributes:
@@ -203,14 +205,14 @@ class Refuse(_Message, frozen=True):
     reason: Reason
 
 
-class Describe(_Message, frozen=True):
+class Describe(ControlMessageBase, frozen=True):
     """The sending side describes the messages that it will send.
 
     Attributes:
         route: route id.
         type: ``pkg/msg/Name``.
         type_hash: ``RIHS01_...``; may be empty.
-        qos: to publish with; a depth of 0: as the messages themselves say (`rsb_bridge.wire.history`), or as the
+        qos: to publish with; a depth of 0: as the messages themselves say (`rsb_bridge.wire.headers`), or as the
             receiver likes.
         sources: what to have publishers for, by number. Described again, there may be more of them, never fewer.
     """
@@ -225,7 +227,7 @@ class Describe(_Message, frozen=True):
         check_qos(self.qos)
 
 
-class Ready(_Message, frozen=True):
+class Ready(ControlMessageBase, frozen=True):
     """The receiving side has publishers, and the sending side may send. Answers each `Describe`.
 
     Attributes:
@@ -242,7 +244,7 @@ class Ready(_Message, frozen=True):
     newest: NewestNumbers = msgspec.field(default_factory=dict)
 
 
-class Publishers(_Message, frozen=True):
+class Publishers(ControlMessageBase, frozen=True):
     """The sending side of a latched topic: which publishers are there; after each `Ready`, and when they change.
 
     Attributes:
@@ -254,7 +256,7 @@ class Publishers(_Message, frozen=True):
     present: PublisherIds
 
 
-class Provide(_Message, frozen=True):
+class Provide(ControlMessageBase, frozen=True):
     """The providing side of what is called: what there is to call; after `Accept`, and whenever that changes.
 
     Attributes:
@@ -272,7 +274,7 @@ class Provide(_Message, frozen=True):
     pause_revision: Count = 0
 
 
-class Neighbours(_Message, frozen=True):
+class Neighbours(ControlMessageBase, frozen=True):
     """Either side, before anything else and again when it changes: which bridges are in its domain.
 
     Attributes:
@@ -282,7 +284,7 @@ class Neighbours(_Message, frozen=True):
     bridges: Bridges
 
 
-class Close(_Message, frozen=True):
+class Close(ControlMessageBase, frozen=True):
     """Either side: the route ends.
 
     Attributes:
@@ -298,7 +300,7 @@ class Close(_Message, frozen=True):
     who: Name = ""
 
 
-class Ping(_Message, frozen=True):
+class Ping(ControlMessageBase, frozen=True):
     """Either side asks whether the peer is alive, and what time it has.
 
     Attributes:
@@ -310,7 +312,7 @@ class Ping(_Message, frozen=True):
     sent: Nanoseconds
 
 
-class Pong(_Message, frozen=True):
+class Pong(ControlMessageBase, frozen=True):
     """The answer to a `Ping`: the first three of an exchange's four times (RFC 5905, section 8).
 
     Attributes:
@@ -329,7 +331,7 @@ class Pong(_Message, frozen=True):
     shift: Shift = 0
 
 
-class Report(_Message, frozen=True):
+class Report(ControlMessageBase, frozen=True):
     """Either side: its counts, once a second.
 
     Attributes:
@@ -345,7 +347,7 @@ class Report(_Message, frozen=True):
     full: FullRecord | None = None
 
 
-class Duplicate(_Message, frozen=True):
+class Duplicate(ControlMessageBase, frozen=True):
     """The server: a second client has the name and the key of this one, and is refused.
 
     Attributes:
@@ -359,7 +361,7 @@ class Duplicate(_Message, frozen=True):
     others: Count = 0
 
 
-class Shutdown(_Message, frozen=True):
+class Shutdown(ControlMessageBase, frozen=True):
     """Either side: this link ends on purpose.
 
     Attributes:
@@ -371,6 +373,321 @@ class Shutdown(_Message, frozen=True):
     retry_after: Seconds | None = 0.0
 
 
+class ListTopics(ControlMessageBase, frozen=True):
+    """Either side asks for the peer's topics. Answered by a `TopicList` with the same request number.
+
+    Attributes:
+        request: counts up.
+        kinds: what is asked for besides topics; those that are not known are a newer peer's, and ignored.
+    """
+
+    request: Count
+    kinds: Kinds = ()
+
+
+class TopicList(ControlMessageBase, frozen=True):
+    """The answer to `ListTopics`."""
+
+    request: Count
+    topics: tuple[TopicEntry, ...]
+
+
+class AskType(ControlMessageBase, frozen=True):
+    """Either side asks for the description of a route's type. Answered by a `TypeText`.
+
+    Attributes:
+        route: route id.
+    """
+
+    route: RouteId
+
+
+class TypeText(ControlMessageBase, frozen=True):
+    """The answer to `AskType`.
+
+    Attributes:
+        route: route id.
+        text: the description, zstd-compressed (`rsb_bridge.cdr.description`); empty: this side does not know it.
+    """
+
+    route: RouteId
+    text: DescriptionText = b""
+
+
+class Amend(ControlMessageBase, frozen=True):
+    """The route goes on with other limits; the fields are those of `Propose`.
+
+    The route's proposer decides: it tells what holds from now on. The other side asks it by the same message, and
+    changes nothing before the proposer has answered. `who` is the operator who changes it; empty in an answer. An older
+    side sends no `priority`, `late_after` or `max_age`; then the route keeps its own.
+    """
+
+    route: RouteId
+    max_rate: Hertz = 0.0
+    expected_rate: Hertz = 0.0
+    stale_after: StaleAfter | None = None
+    who: Name = ""
+    priority: Rank | None = None
+    late_after: LateAfter | UnsetType | None = UNSET
+    max_age: MaxAge | UnsetType | None = UNSET
+
+    def __post_init__(self) -> None:
+        check_limits(self.max_rate, self.expected_rate, self.stale_after, self.late_after, self.max_age)
+
+
+class Limit(ControlMessageBase, frozen=True):
+    """Either side: it lets no more of the route's messages cross, whatever the proposer has asked for.
+
+    Attributes:
+        route: route id.
+        max_rate: Hz; 0: all.
+    """
+
+    route: RouteId
+    max_rate: Hertz = 0.0
+
+    def __post_init__(self) -> None:
+        check_limits(self.max_rate)
+
+
+class Pause(ControlMessageBase, frozen=True):
+    """Either side: the route pauses or resumes.
+
+    Attributes:
+        route: route id.
+        paused: it pauses; else it resumes.
+        revision: of the change that led to this state: above all that the side that made it had seen. The higher one
+            counts on both sides, and of two equal ones the client's.
+        who: the operator who made it, in words; empty: not known any more.
+    """
+
+    route: RouteId
+    paused: bool
+    revision: Count
+    who: Name = ""
+
+
+def check_deadman(seconds: float) -> None:
+    """Raise ValueError where a deadman time is out of range."""
+    if seconds and seconds not in DEADMAN_TIME:
+        raise ValueError(f"deadman is 0 or {DEADMAN_TIME} s")
+
+
+class Arm(ControlMessageBase, frozen=True):
+    """Either side: an operator arms the route, which the other side answers by `Armed`.
+
+    Sent again, once a second at most, when that operator has pressed a key.
+
+    Attributes:
+        route: route id. Under one id a route is armed once.
+        who: the operator, in words.
+    """
+
+    route: RouteId
+    who: Name = ""
+
+
+class Armed(ControlMessageBase, frozen=True):
+    """The answer to `Arm`: both sides hold the route for armed from here on.
+
+    Attributes:
+        route: route id.
+    """
+
+    route: RouteId
+
+
+class Disarm(ControlMessageBase, frozen=True):
+    """Either side: the route is not armed any more, or cannot be armed under this id. Its proposer opens it anew.
+
+    Attributes:
+        route: route id.
+        cause: why, a stable name.
+        who: the operator who did it, in words; empty: it came by itself.
+    """
+
+    route: RouteId
+    cause: Name
+    who: Name = ""
+
+
+ArmingMessage: TypeAlias = Arm | Armed | Disarm
+
+
+Size: TypeAlias = Annotated[int, Meta(ge=0, le=MOST_SIZE)]
+Difference: TypeAlias = Annotated[float, Meta(ge=-1e9, le=1e9)]
+
+
+class BenchAsk(ControlMessageBase, frozen=True):
+    """The side that measures: what has the other one counted, and used? Answered by a `BenchAnswer` of the same number.
+
+    Attributes:
+        request: counts up.
+        route: of a topic that measures.
+        reset: what arrives is counted from 0 on from now on.
+        size: bytes of each message to be sent by the other side.
+        rate: Hz of these.
+        count: how many; 0: none.
+    """
+
+    request: Count
+    route: RouteId
+    reset: bool = False
+    size: Size = 0
+    rate: Hertz = 0.0
+    count: Count = 0
+
+
+class BenchAnswer(ControlMessageBase, frozen=True):
+    """The answer to `BenchAsk`.
+
+    Attributes:
+        request: the question's.
+        problem: why it is not done, for an operator; empty: it is.
+        sent: messages that the last run has sent.
+        rate: Hz that it has reached; 0: it is not over.
+        received: messages since the last reset.
+        p50: s on the two wall clocks, of these messages, likewise those below.
+        p99: s.
+        p999: s.
+        cpu: s of processor time that the process has used.
+        memory: bytes that it has.
+        sent_bytes: handed to the sockets of its links.
+        received_bytes: likewise.
+        max_rate: Hz that the asker may cause; 0: any.
+    """
+
+    request: Count
+    problem: Reason = ""
+    sent: Count = 0
+    rate: Hertz = 0.0
+    received: Count = 0
+    p50: Difference = 0.0
+    p99: Difference = 0.0
+    p999: Difference = 0.0
+    cpu: Seconds = 0.0
+    memory: Count = 0
+    sent_bytes: Count = 0
+    received_bytes: Count = 0
+    max_rate: Hertz = 0.0
+
+
+class ByHand(ControlMessageBase, frozen=True):
+    """Either side: an operator there calls by hand what a route provides. The call itself is none of this message's.
+
+    Attributes:
+        route: route id.
+        lane: of the route.
+        request: what the operator wrote, or the beginning of it, on one line.
+        who: the operator, in words.
+        outcome: what became of the call, in words; empty: it is about to be made.
+    """
+
+    route: RouteId
+    lane: Count = 0
+    request: Reason = ""
+    who: Name = ""
+    outcome: Reason = ""
+
+
+MOST_RECEIPTS = 500
+"""Entries of each list in one message."""
+_Counts: TypeAlias = Annotated[tuple[tuple[RouteId, Count], ...], Meta(max_length=MOST_RECEIPTS)]
+
+
+class Receipts(ControlMessageBase, frozen=True, omit_defaults=True):
+    """Receipts for streams, from either side. An entry for a route that is not open is ignored.
+
+    Attributes:
+        received: route ids with the bytes of their channels that the sender of the message has received.
+        every: route ids with the bytes after which the sender of the route wants a receipt.
+    """
+
+    received: _Counts = ()
+    every: _Counts = ()
+
+
+class NamePattern(msgspec.Struct, frozen=True, omit_defaults=True):
+    """Names that are asked for.
+
+    Attributes:
+        pattern: of names on the side that is asked (`rsb_bridge.model.patterns`); what is none asks for nothing.
+        kind: of what they are names; what only newer versions have is ignored.
+    """
+
+    pattern: Name
+    kind: Name = "topic"
+
+
+class FoundName(msgspec.Struct, frozen=True, omit_defaults=True):
+    """A name that matches.
+
+    Attributes:
+        name: it.
+        type: empty where its endpoints disagree, or it has none.
+        kind: what it is; another one is a newer peer's.
+    """
+
+    name: Name
+    type: Name = ""
+    kind: Name = "topic"
+
+
+Patterns: TypeAlias = Annotated[tuple[NamePattern, ...], Meta(max_length=PATTERNS_PER_LINK)]
+Names: TypeAlias = Annotated[tuple[FoundName, ...], Meta(max_length=NAMES_FOLLOWED)]
+
+
+class Follow(ControlMessageBase, frozen=True):
+    """Either side asks to be told which names of the peer's graph match, from now on. Takes an earlier one's place.
+
+    Attributes:
+        request: counts up.
+        patterns: none ends it.
+    """
+
+    request: Count
+    patterns: Patterns = ()
+
+
+class Followed(ControlMessageBase, frozen=True):
+    """What has changed since the last answer to a `Follow`; the first one has all there is, even if that is nothing.
+
+    Attributes:
+        request: the `Follow`'s.
+        present: what matches, and did not or had another type.
+        gone: what does not any more.
+        more: how many more match than are told.
+    """
+
+    request: Count
+    present: Names = ()
+    gone: Names = ()
+    more: Count = 0
+
+
+class Lease(ControlMessageBase, frozen=True):
+    """A number from either side, sent several times a second while a route is armed or an operator asks for that.
+
+    Attributes:
+        number: of this message among its sender's, counting up.
+        echo: the newest number that its sender has heard from the other side, or 0 before the first.
+    """
+
+    number: LeaseNumber
+    echo: LeaseNumber = 0
+
+
+class Settled(ControlMessageBase, frozen=True):
+    """The answer to `Disarm`: the sender publishes nothing of that opening any more.
+
+    Attributes:
+        route: route id.
+    """
+
+    route: RouteId
+
+
+LeaseMessage: TypeAlias = Lease | Settled
 ControlMessage: TypeAlias = (
     Propose
     | Accept

@@ -13,20 +13,21 @@ from rsb_bridge.model.fingerprints import FINGERPRINT_LENGTH, fingerprint_of, fo
 from rsb_bridge.model.limits import NAME_BYTES
 from rsb_bridge.model.text import is_clean, sanitize_text
 from rsb_bridge.wire.events import Admitted, Opened
-from rsb_bridge.wire.framing import FrameReader, ProtocolError, pack_frame
+from rsb_bridge.wire.framing import FrameReader, pack_frame
 from rsb_bridge.wire.handshake import NoiseHandshake
 from rsb_bridge.wire.preamble import (
     PREFIX_LENGTH,
     Kind,
+    Phase,
+    PreambleStream,
     Refusal,
     RefusalCode,
     key_of,
     preamble_frame,
     take_frame,
 )
-from rsb_bridge.wire.preamble_stream import Phase, PreambleStream
-from rsb_bridge.wire.sample_tags import derive_sample_secret
-from rsb_bridge.wire.sealing import Sealer, SealError, StreamOpener, Suite
+from rsb_bridge.wire.protocol_error import ProtocolError
+from rsb_bridge.wire.sealing import Sealer, SealError, StreamOpener, Suite, derive_sample_secret
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -44,7 +45,7 @@ HOST_BYTES = 64
 _AT_BYTES = 64
 _VERSION = struct.Struct(">H")
 _TAGS = 0x8000
-"""The bit of a console's version that announces sample tags (`rsb_bridge.wire.sample_tags`)."""
+"""The bit of a console's version that announces sample tags (`rsb_bridge.wire.sealing`)."""
 
 
 class OperatorPreamble(NamedTuple):

@@ -2,17 +2,57 @@
 
 from __future__ import annotations
 
+import copy
 import struct
-from enum import IntEnum
-from typing import NamedTuple
+from abc import ABC, abstractmethod
+from enum import Enum, IntEnum, auto
+from typing import TYPE_CHECKING, NamedTuple
 
 from rsb_bridge.model.fingerprints import FINGERPRINT_LENGTH, fingerprint_of, format_fingerprint
 from rsb_bridge.model.limits import NAME_BYTES
 from rsb_bridge.model.text import is_clean, sanitize_text
-from rsb_bridge.wire.foreign import recognise
-from rsb_bridge.wire.framing import LENGTH, PREAMBLE_LIMIT, ProtocolError
-from rsb_bridge.wire.protocol_error import ForeignProtocolError
-from rsb_bridge.wire.sealing import Suite
+from rsb_bridge.wire.events import Event, Failed, Refused
+from rsb_bridge.wire.framing import LENGTH, PREAMBLE_LIMIT, pack_frame
+from rsb_bridge.wire.protocol_error import ForeignProtocolError, ProtocolError
+from rsb_bridge.wire.sealing import SealError, Suite
+
+if TYPE_CHECKING:
+    from typing import Self
+
+    from rsb_bridge.wire.handshake import Handshake
+    from rsb_bridge.wire.sealing import Buffer
+
+_HTTP = (b"HTTP", b"GET ", b"HEAD ", b"POST ", b"PUT ", b"DELETE ", b"OPTIONS ", b"CONNECT ", b"PATCH ", b"TRACE ")
+_BEGINNINGS: tuple[tuple[str, tuple[bytes, ...]], ...] = (
+    ("HTTP", (*_HTTP, b"PRI * HTTP", b"<!DO", b"<!do", b"<htm", b"<HTM", b"<?xm")),  # HTTP/0.9 answers without a header
+    ("SSH", (b"SSH-",)),
+    ("TLS", tuple(bytes((kind, 3, minor)) for kind in (0x15, 0x16) for minor in range(5))),
+    ("RTPS", (b"RTPS", b"RTCP")),
+    ("Redis", (b"-ERR", b"+PONG", b"*1\r\n")),
+    ("FTP or SMTP", (b"220 ", b"220-", b"EHLO", b"HELO")),
+    ("VNC", (b"RFB ",)),
+)
+_ZENOH = "Zenoh"
+_ZENOH_CLOSE = bytes.fromhex("020003")
+"""Two bytes of length, and the message by which a router refuses a program that does not speak Zenoh."""
+_ZENOH_INIT = 0x01
+_ZENOH_VERSIONS = (0x08, 0x09)
+
+
+def recognise(data: Buffer) -> str:
+    """Return the name of the protocol that a stream begins with, or an empty string if it is not a known one.
+
+    Args:
+        data: the first bytes, at least four.
+    """
+    start = bytes(data[:16])
+    for name, beginnings in _BEGINNINGS:
+        if any(start.startswith(each) or each.startswith(start) for each in beginnings):
+            return name
+    # A Zenoh client begins with two bytes of length, INIT and the version.
+    is_init = len(start) >= 4 and start[2] & 0x1F == _ZENOH_INIT and start[3] in _ZENOH_VERSIONS
+    return _ZENOH if is_init or start.startswith(_ZENOH_CLOSE) else ""
+
 
 VERSION = 2
 """Of the wire format. A peer of another version is refused."""
@@ -272,3 +312,81 @@ def parse_refuse(body: bytes) -> tuple[RefusalCode, str]:
     except (IndexError, ValueError):
         raise ProtocolError("unknown refusal code") from None
     return code, sanitize_text(body[1 : 1 + MESSAGE_LIMIT].decode(errors="replace"))
+
+
+class Phase(Enum):
+    """What comes next on a stream."""
+
+    PREAMBLE = auto()  # preamble frames, one by one
+    SEALED = auto()  # sealed frames
+    HANDED_OVER = auto()  # a data stream, whose bytes go to the caller
+    OVER = auto()
+
+
+class PreambleStream(ABC):
+    """What every end of a stream shares: the preamble, and failures."""
+
+    _is_server = False
+
+    def __init__(self) -> None:
+        self._phase = Phase.PREAMBLE
+        self._inbox = bytearray()
+        self._outbox = bytearray()
+        self._events: list[Event] = []
+
+    def receive_data(self, data: Buffer) -> list[Event]:
+        """Take the next bytes of the stream; `data` must not be changed afterwards."""
+        self._events = []
+        try:
+            self._take_in(data)
+        except Refusal as refusal:
+            self._refuse(refusal.code, refusal.message)
+            self._end(Refused(refusal.code, refusal.message))
+        except (ProtocolError, SealError) as error:
+            if self._is(Phase.PREAMBLE):
+                self._refuse(RefusalCode.BAD_FORMAT, str(error))
+            foreign = error.protocol if isinstance(error, ForeignProtocolError) else None
+            self._end(Failed(str(error), foreign))
+        return self._events
+
+    def _fork(self, handshake: Handshake) -> tuple[Self, Handshake]:
+        """Return a copy of a client's end that has sent its first message, and of its handshake."""
+        other = copy.copy(self)
+        other._inbox, other._outbox, other._events = bytearray(), bytearray(), []
+        return other, copy.copy(handshake)
+
+    def data_to_send(self) -> bytes:
+        """The bytes to write now; returned once."""
+        data, self._outbox = bytes(self._outbox), bytearray()
+        return data
+
+    def leftover(self) -> bytes:
+        """What came after a data stream's preamble, once it is accepted; returned once."""
+        data, self._inbox = bytes(self._inbox), bytearray()
+        return data
+
+    def _take_in(self, data: Buffer) -> None:
+        if self._is(Phase.OVER):
+            return
+        self._inbox += data
+        while self._is(Phase.PREAMBLE) and (frame := take_frame(self._inbox)) is not None:
+            self._on_preamble(*parse_preamble(frame), frame)
+
+    def _is(self, phase: Phase) -> bool:
+        return self._phase is phase
+
+    @abstractmethod
+    def _on_preamble(self, kind: Kind, body: bytes, frame: bytes) -> None:
+        """Act on one preamble frame; `frame` is the whole of it."""
+
+    def _refuse(self, code: RefusalCode, message: str) -> None:
+        if self._is_server:  # a client has no frame for it
+            self._outbox += pack_frame(refuse_frame(code, message))
+
+    def _refused_by_peer(self, body: bytes) -> None:
+        code, message = parse_refuse(body)
+        self._end(Refused(code, message))
+
+    def _end(self, event: Event) -> None:
+        self._phase = Phase.OVER
+        self._events.append(event)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hmac
 import struct
 import zlib
 from enum import IntEnum
@@ -11,8 +12,6 @@ from cryptography.exceptions import InvalidTag
 from cryptography.hazmat.primitives.ciphers.aead import AESGCM, ChaCha20Poly1305
 from cryptography.hazmat.primitives.hashes import SHA256
 from cryptography.hazmat.primitives.kdf.hkdf import HKDFExpand
-
-from rsb_bridge.wire.sample_tags import derive_sample_secret
 
 Buffer: TypeAlias = bytes | bytearray | memoryview
 Role = Literal["client", "server"]
@@ -330,3 +329,46 @@ class SessionKeys:
         if self._export is None:
             return None
         return HKDFExpand(SHA256(), KEY_LENGTH, label + struct.pack(">IB", route, direction)).derive(self._export)
+
+
+FEATURE = "sample_tags"
+"""The feature by which a side of a link tags its samples."""
+TAG_LENGTH = 16
+_KEY_LENGTH = 32
+_NONCE = struct.Struct(">BxxxQ")
+
+
+def derive_sample_secret(export: bytes) -> bytes:
+    """Derive the secret of all tags of a link, or of an operator's connection, from its handshake."""
+    return HKDFExpand(SHA256(), _KEY_LENGTH, b"rsb samples").derive(export)
+
+
+class SampleTags:
+    """Both directions' tags of one stream.
+
+    A nonce is the kind and the number of a sample. Two samples of one kind and number have the same content: data is
+    numbered, a window's content is its number, and a stream ends once.
+
+    Args:
+        secret: of the link (`derive_sample_secret`).
+        stream: names the stream.
+        opener: this side opened the stream.
+    """
+
+    def __init__(self, secret: bytes, stream: str, *, opener: bool) -> None:
+        opening, answering = (self._cipher(secret, stream, direction) for direction in (0, 1))
+        self._sending, self._receiving = (opening, answering) if opener else (answering, opening)
+
+    def tag(self, kind: int, number: int, payload: Buffer) -> bytes:
+        """Return the tag of a sample that this side sends."""
+        return self._sending.encrypt(_NONCE.pack(kind, number), b"", payload)
+
+    def proves(self, kind: int, number: int, payload: Buffer, tag: bytes) -> bool:
+        """Whether the peer sent the sample."""
+        expected = self._receiving.encrypt(_NONCE.pack(kind, number), b"", payload) if tag else b"-"
+        return hmac.compare_digest(expected, tag)
+
+    @staticmethod
+    def _cipher(secret: bytes, stream: str, direction: int) -> ChaCha20Poly1305:
+        info = b"rsb sample tags" + stream.encode() + bytes((direction,))
+        return ChaCha20Poly1305(HKDFExpand(SHA256(), _KEY_LENGTH, info).derive(secret))

@@ -16,8 +16,9 @@ from rsb_bridge.model.limits import REASON_LENGTH
 from rsb_bridge.model.text import is_clean
 from rsb_bridge.wire.codec import decode, decode_hello, decode_welcome, encode
 from rsb_bridge.wire.events import DataFrame, Failed, Received, Refused
-from rsb_bridge.wire.framing import HEADER, ProtocolError, pack_frame
+from rsb_bridge.wire.framing import HEADER, pack_frame
 from rsb_bridge.wire.messages import Report
+from rsb_bridge.wire.protocol_error import ProtocolError
 from rsb_bridge.wire.sealing import Sealer, Suite
 
 if TYPE_CHECKING:

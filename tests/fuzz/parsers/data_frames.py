@@ -8,20 +8,9 @@ from typing import TYPE_CHECKING
 from tests.fuzz.editing import behind, edit_bytes, split_frames
 from tests.fuzz.parser import Parser, check_text
 
-from rsb_bridge.wire.budget import Budget
-from rsb_bridge.wire.calls import CallFrame, What, unpack_call
-from rsb_bridge.wire.framing import (
-    DATA,
-    HEADER,
-    HISTORY,
-    MORE,
-    DataReader,
-    DataWriter,
-    FrameReader,
-    ProtocolError,
-    pack_frame,
-)
-from rsb_bridge.wire.history import HistoryHeader, split_history
+from rsb_bridge.wire.framing import DATA, HEADER, HISTORY, MORE, Budget, DataReader, DataWriter, FrameReader, pack_frame
+from rsb_bridge.wire.headers import CallFrame, HistoryHeader, What, split_history, unpack_call
+from rsb_bridge.wire.protocol_error import ProtocolError
 from rsb_bridge.wire.sealing import Sealer, SealError, StreamOpener, Suite
 
 if TYPE_CHECKING:

@@ -8,9 +8,9 @@ import struct
 from tests.fuzz.editing import behind, edit_bytes
 from tests.fuzz.parser import Parser
 
-from rsb_bridge.wire.budget import Budget
 from rsb_bridge.wire.datagram import MAGIC, DatagramReader, DatagramWriter, Probe, Receipt, addressee, unpack_probe
-from rsb_bridge.wire.framing import ProtocolError
+from rsb_bridge.wire.framing import Budget
+from rsb_bridge.wire.protocol_error import ProtocolError
 from rsb_bridge.wire.sealing import DatagramOpener, Sealer, SealError, Suite
 
 _BUDGET = 5000

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rsb_bridge.route.calls.ledger import CallsLedger
-from rsb_bridge.wire.calls import MOST_TOOK
+from rsb_bridge.wire.headers import MOST_TOOK
 
 CALLS = st.tuples(st.integers(0, MOST_TOOK) | st.integers(0, 10**10), st.floats(0.0, 3600.0))
 

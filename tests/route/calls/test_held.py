@@ -19,7 +19,7 @@ from rsb_bridge.route.calls.kept_calls import KeptCall
 from rsb_bridge.route.calls.providing_action import ProvidingAction
 from rsb_bridge.route.calls.refusals import REMEDIES, Refused
 from rsb_bridge.route.lease import BEAT, LASTS, Lease
-from rsb_bridge.wire.calls import CallFrame, What
+from rsb_bridge.wire.headers import CallFrame, What
 from rsb_bridge.wire.messages import Provide
 from rsb_bridge.wire.records import LaneEntry
 

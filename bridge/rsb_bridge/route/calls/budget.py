@@ -6,7 +6,7 @@ from collections import deque
 
 from rsb_bridge.model.token_bucket import TokenBucket
 from rsb_bridge.route.calls.refusals import Refused
-from rsb_bridge.wire.budget import Budget
+from rsb_bridge.wire.framing import Budget
 
 CALLS_UNDER_WAY = 4096
 BYTES_UNDER_WAY = 256 << 20

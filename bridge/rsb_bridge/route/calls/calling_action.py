@@ -26,7 +26,7 @@ from rsb_bridge.route.calls.goals import Goals
 from rsb_bridge.route.calls.kept_calls import INTERRUPTION, KeptCall, KeptCalls
 from rsb_bridge.route.calls.refusals import Refused
 from rsb_bridge.route.calls.route import frame_size
-from rsb_bridge.wire.calls import CallFrame, What
+from rsb_bridge.wire.headers import CallFrame, What
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

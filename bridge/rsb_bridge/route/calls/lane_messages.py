@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from rsb_bridge.model.lanes import Lane
     from rsb_bridge.route.calls.offers import Offers
     from rsb_bridge.route.notices import Notices
-    from rsb_bridge.wire.budget import Budget
+    from rsb_bridge.wire.framing import Budget
 
 
 class LaneMessages:

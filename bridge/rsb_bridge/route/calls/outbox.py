@@ -7,9 +7,8 @@ from typing import TYPE_CHECKING
 
 import zstandard
 
-from rsb_bridge.wire.calls import CALL_HEADER_LENGTH, CallFrame, What
 from rsb_bridge.wire.framing import LEASED, ZSTD
-from rsb_bridge.wire.lease import HEADER_LENGTH, with_number
+from rsb_bridge.wire.headers import CALL_HEADER_LENGTH, LEASE_HEADER_LENGTH, CallFrame, What, with_number
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -50,7 +49,7 @@ class CallsOutbox:
         leaves: Callable[[CallFrame], bool],
         stamp: Callable[[], int],
     ) -> None:
-        self.largest = transport.largest_message - CALL_HEADER_LENGTH - HEADER_LENGTH
+        self.largest = transport.largest_message - CALL_HEADER_LENGTH - LEASE_HEADER_LENGTH
         self._compressor = zstandard.ZstdCompressor(_ZSTD_LEVEL) if proposal.compression == "zstd" else None
         self._lanes = lanes
         self._leaves = leaves

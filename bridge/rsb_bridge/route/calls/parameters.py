@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from rsb_bridge.ros.parameter_events import Listening
     from rsb_bridge.route.calls.graph import Provision
     from rsb_bridge.route.calls.lane_ends import LaneType
-    from rsb_bridge.wire.calls import CallFrame
+    from rsb_bridge.wire.headers import CallFrame
     from rsb_bridge.wire.records import LaneEntry
 
 _EVERY_NODE_HAS = "/get_type_description"

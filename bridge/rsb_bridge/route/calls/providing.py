@@ -23,9 +23,9 @@ from rsb_bridge.route.calls.route import CallsRoute, frame_size
 from rsb_bridge.route.calls.under_way import Call, UnderWay
 from rsb_bridge.route.calls.verdict import CallsFacts, Trouble
 from rsb_bridge.route.stages import accepted_stage, link_stage
-from rsb_bridge.wire.calls import CallFrame, What
-from rsb_bridge.wire.framing import ProtocolError
+from rsb_bridge.wire.headers import CallFrame, What
 from rsb_bridge.wire.messages import Provide
+from rsb_bridge.wire.protocol_error import ProtocolError
 
 if TYPE_CHECKING:
     import asyncio

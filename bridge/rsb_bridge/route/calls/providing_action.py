@@ -18,7 +18,7 @@ from rsb_bridge.route.calls.kept_calls import INTERRUPTION
 from rsb_bridge.route.calls.providing import PeersCall, ProvidingRoute
 from rsb_bridge.route.calls.refusals import Refused
 from rsb_bridge.route.calls.route import frame_size
-from rsb_bridge.wire.calls import CallFrame, What
+from rsb_bridge.wire.headers import CallFrame, What
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -1,7 +1,7 @@
 """What both halves of a route of calls share.
 
 Such a route consists of *lanes* (`rsb_bridge.model.lanes`): services, and topics that go from the providing side to the
-callers'. All that crosses is a frame of a lane (`rsb_bridge.wire.calls`), on one channel, which sends both ways.
+callers'. All that crosses is a frame of a lane (`rsb_bridge.wire.headers`), on one channel, which sends both ways.
 
 Where a lane's frames pass, for kinds that do more than carry them:
 
@@ -41,9 +41,9 @@ from rsb_bridge.route.message_check import MessageCheck, malformed_text
 from rsb_bridge.route.route import Route
 from rsb_bridge.route.snapshots import snapshot_of
 from rsb_bridge.route.unpacking import ExpandsTooMuchError, Unpacker
-from rsb_bridge.wire.calls import CALL_HEADER_LENGTH, CallFrame, What, unpack_call
-from rsb_bridge.wire.framing import LEASED, ZSTD, Message, ProtocolError
-from rsb_bridge.wire.lease import split_number
+from rsb_bridge.wire.framing import LEASED, ZSTD, Message
+from rsb_bridge.wire.headers import CALL_HEADER_LENGTH, CallFrame, What, split_number, unpack_call
+from rsb_bridge.wire.protocol_error import ProtocolError
 
 if TYPE_CHECKING:
     import asyncio

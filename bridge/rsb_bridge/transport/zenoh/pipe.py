@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING
 from rsb_bridge.model.text import sanitize_text
 from rsb_bridge.transport.zenoh.sample import Header, Kind
 from rsb_bridge.wire.framing import STRANGER_LIMIT
-from rsb_bridge.wire.sample_tags import SampleTags
+from rsb_bridge.wire.sealing import SampleTags
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -195,7 +195,7 @@ class Pipe(asyncio.Transport):
         """Tag all samples from now on, and take only samples with the peer's tags.
 
         Args:
-            secret: of both sides (`rsb_bridge.wire.sample_tags`).
+            secret: of both sides (`rsb_bridge.wire.sealing`).
             opener: this side opened the stream.
         """
         self._tags = SampleTags(secret, self._stream, opener=opener)

@@ -6,7 +6,7 @@ import struct
 from enum import IntEnum
 from typing import NamedTuple
 
-from rsb_bridge.wire.sample_tags import TAG_LENGTH
+from rsb_bridge.wire.sealing import TAG_LENGTH
 
 _HEADER = struct.Struct(">BBQ")
 LENGTHS = (_HEADER.size, _HEADER.size + TAG_LENGTH)

@@ -1,0 +1,147 @@
+"""The headers before the content of a data frame: lease, history and call (PROTOCOL.md, 1.5, 7.2 and 8)."""
+
+from __future__ import annotations
+
+import struct
+from enum import IntEnum
+from typing import Annotated, NamedTuple, TypeAlias
+
+from msgspec import Meta
+
+from rsb_bridge.wire.protocol_error import ProtocolError
+
+LEASE_FEATURE = "lease"
+"""The feature by which a side takes part in leases."""
+LAST_LEASE = 2**32 - 1
+
+_LEASE_HEADER = struct.Struct(">I")
+LEASE_HEADER_LENGTH = _LEASE_HEADER.size
+LeaseNumber: TypeAlias = Annotated[int, Meta(ge=0, le=LAST_LEASE)]
+
+
+def with_number(number: int, content: bytes) -> bytes:
+    """A message's content behind the number that its lease header carries."""
+    return _LEASE_HEADER.pack(number) + content
+
+
+def split_number(payload: bytes) -> tuple[int, bytes]:
+    """Take a payload whose flags have `rsb_bridge.wire.framing.LEASED` apart: the number, and the rest.
+
+    Raises:
+        ProtocolError: it is too short for the header.
+    """
+    if len(payload) < _LEASE_HEADER.size:
+        raise ProtocolError(f"a lease header of {len(payload)} bytes: it has {_LEASE_HEADER.size}")
+    return _LEASE_HEADER.unpack_from(payload)[0], payload[_LEASE_HEADER.size :]
+
+
+PUBLISHER_ID_LENGTH = 16
+_LAST_IN_HISTORY = 2**63 - 1
+_HISTORY_HEADER = struct.Struct(f">{PUBLISHER_ID_LENGTH}sQI")
+
+
+class HistoryHeader(NamedTuple):
+    """Stands before the content of a message whose flags have `rsb_bridge.wire.framing.HISTORY`.
+
+    Attributes:
+        publisher: the id (16 bytes) of the publisher on the sending side.
+        number: of the message among that publisher's, from 1; 0: the middleware does not number them.
+        depth: messages that the publisher keeps for late joiners, as far as the sender knows by now; at least 1.
+    """
+
+    publisher: bytes
+    number: int
+    depth: int
+
+    def pack(self) -> bytes:
+        """The header as it stands before the content."""
+        return _HISTORY_HEADER.pack(*self)
+
+
+def publisher_id(gid: bytes) -> bytes:
+    """The id of a publisher on the wire, of the one that it has in the middleware."""
+    return gid[:PUBLISHER_ID_LENGTH].ljust(PUBLISHER_ID_LENGTH, b"\0")
+
+
+def split_history(payload: bytes) -> tuple[HistoryHeader, bytes]:
+    """Take a message's payload apart: its history header, and the rest.
+
+    Raises:
+        ProtocolError: it is too short for a header, or a figure in it is out of its range.
+    """
+    if len(payload) < _HISTORY_HEADER.size:
+        raise ProtocolError(f"a history header of {len(payload)} bytes: it has {_HISTORY_HEADER.size}")
+    header = HistoryHeader._make(_HISTORY_HEADER.unpack_from(payload))
+    if not header.depth or header.number > _LAST_IN_HISTORY:
+        raise ProtocolError(f"a history header with message number {header.number} and a depth of {header.depth}")
+    return header, payload[_HISTORY_HEADER.size :]
+
+
+_CALL_HEADER = struct.Struct(">BBQQ")
+CALL_HEADER_LENGTH = _CALL_HEADER.size
+MOST_TOOK = 2**63 - 1
+"""ns; whoever has asked knows a lower bound: the time since then."""
+
+
+class What(IntEnum):
+    """What a frame is."""
+
+    CALL = 1
+    """A request, from the callers' side."""
+    ANSWER = 2
+    """A response, from the providing side."""
+    REFUSED = 3
+    """The providing side will not answer a call; the content says why, in UTF-8."""
+    MESSAGE = 4
+    """A message of a lane that is a topic, from the providing side."""
+    AGAIN = 5
+    """A request that was under way in an earlier opening of the route, of an action, whose goals have ids."""
+
+
+_CALL_KINDS = frozenset(What)
+
+
+class CallFrame(NamedTuple):
+    """One frame.
+
+    Attributes:
+        what: of the five.
+        lane: its place among the lanes of the route's kind.
+        call: of the callers' side, counting up from 1 in each opening of the route; 0: it is a message.
+        took: of an answer, ns that the providing node took for it, as the bridge beside it saw it; else 0.
+        content: the serialized message (CDR with its encapsulation header), or why a call is refused.
+        lease: the number in the lease header before the frame, or 0 without one.
+        stamp: ns, from which the age of a request counts, by the clock of the side that sends it; 0: it has none. It is
+            the stamp of the message that carries the frame.
+    """
+
+    what: What
+    lane: int
+    call: int
+    took: int
+    content: bytes
+    lease: int = 0
+    stamp: int = 0
+
+    def pack(self) -> bytes:
+        """The frame as bytes."""
+        return _CALL_HEADER.pack(self.what, self.lane, self.call, self.took) + self.content
+
+
+def unpack_call(payload: bytes) -> CallFrame:
+    """The frame that a route's message is.
+
+    Raises:
+        ProtocolError: it is too short, of no known kind, or a message with the number of a call, or a call without one,
+            or it says how long a node took for what is no answer, or longer than `MOST_TOOK`.
+    """
+    if len(payload) < CALL_HEADER_LENGTH:
+        raise ProtocolError(f"a frame of calls has at least {CALL_HEADER_LENGTH} bytes, not {len(payload)}")
+    what, lane, call, took = _CALL_HEADER.unpack_from(payload)
+    if what not in _CALL_KINDS:
+        raise ProtocolError(f"a frame of calls of kind {what}")
+    if (call == 0) != (what == What.MESSAGE):
+        raise ProtocolError(f"a frame of calls of kind {what} with the number {call}")
+    if took > (MOST_TOOK if what == What.ANSWER else 0):
+        raise ProtocolError(f"a frame of calls of kind {what} that took {took} ns")
+    return CallFrame(What(what), lane, call, took, payload[CALL_HEADER_LENGTH:])
