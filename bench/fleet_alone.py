@@ -15,7 +15,7 @@ from rsb_bridge.model.robot_summary import Loss, RobotState, RobotSummary
 from rsb_console.fleet.fleet import Fleet
 from rsb_console.fleet.memory import Memory
 from rsb_console.fleet_app import FleetApp
-from rsb_console.widgets.fleet import FleetView
+from rsb_console.widgets.fleet_table import FleetView
 
 if TYPE_CHECKING:
     from rsb_bridge.control.client import RemoteEngine

@@ -16,7 +16,7 @@ from rsb_console.app import ConsoleApp
 from rsb_console.command.demo_fleet import seen, simulated, trouble
 from rsb_console.fleet_app import FleetApp
 from rsb_console.session.demo import running_demo
-from rsb_console.widgets.fleet import FleetView
+from rsb_console.widgets.fleet_table import FleetView
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -9,7 +9,7 @@ from textual import work
 
 from rsb_console.actions.registry import FLEET_ACTIONS
 from rsb_console.app import LOCAL_RATE, REFRESH_RATES, SSH_RATE, ConsoleApp
-from rsb_console.screens.fleet import FleetScreen
+from rsb_console.screens.fleet_screen import FleetScreen
 from rsb_console.screens.main import MODES, MainScreen
 from rsb_console.terminal.input_queue import DIALOG
 from rsb_console.terminal.shutdown import ShutdownReason
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from textual.screen import Screen
 
     from rsb_console.fleet.fleet import Fleet, Robot
-    from rsb_console.widgets.fleet import FleetView
+    from rsb_console.widgets.fleet_table import FleetView
 
 BRIDGES_GO_ON = "All bridges go on; only this console ends."
 _OPENS_ANOTHER = frozenset({"sessions", "new_session", "import_session", "demo", "welcome"})
@@ -81,7 +81,7 @@ class FleetApp(TerminalApp["Robot"]):
 
     @work(exclusive=True, group=DIALOG)
     async def action_quit(self) -> None:  # type: ignore[override]  # a worker, because it asks
-        from rsb_console.screens.confirm import ConfirmScreen  # noqa: PLC0415 -- keeps the start short
+        from rsb_console.screens.dialog import ConfirmScreen  # noqa: PLC0415 -- keeps the start short
 
         if await self.ask(ConfirmScreen("Quit?", self._after_quit, "Quit")):
             self.shut_down(ShutdownReason.QUIT)

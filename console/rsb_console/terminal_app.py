@@ -10,7 +10,7 @@ from rsb_console.actions.registry import ACTIONS, BY_ID, Action, Group, bindings
 from rsb_console.look import themes
 from rsb_console.look.glyphs import AsciiFilter, ControlFilter
 from rsb_console.preferences import Preferences
-from rsb_console.screens.palette import ActionsProvider
+from rsb_console.screens.help import ActionsProvider
 from rsb_console.terminal.driver import ConsoleDriver
 from rsb_console.terminal.input_queue import InputQueue
 from rsb_console.terminal.shutdown import ForcedEnd, ShutdownReason, record_crash

@@ -14,7 +14,7 @@ from textual.pilot import Pilot
 
 from rsb_bridge.model.snapshot import RouteSnapshot
 from rsb_console.app import ConsoleApp
-from rsb_console.screens.form import FormScreen
+from rsb_console.screens.form_screen import FormScreen
 from rsb_console.terminal.input_queue import _is_idle
 from rsb_console.widgets.form import Form
 

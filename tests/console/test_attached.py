@@ -22,8 +22,8 @@ from rsb_bridge.control import bridges, console
 from rsb_bridge.model.session import Topic
 from rsb_console.actions.registry import Group
 from rsb_console.app import ConsoleApp
-from rsb_console.screens.confirm import OfferScreen
-from rsb_console.screens.welcome import WelcomeScreen
+from rsb_console.screens.dialog import OfferScreen
+from rsb_console.screens.session_files import WelcomeScreen
 
 CHATTER = f"/console_{os.getpid()}/attached"
 

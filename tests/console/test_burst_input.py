@@ -20,7 +20,7 @@ from rsb_bridge.config.session_file import save
 from rsb_console.app import ConsoleApp
 from rsb_console.screens.new_session import NewSessionScreen
 from rsb_console.terminal.driver import KeyParser
-from rsb_console.widgets.field_input import FieldInput
+from rsb_console.widgets.form_inputs import FieldInput
 
 SENTENCE = "the quick brown fox jumps over y n q/the lazy dog 0123456789"
 MOST = 3

@@ -33,7 +33,7 @@ from rsb_console.actions.registry import BY_ID
 from rsb_console.app import ConsoleApp
 from rsb_console.screens.call import answer_lines
 from rsb_console.session.parameters import KIND_NAMES, refusal, set_request
-from rsb_console.widgets.scrolled import ScrolledLines
+from rsb_console.widgets.lines import ScrolledLines
 
 MODE, MAP, NAVIGATE, PARAMETERS = CALL_ROUTES
 TEMPLATES = {"": "data: false\n", "send_goal": "pose:\n  x: 0.0\n", "get_parameters": "names: []\n"}

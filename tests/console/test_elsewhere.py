@@ -8,7 +8,7 @@ from tests.console.driving import drive, scripted_app, shown, until
 from tests.support.operators import BOB, Reachable, granted
 
 from rsb_bridge.config.keys import write_key
-from rsb_console.screens.keys import KeysScreen
+from rsb_console.screens.keys_screen import KeysScreen
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -25,10 +25,9 @@ from rsb_console.actions.registry import FLEET_ACTIONS, Group
 from rsb_console.fleet.rolling import Bridged
 from rsb_console.fleet.servers import ServerFleet
 from rsb_console.fleet_app import FleetApp, RobotApp
-from rsb_console.screens.change_field import _key_line
-from rsb_console.screens.change_field import _now as present_values
-from rsb_console.screens.rollout import Phase, RolloutScreen
-from rsb_console.widgets.fleet import FleetView
+from rsb_console.screens.rollout import Phase, RolloutScreen, _key_line
+from rsb_console.screens.rollout import _now as present_values
+from rsb_console.widgets.fleet_table import FleetView
 
 if TYPE_CHECKING:
     from collections.abc import Awaitable, Callable
@@ -102,7 +101,7 @@ class Bed:
 @pytest.fixture(autouse=True)
 def _now(monkeypatch: pytest.MonkeyPatch) -> None:
     """The time of the script."""
-    monkeypatch.setattr("rsb_console.screens.fleet.time.time", lambda: NOW)
+    monkeypatch.setattr("rsb_console.screens.fleet_screen.time.time", lambda: NOW)
 
 
 @pytest.mark.parametrize("action", FLEET_ACTIONS, ids=lambda action: action.id)

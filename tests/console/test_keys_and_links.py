@@ -15,7 +15,7 @@ from rsb_bridge.config.keys import fingerprint, read_key, write_key
 from rsb_bridge.model.session import Client
 from rsb_bridge.model.snapshot import State
 from rsb_console.screens import bluetooth
-from rsb_console.screens.keys import key_files
+from rsb_console.screens.keys_screen import key_files
 
 # -- keys ------------------------------------------------------------------------------------------------------------
 

@@ -16,7 +16,7 @@ from rsb_bridge.engine import Engine
 from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import Snapshot
 from rsb_console.app import ConsoleApp
-from rsb_console.screens.confirm import ConfirmScreen
+from rsb_console.screens.dialog import ConfirmScreen
 from rsb_console.session.demo import running_demo
 
 pytest.importorskip("rclpy", reason="needs ROS 2")

@@ -29,7 +29,7 @@ from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import Event, Level, State
 from rsb_console.app import ConsoleApp
 from rsb_console.look import formats
-from rsb_console.screens.confirm import ConfirmScreen
+from rsb_console.screens.dialog import ConfirmScreen
 from rsb_console.session.export import export_topics
 
 

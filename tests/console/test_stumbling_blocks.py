@@ -32,8 +32,8 @@ from rsb_console.app import ConsoleApp
 from rsb_console.look import formats
 from rsb_console.look.glyphs import to_ascii
 from rsb_console.screens.new_session import FIELDS
-from rsb_console.widgets.choice import Choice
-from rsb_console.widgets.pattern import Pattern
+from rsb_console.widgets.filter import Pattern
+from rsb_console.widgets.form_inputs import Choice
 from rsb_console.widgets.topics import TopicsTable
 
 

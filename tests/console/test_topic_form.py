@@ -25,8 +25,8 @@ from textual.pilot import Pilot
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.model.session import Client, Session, Topic
 from rsb_bridge.model.snapshot import TopicInfo
-from rsb_console.screens.form import FormScreen
-from rsb_console.screens.topic_suggestions import suggestions_for
+from rsb_console.screens.form_screen import FormScreen
+from rsb_console.screens.topic_form import suggestions_for
 from rsb_console.session.draft import Ends, problems_of, topic_of, values_of
 from rsb_console.widgets.form import Field
 

@@ -10,7 +10,6 @@ from textual.pilot import Pilot
 
 from rsb_bridge.api import EngineError
 from rsb_bridge.model.snapshot import TopicInfo
-from rsb_console.screens import topic
 
 
 class SlowPeer(ScriptedEngine):
@@ -41,7 +40,7 @@ FAR = [TopicInfo("/far", "std_msgs/msg/String", "", None, 1, 0)]
 
 @pytest.fixture(autouse=True)
 def _look_often(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(topic, "LOOK_EVERY", 0.05)
+    monkeypatch.setattr(topic_form, "LOOK_EVERY", 0.05)
 
 
 def test_an_answer_that_takes_many_looks_fills_the_list() -> None:

@@ -20,8 +20,7 @@ from rsb_bridge.api import EngineError
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import Event, Level, PatternSnapshot, Snapshot, State
-from rsb_console.screens.confirm import ConfirmScreen
-from rsb_console.screens.undo import UndoScreen
+from rsb_console.screens.dialog import ConfirmScreen, UndoScreen
 from rsb_console.session.changes import STEPS, Changes, Paused
 
 if TYPE_CHECKING:

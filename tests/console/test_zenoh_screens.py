@@ -9,7 +9,7 @@ import pytest
 from tests.console.scripted import SESSION, route
 
 from rsb_bridge.model.session import ZenohSettings
-from rsb_console.screens.topic_fields import KINDS, fields_by_kind
+from rsb_console.screens.topic_form import KINDS, fields_by_kind
 from rsb_console.session.draft import Ends
 from rsb_console.widgets.columns import via
 

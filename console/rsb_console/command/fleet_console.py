@@ -11,7 +11,7 @@ from rsb_console.command.shell import FAILURE, HUNG_UP, OK, print_error
 from rsb_console.fleet_app import BRIDGES_GO_ON, FleetApp, RobotApp
 from rsb_console.terminal.driver import prefers_ascii
 from rsb_console.terminal.shutdown import ShutdownReason, crash_path
-from rsb_console.widgets.fleet import FleetView
+from rsb_console.widgets.fleet_table import FleetView
 
 if TYPE_CHECKING:
     from rsb_console.fleet.fleet import Fleet

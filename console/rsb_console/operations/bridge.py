@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from rsb_bridge.api import EngineApi
     from rsb_bridge.model.snapshot import RouteSnapshot
     from rsb_console.console import Console
-    from rsb_console.screens.topic import Draft
+    from rsb_console.screens.topic_form import Draft
 
 
 _LINES_SHOWN = 12
@@ -106,7 +106,7 @@ class BridgeOperations:
 
     async def arm(self) -> None:
         """Arm the topic under the cursor, after a question; disarm it at once, whoever armed it."""
-        from rsb_console.screens.confirm import ConfirmScreen  # noqa: PLC0415 -- keeps the start short
+        from rsb_console.screens.dialog import ConfirmScreen  # noqa: PLC0415 -- keeps the start short
 
         engine, route = self._console.engine, self._selected()
         if engine is None or route is None or route.arming is None:
@@ -149,7 +149,7 @@ class BridgeOperations:
             await self._console.command(engine.retry(), _RETRIED_ON_SERVER if is_server else "trying again")
 
     async def add_topic(self) -> None:
-        from rsb_console.screens.topic import TopicScreen  # noqa: PLC0415 -- keeps the start short
+        from rsb_console.screens.topic_form import TopicScreen  # noqa: PLC0415 -- keeps the start short
 
         engine = self._console.engine
         if engine is None:
@@ -170,8 +170,8 @@ class BridgeOperations:
             self._console.pull()
 
     async def edit_topic(self) -> None:
-        from rsb_console.screens.confirm import ConfirmScreen  # noqa: PLC0415 -- keeps the start short
-        from rsb_console.screens.topic import TopicScreen  # noqa: PLC0415 -- keeps the start short
+        from rsb_console.screens.dialog import ConfirmScreen  # noqa: PLC0415 -- keeps the start short
+        from rsb_console.screens.topic_form import TopicScreen  # noqa: PLC0415 -- keeps the start short
 
         engine, route = self._console.engine, self._selected()
         if route is None or engine is None:
@@ -197,7 +197,7 @@ class BridgeOperations:
 
     async def remove_topic(self) -> None:
         """Remove the topic under the cursor, after a question."""
-        from rsb_console.screens.confirm import ConfirmScreen  # noqa: PLC0415 -- keeps the start short
+        from rsb_console.screens.dialog import ConfirmScreen  # noqa: PLC0415 -- keeps the start short
 
         engine, route = self._console.engine, self._selected()
         if route is None or engine is None:
@@ -220,7 +220,7 @@ class BridgeOperations:
 
     async def undo(self) -> None:
         """Undo the last change of this console, after a question that shows the effect."""
-        from rsb_console.screens.undo import UndoScreen  # noqa: PLC0415 -- keeps the start short
+        from rsb_console.screens.dialog import UndoScreen  # noqa: PLC0415 -- keeps the start short
 
         engine, changes = self._console.engine, self._console.changes
         change = changes.last
@@ -250,7 +250,7 @@ class BridgeOperations:
 
     async def reload(self) -> None:
         """Have the session file read again, after showing what differs."""
-        from rsb_console.screens.confirm import ConfirmScreen  # noqa: PLC0415 -- keeps the start short
+        from rsb_console.screens.dialog import ConfirmScreen  # noqa: PLC0415 -- keeps the start short
 
         engine = self._console.engine
         if engine is None:
@@ -275,7 +275,7 @@ class BridgeOperations:
 
     async def restart(self) -> None:
         """Close all links on both sides and open them again, after a question; start an engine that has ended."""
-        from rsb_console.screens.confirm import ConfirmScreen  # noqa: PLC0415 -- keeps the start short
+        from rsb_console.screens.dialog import ConfirmScreen  # noqa: PLC0415 -- keeps the start short
         from rsb_console.screens.restart import RestartScreen  # noqa: PLC0415 -- keeps the start short
 
         engine = self._console.engine

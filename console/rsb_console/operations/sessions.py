@@ -41,7 +41,7 @@ class SessionOperations:
             yes: the label of the button that ends the session.
             effect: the effect on the bridge, if it does not just stop, or an empty string.
         """
-        from rsb_console.screens.confirm import ConfirmScreen  # noqa: PLC0415 -- keeps the start short
+        from rsb_console.screens.dialog import ConfirmScreen  # noqa: PLC0415 -- keeps the start short
         from rsb_console.session.saving import file_of, unsaved  # noqa: PLC0415 -- keeps the start short
 
         engine, saved, path, reasons = self._console.engine, self._console.saved, self._console.path, []
@@ -66,7 +66,7 @@ class SessionOperations:
 
     async def welcome(self) -> None:
         """Offer all ways to begin, until one has led to a session."""
-        from rsb_console.screens.welcome import WelcomeScreen  # noqa: PLC0415 -- keeps the start short
+        from rsb_console.screens.session_files import WelcomeScreen  # noqa: PLC0415 -- keeps the start short
 
         while choice := await self._console.ask(WelcomeScreen(await self._running(), readonly=self._console.readonly)):
             if choice == "quit":
@@ -84,7 +84,7 @@ class SessionOperations:
 
     async def attach_instead(self, running: RunningBridge) -> None:
         """Offer to attach to the bridge that runs a session already, or all ways to begin; watching only, attach."""
-        from rsb_console.screens.confirm import OfferScreen  # noqa: PLC0415 -- keeps the start short
+        from rsb_console.screens.dialog import OfferScreen  # noqa: PLC0415 -- keeps the start short
 
         message = f"{running}\n\nA second bridge of one session would take the link away from the first."
         title = f"{running.name} already runs here. Attach to it?"
@@ -141,7 +141,7 @@ class SessionOperations:
 
     async def import_session(self) -> None:
         """Import a bringup.yaml of the thesis."""
-        from rsb_console.screens.import_session import ImportScreen  # noqa: PLC0415 -- keeps the start short
+        from rsb_console.screens.new_session import ImportScreen  # noqa: PLC0415 -- keeps the start short
 
         imported = await self._console.ask(ImportScreen(self._console, self._may_run))
         if imported is not None:
@@ -205,7 +205,7 @@ class SessionOperations:
 
     async def _save_to(self, path: Path) -> bool:
         """Save the session to a file; False: not, and the operator may name another one."""
-        from rsb_console.screens.saving import ChangedScreen, save_elsewhere  # noqa: PLC0415 -- keeps the start short
+        from rsb_console.screens.save_screens import ChangedScreen, save_elsewhere  # noqa: PLC0415 -- keeps the start short
         from rsb_console.session.saving import file_of, is_changed, reopened  # noqa: PLC0415 -- keeps the start short
 
         engine, opened = self._console.engine, self._console.file
@@ -234,7 +234,7 @@ class SessionOperations:
     # --- looking at what belongs to it
 
     async def keys(self) -> None:
-        from rsb_console.screens.keys import KeysScreen  # noqa: PLC0415 -- keeps the start short
+        from rsb_console.screens.keys_screen import KeysScreen  # noqa: PLC0415 -- keeps the start short
 
         await self._console.ask(KeysScreen(self._console))
 
@@ -244,7 +244,7 @@ class SessionOperations:
         await self._console.ask(LinksScreen(self._console))
 
     async def history(self) -> None:
-        from rsb_console.screens.history import HistoryScreen  # noqa: PLC0415 -- keeps the start short
+        from rsb_console.screens.history_screen import HistoryScreen  # noqa: PLC0415 -- keeps the start short
 
         await self._console.ask(HistoryScreen(self._console))
 

@@ -20,14 +20,13 @@ from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.text import join_first, sanitize_text
 from rsb_console.look import formats
 from rsb_console.look.glyphs import DONE, FAILED, STATE_SIGN, STATE_WORD, UNDER_WAY
-from rsb_console.screens.confirm import ConfirmScreen
-from rsb_console.screens.form import FormScreen
+from rsb_console.screens.dialog import ConfirmScreen
+from rsb_console.screens.form_screen import FormScreen
 from rsb_console.session.parameters import refusal, set_request
 from rsb_console.terminal.clipboard import copy
 from rsb_console.terminal.input_queue import DIALOG
-from rsb_console.widgets.form import Field, Notice, Spec
-from rsb_console.widgets.scrolled import ScrolledLines
-from rsb_console.widgets.text_field import TextField
+from rsb_console.widgets.form import Field, Notice, Spec, TextField
+from rsb_console.widgets.lines import ScrolledLines
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping

@@ -14,10 +14,10 @@ from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.verdict import LinkCause
 from rsb_console.look import formats
 from rsb_console.look.glyphs import ACK_WORD, STATE_SIGN, STATE_WORD
+from rsb_console.screens.dialog import Dialog
 from rsb_console.terminal.input_queue import DIALOG
 from rsb_console.widgets.columns import state_order
 from rsb_console.widgets.detail_parts import acknowledged_by
-from rsb_console.widgets.dialog import Dialog
 from rsb_console.widgets.faults import link_fault
 from rsb_console.widgets.lines import Line, LiveLines, fit
 from rsb_console.widgets.selectable_list import SelectableList
@@ -252,13 +252,13 @@ class LinksScreen(ModalScreen[None]):
 
     @work(group=DIALOG)
     async def action_add_client(self) -> None:
-        from rsb_console.screens.clients import add_client  # noqa: PLC0415 -- seldom needed
+        from rsb_console.screens.clients_screen import add_client  # noqa: PLC0415 -- seldom needed
 
         await add_client(self.console)
 
     @work(group=DIALOG)
     async def action_remove_client(self) -> None:
-        from rsb_console.screens.clients import remove_client  # noqa: PLC0415 -- seldom needed
+        from rsb_console.screens.clients_screen import remove_client  # noqa: PLC0415 -- seldom needed
 
         link = self.table.selected
         if link is not None:

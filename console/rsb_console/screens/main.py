@@ -5,22 +5,26 @@ from __future__ import annotations
 import time
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, ClassVar
 
+from textual.binding import Binding
 from textual.containers import Horizontal
-from textual.screen import Screen
+from textual.screen import ModalScreen, Screen
+from textual.widgets import Static
 
 from rsb_bridge.model.shortage import why_not_written
 from rsb_bridge.model.snapshot import Level
 from rsb_console.actions.registry import ACTIONS, BY_ID, Group, bindings
+from rsb_console.look import formats
 from rsb_console.look.patterns import PatternRow
+from rsb_console.screens.dialog import Dialog
 from rsb_console.widgets.columns import is_armed
 from rsb_console.widgets.detail import DetailPane
 from rsb_console.widgets.faults import FaultLines, MoreKeys, faults_of
+from rsb_console.widgets.filter import Prompt
 from rsb_console.widgets.keybar import KeyBar, KeyEntry
-from rsb_console.widgets.log import LogPane, plain
-from rsb_console.widgets.prompt import Prompt
-from rsb_console.widgets.status import StatusBar, View, state_counts, warning_count
+from rsb_console.widgets.log import WORD, LogPane, plain
+from rsb_console.widgets.status_bar import StatusBar, View, state_counts, warning_count
 from rsb_console.widgets.topics import FAULTS, TopicsTable
 
 if TYPE_CHECKING:
@@ -324,8 +328,6 @@ class MainScreen(Screen[None]):
 
     def action_detail(self) -> None:
         """Open a log line, or a topic's details: the pane gets the focus, or on a narrow screen all of it."""
-        from rsb_console.screens.event import EventScreen  # noqa: PLC0415 -- keeps the start short
-
         if self.log_pane.has_focus and self.log_pane.selected is not None:
             self.app.push_screen(EventScreen(self.log_pane.selected))
         elif self.detail.has_focus:
@@ -399,3 +401,28 @@ class MainScreen(Screen[None]):
             self.notify(why_not_written(error, Path()), title="Not exported", severity="error", markup=False)
         else:
             self.notify(f"written to {path}", markup=False)
+
+
+class EventScreen(ModalScreen[None]):
+    """All that an event says, over as many lines as it takes.
+
+    Args:
+        event: which.
+    """
+
+    BINDINGS: ClassVar = [Binding("escape,q,enter", "dismiss", show=False)]
+
+    def __init__(self, event: Event) -> None:
+        super().__init__()
+        self._event = event
+
+    def compose(self) -> ComposeResult:
+        """The text, and below it what it concerns."""
+        event = self._event
+        concerns = [word for word in (event.code, event.link, event.topic) if word]
+        yield Dialog(
+            f"{WORD[event.level]} at {formats.time_of_day(event.time)}",
+            Static(event.text, markup=False),
+            Static(" · ".join(concerns), classes="hint keys", markup=False),
+            keys="esc close",
+        )

@@ -19,7 +19,7 @@ from rsb_console.look.glyphs import STATE_SIGN, STATE_WORD
 from rsb_console.look.message_lines import hex_lines, message_lines, plain
 from rsb_console.session.reading import KnownTypes, age_text, how_it_came, read_message
 from rsb_console.terminal.clipboard import copy
-from rsb_console.widgets.scrolled import ScrolledLines
+from rsb_console.widgets.lines import ScrolledLines
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

@@ -10,20 +10,16 @@ from textual.binding import Binding
 from textual.containers import Horizontal, Vertical, VerticalScroll
 from textual.events import Paste
 from textual.message import Message
-from textual.widgets import Input, Static
+from textual.widgets import Input, Static, TextArea
 
 from rsb_console.terminal.input_queue import InputQueue
-from rsb_console.widgets.choice import Choice
-from rsb_console.widgets.field_input import FieldInput
-from rsb_console.widgets.input_guard import InputGuard
+from rsb_console.widgets.form_inputs import Choice, FieldInput, InputGuard, TextInput
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from textual.app import ComposeResult
     from textual.events import DescendantFocus
-
-    from rsb_console.widgets.text_input import TextInput
 
 
 @dataclass(frozen=True, slots=True)
@@ -234,3 +230,16 @@ class Form(VerticalScroll, can_focus=False):
         if first is not None and controls[0] is event.choice and not self._focus_moved:
             first.focus()
             InputQueue.of(self.app).insert([Paste(event.text)])
+
+
+class TextField(Field):
+    """As `Field`, of several lines."""
+
+    def __init__(self, spec: Spec) -> None:
+        super().__init__(spec)
+        self.add_class("-text")
+        self.control = TextInput(spec.value, spec.blank)
+
+    @on(TextArea.Changed)
+    def _text_changed(self, event: Message) -> None:
+        self._changed(event)

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, ClassVar, Self
 
 from rich.cells import cell_len
 from rich.segment import Segment
+from textual.binding import Binding
 from textual.geometry import Region, Size
 from textual.scroll_view import ScrollView
 from textual.strip import Strip
@@ -14,6 +15,8 @@ from textual.strip import Strip
 from rsb_bridge.model.snapshot import State
 
 if TYPE_CHECKING:
+    from collections.abc import Iterable
+
     from rich.style import Style
 
 Line = tuple[tuple[str, str], ...]
@@ -199,3 +202,32 @@ def clip(text: str, width: int) -> str:
     while cell_len(text) > max(0, width):
         text = text[:-1]
     return text
+
+
+class ScrolledLines(LiveLines, can_focus=True):
+    """Some lines that are replaced as a whole."""
+
+    BINDINGS: ClassVar = [
+        Binding("j", "scroll_down", show=False),
+        Binding("k", "scroll_up", show=False),
+        Binding("g", "scroll_home", show=False),
+        Binding("G", "scroll_end", show=False),
+    ]
+
+    def __init__(self, *, id: str, classes: str = "") -> None:  # noqa: A002 -- Textual's name
+        super().__init__(id=id, classes=classes)
+        self._lines: list[Line] = []
+
+    @property
+    def line_count(self) -> int:
+        """As many as there are."""
+        return len(self._lines)
+
+    def line(self, index: int) -> Line:
+        return self._lines[index]
+
+    def show(self, lines: Iterable[Line]) -> None:
+        """Show other lines in place of the present ones."""
+        width = self.scrollable_content_region.width
+        self._lines = [fit(line, width) for line in lines]
+        self.sync()

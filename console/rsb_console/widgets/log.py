@@ -14,8 +14,8 @@ if TYPE_CHECKING:
     from collections.abc import Iterable
 
     from rsb_bridge.model.snapshot import Event
+    from rsb_console.widgets.filter import Pattern
     from rsb_console.widgets.lines import Line
-    from rsb_console.widgets.pattern import Pattern
 
 KEPT = 5000  # events
 SEVERITY = {level: rank for rank, level in enumerate(Level)}

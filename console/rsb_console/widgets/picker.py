@@ -10,10 +10,10 @@ from textual import on
 from textual.binding import Binding
 from textual.widgets import Input
 
-from rsb_console.widgets.field_input import FieldInput
+from rsb_console.widgets.filter import Pattern
 from rsb_console.widgets.form import Field, Spec
+from rsb_console.widgets.form_inputs import FieldInput
 from rsb_console.widgets.lines import Line, fit
-from rsb_console.widgets.pattern import Pattern
 from rsb_console.widgets.selectable_list import SelectableList
 
 if TYPE_CHECKING:

@@ -16,8 +16,8 @@ from rsb_console.widgets.selectable_list import SelectableList
 if TYPE_CHECKING:
     from rsb_bridge.model.snapshot import RouteSnapshot, Snapshot
     from rsb_console.widgets.columns import Column
+    from rsb_console.widgets.filter import Pattern
     from rsb_console.widgets.lines import Line
-    from rsb_console.widgets.pattern import Pattern
 
 FAULTS = tuple(state for state in State if state not in (State.PAUSED, State.DISARMED, State.DISARMING, State.OK))
 

@@ -24,11 +24,10 @@ from rsb_bridge.config.keys import (
 )
 from rsb_bridge.config.rotation import written
 from rsb_bridge.model.snapshot import State
-from rsb_console.screens.confirm import ConfirmScreen
-from rsb_console.screens.form import FormScreen
+from rsb_console.screens.dialog import ConfirmScreen, Dialog
+from rsb_console.screens.form_screen import FormScreen
 from rsb_console.session.saving import path_problem
 from rsb_console.terminal.input_queue import DIALOG
-from rsb_console.widgets.dialog import Dialog
 from rsb_console.widgets.form import Field, Notice, Spec
 from rsb_console.widgets.lines import Line, fit
 from rsb_console.widgets.selectable_list import SelectableList

@@ -9,8 +9,8 @@ from textual.containers import Horizontal, Vertical
 from textual.screen import ModalScreen
 from textual.widgets import Button
 
-from rsb_console.widgets.choice import Choice
 from rsb_console.widgets.form import Field, Form
+from rsb_console.widgets.form_inputs import Choice
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence

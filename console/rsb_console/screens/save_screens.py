@@ -11,7 +11,7 @@ from textual.widgets import Button, Static
 
 from rsb_bridge.config.keys import KeyFileError, copy_key
 from rsb_bridge.config.session_file import SessionError, UneditableError, backup_path, edited_text, save
-from rsb_console.screens.confirm import ConfirmScreen
+from rsb_console.screens.dialog import ConfirmScreen
 from rsb_console.session.saving import difference, file_of, moved, rescued, text_of, unsaved
 from rsb_console.widgets.lines import Line, LiveLines, clip
 

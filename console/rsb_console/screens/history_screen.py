@@ -16,10 +16,10 @@ from rsb_bridge.model.shortage import why_not_written
 from rsb_bridge.model.snapshot import State
 from rsb_console.look import formats
 from rsb_console.look.glyphs import STATE_SIGN, STATE_WORD, sparkline
+from rsb_console.screens.dialog import Dialog
 from rsb_console.session import history
-from rsb_console.widgets.dialog import Dialog
+from rsb_console.widgets.filter import Prompt
 from rsb_console.widgets.lines import Line, LiveLines, fit, fit_middle
-from rsb_console.widgets.prompt import Prompt
 from rsb_console.widgets.selectable_list import SelectableList
 
 if TYPE_CHECKING:
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
     from rsb_bridge.model.history import HistoryReport, Track
     from rsb_console.console import Console
-    from rsb_console.widgets.pattern import Pattern
+    from rsb_console.widgets.filter import Pattern
 
 SPANS = (3600.0, 8 * 3600.0, 24 * 3600.0)
 _RENEWED_EVERY = 5.0

@@ -1,4 +1,4 @@
-"""Questions before an action that cannot be undone, and offers."""
+"""Dialogs: their frame, and the questions and offers that an operator answers with a button."""
 
 from __future__ import annotations
 
@@ -12,7 +12,26 @@ from textual.widgets import Button, Static
 if TYPE_CHECKING:
     from textual import events
     from textual.app import ComposeResult
+    from textual.widget import Widget
     from textual.widgets._button import ButtonVariant
+
+    from rsb_console.session.changes import Undo
+
+
+class Dialog(Vertical):
+    """A dialog's widgets, with a title on the frame, and the keys as its last line.
+
+    Args:
+        title: of the dialog.
+        widgets: from the top.
+        keys: what to press; the last line.
+        shape: a further CSS class: ``-wide`` or ``-history``.
+    """
+
+    def __init__(self, title: str, *widgets: Widget, keys: str, shape: str = "-wide") -> None:
+        super().__init__(*widgets, Static(keys, classes="hint keys", markup=False), classes=f"dialog {shape}")
+        self.border_title = title
+
 
 _AROUND = 8
 """Lines of the dialog that are not its message: frame, buttons, keys, and the empty ones between."""
@@ -99,3 +118,26 @@ class OfferScreen(ConfirmScreen):
 
     AUTO_FOCUS = "#yes"
     VARIANT = "primary"
+
+
+class UndoScreen(ConfirmScreen):
+    """Yes or No. The focus is on No if the undo removes something, or lets messages cross that do not cross now.
+
+    Args:
+        undo: with its effect in words.
+    """
+
+    SHAPE = "-wide"
+
+    def __init__(self, undo: Undo) -> None:
+        super().__init__(undo.title, "\n".join(undo.lines), undo.yes)
+        self._careful = undo.careful
+
+    def on_mount(self) -> None:
+        """Put the focus on Yes if the undo is harmless."""
+        if not self._careful:
+            self.query_one("#yes").focus()
+
+    def compose_buttons(self) -> ComposeResult:
+        yield Button(self._yes, id="yes", variant="error" if self._careful else "primary", compact=True)
+        yield Button("No", id="no", compact=True)

@@ -12,10 +12,9 @@ from rsb_bridge.model.text import join_first
 from rsb_console.actions.registry import BY_ID, FLEET_ACTIONS, Group, bindings
 from rsb_console.terminal.clipboard import copy
 from rsb_console.terminal.input_queue import DIALOG
-from rsb_console.widgets.fleet import FleetStatus, FleetTable, FleetView
+from rsb_console.widgets.filter import Prompt
+from rsb_console.widgets.fleet_table import FleetStatus, FleetTable, FleetView, RobotDetail
 from rsb_console.widgets.keybar import KeyBar, KeyEntry
-from rsb_console.widgets.prompt import Prompt
-from rsb_console.widgets.robot_detail import RobotDetail
 
 if TYPE_CHECKING:
     from collections.abc import Callable

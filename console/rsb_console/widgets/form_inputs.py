@@ -1,24 +1,124 @@
-"""One of a few options, on one line, chosen with the arrow keys or by typing its name."""
+"""The inputs of a form: a line of text, several lines, a choice, and the guard against keys typed too early."""
 
 from __future__ import annotations
 
+import time
 from typing import TYPE_CHECKING, ClassVar
 
 from rich.cells import cell_len
+from textual import events
 from textual.binding import Binding
 from textual.content import Content
 from textual.message import Message
 from textual.reactive import reactive
 from textual.widget import Widget
+from textual.widgets import Input, TextArea
 
 from rsb_console.terminal.input_queue import InputQueue
-from rsb_console.widgets.field_input import fields_of
-from rsb_console.widgets.input_guard import InputGuard
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterator, Sequence
 
-    from textual import events
+AT_MOST = 5.0  # s that a form ignores input if no result is ever shown
+LEAVING = ("escape", "ctrl+c")
+
+
+class InputGuard:
+    """Knows by their times which keys and pastes to ignore; a busy console handles them long after they were typed."""
+
+    def __init__(self) -> None:
+        self._until = 0.0
+
+    def begin(self) -> None:
+        self._until = time.monotonic() + AT_MOST
+
+    def cancel(self) -> None:
+        """Ignore no input: what the operator typed since `begin` is meant for the new focus."""
+        self._until = 0.0
+
+    def end(self) -> None:
+        """The result is shown."""
+        self._until = time.monotonic()
+
+    def covers(self, event: Message) -> bool:
+        """Whether to ignore an event; never one that leaves the form."""
+        if event.time > self._until:  # Textual's times are monotonic
+            return False
+        return isinstance(event, events.Paste) or (isinstance(event, events.Key) and event.key not in LEAVING)
+
+
+class FieldInput(Input):
+    """One line of text, which ignores input from its submission until the result is shown.
+
+    Attributes:
+        input_guard: the form's.
+        submits: whether enter submits the form.
+
+    Args:
+        value: at first.
+        blank: what an empty one means.
+        edited: the focus comes to its end; else what is typed then replaces it.
+    """
+
+    def __init__(self, value: str, blank: str, *, edited: bool = False) -> None:
+        super().__init__(value, placeholder=blank, compact=True, select_on_focus=not edited)
+        self.input_guard = InputGuard()
+        self.submits = True
+
+    # Textual calls these of every class, Input's after ours, unless the default is prevented.
+
+    def _on_focus(self, event: events.Focus) -> None:
+        if not self.select_on_focus and not event.from_app_focus:
+            self.cursor_position = len(self.value)
+
+    async def _on_key(self, event: events.Key) -> None:
+        if self.input_guard.covers(event):
+            event.stop()
+            event.prevent_default()
+        elif event.key == "enter" and self.submits:
+            # A binding would run only after the keys that are queued already.
+            self.input_guard.begin()
+            event.stop()
+            event.prevent_default()
+            await self.action_submit()
+
+    def _on_paste(self, event: events.Paste) -> None:
+        covered = self.input_guard.covers(event)
+        if covered or "\t" in event.text:
+            event.stop()
+            event.prevent_default()
+        if not covered and "\t" in event.text:
+            InputQueue.of(self.app).insert(fields_of(event.text))
+
+
+def fields_of(pasted: str) -> Iterator[Message]:
+    """Split a pasted text into fields. A tab in it goes to the next field, like the key."""
+    for number, part in enumerate(pasted.split("\t")):
+        if number:
+            yield events.Key("tab", "\t")
+        if part:
+            yield events.Paste(part)
+
+
+class TextInput(TextArea):
+    """Text of several lines. Enter begins a new line, tab goes on to the next field."""
+
+    def __init__(self, value: str, blank: str) -> None:
+        super().__init__(value, placeholder=blank, compact=True, highlight_cursor_line=False)
+
+    async def _on_paste(self, event: events.Paste) -> None:
+        """Textual calls TextArea's own, too, which would let the event come back by way of the screen."""
+        event.stop()
+
+    @property
+    def value(self) -> str:
+        """The text."""
+        return self.text
+
+    @value.setter
+    def value(self, value: str) -> None:
+        self.text = value
+
 
 _SAME_WORD = 1.0
 """s after which a typed letter begins a new word."""

@@ -1,0 +1,475 @@
+"""The form of a topic, a service and the like: its fields, suggestions from both graphs, and checks while typing."""
+
+from __future__ import annotations
+
+import asyncio
+from dataclasses import replace
+from functools import partial
+from itertools import islice
+from typing import TYPE_CHECKING, NamedTuple
+
+from rich.cells import cell_len
+from textual import on, work
+
+from rsb_bridge.api import EngineError
+from rsb_bridge.model import transports
+from rsb_bridge.model.limits import CHANNEL, NO_PORT
+from rsb_bridge.model.link_budget import LoadSource, cost_of, told
+from rsb_bridge.model.qos import AUTO, PROFILES
+from rsb_bridge.model.session import CALL_TIMEOUT, DEADMAN
+from rsb_bridge.model.text import plural
+from rsb_console.look.glyphs import IN, OUT
+from rsb_console.look.kinds import NOUN
+from rsb_console.screens.form_screen import FormScreen
+from rsb_console.session.draft import SWITCHES, Ends, problems_of, topic_of, values_of
+from rsb_console.terminal.input_queue import DIALOG
+from rsb_console.widgets.form import Field, Spec
+from rsb_console.widgets.lines import Line, fit_middle
+from rsb_console.widgets.picker import PickField, Suggestion
+
+if TYPE_CHECKING:
+    from collections.abc import Awaitable, Callable, Iterable, Iterator, Mapping, Sequence
+
+    from rsb_bridge.api import EngineApi
+    from rsb_bridge.model.session import Kind, Session, Topic
+    from rsb_bridge.model.snapshot import RouteSnapshot, TopicInfo
+
+KINDS: tuple[Kind, ...] = ("topic", "service", "action", "parameters")
+ORDER = (
+    "topic", "kind", "direction", "provider", "excepts", "type", "qos", "remote_topic", "timeout", "protocol", "port",
+    "max_rate", "priority", "expected_rate", "stale_after", "late_after", "max_age", "compression", "arm", "deadman",
+    "paused",
+)  # fmt: skip
+"""The keys of all fields, in the order in which an operator thinks of them."""
+_LABELS: dict[Kind, str] = {"topic": "Topic", "service": "Service", "action": "Action", "parameters": "Node"}
+_FOLDERS: dict[Kind, str] = {"topic": "msg", "service": "srv", "action": "action"}
+
+
+def fields_by_kind(session: Session, ends: Ends, route: RouteSnapshot | None) -> dict[Kind, dict[str, Spec]]:
+    """The fields of each kind that the form may be about, by their keys.
+
+    Args:
+        session: what it is for.
+        ends: of the link.
+        route: what is edited; None: the form is for something new, of any kind.
+    """
+    kinds = KINDS if route is None else (route.spec.kind,)
+    values = {} if route is None else values_of(route.spec) | {"provider": route.spec.provider}
+    return {
+        kind: {spec.key: _with_value(spec, values.get(spec.key, "")) for spec in _specs(session, ends, kind, route)}
+        for kind in kinds
+    }
+
+
+def _with_value(spec: Spec, value: str) -> Spec:
+    if spec.key in SWITCHES:
+        value = "yes" if value else ""
+    return replace(spec, value=value, edited=value.startswith("{"))  # QoS policies are changed one by one
+
+
+def _specs(session: Session, ends: Ends, kind: Kind, route: RouteSnapshot | None) -> Iterator[Spec]:
+    yield from _which(ends, kind, new=route is None)
+    if kind == "topic":
+        known = f"auto, {', '.join(PROFILES)}, a depth (20), or policies: {{reliability: best_effort}}"
+        yield Spec("qos", "QoS", known, blank="auto")
+    yield Spec(
+        "remote_topic",
+        "On the server",
+        f"Its name there. Empty: the same{f', with /{ends.client} before it' if ends.use_name else ''}.",
+        blank=f"/{ends.client} and its name" if ends.use_name else "same name",
+    )
+    if kind != "topic":
+        yield Spec(
+            "timeout",
+            "Timeout",
+            "Seconds without an answer until a call is given up.",
+            blank=f"{CALL_TIMEOUT:g} s",
+        )
+    yield from _how(session, kind, None if route is None else route.spec.protocol)
+    yield Spec(
+        "arm",
+        "Must be armed",
+        "Carries nothing until an operator arms it (key A).",
+        options=(("", "no"), ("yes", "yes")),
+    )
+    yield Spec(
+        "deadman",
+        "Deadman",
+        "Seconds without a key on the console that armed it until it disarms; 0: none.",
+        blank=f"{DEADMAN:g} s, if it has to be armed",
+    )
+    yield Spec("paused", "Paused", "Set up, but carries nothing until resumed.", options=(("", "no"), ("yes", "yes")))
+
+
+def _which(ends: Ends, kind: Kind, *, new: bool) -> Iterator[Spec]:
+    """What it is, and between whom."""
+    name = f"{'The name of the node' if kind == 'parameters' else 'Its name'} on the client."
+    yield Spec(
+        "topic",
+        _LABELS[kind],
+        f"{name} Type to search, ↑ ↓ and ⏎ to pick; or type a name (/scan) or a pattern (/camera/**)." if new else name,
+        blank="type to look for what either side has",
+    )
+    if new:
+        yield Spec(
+            "kind",
+            "Kind",
+            "What has that name. What is picked from the list says it by itself.",
+            options=tuple((each, each) for each in KINDS),
+        )
+    if kind == "topic":
+        out, back = ("←", "→") if ends.is_server else ("→", "←")
+        yield Spec(
+            "direction",
+            "Direction",
+            "transmit: from the client to the server; receive: from the server to the client.",
+            options=(("transmit", f"transmit {out}"), ("receive", f"receive {back}")),
+        )
+    else:
+        there, here = ("here", "there") if ends.is_server else ("there", "here")
+        yield Spec(
+            "provider",
+            "Provider",
+            "The side whose node answers. The other side's nodes call it.",
+            options=(("server", f"the server ({there})"), ("client", f"the client ({here})")),
+        )
+    yield Spec(
+        "excepts",
+        "Except",
+        "Of a pattern (/camera/**, /nav/*): names and patterns on the client that it leaves out, with blanks between.",
+        blank="nothing",
+    )
+    if kind in _FOLDERS:
+        short = ", or a common type's short name (LaserScan)" if kind == "topic" else ""
+        form = f"package/{_FOLDERS[kind]}/Name{short}. Empty: the type in either graph."
+        yield Spec("type", "Type", form, blank="auto")
+
+
+def _how(session: Session, kind: Kind, begun: str | None) -> Iterator[Spec]:
+    """How it crosses; `begun` is the protocol that it has already."""
+    bluetooth = session.is_bluetooth
+    has_radio = session.bluetooth_address is not None or begun == "bluetooth"
+    if not bluetooth:
+        yield _protocol(kind, session, has_radio=has_radio)
+    has_ports = transports.of_link(session.server_ip).topic_ports is not NO_PORT
+    packing = (("", f"the link's ({'zstd' if bluetooth else 'none'})"), ("none", "none"), ("zstd", "zstd"))
+    port = "Channel" if bluetooth else "Port"
+    channel = f" Bluetooth: a channel, {CHANNEL}, which several may share." if has_radio and not bluetooth else ""
+    if has_ports:
+        yield Spec("port", port, f"A {port.lower()} of its own. Empty: it shares the link's.{channel}", blank="shared")
+    if kind == "topic":
+        after = f"{session.stale_after:g} s"
+        yield Spec("max_rate", "Max rate", "Hz; messages beyond it are left out. Empty: no limit.", blank="all")
+        yield Spec(
+            "priority",
+            "Priority",
+            "While the link carries less than is asked for, lower ones are thinned first.",
+            options=(("", "normal"), ("high", "high"), ("low", "low")),
+        )
+        yield Spec("expected_rate", "Expected rate", "Hz, shown beside the real rate. Empty: learned.", blank="learned")
+        yield Spec("stale_after", "Stale after", "Seconds without a message before a warning; 0: never.", blank=after)
+        late = f"{session.late_after:g} s"
+        yield Spec("late_after", "Late after", "Seconds that a message may take, or 0 for no limit.", blank=late)
+        old = "Seconds; an older message is dropped. 0: no limit. Empty: 1 s if it has to be armed, else no limit."
+        yield Spec("max_age", "Max age", old, blank="1 s if armed")
+        worth = "zstd is worth it for maps and clouds, and on slow links."
+    else:
+        yield Spec("max_rate", "Max rate", "Calls a second; those beyond it are refused. Empty: no limit.", blank="all")
+        old = "Seconds; an older request is refused. 0: no limit. Empty: 1 s if it has to be armed, else no limit."
+        yield Spec("max_age", "Max age", old, blank="1 s if armed")
+        worth = "zstd is worth it for large requests and answers, and on slow links."
+    yield Spec("compression", "Compression", worth, options=packing)
+
+
+def _protocol(kind: Kind, session: Session, *, has_radio: bool) -> Spec:
+    if session.is_zenoh:
+        streams = ("", "by the QoS") if kind == "topic" else ("", "zenoh")
+        offered = (streams, ("zenoh", "zenoh"), ("zenoh-drop", "zenoh-drop"))
+        meaning = "zenoh delivers all, in order; zenoh-drop, what best effort has, never waits for what was lost."
+        return Spec("protocol", "Protocol", meaning, options=offered if kind == "topic" else offered[:1])
+    radio = "; bluetooth uses the radio, on a channel of its own" if has_radio else ""
+    carriers = [("", "the link's (tcp)"), ("tcp", "tcp")]
+    if kind == "topic":
+        meaning = "tcp delivers all, in order; udp never waits for what was lost"
+        carriers.append(("udp", "udp"))
+    else:
+        meaning = "calls never go over udp, which may lose them"
+    carriers += [("bluetooth", "bluetooth")] if has_radio else []
+    return Spec("protocol", "Protocol", f"{meaning}{radio}.", options=tuple(carriers))
+
+
+LOOK_EVERY = 2.0  # s between two looks at the graphs
+
+
+class Draft(NamedTuple):
+    """What the form gives.
+
+    Attributes:
+        topic: as the client sees it.
+        link: the client's name.
+    """
+
+    topic: Topic
+    link: str
+
+
+class TopicScreen(FormScreen[Draft]):
+    """The form of a topic, a service, an action or a node's parameters.
+
+    Args:
+        engine: whose graphs and links it is about.
+        do: carries out what the form gives; the form stays open, with the reason, if the engine refuses it.
+        route: what to edit; None: something new.
+    """
+
+    def __init__(
+        self, engine: EngineApi, do: Callable[[Draft], Awaitable[object]], route: RouteSnapshot | None = None
+    ) -> None:
+        self._engine, self._do, self._route = engine, do, route
+        now = engine.snapshot()
+        self._links = [route.link] if route is not None else [link.name for link in now.links]
+        self._specs = fields_by_kind(engine.session, Ends.of(now, self._links[0]), route)
+        self._kind: Kind = KINDS[0] if route is None else route.spec.kind
+        self._kind_chosen = False
+        self._found: dict[str | None, list[TopicInfo]] = {}
+        self._errors: dict[str | None, str] = {}
+        self._awaited: set[str | None] = set()
+        self._late: set[str | None] = set()
+        new = "Add a topic, a service, an action or a node's parameters"
+        title, yes = (new, "Add") if route is None else (f"Edit {route.topic}", "Change")
+        super().__init__(title, [self._field(spec) for spec in self._all_specs()], yes)
+        self._show_kind()
+
+    def _all_specs(self) -> Iterator[Spec]:
+        """Those of every kind, each once, in an order that is that of each kind."""
+        if len(self._links) > 1:
+            clients = tuple((name, name) for name in self._links)
+            yield Spec("link", "Client", "The client that it is bridged with.", options=clients)
+        for key in ORDER:
+            yield from islice((specs[key] for specs in self._specs.values() if key in specs), 1)
+
+    def _show_kind(self) -> None:
+        """Show the fields that the kind has, as they are called there."""
+        if "kind" in self.form.fields:
+            self._kind = next(kind for kind in KINDS if kind == self.form.fields["kind"].value)
+        specs = self._specs[self._kind]
+        for key, field in self.form.fields.items():
+            if key in specs:
+                field.describe(specs[key])
+            field.display = key in specs or key == "link"
+
+    def _field(self, spec: Spec) -> Field:
+        if spec.key == "topic" and self._route is None:
+            return PickField(spec, is_literal=lambda text: text.startswith("/"))
+        return Field(spec)
+
+    @property
+    def _link(self) -> str:
+        return self.form.values.get("link") or self._links[0]
+
+    def check(self) -> None:
+        """Say what is wrong, and what a topic that is right would cost on the link."""
+        super().check()
+        if (priority := self.form.fields.get("priority")) is not None:  # a topic, not a service
+            priority.note.set_text("\n".join(self._cost()))
+
+    def _cost(self) -> tuple[str, ...]:
+        values = self.form.values
+        if self._kind != "topic" or not values.get("topic") or self.problems(values):
+            return ()
+        now, draft = self._engine.snapshot(), self.result(values)
+        replaces = "" if self._route is None else self._route.key
+        known = "" if self._route is None else self._route.type_name
+        cost = cost_of(now, draft.link, draft.topic, type_name=known or self._type_of(draft), replaces=replaces)
+        return told(cost, now.time) if cost.load.source is not LoadSource.UNKNOWN else ()
+
+    def _type_of(self, draft: Draft) -> str:
+        """The type that the sending side's graph has; empty: none."""
+        sends_here = (draft.topic.direction == "receive") == (self._engine.session.role == "server")
+        found = self._found.get(None if sends_here else draft.link, [])
+        names = {draft.topic.topic, draft.topic.remote_topic, f"/{draft.link}{draft.topic.topic}"}
+        return next((info.type_name for info in found if info.topic in names), "")
+
+    def problems(self, values: Mapping[str, str]) -> dict[str, str]:
+        replaced = None if self._route is None else self._route.spec
+        found = problems_of(self.result(values).topic, self._engine.session, replaced)
+        renamed = {"direction": "provider"} if self._kind != "topic" else {}
+        return {renamed.get(key, key): message for key, message in found.items()}
+
+    def result(self, values: Mapping[str, str]) -> Draft:
+        given = {key: value for key, value in values.items() if key != "link"}
+        return Draft(topic_of({"kind": self._kind, **given}), self._link)
+
+    @work(group=DIALOG)
+    async def accept(self, result: Draft) -> None:
+        """Have it carried out; what is refused is said here, beside the values."""
+        try:
+            await self._do(result)
+        except EngineError as error:
+            self.form.show_problems({"": str(error)})
+        else:
+            self.dismiss(result)
+
+    # -- picking ------------------------------------------------------------------------------------------------------
+
+    def on_mount(self) -> None:
+        """Look at the graphs, and go on looking."""
+        super().on_mount()
+        if self._route is None:
+            self._look()
+            self.set_interval(LOOK_EVERY, self._look)
+
+    def _look(self) -> None:
+        """Ask both sides what they have; a side that has not answered yet is not asked again."""
+        self._late = set(self._awaited)
+        for side in (None, self._link):
+            if side not in self._awaited:
+                self._awaited.add(side)
+                self._ask(side)
+        self._suggest()
+
+    @work(group="ask")
+    async def _ask(self, side: str | None) -> None:
+        try:
+            self._found[side] = await asyncio.wrap_future(self._engine.topics(side))
+            self._errors.pop(side, None)
+        except EngineError as error:
+            self._errors[side] = str(error)
+        self._awaited.discard(side)
+        self._late.discard(side)
+        self._suggest()
+
+    def _suggest(self) -> None:
+        """List what has been found, and say whose answer is missing."""
+        link, now = self._link, self._engine.snapshot()
+        bridged = [route for route in now.routes if route.link == link]
+        field = self.form.fields["topic"]
+        assert isinstance(field, PickField)
+        late = "waiting for what the other side has …" if link in self._late else ""
+        field.note.set_text(self._errors.get(link) or self._errors.get(None) or late)
+        waiting = self._awaited & {None, link}
+        what = self._kind if self._kind_chosen else "topic, service, action or node with parameters"
+        empty = "asking both sides …" if waiting else f"no other {what} on either side; type the full name"
+        here, there = (
+            [info for info in self._found.get(side, []) if not self._kind_chosen or info.kind == self._kind]
+            for side in (None, link)
+        )
+        suggestions = suggestions_for(Ends.of(now, link), here, there, bridged)
+        field.suggest(suggestions, lambda _text: empty)
+
+    @on(Field.Changed)
+    def _another_client_or_kind(self, event: Field.Changed) -> None:
+        key = event.field.spec.key
+        if key == "link":
+            self._look()
+        elif key == "kind":
+            self._kind_chosen = self._kind_chosen or event.field.control.has_focus
+            self._show_kind()
+            self._suggest()
+            self.check()
+
+    @on(PickField.Picked)
+    def _picked(self, event: PickField.Picked) -> None:
+        if event.suggestion is not None:
+            for key, value in {"topic": event.suggestion.value, **event.suggestion.fills}.items():
+                self.form.fields[key].value = value
+            self._show_kind()
+        event.field.touched = True
+        self.check()
+        self.form.fields["direction" if self._kind == "topic" else "provider"].control.focus()
+
+
+_NAME_WIDTH, _WHERE_WIDTH, _TYPE_WIDTH = 32, 21, 24  # cells; the name takes what is left, and no less than this
+_ENDS: dict[Kind, tuple[str, str]] = {
+    "topic": ("publisher", "subscriber"),
+    "service": ("server", "client"),
+    "action": ("server", "client"),
+    "parameters": ("parameters", "client"),
+}
+"""What there is of each kind on the side that gives it, and on the other."""
+
+
+def suggestions_for(
+    ends: Ends, here: Iterable[TopicInfo], there: Iterable[TopicInfo], bridged: Sequence[RouteSnapshot]
+) -> list[Suggestion]:
+    """What both graphs have that is not bridged yet: topics, then services, actions and parameters, each by name.
+
+    A publisher makes a topic flow away from its side; where there are only subscriptions it is to flow towards them.
+    What has both, one on each side, is told by its publisher. So it is with the servers and clients of a service.
+
+    Args:
+        ends: of the link.
+        here: this side's graph.
+        there: the other side's.
+        bridged: the link's routes; neither end of one is offered the same way again.
+    """
+    taken = {route.spec.identity for route in bridged}
+    crossing = {
+        (route.spec.kind, is_here, route.topic if is_here else route.remote_topic, _from_here(route))
+        for route in bridged
+        for is_here in (True, False)
+    }
+    infos = [(info, is_here) for graph, is_here in ((here, True), (there, False)) for info in graph]
+    suggestions: dict[str, Suggestion] = {}
+    for info, is_here in sorted(infos, key=lambda each: not each[0].publishers):
+        suggestion = _suggestion(ends, info, is_here)
+        from_here = info.kind == "topic" and is_here == bool(info.publishers)
+        if (
+            suggestion is not None
+            and (info.kind, is_here, info.topic, from_here) not in crossing
+            and (info.kind, suggestion.value, _direction(ends, info, is_here)) not in taken
+        ):
+            suggestions.setdefault(suggestion.key, suggestion)
+    order = {str(kind): number for number, kind in enumerate(NOUN)}
+    return sorted(suggestions.values(), key=lambda each: (order[each.fills["kind"]], each.value))
+
+
+def _from_here(route: RouteSnapshot) -> bool:
+    """Whether a topic's messages go out. Whatever else has a name, it crosses one way only."""
+    return route.outgoing and route.spec.kind == "topic"
+
+
+def _direction(ends: Ends, info: TopicInfo, is_here: bool) -> str:
+    """Messages go away from publishers, and requests towards servers."""
+    gives = (is_here == ends.is_server) == bool(info.publishers)
+    return "receive" if gives == (info.kind == "topic") else "transmit"
+
+
+def _suggestion(ends: Ends, info: TopicInfo, is_here: bool) -> Suggestion | None:
+    """What the client would call it; None: it is not the client's to bridge."""
+    name = ends.client_topic(info.topic, on_server=is_here == ends.is_server)
+    if name is None:
+        return None
+    direction = _direction(ends, info, is_here)
+    fills = {
+        "kind": info.kind,
+        "direction": direction,
+        "provider": "server" if direction == "transmit" else "client",
+        "type": AUTO if info.kind == "parameters" else info.type_name or AUTO,
+    }
+    return Suggestion(f"{info.kind} {direction} {name}", name, partial(_line, info, is_here), fills)
+
+
+def _line(info: TopicInfo, is_here: bool, width: int) -> Line:
+    name_width = max(_NAME_WIDTH, width - 2 - _WHERE_WIDTH - _TYPE_WIDTH)
+    gives, takes = _ENDS[info.kind]
+    count, what = (info.publishers, gives) if info.publishers else (info.subscriptions, takes)
+    amount = gives if info.kind == "parameters" and info.publishers else f"{count} {plural(count, what)}"
+    outwards = (is_here == bool(info.publishers)) == (info.kind == "topic")
+    return (
+        (f"{OUT if outwards else IN} ", ""),
+        *_column(info.topic, name_width, "strong"),
+        *_column(f"{amount} {'here' if is_here else 'there'}", _WHERE_WIDTH, "dim"),
+        (_type_of(info), ""),
+    )
+
+
+def _type_of(info: TopicInfo) -> str:
+    if info.kind == "parameters":
+        return ""
+    return info.type_name.replace("/msg/", "/") or "several types"
+
+
+def _column(text: str, width: int, look: str) -> Line:
+    cut = fit_middle(text, width - 1)
+    return (cut, look), (" " * (width - cell_len(cut)), "")
