@@ -11,8 +11,8 @@ import os
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rsb_console.bench import beds, processes
-from rsb_console.bench.beds import TOPIC, Bed, ready
+from rsb_console.bench import loopback, processes
+from rsb_console.bench.loopback import TOPIC, Bed, ready
 from rsb_console.bench.processes import free_port
 
 if TYPE_CHECKING:
@@ -47,12 +47,12 @@ class Process(processes.Process):
 
 def direct(listener: str = "listen") -> AbstractContextManager[Bed]:
     """Nothing between them: one domain."""
-    return beds.direct(NEAR, listener=listener)
+    return loopback.direct(NEAR, listener=listener)
 
 
 def bridged(protocol: str, client: Callable[[Path], processes.Process] | None = None) -> AbstractContextManager[Bed]:
     """Our bridge between them: two processes, encrypted; `client` starts another client than the headless one."""
-    return beds.bridged(protocol, NEAR, FAR, side=headless, client=client)
+    return loopback.bridged(protocol, NEAR, FAR, side=headless, client=client)
 
 
 def headless(session: Path, log: Path | None = None) -> Process:
@@ -63,7 +63,7 @@ def headless(session: Path, log: Path | None = None) -> Process:
 @contextlib.contextmanager
 def relayed() -> Iterator[Bed]:
     """A process between them that takes raw and publishes raw: what a bridge costs without a link."""
-    with beds.ends(NEAR, FAR) as bed, Process("-m", "bench.relay", str(NEAR), str(FAR), TOPIC) as relay:
+    with loopback.ends(NEAR, FAR) as bed, Process("-m", "bench.relay", str(NEAR), str(FAR), TOPIC) as relay:
         bed.between.append(relay)
         yield ready(bed)
 
@@ -73,7 +73,7 @@ def thesis() -> Iterator[Bed]:
     """The thesis's pipeline between them."""
     port, key = str(free_port()), base64.urlsafe_b64encode(os.urandom(32)).decode()
     with (
-        beds.ends(NEAR, FAR) as bed,
+        loopback.ends(NEAR, FAR) as bed,
         Process("-m", "bench.thesis", "receive", str(FAR), TOPIC, port, key) as receiving,
     ):
         receiving.line()  # it is ready

@@ -23,9 +23,9 @@ from typing import TYPE_CHECKING
 from bench import bed
 from rsb_bridge.control.client import RemoteEngine
 from rsb_bridge.ros.stand_in import Talk
-from rsb_console.bench import beds
-from rsb_console.bench.ends import BenchError
+from rsb_console.bench import loopback
 from rsb_console.bench.fleet import USUAL, WAYS, Fleet, fleet, listening
+from rsb_console.bench.results import BenchError
 from rsb_console.bench.robots import Load
 from rsb_console.command.shell import allow_many_descriptors
 
@@ -158,8 +158,8 @@ def measure(
         names = [f"robot{number:03d}" for number in range(count)]  # as `many` below has them
         running = stack.enter_context(fleet(folder, names, domain=domain, over=over, load=load))
         heard, flooding = running.names[0], running.names[-1]
-        listener = stack.enter_context(bed.Process("-m", beds.TRAFFIC, "listen", str(domain), f"/{heard}/pose"))
-        stack.enter_context(bed.Process("-m", beds.TRAFFIC, "many", str(domain), "/robot", str(count), "/goal"))
+        listener = stack.enter_context(bed.Process("-m", loopback.TRAFFIC, "listen", str(domain), f"/{heard}/pose"))
+        stack.enter_context(bed.Process("-m", loopback.TRAFFIC, "many", str(domain), "/robot", str(count), "/goal"))
         control = running.start_control()
         listening(control, running.session)
         began = time.time()

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from bench import bed
-from rsb_console.bench import beds
+from rsb_console.bench import loopback
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -44,7 +44,7 @@ def main() -> None:
     arguments = sys.argv[1:] + ["tcp", "5000", "2500"][len(sys.argv) - 1 :]
     protocol, rate, size = arguments[0], float(arguments[1]), int(arguments[2])
     _show(bed.relayed(), ("relay",), rate, size)
-    sides = beds.bridged(protocol, bed.NEAR, bed.FAR, side=_named)
+    sides = loopback.bridged(protocol, bed.NEAR, bed.FAR, side=_named)
     _show(sides, ("sending side", "receiving side"), rate, size)
 
 

@@ -16,7 +16,7 @@ from collections import defaultdict
 from typing import TYPE_CHECKING
 
 from bench import bed, calls, opening
-from rsb_console.bench.search import highest_lossless
+from rsb_console.bench.suite import highest_lossless
 
 if TYPE_CHECKING:
     from rsb_console.bench.results import Run

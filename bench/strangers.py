@@ -30,8 +30,8 @@ from rsb_bridge.transport.zenoh.sample import Header, Kind
 from rsb_bridge.wire.connection import ClientConnection
 from rsb_bridge.wire.messages import Hello
 from rsb_bridge.wire.sealing import Suite
-from rsb_console.bench import beds
-from rsb_console.bench.ends import BenchError
+from rsb_console.bench import loopback
+from rsb_console.bench.results import BenchError
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -124,9 +124,9 @@ class Stage:
 
     def __init__(self, resources: contextlib.ExitStack, transport: str, near: int, far: int) -> None:
         self._folder = Path(resources.enter_context(tempfile.TemporaryDirectory(prefix="rsb-bench-")))
-        entry = f"  - {{topic: {beds.TOPIC}, direction: transmit, type: {_TYPE}, qos: 2000"
+        entry = f"  - {{topic: {loopback.TOPIC}, direction: transmit, type: {_TYPE}, qos: 2000"
         protocol = "udp" if transport == "udp" else transport
-        port = beds.write_sessions(self._folder, near, far, [f"{entry}, protocol: {protocol}}}"])
+        port = loopback.write_sessions(self._folder, near, far, [f"{entry}, protocol: {protocol}}}"])
         self.port = port
         if transport == _ZENOH:
             endpoint = f"tcp/127.0.0.1:{port}"
@@ -137,14 +137,14 @@ class Stage:
                 path.write_text(
                     path.read_text().replace(address, f"server_ip: zenoh\nzenoh: {{connect: [{endpoint}]}}\n")
                 )
-        self._bed = resources.enter_context(beds.ends(near, far))
-        self.server = resources.enter_context(beds.headless(self._folder / "server.yaml"))
+        self._bed = resources.enter_context(loopback.ends(near, far))
+        self.server = resources.enter_context(loopback.headless(self._folder / "server.yaml"))
 
     @contextlib.contextmanager
     def robot(self) -> Iterator[float | None]:
         """The robot's process; gives the s until its first message, or None if none came in time."""
         began = time.monotonic()
-        with beds.headless(self._folder / "client.yaml"):
+        with loopback.headless(self._folder / "client.yaml"):
             self._bed.listener.ask("reset")
             while not self._bed.listener.ask("count")["count"]:
                 if time.monotonic() - began > _LINKED_WITHIN:

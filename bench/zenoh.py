@@ -16,13 +16,13 @@ from collections import defaultdict
 from typing import TYPE_CHECKING
 
 from bench import bed
-from rsb_console.bench import beds
+from rsb_console.bench import loopback
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
     from pathlib import Path
 
-    from rsb_console.bench.beds import Bed
+    from rsb_console.bench.loopback import Bed
     from rsb_console.bench.processes import Process
 
 LOADS = ((100, 2_500), (1_000, 2_500), (10_000, 2_500), (100, 1_000_000))
@@ -75,9 +75,9 @@ def _over_zenoh(protocol: str, *, routed: bool) -> Iterator[Bed]:
                 running.enter_context(router(endpoint))
             key = "listen" if server and not routed else "connect"
             session.write_text(_ADDRESS.sub(f"server_ip: zenoh\nzenoh: {{{key}: [{endpoint}]}}\n", text))
-            return beds.headless(session)
+            return loopback.headless(session)
 
-        yield running.enter_context(beds.bridged(protocol, bed.NEAR, bed.FAR, side=side))
+        yield running.enter_context(loopback.bridged(protocol, bed.NEAR, bed.FAR, side=side))
 
 
 @contextlib.contextmanager

@@ -15,7 +15,7 @@ from rsb_bridge.model.robot_summary import RobotState
 from rsb_console.app import ConsoleApp
 from rsb_console.command.demo_fleet import seen, simulated, trouble
 from rsb_console.fleet_app import FleetApp
-from rsb_console.session.demo import running_demo
+from rsb_console.session.demo_session import running_demo
 from rsb_console.widgets.fleet_table import FleetView
 
 if TYPE_CHECKING:
@@ -23,8 +23,7 @@ if TYPE_CHECKING:
 
     from textual.pilot import Pilot
 
-    from rsb_console.fleet.fleet import Fleet, Robot
-    from rsb_console.fleet.source import FleetSource
+    from rsb_console.fleet.fleet import Fleet, FleetSource, Robot
 
 PICTURES = Path(__file__).parent / "pictures"
 FLOWING = 6  # topics of the demo, its service, and its robot's parameters

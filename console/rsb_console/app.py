@@ -13,12 +13,11 @@ from typing import TYPE_CHECKING, Any, TypeVar
 from textual import work
 
 from rsb_bridge.api import EngineError
+from rsb_bridge.model.fault_watch import ChangeKind, FaultWatch
 from rsb_bridge.model.snapshot import Snapshot, State
 from rsb_console.actions.registry import Group
-from rsb_console.operations.bell import Bell
-from rsb_console.operations.bridge import BridgeOperations
-from rsb_console.operations.deadman import Deadman
-from rsb_console.operations.sessions import SessionOperations
+from rsb_console.operations.bridge_operations import BridgeOperations, Deadman
+from rsb_console.operations.session_operations import SessionOperations
 from rsb_console.screens.main import MainScreen
 from rsb_console.session.changes import Changes
 from rsb_console.terminal.input_queue import DIALOG
@@ -37,6 +36,7 @@ if TYPE_CHECKING:
     from rsb_bridge.control.bridges import RunningBridge
     from rsb_bridge.control.client import RemoteEngine
     from rsb_bridge.control.server import ControlServer
+    from rsb_bridge.model.fault_watch import FaultChange
     from rsb_bridge.model.session import Session
     from rsb_bridge.model.snapshot import RouteSnapshot
     from rsb_console.console import Console
@@ -48,6 +48,8 @@ if TYPE_CHECKING:
 T = TypeVar("T")
 REFRESH_RATES = (0.5, 1.0, 2.0, 4.0, 10.0)  # Hz
 LOCAL_RATE, SSH_RATE = 4.0, 2.0
+RINGS_EVERY = 10.0
+"""s between two rings, at least."""
 
 
 class ConsoleApp(TerminalApp[None]):
@@ -237,7 +239,7 @@ class ConsoleApp(TerminalApp[None]):
             self._server = None
 
     def saved_to(self, session: Session, path: Path | None) -> None:
-        from rsb_console.session.recents import remember  # noqa: PLC0415 -- keeps the start short
+        from rsb_console.screens.session_files import remember  # noqa: PLC0415 -- keeps the start short
         from rsb_console.session.saving import file_of  # noqa: PLC0415 -- keeps the start short
 
         self.path, self.saved = path, session
@@ -317,3 +319,43 @@ class ConsoleApp(TerminalApp[None]):
         """Note that the operator is there (Textual's)."""
         self.deadman.saw(event)
         await super().on_event(event)
+
+
+class Bell:
+    """Rings when a fault of the shown engine begins. Earlier faults do not ring.
+
+    Args:
+        ring: rings once.
+        is_on: whether it rings at first.
+        clock: gives s on a clock that nobody sets.
+
+    Attributes:
+        is_on: whether it rings now.
+    """
+
+    def __init__(self, ring: Callable[[], None], *, is_on: bool, clock: Callable[[], float] = time.monotonic) -> None:
+        self.is_on = is_on
+        self._ring = ring
+        self._clock = clock
+        self._rang_at = float("-inf")
+        self._engine: EngineApi | None = None
+        self._watch: FaultWatch | None = None
+
+    def look(self, engine: EngineApi | None, snapshot: Snapshot) -> None:
+        """Look for new faults. Called at each refresh; costs nothing while the bell is off."""
+        now = self._clock()
+        if engine is None or not self.is_on or not snapshot.running:
+            self._watch = None
+        elif self._watch is None or engine is not self._engine:
+            self._engine, self._watch = engine, FaultWatch()
+            self._watch.assume(snapshot, now)
+        else:
+            begun = [change for change in self._watch.look(snapshot, now) if rings_for(change)]
+            if begun and now - self._rang_at >= RINGS_EVERY:
+                self._rang_at = now
+                self._ring()
+
+
+def rings_for(change: FaultChange) -> bool:
+    """Whether a change is worth a ring: a fault has begun that no operator has acknowledged."""
+    return change.kind is ChangeKind.BEGUN and change.subject.acknowledged is None

@@ -5,13 +5,12 @@ from __future__ import annotations
 import contextlib
 from typing import TYPE_CHECKING
 
-from rsb_console.bench.ends import BenchError, StoppedError, Way
-from rsb_console.bench.results import Many, Run, Side
+from rsb_console.bench.results import BenchError, Many, Run, Side, StoppedError, Way
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from rsb_console.bench.ends import Ends
+    from rsb_console.bench.results import Ends
 
 
 class SimulatedLink:

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, cast
 
 import pytest
 
-from rsb_console.bench.judging import USUAL, capacity, in_words, judge
 from rsb_console.bench.over_link import loads_of_all
+from rsb_console.bench.presentation import USUAL, capacity, in_words, judge
 from rsb_console.bench.results import Load, Point, Run
 
 if TYPE_CHECKING:

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from tests.bench.simulated import SimulatedLink
 
-from rsb_console.bench.search import CLOSE, Found, highest_lossless
+from rsb_console.bench.suite import CLOSE, Found, highest_lossless
 
 
 def search(link: SimulatedLink, *, first: float = 5000.0, size: int = 2500) -> Found:

@@ -8,10 +8,9 @@ import msgspec
 import pytest
 from tests.bench.simulated import SimulatedLink, SimulatedPlace
 
-from rsb_console.bench.drawing import as_svg, in_terminal
+from rsb_console.bench.presentation import as_svg, in_terminal, lines_of
 from rsb_console.bench.results import Report, as_json, from_json
 from rsb_console.bench.suite import QUICK, Suite
-from rsb_console.bench.tables import lines_of
 
 SVG = "{http://www.w3.org/2000/svg}"
 

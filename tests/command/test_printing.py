@@ -20,9 +20,9 @@ from rsb_bridge.model.snapshot import RefusedClient, State
 from rsb_bridge.model.text import escape_json, is_clean, one_line, several_lines
 from rsb_console.cli import main
 from rsb_console.command.arguments import parser_and_commands
+from rsb_console.command.bench import Progress
 from rsb_console.command.log_writer import LogWriter
 from rsb_console.command.shell import CleanErrors, print_error, print_line, print_lines
-from rsb_console.terminal.progress import Progress
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

@@ -19,7 +19,7 @@ from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.history import Gap, Track
 from rsb_bridge.model.snapshot import Event, Level, State
 from rsb_console.command.reports import where_and_why
-from rsb_console.session.history import csv_report, did, length, parse_span, percent, text_report
+from rsb_console.session.history_report import csv_report, did, length, parse_span, percent, text_report
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -15,7 +15,7 @@ from rsb_bridge.config.session_file import save
 from rsb_bridge.model.session import Session
 from rsb_console.command import service
 from rsb_console.command.arguments import parser_and_commands
-from rsb_console.session.service_unit import KEPT_VARIABLES, Service, unit_name
+from rsb_console.command.service import KEPT_VARIABLES, Service, unit_name
 
 
 @pytest.fixture(autouse=True)

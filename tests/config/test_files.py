@@ -20,7 +20,7 @@ from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.history import HistoryReport
 from rsb_bridge.model.snapshot import Event, Level
 from rsb_bridge.model.text import is_clean
-from rsb_console.session.export import export_history, export_log, export_topics
+from rsb_console.session.history_report import export_history, export_log, export_topics
 from rsb_console.terminal.driver import terminal_to_itself
 
 if TYPE_CHECKING:

@@ -11,7 +11,7 @@ from tests.support.systemd import exposure
 
 from rsb_bridge.config.session_file import load, parse
 from rsb_console.command.arguments import parser_and_commands
-from rsb_console.session.service_unit import CONFINED, Service
+from rsb_console.command.service import CONFINED, Service
 
 CONFIGS = Path(__file__).parents[2] / "configs"
 SAMPLES = sorted(CONFIGS.glob("*.yaml"))

@@ -156,7 +156,7 @@ def test_a_session_that_runs_already_is_attached_to_instead(machine: Machine, en
 def test_the_welcome_screen_lists_what_runs_first(
     machine: Machine, engine: ScriptedEngine, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("rsb_console.operations.sessions.SessionOperations._running", _running(machine))
+    monkeypatch.setattr("rsb_console.operations.session_operations.SessionOperations._running", _running(machine))
     app = empty_app()
 
     async def steps(pilot: Pilot[None]) -> None:

@@ -32,7 +32,7 @@ from rsb_bridge.model.snapshot import State
 from rsb_console.actions.registry import BY_ID
 from rsb_console.app import ConsoleApp
 from rsb_console.screens.call import answer_lines
-from rsb_console.session.parameters import KIND_NAMES, refusal, set_request
+from rsb_console.session.parameter_values import KIND_NAMES, refusal, set_request
 from rsb_console.widgets.lines import ScrolledLines
 
 MODE, MAP, NAVIGATE, PARAMETERS = CALL_ROUTES

@@ -19,7 +19,7 @@ from rsb_bridge.model.calls import CallsSnapshot, GoalSnapshot
 from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import RouteSnapshot, State
 from rsb_console.app import ConsoleApp
-from rsb_console.look import kinds
+from rsb_console.look import formats
 from rsb_console.widgets.columns import layout
 from rsb_console.widgets.detail import detail_lines
 from rsb_console.widgets.topics import FAULTS
@@ -119,11 +119,11 @@ async def test_a_long_name_keeps_its_beginning_and_its_end(app: ConsoleApp, pilo
 
 
 def test_counts_in_words() -> None:
-    assert kinds.counted([]) == "0 topics"
-    assert kinds.counted(["topic"]) == "1 topic"
-    assert kinds.counted(["service", "service"]) == "2 services"
-    assert kinds.counted(["parameters", "topic", "action"]) == "1 topic, 1 action, parameters of 1 node"
-    assert kinds.counted(["parameters"] * 3) == "parameters of 3 nodes"
+    assert formats.counted_kinds([]) == "0 topics"
+    assert formats.counted_kinds(["topic"]) == "1 topic"
+    assert formats.counted_kinds(["service", "service"]) == "2 services"
+    assert formats.counted_kinds(["parameters", "topic", "action"]) == "1 topic, 1 action, parameters of 1 node"
+    assert formats.counted_kinds(["parameters"] * 3) == "parameters of 3 nodes"
 
 
 @on_main()

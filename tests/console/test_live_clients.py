@@ -14,7 +14,7 @@ from rsb_bridge.config.session_file import load, parse, save
 from rsb_bridge.model.session import Client, Topic
 from rsb_bridge.model.snapshot import LinkSnapshot, State
 from rsb_console.app import ConsoleApp
-from rsb_console.session.clients import handed_out, open_server, robot_file
+from rsb_console.session.client_files import handed_out, open_server, robot_file
 
 pytest.importorskip("rclpy", reason="needs ROS 2")
 CHATTER = f"/clients_{os.getpid()}/chatter"

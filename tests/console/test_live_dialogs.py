@@ -17,7 +17,7 @@ from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import Snapshot
 from rsb_console.app import ConsoleApp
 from rsb_console.screens.dialog import ConfirmScreen
-from rsb_console.session.demo import running_demo
+from rsb_console.session.demo_session import running_demo
 
 pytest.importorskip("rclpy", reason="needs ROS 2")
 CHATTER = f"/dialogs_{os.getpid()}/chatter"

@@ -30,7 +30,7 @@ from rsb_bridge.model.snapshot import Event, Level, State
 from rsb_console.app import ConsoleApp
 from rsb_console.look import formats
 from rsb_console.screens.dialog import ConfirmScreen
-from rsb_console.session.export import export_topics
+from rsb_console.session.history_report import export_topics
 
 
 @on_main()
@@ -349,7 +349,7 @@ def test_the_footer_of_a_narrow_screen_has_the_key_of_the_details() -> None:
 
 
 def test_what_vanishes_with_its_session_is_neither_unsaved_nor_recent(tmp_path: Path) -> None:
-    from rsb_console.session.recents import recent_sessions
+    from rsb_console.screens.session_files import recent_sessions
 
     path = tmp_path / "demo.yaml"
     path.touch()

@@ -30,8 +30,7 @@ from rsb_bridge.model.peek import PeekedMessage
 from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import State
 from rsb_console.app import ConsoleApp
-from rsb_console.look.message_lines import hex_lines, message_lines, plain
-from rsb_console.session.reading import ReadMessage, read_message
+from rsb_console.session.reading import ReadMessage, hex_lines, message_lines, plain, read_message
 
 pytest.importorskip("rclpy", reason="needs ROS 2")
 

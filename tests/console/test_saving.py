@@ -14,7 +14,7 @@ from rsb_bridge.config.keys import read_key, write_key
 from rsb_bridge.config.session_file import dump, load, save
 from rsb_bridge.model.session import Client, Session, Topic
 from rsb_console.app import ConsoleApp
-from rsb_console.session.recents import LIMIT, recent_sessions, remember
+from rsb_console.screens.session_files import LIMIT, recent_sessions, remember
 from rsb_console.session.saving import moved, unsaved
 
 pytestmark = pytest.mark.usefixtures("folder")

@@ -11,8 +11,7 @@ from textual.pilot import Pilot
 from rsb_bridge.config.keys import fingerprint, read_key, write_key
 from rsb_bridge.config.session_file import load, save
 from rsb_bridge.model.session import Session, Topic
-from rsb_console.screens.session_files import WelcomeScreen
-from rsb_console.session.recents import recent_sessions, remember
+from rsb_console.screens.session_files import WelcomeScreen, recent_sessions, remember
 
 BRINGUP = """\
 client_node:

@@ -10,6 +10,7 @@ from textual.pilot import Pilot
 
 from rsb_bridge.api import EngineError
 from rsb_bridge.model.snapshot import TopicInfo
+from rsb_console.screens import topic_form
 
 
 class SlowPeer(ScriptedEngine):

@@ -12,8 +12,7 @@ from tests.support.fleet import ScriptedSource, fleet_of, robot, topics
 from rsb_bridge.api import EngineError
 from rsb_bridge.model.robot_summary import RobotState
 from rsb_bridge.model.session import Topic
-from rsb_console.fleet.rolling import PATIENCE, Outcome, Rollout, Step
-from rsb_console.fleet.words import report, said, way_back
+from rsb_console.fleet.rolling import PATIENCE, Outcome, Rollout, Step, report, said, way_back
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -19,7 +19,7 @@ from rsb_bridge.model.calls import CallsSnapshot
 from rsb_bridge.model.session import Kind, Topic
 from rsb_bridge.model.snapshot import Ledger, State
 from rsb_console.screens.history_screen import rows_of
-from rsb_console.session.history import csv_report, json_report, text_report
+from rsb_console.session.history_report import csv_report, json_report, text_report
 
 if TYPE_CHECKING:
     from pathlib import Path

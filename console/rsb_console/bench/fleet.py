@@ -19,9 +19,9 @@ from rsb_bridge.model.session import ZENOH_HOST, Client, Operator, Session, Topi
 from rsb_bridge.ros.battery_state import BATTERY_STATE
 from rsb_bridge.ros.stand_in import Talk
 from rsb_bridge.ros.std_string import STRING
-from rsb_console.bench import beds
-from rsb_console.bench.ends import BenchError
+from rsb_console.bench import loopback
 from rsb_console.bench.processes import Process
+from rsb_console.bench.results import BenchError
 from rsb_console.bench.robots import Load, Look, Robot
 
 if TYPE_CHECKING:
@@ -274,7 +274,7 @@ def _operators_file(folder: Path, network: ZenohSettings) -> Path:
 def listening(process: Process, session: Path) -> float:
     """Wait until the control side's server listens; s since the epoch then."""
     if port := session_file.load(session).server_port:
-        monotonic = beds.listening(process, port)
+        monotonic = loopback.listening(process, port)
         return time.time() - (time.monotonic() - monotonic)
     deadline = time.monotonic() + _READY_WITHIN
     while "listening on" not in (session.parent / "control.log").read_text(encoding="utf-8"):

@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING
 
 from rsb_bridge.api import EngineError
 from rsb_bridge.model.benchmark import ENDED_BY_PEER, MOST_SECONDS, Order, Outcome, is_bench_topic
-from rsb_console.bench.ends import BenchError, StoppedError, Way
-from rsb_console.bench.results import Load, Run, Side
+from rsb_console.bench.results import BenchError, Load, Run, Side, StoppedError, Way
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
@@ -18,7 +17,7 @@ if TYPE_CHECKING:
 
     from rsb_bridge.api import EngineApi
     from rsb_bridge.model.snapshot import LinkSnapshot, RouteSnapshot, Snapshot
-    from rsb_console.bench.ends import Ends
+    from rsb_console.bench.results import Ends
 
 _ANSWERED_WITHIN = 60.0
 _ENDED_WITHIN = 5.0

@@ -11,7 +11,7 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Self
 
-from rsb_console.bench.ends import BenchError
+from rsb_console.bench.results import BenchError
 from rsb_console.child import ChildProcess
 
 if TYPE_CHECKING:

@@ -1,21 +1,18 @@
-"""What is measured, in which order, and within which time."""
+"""The order and the time limits of all measurements, and the search for the highest rate without a loss."""
 
 from __future__ import annotations
 
 import contextlib
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
-from rsb_console.bench.ends import BenchError, StoppedError
-from rsb_console.bench.results import Point
-from rsb_console.bench.search import highest_lossless
+from rsb_console.bench.results import BenchError, Point, StoppedError
 from rsb_console.look.formats import byte_count
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-    from rsb_console.bench.ends import Ends, Place, Way
-    from rsb_console.bench.results import Report, Run
+    from rsb_console.bench.results import Ends, Limit, Place, Report, Run, Way
 
 _FIRST_BYTES = 50e6
 """Bytes a second with which a search begins."""
@@ -33,7 +30,7 @@ class Plan:
     Attributes:
         sizes: bytes of a message.
         run: s of each run.
-        close: how exactly the highest rate is found (`rsb_console.bench.search.CLOSE`).
+        close: how exactly the highest rate is found (`CLOSE`).
         gentle: Hz of the runs for latencies.
         gentle_run: s of each.
         idle: s for which is looked what an idle bridge uses; 0: not at all.
@@ -191,3 +188,72 @@ class Suite:
 def _of(run: Run, sent: int) -> int | None:
     """The wire bytes of a run, for as many messages as another one has sent."""
     return round(run.wire * sent / run.sent) if run.wire and run.sent else None
+
+
+TRIES = 2
+"""At each rate: one loss may be another program's."""
+CLOSE = 1.1
+"""How close the lowest rate that is too high comes to the highest that is not."""
+_KEEPS_UP = 0.95
+_LOWEST = 0.5  # Hz
+
+
+class Found(NamedTuple):
+    """What a search found.
+
+    Attributes:
+        best: the run at the highest rate without a loss; None: there is none.
+        limit: why there is no higher one.
+    """
+
+    best: Run | None
+    limit: Limit
+
+
+def highest_lossless(
+    trial: Callable[[float], Run],
+    *,
+    first: float,
+    most: float = float("inf"),
+    close: float = CLOSE,
+    goes_on: Callable[[], bool] = lambda: True,
+) -> Found:
+    """The run at the highest rate at which nothing was lost.
+
+    Args:
+        trial: sends for a while at a rate (Hz).
+        first: Hz to begin with.
+        most: Hz that may be tried at most.
+        close: when the search ends, as `CLOSE`.
+        goes_on: asked before each trial but the first; False ends the search with what was found.
+    """
+    rate, good, bad, tried = min(first, most), None, 0.0, False
+    while not (good and bad) or bad > close * good.rate:
+        passed = None
+        for _ in range(TRIES):
+            if tried and not goes_on():
+                return Found(good, "time")
+            tried = True
+            run = trial(rate)
+            if run.lossless:
+                passed = run
+                break
+        if passed is None:
+            bad = rate
+            if rate <= _LOWEST:
+                return Found(good, "loss")
+        else:
+            if good is None or passed.rate > good.rate:
+                good = passed
+            if passed.rate < _KEEPS_UP * rate:
+                return Found(good, "sender")
+            if rate >= most:
+                return Found(good, "leave")
+        rate = min(most, _next(good.rate if good else 0.0, bad))
+    return Found(good, "loss")
+
+
+def _next(good: float, bad: float) -> float:
+    if good and bad:
+        return (good + bad) / 2
+    return good * 2 if good else max(_LOWEST, bad / 2)

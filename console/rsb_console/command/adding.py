@@ -14,8 +14,7 @@ from rsb_console.command.target import (
     done,
     result,
 )
-from rsb_console.session.draft import values_of
-from rsb_console.session.typed_topic import TypedError, suggestion, typed_topic
+from rsb_console.session.draft import TypedError, suggestion, typed_topic, values_of
 
 if TYPE_CHECKING:
     from argparse import Namespace

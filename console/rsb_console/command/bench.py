@@ -9,7 +9,7 @@ import time
 from dataclasses import replace
 from pathlib import Path
 from textwrap import fill
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Self, TextIO
 
 from rsb_bridge.config.files import write_whole
 from rsb_bridge.config.session_file import SessionError, load
@@ -17,26 +17,55 @@ from rsb_bridge.control.bridges import running_bridges
 from rsb_bridge.model.names import file_stem
 from rsb_bridge.model.shortage import why_not_written
 from rsb_bridge.model.snapshot import State
-from rsb_console.bench.drawing import as_svg, in_terminal
-from rsb_console.bench.ends import BenchError
-from rsb_console.bench.judging import USUAL, in_words, judge
-from rsb_console.bench.local import Loopback, machine, ros_problem
+from rsb_bridge.model.text import one_line
+from rsb_console.bench.loopback import Loopback, machine, ros_problem
 from rsb_console.bench.over_link import OverLink, loads_of, loads_of_all, ways_of
-from rsb_console.bench.results import Report, as_json
+from rsb_console.bench.presentation import USUAL, as_svg, in_terminal, in_words, judge, lines_of
+from rsb_console.bench.results import BenchError, Report, as_json
 from rsb_console.bench.suite import FULL, QUICK, Plan, Suite
-from rsb_console.bench.tables import lines_of
 from rsb_console.command.shell import FAILURE, INTERRUPTED, OK, TERMINATED, USAGE, print_error, print_line, print_lines
 from rsb_console.command.target import UsageError, attached, check_link, failed, reported
-from rsb_console.terminal.progress import Progress
 
 if TYPE_CHECKING:
     from argparse import Namespace
     from collections.abc import Sequence
+    from types import TracebackType
 
     from rsb_bridge.control.client import RemoteEngine
     from rsb_bridge.model.snapshot import LinkSnapshot, Snapshot
-    from rsb_console.bench.ends import Place
-    from rsb_console.bench.results import Load
+    from rsb_console.bench.results import Load, Place
+
+_ERASE = "\r\x1b[K"
+
+
+class Progress:
+    """Shown on a terminal only; elsewhere nothing is written.
+
+    Args:
+        stream: standard error, as a rule.
+    """
+
+    def __init__(self, stream: TextIO) -> None:
+        self._stream = stream
+        self._shows = stream.isatty()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: type[BaseException] | BaseException | TracebackType | None) -> None:
+        if self._shows:
+            self._write(_ERASE)
+
+    def show(self, text: str) -> None:
+        """Show a line in the place of the one before."""
+        if self._shows:
+            self._write(f"{_ERASE}{one_line(text)[: shutil.get_terminal_size().columns - 1]}")
+
+    def _write(self, text: str) -> None:
+        with contextlib.suppress(OSError):  # the terminal has gone
+            self._stream.write(text)
+            self._stream.flush()
+
 
 _BOTH = ("transmit", "receive")
 _DOMAINS = 92, 93

@@ -14,7 +14,7 @@ from rsb_bridge.model.lanes import LANES
 from rsb_console.command.reports import json_line, json_value
 from rsb_console.command.shell import OK, print_error, print_line, print_lines
 from rsb_console.command.target import ANSWERED_WITHIN, UsageError, attached, chosen_route, reported
-from rsb_console.session.typed_topic import suggestion
+from rsb_console.session.draft import suggestion
 
 if TYPE_CHECKING:
     from argparse import Namespace

@@ -21,8 +21,8 @@ from rsb_bridge.model.snapshot import State
 from rsb_console.command.reports import json_line
 from rsb_console.command.shell import FAILURE, OK, USAGE, print_error, print_line, print_lines
 from rsb_console.command.target import ANSWERED_WITHIN, NoBridgeError, UsageError, chosen_bridge, reported
-from rsb_console.session import clients
-from rsb_console.session.rotation import begin_rotation, finish_rotation
+from rsb_console.session import client_files
+from rsb_console.session.client_files import begin_rotation, finish_rotation
 
 if TYPE_CHECKING:
     from argparse import Namespace
@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from rsb_bridge.api import EngineApi
     from rsb_bridge.control.bridges import RunningBridge
     from rsb_bridge.model.snapshot import LinkSnapshot
-    from rsb_console.session.clients import Changed
+    from rsb_console.session.client_files import Changed
 
 
 def run(name: str, arguments: Namespace) -> int:
@@ -52,7 +52,7 @@ def run(name: str, arguments: Namespace) -> int:
 
 def _add(arguments: Namespace) -> int:
     path = _session_path(arguments)
-    clients.check_address(arguments.name, arguments.address)
+    client_files.check_address(arguments.name, arguments.address)
     output: Path | None = arguments.output
     if output is not None and output.exists():
         raise ClientError(f"{output} exists already: name another file for the robot's session")
@@ -63,7 +63,7 @@ def _add(arguments: Namespace) -> int:
         allow=_grants(arguments.allow),
         deny=_grants(arguments.deny),
     )
-    changed = clients.add_client(path, client)
+    changed = client_files.add_client(path, client)
     done = "it lets the client in from now on"
     told = _tell(arguments, path, lambda engine: engine.add_client(changed.client), lambda linked: done)
     return _handed_out(arguments, changed, told)
@@ -85,8 +85,8 @@ def _rekey(arguments: Namespace) -> int:
         return _begin_rotation(arguments, path)
     if arguments.finish:
         return _finish_rotation(arguments, path)
-    clients.check_address(arguments.name, arguments.address)
-    changed = clients.rekey_client(path, arguments.name)
+    client_files.check_address(arguments.name, arguments.address)
+    changed = client_files.rekey_client(path, arguments.name)
     told = _tell(
         arguments,
         path,
@@ -152,19 +152,19 @@ def _rotated(arguments: Namespace, changed: Changed, told: str, what: str, steps
 
 
 def _show(arguments: Namespace) -> int:
-    clients.check_address(arguments.name, arguments.address)
-    file = clients.open_server(_session_path(arguments))
+    client_files.check_address(arguments.name, arguments.address)
+    file = client_files.open_server(_session_path(arguments))
     client = client_named(file.session, arguments.name)
-    key_at = clients.key_path_of(file, client)
-    key, problem = clients.fingerprint_or_problem(key_at)
+    key_at = client_files.key_path_of(file, client)
+    key, problem = client_files.fingerprint_or_problem(key_at)
     if key is None and key_at is not None:
         raise ClientError(problem)
-    return _handed_out(arguments, clients.Changed(file, client, key_at, key), "")
+    return _handed_out(arguments, client_files.Changed(file, client, key_at, key), "")
 
 
 def _remove(arguments: Namespace) -> int:
     path = _session_path(arguments)
-    changed = clients.remove_client(path, arguments.name)
+    changed = client_files.remove_client(path, arguments.name)
     told = _tell(
         arguments,
         path,
@@ -181,14 +181,14 @@ def _remove(arguments: Namespace) -> int:
 
 
 def _list(arguments: Namespace) -> int:
-    file = clients.open_server(_session_path(arguments))
+    file = client_files.open_server(_session_path(arguments))
     links = _links(file.path, arguments.control)
     rows = []
     for client in file.session.accepted_clients:
-        key_at = clients.key_path_of(file, client)
-        key, problem = clients.fingerprint_or_problem(key_at)
-        places = clients.key_places(file, client)
-        following, of_following = clients.fingerprint_or_problem(places[1] if places[1:] else None)
+        key_at = client_files.key_path_of(file, client)
+        key, problem = client_files.fingerprint_or_problem(key_at)
+        places = client_files.key_places(file, client)
+        following, of_following = client_files.fingerprint_or_problem(places[1] if places[1:] else None)
         use_name = file.session.use_name if client.use_name is None else client.use_name
         rows.append(
             {
@@ -328,14 +328,14 @@ def _links(path: Path, control: Path | None) -> dict[str, LinkSnapshot]:
 def _handed_out(arguments: Namespace, changed: Changed, told: str) -> int:
     """Print what the robot needs: its session on standard output, the rest on standard error."""
     file, client, key_at, key = changed
-    text = clients.robot_file(file.session, client, arguments.address)
+    text = client_files.robot_file(file.session, client, arguments.address)
     output: Path | None = arguments.output
     if output is not None:
         try:
             write_whole(output, text)
         except OSError as error:
             raise ClientError(f"{output}: cannot be written: {why_not_written(error, output)}") from None
-    advice = clients.copy_advice(client, key_at, output)
+    advice = client_files.copy_advice(client, key_at, output)
     mark = "" if key is None else fingerprint(key)
     if arguments.json:
         print_line(

@@ -93,7 +93,7 @@ def parameters(parsed_args: Namespace, **_: object) -> list[str]:
 
 def parameter_types(**_: object) -> list[str]:
     """The types that a parameter may have."""
-    from rsb_console.session.parameters import KIND_NAMES  # noqa: PLC0415 (only here)
+    from rsb_console.session.parameter_values import KIND_NAMES  # noqa: PLC0415 (only here)
 
     return list(KIND_NAMES)
 

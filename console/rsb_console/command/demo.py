@@ -10,10 +10,10 @@ from rsb_bridge.api import EngineError
 from rsb_bridge.engine import Engine
 from rsb_console.command.headless import Signals, bridge_until_told
 from rsb_console.command.shell import FAILURE, INTERRUPTED, OK, keep_output_clean, print_error, print_line
-from rsb_console.session.demo import running_demo
+from rsb_console.session.demo_session import running_demo
 
 if TYPE_CHECKING:
-    from rsb_console.session.demo import Demo
+    from rsb_console.session.demo_session import Demo
 
 
 def run_demo(*, ui: bool, seconds: float | None) -> int:

@@ -16,22 +16,21 @@ from rsb_bridge.api import EngineError
 from rsb_bridge.config.fleet_file import load_fleet
 from rsb_bridge.model.clock import Clock
 from rsb_bridge.model.robot_summary import RobotState
-from rsb_console.bench.ends import BenchError
 from rsb_console.bench.fleet import WITH_BATTERY, fleet, listening
+from rsb_console.bench.results import BenchError
 from rsb_console.command.headless import Signals
 from rsb_console.command.shell import FAILURE, HUNG_UP, INTERRUPTED, OK, print_error, print_line
 from rsb_console.fleet.fleet import Fleet
 from rsb_console.fleet.memory import Memory
 from rsb_console.fleet.servers import ServerFleet
 from rsb_console.fleet.zenoh import ZenohFleet
-from rsb_console.session.demo import need_ros, own_domain
+from rsb_console.session.demo_session import need_ros, own_domain
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
 
     from rsb_console.bench.fleet import Fleet as Simulated
-    from rsb_console.fleet.fleet import Robot
-    from rsb_console.fleet.source import FleetSource
+    from rsb_console.fleet.fleet import FleetSource, Robot
 
 GROUPS = ("hall", "yard")
 _OPEN_WITHIN, _SEEN_WITHIN, _WELL_WITHIN = 60.0, 10.0, 60.0

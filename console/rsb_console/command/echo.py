@@ -13,8 +13,7 @@ from rsb_bridge.cdr.decoder import Items
 from rsb_bridge.model.text import escape_text
 from rsb_console.command.reports import json_value
 from rsb_console.command.shell import print_line, print_lines
-from rsb_console.look.message_lines import hex_lines, message_lines, plain
-from rsb_console.session.reading import KnownTypes, age_text, how_it_came, read_message
+from rsb_console.session.reading import KnownTypes, age_text, hex_lines, how_it_came, message_lines, plain, read_message
 
 if TYPE_CHECKING:
     from argparse import Namespace

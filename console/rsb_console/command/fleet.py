@@ -23,17 +23,15 @@ from rsb_console.command.shell import FAILURE, OK, USAGE, print_error, print_lin
 from rsb_console.command.target import NoBridgeError, UsageError, chosen_bridge, fleet_file, reported
 from rsb_console.fleet.fleet import Fleet, UnknownRobotError
 from rsb_console.fleet.memory import Memory, memory_path
-from rsb_console.fleet.rolling import Rollout
+from rsb_console.fleet.rolling import Rollout, names_of, report, said, way_back
 from rsb_console.fleet.servers import ServerFleet
-from rsb_console.fleet.words import names_of, report, said, way_back
 
 if TYPE_CHECKING:
     from argparse import Namespace
     from collections.abc import Callable, Iterator, Sequence
 
-    from rsb_console.fleet.fleet import Robot
+    from rsb_console.fleet.fleet import FleetSource, Robot
     from rsb_console.fleet.rolling import Outcome, Step
-    from rsb_console.fleet.source import FleetSource
 
 _LOOK_EVERY = 0.5
 _WHICH = "which robots? Give their names, --group GROUP, or --all"

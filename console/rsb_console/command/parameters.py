@@ -12,7 +12,7 @@ from rsb_console.command.calling import data_of, response
 from rsb_console.command.reports import json_value
 from rsb_console.command.shell import FAILURE, OK, print_error, print_line, print_lines
 from rsb_console.command.target import UsageError, attached, chosen_route, done, failed, reported
-from rsb_console.session.parameters import KIND_NAMES, KINDS, refusal, set_request, value_of
+from rsb_console.session.parameter_values import KIND_NAMES, KINDS, refusal, set_request, value_of
 
 if TYPE_CHECKING:
     from argparse import Namespace

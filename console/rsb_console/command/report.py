@@ -13,7 +13,7 @@ from rsb_bridge.history.folders import EVENTS, Files, kept_bridges
 from rsb_bridge.history.history_file import HistoryFileError
 from rsb_console.command.shell import OK, print_line, print_lines
 from rsb_console.command.target import NoBridgeError, UsageError, ask_history, reported
-from rsb_console.session.history import csv_report, json_report, parse_span, text_report
+from rsb_console.session.history_report import csv_report, json_report, parse_span, text_report
 
 if TYPE_CHECKING:
     from argparse import Namespace

@@ -20,7 +20,7 @@ from rsb_bridge.model.snapshot import RouteSnapshot
 from rsb_bridge.model.text import join_first
 from rsb_console.command.reports import json_line
 from rsb_console.command.shell import FAILURE, NOT_RUNNING, OK, USAGE, print_error, print_line
-from rsb_console.session.typed_topic import suggestion
+from rsb_console.session.draft import suggestion
 
 if TYPE_CHECKING:
     from argparse import Namespace

@@ -9,7 +9,7 @@ from rsb_bridge.model.snapshot import State
 from rsb_console.command.reports import rate_text
 from rsb_console.command.shell import FAILURE
 from rsb_console.command.target import UsageError, attached, check_link, done, failed, named
-from rsb_console.session.typed_topic import suggestion
+from rsb_console.session.draft import suggestion
 
 if TYPE_CHECKING:
     from argparse import Namespace

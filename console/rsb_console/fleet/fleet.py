@@ -6,7 +6,7 @@ import contextlib
 import difflib
 import threading
 from collections import deque
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 import msgspec
 
@@ -18,9 +18,57 @@ from rsb_console.fleet.memory import Remembered
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterable, Sequence
 
+    from rsb_bridge.control.client import RemoteEngine
     from rsb_bridge.model.clock import Clock
     from rsb_console.fleet.memory import Memory
-    from rsb_console.fleet.source import FleetSource
+
+
+class FleetSource(Protocol):
+    """Knows some robots, no two of the same name. All but `start`, `wait` and `open` answer at once.
+
+    Attributes:
+        kind: what it is, in a word: ``server`` or ``fleet``.
+        name: what an operator calls it: ``control``, the server's name. No other source has it.
+    """
+
+    kind: str
+    name: str
+
+    @property
+    def problem(self) -> str:
+        """Why nothing is known at present; empty: something is."""
+        ...
+
+    def start(self) -> None:
+        """Begin to know robots.
+
+        Raises:
+            EngineError: that cannot be done.
+        """
+        ...
+
+    def wait(self) -> None:
+        """Wait until each robot has said how it is, or why nothing is known of it; some seconds at most."""
+        ...
+
+    def stop(self) -> None:
+        """End it; `robots` gives what it gave last."""
+        ...
+
+    def robots(self) -> list[RobotSummary]:
+        """The robots as they are now, those too that are not there."""
+        ...
+
+    def open(self, robot: str, *, read_only: bool) -> RemoteEngine:
+        """An engine that shows and changes only what is of one robot; the caller stops it.
+
+        It takes some seconds at most.
+
+        Raises:
+            EngineError: that cannot be done.
+        """
+        ...
+
 
 HISTORY = 12
 """Message rates that are kept of each robot, one every `_SAMPLED_EVERY` s: of a minute."""

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 
 class ServerFleet:
-    """Fulfils `rsb_console.fleet.source.FleetSource`: one robot for each client of a server.
+    """Fulfils `rsb_console.fleet.fleet.FleetSource`: one robot for each client of a server.
 
     Args:
         name: of the server.

@@ -36,7 +36,7 @@ _AT_ONCE = 64
 
 
 class ZenohFleet:
-    """Fulfils `rsb_console.fleet.source.FleetSource`: one robot for each engine that announces itself.
+    """Fulfils `rsb_console.fleet.fleet.FleetSource`: one robot for each engine that announces itself.
 
     Args:
         file: names the fleet, and the operator.

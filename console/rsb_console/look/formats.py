@@ -1,16 +1,21 @@
-"""Formats figures: short, aligned, and with the unit that an operator expects."""
+"""Formats for figures, times and kinds of routes: short, aligned, and with the unit that an operator expects."""
 
 from __future__ import annotations
 
 import math
 import time
+from collections import Counter
 from typing import TYPE_CHECKING
 
 from rsb_bridge.model.text import plural
 from rsb_bridge.model.verdict import LinkCause
 
 if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+    from rsb_bridge.model.calls import CallsSnapshot
     from rsb_bridge.model.qos import Qos
+    from rsb_bridge.model.session import Kind
     from rsb_bridge.model.snapshot import LinkSnapshot
 
 
@@ -157,3 +162,22 @@ def qos_parts(qos: Qos, *, depth_known: bool = True) -> list[str]:
     if qos.lifespan:
         parts.append(f"lifespan {span(qos.lifespan)}")
     return [f"{each}," for each in parts[:-1]] + parts[-1:]
+
+
+KIND_NOUN: dict[Kind, str] = {"topic": "topic", "service": "service", "action": "action", "parameters": "parameters"}
+KIND_SHORT: dict[Kind, str] = {"topic": "msg", "service": "srv", "action": "act", "parameters": "par"}
+"""What fits into a narrow column: the first three are ROS's own names for the types."""
+
+
+def counted_kinds(kinds: Iterable[Kind]) -> str:
+    """Format a count of routes: ``8 topics, 2 services, parameters of 1 node``; of none, ``0 topics``."""
+    counts = Counter(kinds)
+    nodes = counts.pop("parameters", 0)
+    parts = [counted(counts[kind], noun) for kind, noun in KIND_NOUN.items() if counts[kind]]
+    parts += [f"parameters of {counted(nodes, 'node')}"] if nodes else []
+    return ", ".join(parts) or counted(0, "topic")
+
+
+def unanswered(calls: CallsSnapshot) -> int:
+    """How many calls will have no answer."""
+    return calls.expired + calls.lost + sum(calls.refused.values())

@@ -22,7 +22,7 @@ from rsb_bridge.model.operators import undoing
 from rsb_bridge.model.session import Client, Grant
 from rsb_console.screens.dialog import ConfirmScreen
 from rsb_console.screens.form_screen import FormScreen
-from rsb_console.session import clients
+from rsb_console.session import client_files
 from rsb_console.session.changes import CannotUndoError, Change, Undo
 from rsb_console.session.saving import is_changed
 from rsb_console.terminal.clipboard import copy
@@ -38,7 +38,7 @@ if TYPE_CHECKING:
     from rsb_bridge.model.session import Session
     from rsb_bridge.model.snapshot import Event, Snapshot
     from rsb_console.console import Console
-    from rsb_console.session.clients import Changed
+    from rsb_console.session.client_files import Changed
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,7 +91,7 @@ class ClientAdded(_ClientChange):
             raise CannotUndoError(f"client {name}: changed since: to remove it, open the links (c)")
 
         async def act(engine: EngineApi) -> None:
-            self._change_file(lambda: clients.remove_client(self.path, name))
+            self._change_file(lambda: client_files.remove_client(self.path, name))
             with undoing():
                 future = engine.remove_client(name)
             await asyncio.wrap_future(future)
@@ -124,7 +124,7 @@ class ClientRemoved(_ClientChange):
             )
 
         async def act(engine: EngineApi) -> None:
-            self._change_file(lambda: clients.add_client(self.path, self.listed))
+            self._change_file(lambda: client_files.add_client(self.path, self.listed))
             with undoing():
                 future = engine.add_client(self.running)
             await asyncio.wrap_future(future)
@@ -146,7 +146,7 @@ def _client(session: Session, name: str) -> Client | None:
 
 def _client_in(path: Path, name: str) -> Client | None:
     try:
-        return _client(clients.open_server(path).session, name)
+        return _client(client_files.open_server(path).session, name)
     except (ClientError, SessionError) as error:
         raise CannotUndoError(f"client {name}: {error}") from None
 
@@ -178,7 +178,7 @@ async def add_client(console: Console) -> None:
         return
     is_known = console.file is not None and not is_changed(console.file)
     try:
-        changed = clients.add_client(path, client)
+        changed = client_files.add_client(path, client)
     except (ClientError, KeyFileError, SessionError) as error:
         console.notify(str(error), title="Not added", severity="error", markup=False, timeout=15)
         return
@@ -205,7 +205,7 @@ async def remove_client(console: Console, name: str) -> None:
     is_known = console.file is not None and not is_changed(console.file)
     try:
         running = client_named(console.engine.session, name)
-        changed = clients.remove_client(path, name)
+        changed = client_files.remove_client(path, name)
     except (ClientError, SessionError) as error:
         console.notify(str(error), title="Not removed", severity="error", markup=False, timeout=15)
         return
@@ -254,7 +254,7 @@ class AddClientScreen(FormScreen[Client]):
         if not client.name:
             return {"name": "missing: give one"}
         try:
-            session = with_client(self._session, clients.with_key_file(self._session, client))
+            session = with_client(self._session, client_files.with_key_file(self._session, client))
         except ClientError:
             return {"name": "is a client already"}
         problems: dict[str, str] = {}
@@ -263,8 +263,8 @@ class AddClientScreen(FormScreen[Client]):
             if problem.location.startswith(here):
                 field = problem.location.removeprefix(here).partition("[")[0]
                 problems.setdefault(field, problem.message)
-        if not client.key_file and (self._base / clients.key_file_name(client.name)).exists():
-            problems["key_file"] = f"{clients.key_file_name(client.name)} exists already: name it here to use it"
+        if not client.key_file and (self._base / client_files.key_file_name(client.name)).exists():
+            problems["key_file"] = f"{client_files.key_file_name(client.name)} exists already: name it here to use it"
         return problems
 
     def result(self, values: Mapping[str, str]) -> Client:
@@ -311,7 +311,7 @@ class HandoutScreen(ModalScreen[None]):
 
     def _about(self, changed: Changed) -> str:
         mark = "" if changed.key is None else f"key {changed.key_path}, fingerprint {fingerprint(changed.key)}\n"
-        advice = clients.copy_advice(changed.client, changed.key_path)
+        advice = client_files.copy_advice(changed.client, changed.key_path)
         return f"{_robot_text(changed)}\n{mark}For {changed.client.name}: {advice}.\n"
 
     def action_copy(self) -> None:
@@ -320,4 +320,4 @@ class HandoutScreen(ModalScreen[None]):
 
 
 def _robot_text(changed: Changed) -> str:
-    return clients.robot_file(changed.file.session, changed.client)
+    return client_files.robot_file(changed.file.session, changed.client)

@@ -17,7 +17,7 @@ from rsb_bridge.model.snapshot import State
 from rsb_console.look import formats
 from rsb_console.look.glyphs import STATE_SIGN, STATE_WORD, sparkline
 from rsb_console.screens.dialog import Dialog
-from rsb_console.session import history
+from rsb_console.session import history_report
 from rsb_console.widgets.filter import Prompt
 from rsb_console.widgets.lines import Line, LiveLines, fit, fit_middle
 from rsb_console.widgets.selectable_list import SelectableList
@@ -77,20 +77,21 @@ def rows_of(report: HistoryReport) -> list[Row]:
     tracks = {each.subject: each for each in report.tracks}
     rows = [
         Row(
-            f"{each.link}{history.what(each)}{each.start:.0f}", each.start,
-            f"{history.length(each.seconds)}{' …' if each.ongoing else ''}", each.link, history.what(each),
-            _state_words(each.state), each.state, history.why(report, each),
+            f"{each.link}{history_report.what(each)}{each.start:.0f}", each.start,
+            f"{history_report.length(each.seconds)}{' …' if each.ongoing else ''}", each.link,
+            history_report.what(each),
+            _state_words(each.state), each.state, history_report.why(report, each),
             tracks.get(each.subject),
         )
-        for each in history.own(report.outages)
+        for each in history_report.own(report.outages)
     ]  # fmt: skip
     rows += [
         Row(f"event{each.time}{each.text}", each.time, "", each.link, each.topic,
-            history.who(each), "key", history.did(each), None)
+            history_report.who(each), "key", history_report.did(each), None)
         for each in report.actions
     ]  # fmt: skip
     rows += [
-        Row(f"gap{gap.start:.0f}", gap.start, history.length(gap.seconds), "", "", "unknown", "dim",
+        Row(f"gap{gap.start:.0f}", gap.start, history_report.length(gap.seconds), "", "", "unknown", "dim",
             "the bridge did not run, or the machine slept", None)
         for gap in report.gaps
     ]  # fmt: skip
@@ -210,7 +211,11 @@ class HistoryScreen(ModalScreen[None]):
     def show(self) -> None:
         """Show the newest answer."""
         report = self._report
-        parts = ["What happened", f"last {history.length(self._span)}", "by robot and topic" if self._by_topic else ""]
+        parts = [
+            "What happened",
+            f"last {history_report.length(self._span)}",
+            "by robot and topic" if self._by_topic else "",
+        ]
         parts.append("" if self.pattern is None else f"/{self.pattern.text}")
         self.query_one(Dialog).border_title = " ▸ ".join(part for part in parts if part)
         if report is None:
@@ -230,7 +235,7 @@ class HistoryScreen(ModalScreen[None]):
     def _totals(self, report: HistoryReport, rows: list[Row]) -> Iterator[Line]:
         if self._problem:
             yield ((self._problem, "down"),)
-        lines = history.totals(report)
+        lines = history_report.totals(report)
         width = max(20, self.summary.size.width)
         for line in lines[:_SUMMARY_LINES]:
             yield from (((text, ""),) for text in textwrap.wrap(line, width, subsequent_indent="  "))
@@ -281,7 +286,7 @@ class HistoryScreen(ModalScreen[None]):
 
     def action_export(self) -> None:
         """Write it to files in the working folder, as text and as CSV."""
-        from rsb_console.session.export import export_history  # noqa: PLC0415 -- seldom needed
+        from rsb_console.session.history_report import export_history  # noqa: PLC0415 -- seldom needed
 
         if self._report is None:
             return
@@ -310,7 +315,8 @@ def _detail(row: Row, width: int, span: float) -> Iterator[Line]:
         unit = "Hz" if row.track.kind == "topic" else "calls/s"
         top = f"{formats.hertz(most)} {unit}" if row.track.topic else formats.byte_rate(most)
         picture = sparkline(rates, len(rates))
-        words = f"  at most {top}; up {history.percent(row.track.up_ratio)} of the last {history.length(span)}"
+        up = history_report.percent(row.track.up_ratio)
+        words = f"  at most {top}; up {up} of the last {history_report.length(span)}"
         yield ((f"{'rate':<{_LABEL}}", "dim"), (picture, "plot"), (words, "dim"))
 
 

@@ -16,7 +16,7 @@ from rsb_bridge.model.shortage import why_not_written
 from rsb_bridge.model.snapshot import Level
 from rsb_console.actions.registry import ACTIONS, BY_ID, Group, bindings
 from rsb_console.look import formats
-from rsb_console.look.patterns import PatternRow
+from rsb_console.look.pattern_rows import PatternRow
 from rsb_console.screens.dialog import Dialog
 from rsb_console.widgets.columns import is_armed
 from rsb_console.widgets.detail import DetailPane
@@ -392,7 +392,7 @@ class MainScreen(Screen[None]):
 
     def action_export(self) -> None:
         """Write what the focused list shows to a file in the working folder."""
-        from rsb_console.session.export import export_log, export_topics  # noqa: PLC0415 -- seldom needed
+        from rsb_console.session.history_report import export_log, export_topics  # noqa: PLC0415 -- seldom needed
 
         log = self._list is self.log_pane
         try:

@@ -19,7 +19,7 @@ from rsb_console.screens.dialog import ConfirmScreen
 from rsb_console.screens.form_screen import FormScreen
 from rsb_console.screens.save_screens import save_asking
 from rsb_console.screens.session_files import Opened, is_file, is_path, no_suggestion, suggestions, yaml_files
-from rsb_console.session.clients import handed_out, key_file_name
+from rsb_console.session.client_files import handed_out, key_file_name
 from rsb_console.session.saving import path_problem
 from rsb_console.terminal.input_queue import DIALOG
 from rsb_console.widgets.form import Field, Spec

@@ -19,17 +19,15 @@ from textual.widgets import Static
 from rsb_bridge.api import EngineError
 from rsb_bridge.config.file_form import KEYS
 from rsb_bridge.model.text import join_first, plural
-from rsb_console.fleet.rolling import Rollout, bridged_by
-from rsb_console.fleet.words import report, said, way_back
+from rsb_console.fleet.rolling import Rollout, bridged_by, report, said, way_back
 from rsb_console.look import formats
 from rsb_console.look.glyphs import DONE, FAILED, UNDER_WAY
 from rsb_console.screens.dialog import Dialog
-from rsb_console.screens.topic_form import fields_by_kind
-from rsb_console.session.draft import SWITCHES, Ends, values_of
-from rsb_console.session.typed_topic import TypedError, typed_topic
+from rsb_console.screens.topic_form import fields_by_kind, padded
+from rsb_console.session.draft import SWITCHES, Ends, TypedError, typed_topic, values_of
 from rsb_console.widgets.form import Field, Spec
 from rsb_console.widgets.form_inputs import FieldInput
-from rsb_console.widgets.lines import Line, ScrolledLines, clip, fit_middle
+from rsb_console.widgets.lines import Line, ScrolledLines, clip
 from rsb_console.widgets.picker import PickField, Suggestion
 
 if TYPE_CHECKING:
@@ -254,22 +252,17 @@ def _value(entry: Bridged, field: str, spec: Spec | None) -> str:
 
 def _topic_line(topic: str, count: str, rate: str, about: str, width: int) -> Line:
     name = min(_NAME[1], max(_NAME[0], width - _COUNT - _RATE - _TYPE))
-    return (*_column(topic, name, "strong"), *_column(count, _COUNT, "dim"), *_column(rate, _RATE, ""), (about, "dim"))
+    return (*padded(topic, name, "strong"), *padded(count, _COUNT, "dim"), *padded(rate, _RATE, ""), (about, "dim"))
 
 
 def _key_line(key: str, now: str, about: str, _width: int) -> Line:
     if cell_len(now) >= _VALUES:
         now = f"{clip(now, _VALUES - 2).rstrip(', ')}…"  # the most frequent values come first
-    return (*_column(key, _KEY, "strong"), *_column(now, _VALUES, ""), (about, "dim"))
+    return (*padded(key, _KEY, "strong"), *padded(now, _VALUES, ""), (about, "dim"))
 
 
 def _value_line(value: str, label: str, _width: int) -> Line:
-    return (*_column(value, _KEY, "strong"), (label, "dim")) if value else ((label, "strong"),)
-
-
-def _column(text: str, width: int, look: str) -> Line:
-    cut = fit_middle(text, width - 1)
-    return (cut, look), (" " * (width - cell_len(cut)), "")
+    return (*padded(value, _KEY, "strong"), (label, "dim")) if value else ((label, "strong"),)
 
 
 SETTLE = 10.0

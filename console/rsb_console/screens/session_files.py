@@ -6,16 +6,16 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar, NamedTuple
 
+from platformdirs import user_state_path
 from textual import on
 from textual.binding import Binding
 from textual.screen import ModalScreen
 from textual.widgets import Button, Static
 
-from rsb_bridge.config.files import typed_path
+from rsb_bridge.config.files import replace_file, typed_path
 from rsb_bridge.config.session_file import SessionError, load
 from rsb_console.screens.dialog import Dialog
 from rsb_console.screens.form_screen import FormScreen
-from rsb_console.session.recents import recent_sessions
 from rsb_console.session.saving import path_problem
 from rsb_console.widgets.form import Field, Spec
 from rsb_console.widgets.lines import Line, fit
@@ -29,6 +29,34 @@ if TYPE_CHECKING:
 
     from rsb_bridge.control.bridges import RunningBridge
     from rsb_bridge.model.session import Session
+
+LIMIT = 20
+
+
+def recents_path() -> Path:
+    return user_state_path("rsb-console") / "recent-sessions"
+
+
+def recent_sessions() -> list[Path]:
+    """Those that are still there, the newest first."""
+    try:
+        lines = recents_path().read_text(encoding="utf-8").splitlines()
+    except (OSError, UnicodeDecodeError):
+        return []
+    return [path for line in lines if (path := Path(line)).is_file()]
+
+
+def remember(path: Path) -> None:
+    """Put a session file first.
+
+    Raises:
+        OSError: the list could not be written.
+    """
+    path = path.resolve()
+    newest = [path, *(other for other in recent_sessions() if other != path)][:LIMIT]
+    recents_path().parent.mkdir(parents=True, exist_ok=True)
+    replace_file(recents_path(), "".join(f"{each}\n" for each in newest).encode())
+
 
 MORE = {"new_session": "New…", "import_session": "Import…", "save": "Save", "save_as": "Save as…"}
 

@@ -18,8 +18,8 @@ from rsb_bridge.model.link_budget import LoadSource, cost_of, told
 from rsb_bridge.model.qos import AUTO, PROFILES
 from rsb_bridge.model.session import CALL_TIMEOUT, DEADMAN
 from rsb_bridge.model.text import plural
+from rsb_console.look.formats import KIND_NOUN
 from rsb_console.look.glyphs import IN, OUT
-from rsb_console.look.kinds import NOUN
 from rsb_console.screens.form_screen import FormScreen
 from rsb_console.session.draft import SWITCHES, Ends, problems_of, topic_of, values_of
 from rsb_console.terminal.input_queue import DIALOG
@@ -420,7 +420,7 @@ def suggestions_for(
             and (info.kind, suggestion.value, _direction(ends, info, is_here)) not in taken
         ):
             suggestions.setdefault(suggestion.key, suggestion)
-    order = {str(kind): number for number, kind in enumerate(NOUN)}
+    order = {str(kind): number for number, kind in enumerate(KIND_NOUN)}
     return sorted(suggestions.values(), key=lambda each: (order[each.fills["kind"]], each.value))
 
 
@@ -458,8 +458,8 @@ def _line(info: TopicInfo, is_here: bool, width: int) -> Line:
     outwards = (is_here == bool(info.publishers)) == (info.kind == "topic")
     return (
         (f"{OUT if outwards else IN} ", ""),
-        *_column(info.topic, name_width, "strong"),
-        *_column(f"{amount} {'here' if is_here else 'there'}", _WHERE_WIDTH, "dim"),
+        *padded(info.topic, name_width, "strong"),
+        *padded(f"{amount} {'here' if is_here else 'there'}", _WHERE_WIDTH, "dim"),
         (_type_of(info), ""),
     )
 
@@ -470,6 +470,6 @@ def _type_of(info: TopicInfo) -> str:
     return info.type_name.replace("/msg/", "/") or "several types"
 
 
-def _column(text: str, width: int, look: str) -> Line:
+def padded(text: str, width: int, look: str) -> Line:
     cut = fit_middle(text, width - 1)
     return (cut, look), (" " * (width - cell_len(cut)), "")

@@ -1,7 +1,8 @@
-"""A topic while an operator writes it: the texts of the form, the topic they make, and its mistakes."""
+"""A topic while an operator writes it, in a form or as ``KEY=VALUE``: its texts, the topic they make, its mistakes."""
 
 from __future__ import annotations
 
+import difflib
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -9,14 +10,14 @@ from typing import TYPE_CHECKING, Any
 import msgspec
 
 from rsb_bridge.config.call_rules import overlaps
-from rsb_bridge.config.file_form import field_of, locations
+from rsb_bridge.config.file_form import DIRECTIONS, KEYS, field_of, hints_of, key_of, locations
 from rsb_bridge.config.session_file import SessionError, validate, validate_topic
 from rsb_bridge.config.yaml_text import read_yaml
 from rsb_bridge.model.names import client_topic
 from rsb_bridge.model.session import Session, Topic
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Mapping, Sequence
 
     from rsb_bridge.model.snapshot import Snapshot
 
@@ -135,3 +136,47 @@ def problems_of(topic: Topic, session: Session, replaced: Topic | None) -> dict[
         key = problem.location.partition(".")[0]
         messages.setdefault(field_of(topic.kind, key) if key else "topic", problem.message)
     return messages
+
+
+class TypedError(ValueError):
+    """What is typed makes no topic; the message says what would."""
+
+
+def typed_topic(values: Mapping[str, str], keys: Sequence[str], session: Session, replaced: Topic | None) -> Topic:
+    """A topic of the values that it has already and those that are typed.
+
+    Args:
+        values: as of `rsb_console.session.draft.values_of`.
+        keys: typed, each ``KEY=VALUE``.
+        session: what it is for.
+        replaced: one of the session's that it takes the place of.
+
+    Raises:
+        TypedError: something is wrong with it.
+    """
+    kind = replaced.kind if replaced is not None else next(kind for kind in KEYS if kind == values["kind"])
+    known, changed = list(KEYS[kind]), dict(values)
+    for text in keys:
+        key, is_pair, value = text.partition("=")
+        if not is_pair:
+            raise TypedError(f"{text}: not KEY=VALUE, as in max_rate=5")
+        if key not in known:
+            hint = hints_of(kind).get(key) or f"unknown key{suggestion(key, known)}"
+            raise TypedError(f"{text}: {hint} (keys: {', '.join(known)})")
+        changed[field_of(kind, key)] = _value(key, value)
+    topic = topic_of(changed)
+    if problems := problems_of(topic, session, replaced):
+        raise TypedError("; ".join(f"{key_of(kind, field)}: {problem}" for field, problem in problems.items()))
+    return topic
+
+
+def _value(key: str, value: str) -> str:
+    if key == "provider":
+        return DIRECTIONS.get(value, value)
+    return "" if key in SWITCHES and value in ("no", "false") else value
+
+
+def suggestion(name: str, known: Sequence[str]) -> str:
+    """A hint at the most similar name; empty: none is similar."""
+    near = difflib.get_close_matches(name, known, n=1)
+    return f"; did you mean {near[0]}?" if near else ""

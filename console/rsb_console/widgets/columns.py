@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Any, Generic, TypeVar
 from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.text import plural
 from rsb_console.look import formats
+from rsb_console.look.formats import KIND_SHORT
 from rsb_console.look.glyphs import ACK_WORD, ARMED, ARMED_WORD, IN, KNOWN, OUT, STATE_SIGN, STATE_WORD, sparkline
-from rsb_console.look.kinds import SHORT
-from rsb_console.look.patterns import PatternRow
+from rsb_console.look.pattern_rows import PatternRow
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -140,8 +140,8 @@ COLUMNS: tuple[Column[RouteSnapshot], ...] = (
     Column(
         "KIND",
         4,
-        lambda r: SHORT[r.spec.kind],
-        lambda r: (tuple(SHORT).index(r.spec.kind), r.topic),
+        lambda r: KIND_SHORT[r.spec.kind],
+        lambda r: (tuple(KIND_SHORT).index(r.spec.kind), r.topic),
         right=False,
         from_width=50,
         only_calls=True,

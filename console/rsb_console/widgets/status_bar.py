@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 from rsb_bridge.model import health
 from rsb_bridge.model.snapshot import State
-from rsb_console.look import formats, kinds
+from rsb_console.look import formats
 from rsb_console.look.glyphs import ACK_WORD, ARMED, ARMED_WORD, STATE_SIGN, STATE_WORD, sparkline
 from rsb_console.widgets.lines import Line, LiveLines, fit, width_of
 
@@ -90,7 +90,7 @@ class StatusBar(LiveLines):
         self.sync()
 
     def _sum(self, snapshot: Snapshot) -> list[Line]:
-        topics = ((f" {kinds.counted(route.spec.kind for route in snapshot.routes)}", "strong"),)
+        topics = ((f" {formats.counted_kinds(route.spec.kind for route in snapshot.routes)}", "strong"),)
         armed = armed_count(snapshot.routes)
         known = acknowledged_count(snapshot.routes)
         self._signs = (*topics, *armed, *state_counts(snapshot.routes, State), *known)
@@ -136,7 +136,7 @@ def calls_group(routes: Iterable[RouteSnapshot]) -> list[Line]:
     counts = [route.calls for route in routes if route.calls is not None]
     if not counts:
         return []
-    failed = sum(map(kinds.failed, counts))
+    failed = sum(map(formats.unanswered, counts))
     under_way = formats.counted(sum(calls.in_flight for calls in counts), "call")
     return [((f"{under_way} under way, ", ""), (f"{formats.thousands(failed)} failed", "stale" if failed else ""))]
 

@@ -6,9 +6,9 @@ import textwrap
 from typing import TYPE_CHECKING
 
 from rsb_bridge.model.snapshot import State
+from rsb_console.look.formats import KIND_SHORT
 from rsb_console.look.glyphs import ACK_WORD, STATE_WORD
-from rsb_console.look.kinds import SHORT
-from rsb_console.look.patterns import pattern_rows
+from rsb_console.look.pattern_rows import pattern_rows
 from rsb_console.widgets.columns import HISTORY_COLUMN, SIGN, STATE, TOPIC, is_armed, layout, via
 from rsb_console.widgets.lines import clip, fit_middle
 from rsb_console.widgets.selectable_list import SelectableList
@@ -79,7 +79,7 @@ class TopicsTable(SelectableList):
             return False
         return self.pattern is None or self.pattern.matches(
             {
-                "kind": f"{route.spec.kind} {SHORT[route.spec.kind]}",
+                "kind": f"{route.spec.kind} {KIND_SHORT[route.spec.kind]}",
                 "topic": f"{route.topic} {route.pattern}" if route.pattern else route.topic,
                 "robot": route.link,
                 "state": f"{STATE_WORD[route.state]}{f' {ACK_WORD}' if route.acknowledged is not None else ''}",

@@ -1,4 +1,4 @@
-"""What concerns sessions and what belongs to them (the registry's `Group.SESSION`): files, keys, links, Bluetooth."""
+"""Sessions and what belongs to them (the registry's `Group.SESSION`): files, keys, links, Bluetooth."""
 
 from __future__ import annotations
 
@@ -149,7 +149,7 @@ class SessionOperations:
 
     async def demo(self) -> None:
         """Run the demo: a simulated robot on this machine."""
-        from rsb_console.session.demo import running_demo  # noqa: PLC0415 -- keeps the start short
+        from rsb_console.session.demo_session import running_demo  # noqa: PLC0415 -- keeps the start short
 
         runs = self._console.temporary and self._console.engine is not None
         if runs and self._console.snapshot().running:

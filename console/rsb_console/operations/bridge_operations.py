@@ -1,13 +1,15 @@
-"""What changes the bridge: each action of the registry's `Group.OPERATE` is a command to the engine."""
+"""Changes of the bridge: each action of the registry's `Group.OPERATE` is a command to the engine."""
 
 from __future__ import annotations
 
 import asyncio
 from typing import TYPE_CHECKING
 
+from textual.events import Key
+
 from rsb_bridge.api import EngineError
 from rsb_bridge.model.snapshot import State
-from rsb_console.look.patterns import PatternRow
+from rsb_console.look.pattern_rows import PatternRow
 from rsb_console.session.changes import (
     Added,
     CannotUndoError,
@@ -22,11 +24,12 @@ from rsb_console.session.changes import (
 if TYPE_CHECKING:
     from collections.abc import Callable
 
+    from textual.events import Event
+
     from rsb_bridge.api import EngineApi
-    from rsb_bridge.model.snapshot import RouteSnapshot
+    from rsb_bridge.model.snapshot import RouteSnapshot, Snapshot
     from rsb_console.console import Console
     from rsb_console.screens.topic_form import Draft
-
 
 _LINES_SHOWN = 12
 _RETRIED_ON_SERVER = "topics that were refused are opened again; clients whose links were shut down may come back"
@@ -290,3 +293,20 @@ class BridgeOperations:
         message = "All links are closed on both sides and opened again. Nothing crosses for a few seconds."
         if await self._console.ask(ConfirmScreen("Restart the bridge?", message, "Restart")):
             await self._console.ask(RestartScreen(engine))
+
+
+class Deadman:
+    """Tells the engine, at each refresh, that the console is there, and of keys since the last one."""
+
+    def __init__(self) -> None:
+        self._pressed = False
+
+    def saw(self, event: Event) -> None:
+        """Note a key, whatever it does."""
+        self._pressed |= isinstance(event, Key)
+
+    def keep(self, engine: EngineApi | None, snapshot: Snapshot) -> None:
+        """Keep armed what is; the engine knows what this console has armed."""
+        pressed, self._pressed = self._pressed, False
+        if engine is not None and any(route.arming and route.arming.here for route in snapshot.routes):
+            engine.arming.keep(pressed=pressed)

@@ -1,4 +1,4 @@
-"""What happened in a span of time, in words and as tables: for the time line, for `report`, and for files."""
+"""What happened in a span of time, in words and as tables, and the files that panes are exported to."""
 
 from __future__ import annotations
 
@@ -9,8 +9,10 @@ import re
 import time
 from collections import Counter
 from dataclasses import asdict
+from pathlib import Path
 from typing import TYPE_CHECKING
 
+from rsb_bridge.config.files import new_file
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.history import KEPT_FOR
 from rsb_bridge.model.text import escape_json, one_line, plural
@@ -19,7 +21,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
 
     from rsb_bridge.model.history import HistoryReport, Outage, Track
-    from rsb_bridge.model.snapshot import Event
+    from rsb_bridge.model.snapshot import Event, RouteSnapshot
 
 CSV_COLUMNS = (
     "kind", "start", "end", "seconds", "robot", "topic", "direction", "state", "cause", "who", "old", "new", "is_a",
@@ -299,3 +301,71 @@ def cell(value: object) -> object:
 
 def _iso(moment: float) -> str:
     return time.strftime("%Y-%m-%dT%H:%M:%S%z", time.localtime(moment))
+
+
+# The names are those of `status --json`. A topic has what is in a `Ledger`, all else what is in a `CallsSnapshot`.
+_ROUTE = (
+    "topic", "link", "outgoing", "transport", "port", "type_name", "rate", "expected_rate", "bytes_per_second",
+    "latency_p50", "latency_p99", "age", "cause", "reason",
+)  # fmt: skip
+_COUNTS = (
+    "offered", "delivered", "throttled", "expired", "in_flight", "dropped_total", "unknown", "lost_in_dds",
+    "missed_while_down",
+    "asked", "answered", "refused", "lost", "late", "node_p50", "node_p99", "way_p50", "way_p99", "last_failure",
+)  # fmt: skip
+
+
+def _new_file(kind: str, suffix: str) -> Path:
+    return Path.cwd() / f"rsb-{kind}-{time.strftime('%Y%m%d-%H%M%S')}.{suffix}"
+
+
+def export_log(events: Sequence[Event]) -> Path:
+    """Write `events`, oldest first, one a line with its full time.
+
+    Returns:
+        The file, in the working folder.
+    """
+    path = _new_file("log", "txt")
+    with new_file(path) as file:
+        for event in events:
+            stamp = time.strftime("%Y-%m-%dT%H:%M:%S%z", time.localtime(event.time))
+            line = f"{stamp} {event.level} {event.source} {event.link or '-'} {event.text}"
+            file.write(f"{one_line(line)}\n")
+    return path
+
+
+def export_topics(routes: Sequence[RouteSnapshot]) -> Path:
+    """Write `routes` with their figures (Hz, bytes/s, s) and counts as CSV. What one has no figure of is left empty.
+
+    Returns:
+        The file, in the working folder.
+    """
+    path = _new_file("topics", "csv")
+    with new_file(path, newline="") as file:
+        table = csv.writer(file)
+        table.writerow(("state", "kind", *_ROUTE, *_COUNTS))
+        for route in routes:
+            figures = [getattr(route, name) for name in _ROUTE]
+            table.writerow([cell(each) for each in (route.state, route.spec.kind, *figures, *_counts(route))])
+    return path
+
+
+def _counts(route: RouteSnapshot) -> Iterator[object]:
+    counts = route.ledger if route.calls is None else route.calls
+    for name in _COUNTS:
+        value = getattr(counts, name, None)
+        yield sum(value.values()) if isinstance(value, dict) else value
+
+
+def export_history(report: HistoryReport) -> tuple[Path, Path]:
+    """Write what happened as text and as CSV.
+
+    Returns:
+        Both files, in the working folder.
+    """
+    text, table = _new_file("history", "txt"), _new_file("history", "csv")
+    with new_file(text) as file:
+        file.writelines(f"{one_line(line)}\n" for line in text_report(report))
+    with new_file(table, newline="") as file:
+        file.write(csv_report(report))
+    return text, table
