@@ -15,7 +15,7 @@ from textual import work
 from rsb_bridge.api import EngineError
 from rsb_bridge.model.fault_watch import ChangeKind, FaultWatch
 from rsb_bridge.model.snapshot import Snapshot, State
-from rsb_console.actions.registry import Group
+from rsb_console.actions import Group
 from rsb_console.operations.bridge_operations import BridgeOperations, Deadman
 from rsb_console.operations.session_operations import SessionOperations
 from rsb_console.screens.main import MainScreen
@@ -39,7 +39,7 @@ if TYPE_CHECKING:
     from rsb_bridge.model.fault_watch import FaultChange
     from rsb_bridge.model.session import Session
     from rsb_bridge.model.snapshot import RouteSnapshot
-    from rsb_console.console import Console
+    from rsb_console.console_api import Console
 
     MakeEngine = Callable[[Session, Path], EngineApi]
     Attach = Callable[[], RemoteEngine]
@@ -53,7 +53,7 @@ RINGS_EVERY = 10.0
 
 
 class ConsoleApp(TerminalApp[None]):
-    """Fulfils `rsb_console.console.Console`: owns the engine, the user's preferences, and the main screen.
+    """Fulfils `rsb_console.console_api.Console`: owns the engine, the user's preferences, and the main screen.
 
     Args:
         session: to run; None: none yet.

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from textual import work
 
-from rsb_console.actions.registry import FLEET_ACTIONS
+from rsb_console.actions import FLEET_ACTIONS
 from rsb_console.app import LOCAL_RATE, REFRESH_RATES, SSH_RATE, ConsoleApp
 from rsb_console.screens.fleet_screen import FleetScreen
 from rsb_console.screens.main import MODES, MainScreen

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, ClassVar, TypeVar
 
 from textual.app import App, ReturnType
 
-from rsb_console.actions.registry import ACTIONS, BY_ID, Action, Group, bindings
+from rsb_console.actions import ACTIONS, BY_ID, Action, Group, bindings
 from rsb_console.look import themes
 from rsb_console.look.glyphs import AsciiFilter, ControlFilter
 from rsb_console.preferences import Preferences
@@ -27,7 +27,7 @@ T = TypeVar("T")
 
 
 class TerminalApp(App[ReturnType]):
-    """Fulfils `rsb_console.console.ConsoleShell`.
+    """Fulfils `rsb_console.console_api.ConsoleShell`.
 
     Args:
         readonly: nothing may be changed.

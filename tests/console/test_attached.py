@@ -20,7 +20,7 @@ from textual.pilot import Pilot
 from rsb_bridge.config.session_file import save
 from rsb_bridge.control import bridges, console
 from rsb_bridge.model.session import Topic
-from rsb_console.actions.registry import Group
+from rsb_console.actions import Group
 from rsb_console.app import ConsoleApp
 from rsb_console.screens.dialog import OfferScreen
 from rsb_console.screens.session_files import WelcomeScreen

@@ -21,7 +21,7 @@ from textual.widgets import Input
 
 from rsb_bridge.model.robot_summary import Battery, Loss, RobotState
 from rsb_bridge.model.session import Topic
-from rsb_console.actions.registry import FLEET_ACTIONS, Group
+from rsb_console.actions import FLEET_ACTIONS, Group
 from rsb_console.fleet.rolling import Bridged
 from rsb_console.fleet.servers import ServerFleet
 from rsb_console.fleet_app import FleetApp, RobotApp
@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 
     from tests.support.control import Machine
 
-    from rsb_console.actions.registry import Action
+    from rsb_console.actions import Action
     from rsb_console.fleet.rolling import Step
 
 SILENT = robot(

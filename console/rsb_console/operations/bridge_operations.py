@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
     from rsb_bridge.api import EngineApi
     from rsb_bridge.model.snapshot import RouteSnapshot, Snapshot
-    from rsb_console.console import Console
+    from rsb_console.console_api import Console
     from rsb_console.screens.topic_form import Draft
 
 _LINES_SHOWN = 12

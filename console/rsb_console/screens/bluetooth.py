@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
     from textual.app import ComposeResult
 
-    from rsb_console.console import Console
+    from rsb_console.console_api import Console
 
 CHANNELS_A_LINE = 15
 SIGNS = {Use.FREE: ("·", "dim"), Use.BUSY: ("✗", "down"), Use.OWN: ("●", "ok")}

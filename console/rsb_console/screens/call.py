@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from textual.app import ComposeResult
 
     from rsb_bridge.model.snapshot import RouteSnapshot
-    from rsb_console.console import Console
+    from rsb_console.console_api import Console
     from rsb_console.widgets.lines import Line
 
 _SET, _SET_LANE = "set", "set_parameters"

@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     from rsb_bridge.api import EngineApi
     from rsb_bridge.model.session import Session
     from rsb_bridge.model.snapshot import Event, Snapshot
-    from rsb_console.console import Console
+    from rsb_console.console_api import Console
     from rsb_console.session.client_files import Changed
 
 

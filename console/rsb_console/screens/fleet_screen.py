@@ -9,7 +9,7 @@ from textual import work
 from textual.screen import Screen
 
 from rsb_bridge.model.text import join_first
-from rsb_console.actions.registry import BY_ID, FLEET_ACTIONS, Group, bindings
+from rsb_console.actions import BY_ID, FLEET_ACTIONS, Group, bindings
 from rsb_console.terminal.clipboard import copy
 from rsb_console.terminal.input_queue import DIALOG
 from rsb_console.widgets.filter import Prompt
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from textual import events
     from textual.app import ComposeResult
 
-    from rsb_console.console import ConsoleShell
+    from rsb_console.console_api import ConsoleShell
     from rsb_console.fleet.fleet import Fleet, Robot
     from rsb_console.widgets.selectable_list import SelectableList
 

@@ -11,7 +11,7 @@ from textual.binding import Binding
 from textual.command import DiscoveryHit, Hit, Provider
 from textual.screen import ModalScreen
 
-from rsb_console.actions.registry import NAMESPACE, Group
+from rsb_console.actions import NAMESPACE, Group
 from rsb_console.widgets.lines import Line, LiveLines
 
 if TYPE_CHECKING:
@@ -20,8 +20,8 @@ if TYPE_CHECKING:
     from textual.app import ComposeResult
     from textual.command import Hits
 
-    from rsb_console.actions.registry import Action
-    from rsb_console.console import ConsoleShell
+    from rsb_console.actions import Action
+    from rsb_console.console_api import ConsoleShell
 
 KEYS_WIDTH, ID_WIDTH = 13, 15  # cells
 
@@ -90,7 +90,7 @@ class HelpScreen(ModalScreen[None]):
 
 @runtime_checkable
 class LabelsKeys(Protocol):
-    """An app that knows the keys of actions, as `rsb_console.console.Console` does.
+    """An app that knows the keys of actions, as `rsb_console.console_api.Console` does.
 
     Attributes:
         actions: all that it has.

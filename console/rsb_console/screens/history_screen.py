@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from textual.app import ComposeResult
 
     from rsb_bridge.model.history import HistoryReport, Track
-    from rsb_console.console import Console
+    from rsb_console.console_api import Console
     from rsb_console.widgets.filter import Pattern
 
 SPANS = (3600.0, 8 * 3600.0, 24 * 3600.0)

@@ -38,7 +38,7 @@ if TYPE_CHECKING:
     from textual.app import ComposeResult
 
     from rsb_bridge.model.session import Session
-    from rsb_console.console import Console
+    from rsb_console.console_api import Console
 
 NAME_WIDTH = 30
 

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from textual.app import ComposeResult
 
     from rsb_bridge.model.snapshot import LinkSnapshot, Snapshot
-    from rsb_console.console import Console
+    from rsb_console.console_api import Console
 
 HEADING = f" {'STATE':<8}{'NAME':<12}{'SINCE':>9}{'RTT':>8}{'CLOCK':>10}{'TOPICS':>7}{'RX':>9}{'TX':>9}  KEY"
 LABEL = 15  # cells of a figure's name

@@ -14,7 +14,7 @@ from textual.widgets import Static
 
 from rsb_bridge.model.shortage import why_not_written
 from rsb_bridge.model.snapshot import Level
-from rsb_console.actions.registry import ACTIONS, BY_ID, Group, bindings
+from rsb_console.actions import ACTIONS, BY_ID, Group, bindings
 from rsb_console.look import formats
 from rsb_console.look.pattern_rows import PatternRow
 from rsb_console.screens.dialog import Dialog
@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from textual.app import ComposeResult
 
     from rsb_bridge.model.snapshot import Event, RouteSnapshot, Snapshot
-    from rsb_console.console import Console
+    from rsb_console.console_api import Console
     from rsb_console.widgets.lines import Line
     from rsb_console.widgets.selectable_list import SelectableList
 

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from rsb_bridge.cdr.decoder import Decoded
     from rsb_bridge.model.peek import PeekedMessage
     from rsb_bridge.model.snapshot import RouteSnapshot
-    from rsb_console.console import Console
+    from rsb_console.console_api import Console
     from rsb_console.session.reading import ReadMessage
     from rsb_console.widgets.lines import Line
 

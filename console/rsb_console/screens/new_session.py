@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from textual.app import ComposeResult
 
     from rsb_bridge.model.session import Role
-    from rsb_console.console import Console
+    from rsb_console.console_api import Console
 
 YES_NO = (("yes", "yes"), ("no", "no"))
 NUMBERS = ("server_port", "domain_id")

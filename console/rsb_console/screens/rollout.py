@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 
     from textual.app import ComposeResult
 
-    from rsb_console.console import ConsoleShell
+    from rsb_console.console_api import ConsoleShell
     from rsb_console.fleet.fleet import Fleet, Robot
     from rsb_console.fleet.rolling import Bridged, Outcome, Step
 

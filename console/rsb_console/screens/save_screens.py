@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
     from rsb_bridge.config.session_file import SessionFile
     from rsb_bridge.model.session import Session
-    from rsb_console.console import Console
+    from rsb_console.console_api import Console
 
 
 _LOOKS = {"+": "ok", "-": "down", "@": "dim"}

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from rsb_console.actions.registry import Group, bindings
+from rsb_console.actions import Group, bindings
 from rsb_console.look import formats
 from rsb_console.look.glyphs import DONE, FAILED, IN, OUT, UNDER_WAY, UNKNOWN
 from rsb_console.look.pattern_rows import PatternRow

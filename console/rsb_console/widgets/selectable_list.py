@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, ClassVar
 from textual.geometry import Region
 from textual.message import Message
 
-from rsb_console.actions.registry import Group, bindings
+from rsb_console.actions import Group, bindings
 from rsb_console.widgets.lines import LiveLines
 
 if TYPE_CHECKING:

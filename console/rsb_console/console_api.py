@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from rsb_bridge.config.session_file import SessionFile
     from rsb_bridge.model.session import Session
     from rsb_bridge.model.snapshot import RouteSnapshot, Snapshot
-    from rsb_console.actions.registry import Action
+    from rsb_console.actions import Action
     from rsb_console.preferences import Preferences
     from rsb_console.session.changes import Changes
 

@@ -1,1 +1,0 @@
-"""What an operator can do, and with which keys."""
