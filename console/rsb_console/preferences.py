@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import yaml
-from rsb_console.actions import (ACTIONS, BY_ID, FLEET_ACTIONS)
-from rsb_console.look.themes import (default_theme, load_themes, shipped_path)
-from typing import (TYPE_CHECKING)
+
+from rsb_console.actions import ACTIONS, BY_ID, FLEET_ACTIONS
+from rsb_console.look.themes import default_theme, load_themes, shipped_path
 
 if TYPE_CHECKING:
-    from collections.abc import (Iterable, Mapping)
-    from pathlib import (Path)
-    from rsb_console.actions import (Action)
-    from textual.theme import (Theme)
+    from collections.abc import Iterable, Mapping
+    from pathlib import Path
+
+    from textual.theme import Theme
+
+    from rsb_console.actions import Action
+
 
 class KeymapError(ValueError):
     """A mistake in ``keys.yaml``; the message says which, for the user."""

@@ -10,7 +10,7 @@ from tests.support.waiting import eventually
 
 from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.verdict import Cause
-from rsb_console.command.health import waiting, wrong
+from rsb_console.command.status import waiting, wrong
 
 if TYPE_CHECKING:
     from tests.support.bridge import Bridge

@@ -14,7 +14,7 @@ from rsb_bridge.model.calls import CallsSnapshot
 from rsb_bridge.model.verdict import LinkCause
 from rsb_console.command import shell
 from rsb_console.command.arguments import EPILOG
-from rsb_console.command.reports import json_event, json_status, route_of
+from rsb_console.command.formatting import json_event, json_status, route_of
 
 DOCS = Path(__file__).parents[2] / "docs"
 HEADLESS = (DOCS / "headless.md").read_text()

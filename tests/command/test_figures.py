@@ -25,7 +25,7 @@ from rsb_bridge.model.verdict import LinkCause
 from rsb_console.command import figures
 from rsb_console.command.arguments import parser_and_commands
 from rsb_console.command.figures import Window
-from rsb_console.command.reports import link_word, links_of
+from rsb_console.command.formatting import link_word, links_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

@@ -21,7 +21,7 @@ from rsb_bridge.model.text import escape_json, is_clean, one_line, several_lines
 from rsb_console.cli import main
 from rsb_console.command.arguments import parser_and_commands
 from rsb_console.command.bench import Progress
-from rsb_console.command.log_writer import LogWriter
+from rsb_console.command.headless import LogWriter
 from rsb_console.command.shell import CleanErrors, print_error, print_line, print_lines
 
 if TYPE_CHECKING:
@@ -34,8 +34,8 @@ EVIL = "\x1b]0;evil\x07\x1b[2J\u202eevil\u200b\x9b31m\n2026-01-01 forged\r\U000e
 CONSOLE = Path(__file__).parents[2] / "console" / "rsb_console"
 PRINTS = {
     "command/shell.py": "print_line, print_lines, print_error and CleanErrors",
-    "command/log_writer.py": "lines of the log, each cleaned by `write`",
-    "terminal/progress.py": "one line, cleaned",
+    "command/headless.py": "lines of the log, each cleaned by `LogWriter.write`",
+    "command/bench.py": "one line of progress, cleaned",
     "terminal/driver.py": "the app's own terminal",
     "terminal/clipboard.py": "an escape sequence of the app's own",
     "bench/router.py": "a child's pipe",

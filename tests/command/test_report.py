@@ -18,7 +18,7 @@ from rsb_bridge.history import event_file, history_file
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.history import Gap, Track
 from rsb_bridge.model.snapshot import Event, Level, State
-from rsb_console.command.reports import where_and_why
+from rsb_console.command.formatting import where_and_why
 from rsb_console.session.history_report import csv_report, did, length, parse_span, percent, text_report
 
 if TYPE_CHECKING:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import pytest
 from tests.console.scripted import ScriptedEngine
 
-from rsb_console.command.supervisor import Supervisor
+from rsb_console.command.headless import Supervisor
 
 if TYPE_CHECKING:
     from pathlib import Path

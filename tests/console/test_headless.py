@@ -5,7 +5,7 @@ from dataclasses import replace
 from tests.console.scripted import LINK, ScriptedEngine, route
 
 from rsb_bridge.model.snapshot import Ledger, RefusedClient, RouteSnapshot, State
-from rsb_console.command.reports import StatusLines, text_status
+from rsb_console.command.formatting import StatusLines, text_status
 
 
 def parts(*routes: RouteSnapshot) -> list[str]:

@@ -6,7 +6,7 @@ import threading
 
 from tests.support.waiting import eventually
 
-from rsb_console.command.log_writer import WAITING_LIMIT, LogWriter
+from rsb_console.command.headless import WAITING_LIMIT, LogWriter
 
 
 def lost_line(lost: int, reason: str) -> str:

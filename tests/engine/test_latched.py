@@ -17,7 +17,7 @@ from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.sources import node_of
 from rsb_bridge.model.verdict import Cause
-from rsb_console.command.waiting import _carries
+from rsb_console.command.remote import _carries
 
 if TYPE_CHECKING:
     from rclpy.publisher import Publisher

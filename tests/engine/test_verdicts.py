@@ -22,7 +22,7 @@ from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.verdict import Cause
 from rsb_bridge.route.verdict import USE_TCP
-from rsb_console.command.reports import json_status
+from rsb_console.command.formatting import json_status
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator

@@ -24,7 +24,7 @@ from rsb_bridge.wire.connection import ClientConnection
 from rsb_bridge.wire.events import Refused
 from rsb_bridge.wire.messages import Hello
 from rsb_bridge.wire.sealing import Suite
-from rsb_console.command.reports import json_status
+from rsb_console.command.formatting import json_status
 
 if TYPE_CHECKING:
     from tests.support.bridge import Bridge

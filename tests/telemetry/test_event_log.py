@@ -16,7 +16,7 @@ from rsb_bridge.model.clock import Clock
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.snapshot import Event, Level
 from rsb_bridge.telemetry.event_log import EVENT_LENGTH, EventLog
-from rsb_console.command.reports import json_status, text_event, text_status
+from rsb_console.command.formatting import json_status, text_event, text_status
 from rsb_console.session.history_report import export_log
 
 if TYPE_CHECKING:

@@ -11,7 +11,7 @@ from rsb_bridge.api import EngineError
 from rsb_bridge.config.fields_text import read_written
 from rsb_bridge.model.fields import FIELDS_LENGTH, FieldError
 from rsb_bridge.model.lanes import LANES
-from rsb_console.command.reports import json_line, json_value
+from rsb_console.command.formatting import json_line, json_value
 from rsb_console.command.shell import OK, print_error, print_line, print_lines
 from rsb_console.command.target import ANSWERED_WITHIN, UsageError, attached, chosen_route, reported
 from rsb_console.session.draft import suggestion

@@ -18,7 +18,7 @@ from rsb_bridge.control.client import RemoteEngine
 from rsb_bridge.model.session import Client, Grant
 from rsb_bridge.model.shortage import why_not_written
 from rsb_bridge.model.snapshot import State
-from rsb_console.command.reports import json_line
+from rsb_console.command.formatting import json_line
 from rsb_console.command.shell import FAILURE, OK, USAGE, print_error, print_line, print_lines
 from rsb_console.command.target import ANSWERED_WITHIN, NoBridgeError, UsageError, chosen_bridge, reported
 from rsb_console.session import client_files

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 from rsb_bridge.api import EngineError
 from rsb_bridge.cdr.decoder import Items
 from rsb_bridge.model.text import escape_text
-from rsb_console.command.reports import json_value
+from rsb_console.command.formatting import json_value
 from rsb_console.command.shell import print_line, print_lines
 from rsb_console.session.reading import KnownTypes, age_text, hex_lines, how_it_came, message_lines, plain, read_message
 

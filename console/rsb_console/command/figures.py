@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 from rsb_bridge.api import EngineError
 from rsb_bridge.control.features import TOTALS
 from rsb_bridge.model.snapshot import State
-from rsb_console.command.reports import json_line
+from rsb_console.command.formatting import json_line
 from rsb_console.command.shell import FAILURE, OK, print_line
 from rsb_console.command.target import attached, chosen_route, other_side
 from rsb_console.look import formats

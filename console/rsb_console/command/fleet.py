@@ -18,7 +18,7 @@ from rsb_bridge.model.clock import Clock
 from rsb_bridge.model.robot_summary import RobotState
 from rsb_bridge.model.text import plural
 from rsb_console.command.fleet_arguments import ALLOWED
-from rsb_console.command.reports import json_line
+from rsb_console.command.formatting import json_line
 from rsb_console.command.shell import FAILURE, OK, USAGE, print_error, print_line
 from rsb_console.command.target import NoBridgeError, UsageError, chosen_bridge, fleet_file, reported
 from rsb_console.fleet.fleet import Fleet, UnknownRobotError

@@ -1,12 +1,15 @@
-"""Bridging without a console: events as log lines, and a status line with rates every few seconds."""
+"""Bridging without a console: events as log lines, a status line now and then, and systemd's notifications."""
 
 from __future__ import annotations
 
 import contextlib
 import os
 import signal
+import socket
 import sys
+import threading
 import time
+from collections import deque
 from typing import TYPE_CHECKING, Self
 
 from rsb_bridge.api import EngineError
@@ -17,14 +20,12 @@ from rsb_bridge.history.folders import state_folder
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.operators import acting
 from rsb_bridge.model.snapshot import Event, Level
-from rsb_bridge.model.text import plural
-from rsb_console.command.log_writer import LogWriter
-from rsb_console.command.reports import StatusLines, json_event, json_status, text_event
-from rsb_console.command.shell import ALREADY_RUNNING, FAILURE, HUNG_UP, OK, keep_output_clean, print_error
-from rsb_console.command.supervisor import Supervisor
+from rsb_bridge.model.text import one_line, plural
+from rsb_console.command.formatting import StatusLines, json_event, json_status, summary, text_event
+from rsb_console.command.shell import ALREADY_RUNNING, FAILURE, HUNG_UP, OK, encoded, keep_output_clean, print_error
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable
+    from collections.abc import Callable, Iterable, Mapping
     from concurrent.futures import Future
     from pathlib import Path
     from types import FrameType
@@ -265,3 +266,128 @@ class Signals:
 def _lines_lost(lost: int, reason: str) -> Event:
     text = f"{lost:,} log {plural(lost, 'line')} lost: {reason}"
     return Event(0, time.time(), Level.WARNING, EventCode.LOG_LINES_LOST, text)
+
+
+WAITING_LIMIT = 1 << 20
+"""Bytes of lines that wait for a slow reader; a status line of 500 topics has 200 kB as JSON."""
+_TOO_SLOW = "they were not read fast enough"
+
+
+class LogWriter:
+    """Writes lines on a thread of its own.
+
+    Counts the lines that cannot be written; when too many wait, the oldest go. As soon as writing works again, one line
+    says how many are missing and why.
+
+    Args:
+        fd: the file descriptor; stays open.
+        lost_line: makes that line, given the number of lines and the reason.
+    """
+
+    def __init__(self, fd: int, lost_line: Callable[[int, str], str]) -> None:
+        self._fd = fd
+        self._lost_line = lost_line
+        self._waiting: deque[bytes] = deque()
+        self._waiting_bytes = 0
+        self._lost = 0
+        self._reason = ""
+        self._torn = False
+        self._closing = False
+        self._changed = threading.Condition()
+        # A daemon: a write that never returns must not hold up the interpreter's exit.
+        self._thread = threading.Thread(target=self._run, name="log-writer", daemon=True)
+        self._thread.start()
+
+    def write(self, text: str) -> None:
+        """Hand over a line; returns at once."""
+        line = encoded(f"{one_line(text)}\n")
+        with self._changed:
+            self._waiting.append(line)
+            self._waiting_bytes += len(line)
+            while self._waiting_bytes > WAITING_LIMIT and len(self._waiting) > 1:
+                self._waiting_bytes -= len(self._waiting.popleft())
+                self._lost += 1
+                self._reason = _TOO_SLOW
+            self._changed.notify()
+
+    def close(self, timeout: float) -> None:
+        """Wait until all lines are written, for `timeout` s at the most."""
+        with self._changed:
+            self._closing = True
+            self._changed.notify()
+        self._thread.join(timeout)
+
+    def _run(self) -> None:
+        while True:
+            with self._changed:
+                self._changed.wait_for(lambda: self._waiting or self._closing)
+                if not self._waiting:
+                    return
+                line = self._waiting.popleft()
+                self._waiting_bytes -= len(line)
+                lost, reason = self._lost, self._reason
+            try:
+                if lost:
+                    self._write(encoded(f"{one_line(self._lost_line(lost, reason))}\n"))
+                    with self._changed:
+                        self._lost -= lost
+                self._write(line)
+            except OSError as error:
+                with self._changed:
+                    self._lost += 1
+                    self._reason = error.strerror or str(error)
+
+    def _write(self, line: bytes) -> None:
+        if self._torn:  # what comes now must not continue a line of which only the beginning was written
+            line = b"\n" + line
+        written = 0
+        try:
+            while written < len(line):
+                written += os.write(self._fd, line[written:])
+        finally:
+            self._torn = written < len(line) if written else self._torn
+
+
+class Supervisor:
+    """Tells systemd; without systemd, nobody.
+
+    Args:
+        environ: has the address that systemd listens on.
+    """
+
+    def __init__(self, environ: Mapping[str, str]) -> None:
+        address = environ.get("NOTIFY_SOCKET", "")
+        self._address = f"\0{address[1:]}" if address.startswith("@") else address  # an abstract socket of Linux
+        self._alive_at = 0.0
+        self._status = ""
+
+    def ready(self) -> None:
+        """The bridge has started, or has reloaded."""
+        self._tell("READY=1")
+
+    def reloading(self, monotonic_ns: int) -> None:
+        """The session file is about to be read again; `ready` says when that is done.
+
+        Args:
+            monotonic_ns: now, on the clock CLOCK_MONOTONIC.
+        """
+        self._tell(f"RELOADING=1\nMONOTONIC_USEC={monotonic_ns // 1000}")
+
+    def show(self, now: Snapshot) -> None:
+        """Tell how the bridge is. It works as long as its snapshots are renewed, which its I/O thread does."""
+        if now.time == self._alive_at:
+            return
+        self._alive_at = now.time
+        status = summary(now)
+        self._tell("WATCHDOG=1" if status == self._status else f"WATCHDOG=1\nSTATUS={status}")
+        self._status = status
+
+    def stopping(self) -> None:
+        """The bridge is about to end."""
+        self._tell("STOPPING=1")
+
+    def _tell(self, state: str) -> None:
+        if self._address:
+            with contextlib.suppress(OSError), socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as notify:
+                notify.setblocking(False)
+                notify.sendto(state.encode(), self._address)

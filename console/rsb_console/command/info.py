@@ -8,7 +8,7 @@ import msgspec
 
 from rsb_bridge.control.features import TOTALS
 from rsb_console.command.figures import measured
-from rsb_console.command.reports import clock, json_line, link_word, links_of, route_of, without_peer
+from rsb_console.command.formatting import clock, json_line, link_word, links_of, route_of, without_peer
 from rsb_console.command.shell import OK, print_line
 from rsb_console.command.target import attached, chosen_route, other_side
 from rsb_console.look import formats

@@ -9,7 +9,7 @@ from rsb_bridge.config.fields_text import ITEMS
 from rsb_bridge.config.yaml_text import dump_yaml, inline
 from rsb_bridge.model.fields import FieldError
 from rsb_console.command.calling import data_of, response
-from rsb_console.command.reports import json_value
+from rsb_console.command.formatting import json_value
 from rsb_console.command.shell import FAILURE, OK, print_error, print_line, print_lines
 from rsb_console.command.target import UsageError, attached, chosen_route, done, failed, reported
 from rsb_console.session.parameter_values import KIND_NAMES, KINDS, refusal, set_request, value_of

@@ -1,49 +1,40 @@
-"""The commands that attach to a running bridge, for scripts: a few lines each over an `EngineApi`."""
+"""The commands that attach to a running bridge, for scripts: each is a few lines over its engine."""
 
 from __future__ import annotations
 
+import os
+import select
 import sys
 import time
 from dataclasses import asdict
+from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rsb_bridge.api import EngineError
 from rsb_bridge.control.bridges import running_bridges
-from rsb_bridge.control.client import RemoteEngine
-from rsb_bridge.control.folders import ControlError
-from rsb_bridge.model.health import state_counts
+from rsb_bridge.model.link_budget import as_report, cost_of, told
 from rsb_bridge.model.snapshot import State
-from rsb_bridge.model.text import plural
-from rsb_console.command.adding import add, edit
-from rsb_console.command.arming import arm, disarm
 from rsb_console.command.echo import echo
 from rsb_console.command.figures import BW, HZ, print_figures
-from rsb_console.command.health import acknowledged, waiting, wrong
-from rsb_console.command.info import print_info
-from rsb_console.command.reports import (
-    acknowledged_by,
-    clock,
-    faults_first,
+from rsb_console.command.formatting import (
     json_event,
     json_line,
-    link_word,
     links_of,
     made_by,
-    of_links_that_are_up,
     pattern_text,
     patterns_of,
     rate_text,
-    refused_text,
     route_of,
-    status_of,
     text_event,
-    topics_of_link_that_is_down,
-    where_and_why,
 )
-from rsb_console.command.shell import FAILURE, NOT_RUNNING, OK, print_error, print_line
+from rsb_console.command.info import print_info
+from rsb_console.command.shell import FAILURE, OK, print_error, print_line, print_lines
+from rsb_console.command.status import print_status
 from rsb_console.command.target import (
     ANSWERED_WITHIN,
+    NoBridgeError,
+    UsageError,
     all_chosen,
+    ask_history,
     attached,
     carried_out,
     check_link,
@@ -52,20 +43,27 @@ from rsb_console.command.target import (
     done,
     done_with_all,
     failed,
+    named,
     reported,
     result,
 )
-from rsb_console.command.waiting import wait
+from rsb_console.session.draft import TypedError, suggestion, typed_topic, values_of
 
 if TYPE_CHECKING:
     from argparse import Namespace
     from collections.abc import Callable
 
-    from rsb_bridge.control.bridges import RunningBridge
-    from rsb_bridge.model.snapshot import Snapshot, TopicInfo
+    from rsb_bridge.control.client import RemoteEngine
+    from rsb_bridge.model.history import HistoryReport
+    from rsb_bridge.model.session import Kind, Topic
+    from rsb_bridge.model.snapshot import RouteSnapshot, Snapshot, TopicInfo
 
 _LOOK_EVERY = 0.1
 _EVENTS_WITHIN = 10.0
+_TOLD_EVERY = 0.5
+_READ_SIZE = 4096
+_DIRECTIONS = ("transmit", "receive")
+"""As the client sees it."""
 
 
 def run(name: str, arguments: Namespace) -> int:
@@ -74,97 +72,6 @@ def run(name: str, arguments: Namespace) -> int:
 
 
 # --- looking
-
-
-def _status(arguments: Namespace) -> int:
-    several = _all_bridges(arguments)
-    if several:
-        return _status_of_all(several, arguments)
-    with attached(arguments, read_only=True) as engine:
-        faults, lines, figures = _status_of(engine)
-    if arguments.json:
-        print_line(json_line(figures))
-    for line in () if arguments.json else lines:
-        print_line(line)
-    return FAILURE if faults else OK
-
-
-def _all_bridges(arguments: Namespace) -> list[RunningBridge]:
-    """Return all bridges of this machine if several run and the arguments name none, else an empty list."""
-    if arguments.bridge is not None or arguments.control is not None or getattr(arguments, "fleet", None) is not None:
-        return []
-    if getattr(arguments, "attach", None) is not None:
-        return []
-    found = running_bridges()
-    return found if len(found) > 1 else []
-
-
-def _status_of_all(bridges: list[RunningBridge], arguments: Namespace) -> int:
-    """Print the status of each bridge. Returns the worst exit code."""
-    codes: list[int] = []
-    figures: list[dict[str, object]] = []
-    for bridge in bridges:
-        try:
-            if bridge.info is None:
-                raise ControlError(bridge.problem)
-            engine = RemoteEngine(bridge.path, read_only=True)
-            try:
-                engine.start()
-                faults, lines, of_bridge = _status_of(engine)
-            finally:
-                engine.stop()
-        except (ControlError, EngineError, TimeoutError) as error:
-            codes.append(NOT_RUNNING)
-            lines = [f"{bridge.name}: pid {bridge.pid}, {bridge.path}", f"  {str(error) or 'it does not answer'}"]
-            of_bridge = {"ok": False, "name": bridge.name, "pid": bridge.pid, "error": str(error)}
-        else:
-            codes.append(FAILURE if faults else OK)
-        figures.append(of_bridge)
-        for line in () if arguments.json else lines:
-            print_line(line)
-    if arguments.json:
-        print_line(json_line({"ok": not any(codes), "bridges": figures}))
-    return max(codes)
-
-
-def _status_of(engine: RemoteEngine) -> tuple[list[str], list[str], dict[str, object]]:
-    """Return a bridge's faults, its status as lines, and the same as data."""
-    now, bridge = engine.snapshot(), engine.bridge
-    faults, known, waits = wrong(now), acknowledged(now), waiting(now)
-    about = {key: getattr(bridge, key) for key in ("name", "role", "pid", "started", "file", "program")}
-    figures = {"ok": not faults, "wrong": faults, "acknowledged": known, "waiting": waits, **about,
-               "address": now.address, "domain_id": now.domain_id,
-               "running": now.running, "time": now.time, **status_of(now)}  # fmt: skip
-    lines = [
-        f"{bridge.name}: {bridge.role}, {now.address}, domain {now.domain_id}, pid {bridge.pid}",
-        f"  since {clock(bridge.started)}" + (f", {bridge.file}" if bridge.file else ""),
-        f"  {_in_short(now, faults, known, waits)}",
-    ]
-    for link in now.links:
-        lines.append(f"  link {link.name} {link_word(link)}{where_and_why(link)}{acknowledged_by(link)}")
-        if waits_for_link := topics_of_link_that_is_down(now, link):
-            lines.append(f"    {waits_for_link}")
-    lines += [f"  {refused_text(client)}" for client in now.refused]
-    shown = faults_first(of_links_that_are_up(now))
-    lines += [f"  {rate_text(route)}{made_by(route)}{acknowledged_by(route)}" for route in shown]
-    lines += [f"  {pattern_text(pattern)}{acknowledged_by(pattern)}" for pattern in patterns_of(now)]
-    return faults, lines, figures
-
-
-def _in_short(now: Snapshot, faults: list[str], known: list[str], waits: list[str]) -> str:
-    """Return the numbers of faults, acknowledged faults and waiting things in words."""
-    if not now.running:
-        return "STOPPED"
-    parts = [f"{len(faults)} {plural(len(faults), 'thing')} wrong" if faults else "nothing is wrong"]
-    if unheard := state_counts(now.routes).get(State.UNHEARD):
-        parts.append(f"{unheard} unheard")
-    if known:
-        parts.append(f"{len(known)} acknowledged")
-    if refused := len(now.refused):
-        parts.append(f"{refused} {plural(refused, 'client')} refused")
-    if waits:
-        parts.append(f"{len(waits)} {'waits' if len(waits) == 1 else 'wait'}")
-    return ", ".join(parts)
 
 
 def _topics(arguments: Namespace) -> int:
@@ -307,22 +214,339 @@ def _stop(arguments: Namespace) -> int:
         return done(arguments)
 
 
+# --- waiting
+
+
+def _wait(arguments: Namespace) -> int:
+    """Wait, and say how it went. Returns the exit code."""
+    holds = _condition(arguments.wanted)
+    began = time.monotonic()
+    deadline = float("inf") if arguments.timeout is None else began + arguments.timeout
+    with attached(arguments, read_only=True) as engine:
+        _refuse_what_cannot_be(engine, arguments.wanted)
+        while not (held := holds(engine)):
+            if time.monotonic() >= deadline:
+                break
+            time.sleep(_LOOK_EVERY)
+        reason = "" if held else _why_not(engine, arguments.wanted)
+    if held:
+        return done(arguments, seconds=round(time.monotonic() - began, 3))
+    return failed(arguments, f"not {' '.join(arguments.wanted)} within {arguments.timeout:g} s{reason}", FAILURE)
+
+
+def _condition(wanted: list[str]) -> Callable[[RemoteEngine], bool]:
+    match wanted:
+        case ["flowing", topic]:
+            return lambda engine: _flows(engine, topic)
+        case ["linked"]:
+            return lambda engine: any(link.state is State.OK for link in engine.snapshot().links)
+        case ["linked", name]:
+            return lambda engine: (name, State.OK) in [(link.name, link.state) for link in engine.snapshot().links]
+        case ["stopped"]:
+            return lambda engine: not engine.snapshot().running
+    raise UsageError(f"--for {' '.join(wanted)}: not one of flowing TOPIC, linked [CLIENT], stopped")
+
+
+def _refuse_what_cannot_be(engine: RemoteEngine, wanted: list[str]) -> None:
+    """Refuse a name that this bridge does not know, and that nobody else can bring.
+
+    A client knows its topics from the start, and a server its clients; but a server learns a client's topics when they
+    link, so there a topic may yet come.
+
+    Raises:
+        UsageError: it would be waited for in vain.
+    """
+    now = engine.snapshot()
+    match wanted:
+        case ["flowing", topic] if now.role == "client":
+            known = [route.topic for route in now.routes]
+            if not named(now.routes, topic):
+                raise UsageError(f"{topic} is not bridged{suggestion(topic, known)}; `rsb-console add` adds a topic")
+        case ["linked", name]:
+            check_link(engine, name)
+
+
+def _flows(engine: RemoteEngine, topic: str) -> bool:
+    """Whether every route of a name carries messages, however many and whoever hears them, or can be called."""
+    routes = named(engine.snapshot().routes, topic)
+    return bool(routes) and all(map(_carries, routes))
+
+
+def _carries(route: RouteSnapshot) -> bool:
+    if route.spec.kind == "topic":
+        # An earlier process may have delivered the messages that the far side keeps of a latched topic.
+        return route.state.flows and (route.ledger.delivered > 0 or _has_passed(route, "published"))
+    return _has_passed(route, "offered")
+
+
+def _has_passed(route: RouteSnapshot, name: str) -> bool:
+    return any(stage.name == name and stage.done for stage in route.stages)
+
+
+def _why_not(engine: RemoteEngine, wanted: list[str]) -> str:
+    now = engine.snapshot()
+    reasons = [engine.unreachable]
+    if wanted[0] == "flowing":
+        routes = named(now.routes, wanted[1])
+        reasons += [rate_text(route) for route in routes] or [_not_bridged(now, wanted[1])]
+    if wanted[0] == "linked":
+        meant = [link for link in now.links if link.name in wanted[1:] or not wanted[1:]]
+        reasons += [f"{link.name}: {link.reason}" for link in meant if link.state is not State.OK]
+    found = [reason for reason in reasons if reason]
+    return f": {'; '.join(found)}" if found else ""
+
+
+def _not_bridged(now: Snapshot, topic: str) -> str:
+    hint = suggestion(topic, [route.topic for route in now.routes])
+    return f"no client has brought {topic} so far{hint}" if now.role == "server" else f"{topic} is not bridged{hint}"
+
+
+# --- adding and editing
+
+
+def _add(arguments: Namespace) -> int:
+    """Bridge one more. Returns the exit code."""
+    kind: Kind = arguments.kind or "topic"
+    values = {"topic": arguments.topic, "kind": kind}
+    if kind == "topic":
+        values["direction"], keys = _direction_and_keys(arguments)
+    else:
+        keys = _provider_and_keys(arguments, kind)
+    if (arguments.rate or arguments.size) and not arguments.dry_run:
+        raise UsageError(f"add {arguments.topic}: --rate and --size are for --dry-run, which adds nothing")
+    with attached(arguments) as engine:
+        check_link(engine, arguments.link)
+        links = [link.name for link in engine.snapshot().links]
+        if len(links) > 1 and not arguments.link:
+            raise UsageError(f"add {arguments.topic}: with which client? --link {' or --link '.join(links)}")
+        topic = _topic(values, keys, engine, None)
+        if arguments.dry_run:
+            return _say_cost(arguments, topic, engine, arguments.link or links[0])
+        return done(arguments, key=result(engine.add_topic(topic, arguments.link)))
+
+
+def _say_cost(arguments: Namespace, topic: Topic, engine: RemoteEngine, link: str) -> int:
+    """Say what a topic would cost. Returns the exit code."""
+    if topic.kind != "topic":
+        raise UsageError(f"add {topic.topic}: --dry-run is about topics: calls go ahead of them, and are not budgeted")
+    now = engine.snapshot()
+    sends_here = (topic.direction == "transmit") == (now.role == "client")
+    names = {topic.topic, topic.remote_topic, f"/{link}{topic.topic}"}
+    found = result(engine.topics(None if sends_here else link))
+    type_name = next((info.type_name for info in found if info.topic in names), "")
+    cost = cost_of(now, link, topic, type_name=type_name, rate=arguments.rate, size=arguments.size)
+    if arguments.json:
+        return done(arguments, cost=as_report(cost))
+    for line in told(cost, now.time):
+        print_line(line)
+    return OK
+
+
+def _edit(arguments: Namespace) -> int:
+    """Change one that is bridged. Returns the exit code."""
+    with attached(arguments) as engine:
+        route = chosen(engine, arguments)
+        if not arguments.keys:
+            raise UsageError(f"edit {arguments.topic}: nothing to change; for example: max_rate=5")
+        topic = _topic(values_of(route.spec), arguments.keys, engine, route.spec)
+        return done(arguments, key=result(engine.edit_topic(route.key, topic, drop_arm=arguments.drop_arm)))
+
+
+def _direction_and_keys(arguments: Namespace) -> tuple[str, list[str]]:
+    """The direction of a topic to be added, and its keys and values, which may come in any order.
+
+    Raises:
+        UsageError: the direction is missing, or is none.
+    """
+    words = _words(arguments)
+    given = next((word for word in words if "=" not in word), None)
+    if given in _DIRECTIONS and arguments.provider is None:
+        words.remove(given)
+        return given, words
+    if arguments.provider is not None:
+        what = "a topic has a direction, and no provider; --service adds a service."
+    elif given is None:
+        what = "the direction is missing."
+    else:
+        what = f"{given!r} is no direction{suggestion(given, _DIRECTIONS) or '.'}"
+    raise UsageError(
+        f"add {arguments.topic}: {what} transmit takes it from the client to the server, receive from the server to "
+        f"the client, for example: rsb-console add {arguments.topic} transmit"
+    )
+
+
+def _provider_and_keys(arguments: Namespace, kind: Kind) -> list[str]:
+    """The keys and values of what is no topic, with its provider.
+
+    Raises:
+        UsageError: there is a direction instead, or no provider.
+    """
+    words = _words(arguments)
+    if arguments.provider is not None:
+        words = [f"provider={arguments.provider}", *words]
+    given = next((word for word in words if "=" not in word), None)
+    if given is None and any(word.startswith("provider=") for word in words):
+        return words
+    what = "the provider is missing" if given is None else f"{given!r} is no KEY=VALUE"
+    raise UsageError(
+        f"add {arguments.topic}: {what}. It is the side whose node answers, client or server, for example: rsb-console "
+        f"add {arguments.topic} --kind {kind} --provider client"
+    )
+
+
+def _words(arguments: Namespace) -> list[str]:
+    return [*([] if arguments.direction is None else [arguments.direction]), *arguments.keys]
+
+
+def _topic(values: dict[str, str], keys: list[str], engine: RemoteEngine, replaced: Topic | None) -> Topic:
+    """A topic of the values that it has already and those of the command line.
+
+    Raises:
+        UsageError: something is wrong with it.
+    """
+    try:
+        return typed_topic(values, keys, engine.session, replaced)
+    except TypedError as error:
+        raise UsageError(str(error)) from None
+
+
+# --- arming
+
+
+class _Keys:
+    """Lines on standard input; once that has ended, none come any more."""
+
+    def __init__(self) -> None:
+        self._ended = False
+
+    def wait(self, seconds: float) -> bool:
+        """Wait so many s, or until there is a line; whether there was one."""
+        ready, _, _ = select.select([] if self._ended else [sys.stdin.fileno()], [], [], seconds)
+        if not ready:
+            return False
+        self._ended = not os.read(sys.stdin.fileno(), _READ_SIZE)
+        return not self._ended
+
+
+def _arm(arguments: Namespace) -> int:
+    """Arm a topic until this ends, however it does: the bridge disarms it then. Returns the exit code."""
+    with attached(arguments) as engine:
+        route = chosen_route(engine, arguments)
+        result(engine.arming.arm(route.key))
+        _say_armed(arguments, route)
+        why, cause = _hold(engine, route.key)
+    return failed(arguments, f"{route.topic} is not armed any more: {why}", FAILURE, cause=cause)
+
+
+def _say_armed(arguments: Namespace, route: RouteSnapshot) -> None:
+    if arguments.json:
+        print_line(json_line({"ok": True, "armed": True, "topic": route.topic, "link": route.link}))
+    else:
+        deadman = route.arming.deadman if route.arming is not None else 0.0
+        keys = f"press Enter within {deadman:g} s, again and again; " if deadman else ""
+        print_line(f"{route.topic} of {route.link} is ARMED: {keys}Ctrl-C disarms it")
+    sys.stdout.flush()
+
+
+def _hold(engine: RemoteEngine, key: str) -> tuple[str, str]:
+    """Keep a topic armed; return, once it is not, why, in words and as a cause."""
+    keys = _Keys()
+    while True:
+        result(engine.arming.keep(pressed=keys.wait(_TOLD_EVERY)))
+        if engine.unreachable:
+            return engine.unreachable, ""
+        route = next((each for each in engine.snapshot().routes if each.key == key), None)
+        if route is None:
+            return "it is not bridged any more", "removed"
+        if route.arming is None:
+            return "it need not be armed any more", ""
+        if not route.arming.armed:
+            return route.arming.reason or route.reason, route.arming.why
+
+
+def _disarm(arguments: Namespace) -> int:
+    """Disarm all routes of a name. Returns the exit code."""
+    with attached(arguments) as engine:
+        routes = all_chosen(engine, arguments)
+        carried_out([engine.arming.disarm(route.key) for route in routes])
+        return done_with_all(arguments, routes, "disarmed", one=True)
+
+
+# --- what happened
+
+
+def _report(arguments: Namespace) -> int:
+    from rsb_console.session.history_report import (  # noqa: PLC0415 (only here)
+        csv_report,
+        json_report,
+        parse_span,
+        text_report,
+    )
+
+    try:
+        seconds = parse_span(arguments.last)
+    except ValueError as error:
+        raise UsageError(f"--last {error}") from None
+    report = _report_of(arguments, seconds)
+    if arguments.json:
+        print_line(json_report(report))
+    elif arguments.csv:
+        print_lines(csv_report(report).removesuffix("\r\n"))
+    else:
+        for line in text_report(report):
+            print_line(line)
+    return OK
+
+
+def _report_of(arguments: Namespace, seconds: float) -> HistoryReport:
+    """The report of the bridge that the arguments mean.
+
+    Raises:
+        NoBridgeError: none runs, and none has left files.
+        UsageError: several do, and the arguments do not say which.
+    """
+    from rsb_bridge.history import offline  # noqa: PLC0415 (only here)
+    from rsb_bridge.history.folders import EVENTS, Files, kept_bridges  # noqa: PLC0415 (only here)
+    from rsb_bridge.history.history_file import HistoryFileError  # noqa: PLC0415 (only here)
+
+    name = arguments.bridge
+    named = arguments.control is not None or arguments.fleet is not None
+    if named or any(name in (None, bridge.name) for bridge in running_bridges()):
+        return ask_history(arguments, seconds)
+    if name is not None and (os.sep in name or name.endswith(EVENTS)):
+        path = Path(name)
+        kept = [Files(path.parent, path.name.partition(".")[0])]
+    else:
+        kept = [files for files in kept_bridges(os.environ) if name in (None, files.stem)]
+    if not kept:
+        which = "" if name is None else f" named {name!r}"
+        raise NoBridgeError(f"no bridge{which} runs here, and none has left its files where you may read them")
+    if len(kept) > 1:
+        found = "".join(f"\n  {files.stem}: {files.history}" for files in kept)
+        raise UsageError(f"no bridge runs here, and several have left their files; say which:{found}")
+    try:
+        return offline.report(kept[0], time.time(), seconds)
+    except HistoryFileError as error:
+        raise NoBridgeError(str(error)) from None
+
+
 COMMANDS: dict[str, Callable[[Namespace], int]] = {
-    "status": _status,
+    "status": print_status,
     "topics": _topics,
-    "add": add,
-    "edit": edit,
+    "add": _add,
+    "edit": _edit,
     "remove": _remove,
     "pause": _pause,
     "resume": _resume,
     "ack": _ack,
-    "arm": arm,
-    "disarm": disarm,
+    "arm": _arm,
+    "disarm": _disarm,
     "retry": _retry,
     "restart": _restart,
     "reload": _reload,
     "events": _events,
-    "wait": wait,
+    "report": _report,
+    "wait": _wait,
     "echo": _echo,
     "hz": _hz,
     "bw": _bw,

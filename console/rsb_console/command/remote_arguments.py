@@ -203,7 +203,6 @@ def _add_looking(remote: Callable[..., argparse.ArgumentParser], complete: Compl
     events = remote("events", "print what a running bridge has reported")
     events.add_argument("--follow", action="store_true", help="go on with what it reports from now on")
     report = remote("report", "print what happened in the last hours, even of a bridge that has ended")
-    report.set_defaults(command=_report)
     report.add_argument("--last", default="8h", metavar="SPAN", help="8h, 30m, ...; at most 24h (%(default)s)")
     report.add_argument("--csv", action="store_true", help="print CSV, for a spreadsheet")
     wait = remote("wait", "wait until topics flow, a link is up, or the bridge has stopped", _WAIT, about_topic=True)
@@ -332,11 +331,6 @@ def lazily(name: str, module: str = "remote") -> Callable[[argparse.Namespace], 
         return code
 
     return run
-
-
-def _report(arguments: argparse.Namespace) -> int:
-    code: int = import_module("rsb_console.command.report").run(arguments)
-    return code
 
 
 def route_arguments(

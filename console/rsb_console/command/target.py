@@ -18,7 +18,7 @@ from rsb_bridge.control.folders import ControlError, UnclearError, hidden_bridge
 from rsb_bridge.model.patterns import is_pattern
 from rsb_bridge.model.snapshot import RouteSnapshot
 from rsb_bridge.model.text import join_first
-from rsb_console.command.reports import json_line
+from rsb_console.command.formatting import json_line
 from rsb_console.command.shell import FAILURE, NOT_RUNNING, OK, USAGE, print_error, print_line
 from rsb_console.session.draft import suggestion
 

@@ -1,0 +1,168 @@
+"""The command ``status``: what is wrong with a bridge, what waits, and how its links and topics are."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from rsb_bridge.api import EngineError
+from rsb_bridge.control.bridges import running_bridges
+from rsb_bridge.control.client import RemoteEngine
+from rsb_bridge.control.folders import ControlError
+from rsb_bridge.model.health import (
+    link_is_wrong,
+    link_needs_attention,
+    pattern_is_wrong,
+    pattern_needs_attention,
+    route_is_wrong,
+    route_needs_attention,
+    route_waits,
+    state_counts,
+)
+from rsb_bridge.model.snapshot import State
+from rsb_bridge.model.text import plural
+from rsb_console.command.formatting import (
+    acknowledged_by,
+    clock,
+    faults_first,
+    json_line,
+    link_fault,
+    link_word,
+    made_by,
+    of_links_that_are_up,
+    pattern_text,
+    patterns_of,
+    rate_text,
+    refused_text,
+    status_of,
+    topics_of_link_that_is_down,
+    where_and_why,
+)
+from rsb_console.command.shell import FAILURE, NOT_RUNNING, OK, print_line
+from rsb_console.command.target import attached
+
+if TYPE_CHECKING:
+    from argparse import Namespace
+
+    from rsb_bridge.control.bridges import RunningBridge
+    from rsb_bridge.model.snapshot import Snapshot
+
+
+def wrong(now: Snapshot) -> list[str]:
+    """List the faults that nobody has acknowledged, a sentence each: links first, and a lost link once.
+
+    Some states are not faults: a link or a topic that waits for its first connection or message, a topic without a
+    subscriber, and the wishes of operators: a pause, a limit, a disarmed topic.
+    """
+    if not now.running:
+        return ["the bridge is stopped"]
+    links = [f"link {link.name} {link_fault(link)}" for link in now.links if link_needs_attention(link)]
+    patterns = [pattern_text(each) for each in patterns_of(now) if pattern_needs_attention(each)]
+    return links + patterns + [rate_text(route) for route in of_links_that_are_up(now) if route_needs_attention(route)]
+
+
+def acknowledged(now: Snapshot) -> list[str]:
+    """List the acknowledged faults, a sentence each."""
+    if not now.running:
+        return []
+    links = [f"link {each.name} {link_fault(each)}" for each in now.links if each.acknowledged and link_is_wrong(each)]
+    patterns = [pattern_text(each) for each in patterns_of(now) if each.acknowledged and pattern_is_wrong(each)]
+    routes = [route for route in of_links_that_are_up(now) if route.acknowledged and route_is_wrong(route)]
+    return links + patterns + [rate_text(route) for route in routes]
+
+
+def waiting(now: Snapshot) -> list[str]:
+    """What waits for its first connection or message, each in a sentence."""
+    links = [f"link {link.name} {link_fault(link)}" for link in now.links if link.state is State.WAITING]
+    return links + [rate_text(route) for route in of_links_that_are_up(now) if route_waits(route)]
+
+
+def print_status(arguments: Namespace) -> int:
+    """Print how a bridge is, or all bridges of this machine. Returns the exit code: whether something is wrong."""
+    several = _all_bridges(arguments)
+    if several:
+        return _status_of_all(several, arguments)
+    with attached(arguments, read_only=True) as engine:
+        faults, lines, figures = _status_of(engine)
+    if arguments.json:
+        print_line(json_line(figures))
+    for line in () if arguments.json else lines:
+        print_line(line)
+    return FAILURE if faults else OK
+
+
+def _all_bridges(arguments: Namespace) -> list[RunningBridge]:
+    """Return all bridges of this machine if several run and the arguments name none, else an empty list."""
+    if arguments.bridge is not None or arguments.control is not None or getattr(arguments, "fleet", None) is not None:
+        return []
+    if getattr(arguments, "attach", None) is not None:
+        return []
+    found = running_bridges()
+    return found if len(found) > 1 else []
+
+
+def _status_of_all(bridges: list[RunningBridge], arguments: Namespace) -> int:
+    """Print the status of each bridge. Returns the worst exit code."""
+    codes: list[int] = []
+    figures: list[dict[str, object]] = []
+    for bridge in bridges:
+        try:
+            if bridge.info is None:
+                raise ControlError(bridge.problem)
+            engine = RemoteEngine(bridge.path, read_only=True)
+            try:
+                engine.start()
+                faults, lines, of_bridge = _status_of(engine)
+            finally:
+                engine.stop()
+        except (ControlError, EngineError, TimeoutError) as error:
+            codes.append(NOT_RUNNING)
+            lines = [f"{bridge.name}: pid {bridge.pid}, {bridge.path}", f"  {str(error) or 'it does not answer'}"]
+            of_bridge = {"ok": False, "name": bridge.name, "pid": bridge.pid, "error": str(error)}
+        else:
+            codes.append(FAILURE if faults else OK)
+        figures.append(of_bridge)
+        for line in () if arguments.json else lines:
+            print_line(line)
+    if arguments.json:
+        print_line(json_line({"ok": not any(codes), "bridges": figures}))
+    return max(codes)
+
+
+def _status_of(engine: RemoteEngine) -> tuple[list[str], list[str], dict[str, object]]:
+    """Return a bridge's faults, its status as lines, and the same as data."""
+    now, bridge = engine.snapshot(), engine.bridge
+    faults, known, waits = wrong(now), acknowledged(now), waiting(now)
+    about = {key: getattr(bridge, key) for key in ("name", "role", "pid", "started", "file", "program")}
+    figures = {"ok": not faults, "wrong": faults, "acknowledged": known, "waiting": waits, **about,
+               "address": now.address, "domain_id": now.domain_id,
+               "running": now.running, "time": now.time, **status_of(now)}  # fmt: skip
+    lines = [
+        f"{bridge.name}: {bridge.role}, {now.address}, domain {now.domain_id}, pid {bridge.pid}",
+        f"  since {clock(bridge.started)}" + (f", {bridge.file}" if bridge.file else ""),
+        f"  {_in_short(now, faults, known, waits)}",
+    ]
+    for link in now.links:
+        lines.append(f"  link {link.name} {link_word(link)}{where_and_why(link)}{acknowledged_by(link)}")
+        if waits_for_link := topics_of_link_that_is_down(now, link):
+            lines.append(f"    {waits_for_link}")
+    lines += [f"  {refused_text(client)}" for client in now.refused]
+    shown = faults_first(of_links_that_are_up(now))
+    lines += [f"  {rate_text(route)}{made_by(route)}{acknowledged_by(route)}" for route in shown]
+    lines += [f"  {pattern_text(pattern)}{acknowledged_by(pattern)}" for pattern in patterns_of(now)]
+    return faults, lines, figures
+
+
+def _in_short(now: Snapshot, faults: list[str], known: list[str], waits: list[str]) -> str:
+    """Return the numbers of faults, acknowledged faults and waiting things in words."""
+    if not now.running:
+        return "STOPPED"
+    parts = [f"{len(faults)} {plural(len(faults), 'thing')} wrong" if faults else "nothing is wrong"]
+    if unheard := state_counts(now.routes).get(State.UNHEARD):
+        parts.append(f"{unheard} unheard")
+    if known:
+        parts.append(f"{len(known)} acknowledged")
+    if refused := len(now.refused):
+        parts.append(f"{refused} {plural(refused, 'client')} refused")
+    if waits:
+        parts.append(f"{len(waits)} {'waits' if len(waits) == 1 else 'wait'}")
+    return ", ".join(parts)
