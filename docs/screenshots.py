@@ -13,7 +13,7 @@ import msgspec
 
 from rsb_bridge.model.robot_summary import RobotState
 from rsb_console.app import ConsoleApp
-from rsb_console.command.demo_fleet import seen, simulated, trouble
+from rsb_console.command.demo import seen, simulated, trouble
 from rsb_console.fleet_app import FleetApp
 from rsb_console.session.demo_session import running_demo
 from rsb_console.widgets.fleet_table import FleetView

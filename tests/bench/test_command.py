@@ -19,8 +19,8 @@ from tests.support.waiting import eventually
 from rsb_bridge.control.bridges import serve
 from rsb_bridge.model.benchmark import Leave
 from rsb_console.bench.results import Report, from_json
+from rsb_console.command.argument_values import domains, sizes, topics, transports
 from rsb_console.command.arguments import parser_and_commands
-from rsb_console.command.bench_arguments import domains, sizes, topics, transports
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator

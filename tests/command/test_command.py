@@ -446,7 +446,7 @@ def test_a_session_named_like_a_command_is_reached_by_its_path() -> None:
 def breaking(error: str) -> str:
     """What makes `check` raise an error."""
     function = f"def check(arguments): raise {error}"
-    return f"from rsb_console.command import commands\n{function}\ncommands.check = check"
+    return f"from rsb_console.command import arguments\n{function}\narguments.check_session = check"
 
 
 def test_an_unforeseen_failure_is_one_line_and_a_log(folder: Path) -> None:

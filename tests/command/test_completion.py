@@ -167,8 +167,8 @@ def test_the_other_shells_get_theirs(shell: str, file: str, word: str) -> None:
 def test_a_bridge_that_does_not_answer_holds_nobody_up(monkeypatch: pytest.MonkeyPatch) -> None:
     from argparse import Namespace
 
-    from rsb_console.command import completion_live
+    from rsb_console.command import completion
 
-    monkeypatch.setattr(completion_live, "attached", lambda *_, **__: time.sleep(60))
-    monkeypatch.setattr(completion_live, "_WAITS", 0.01)
-    assert completion_live.links(Namespace()) == []
+    monkeypatch.setattr("rsb_console.command.target.attached", lambda *_, **__: time.sleep(60))
+    monkeypatch.setattr(completion, "_WAITS", 0.01)
+    assert completion.links(Namespace()) == []

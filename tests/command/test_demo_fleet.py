@@ -17,7 +17,7 @@ from tests.support.locks import alone
 from tests.support.waiting import eventually
 
 from rsb_bridge.model.robot_summary import RobotState, RobotSummary
-from rsb_console.command import demo_fleet
+from rsb_console.command import demo
 from rsb_console.command.arguments import parser_and_commands
 from rsb_console.fleet.fleet import Robot
 
@@ -78,11 +78,11 @@ def test_engines_that_a_busy_machine_holds_up_are_waited_for(
     as_they_are: bool, expected: RobotState, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Until each has said how it is; and until it is well, unless something is meant to be wrong."""
-    monkeypatch.setattr(demo_fleet, "_LOOK_EVERY", 0.0)
+    monkeypatch.setattr(demo, "_LOOK_EVERY", 0.0)
     ok, fault, waiting = RobotState.OK, RobotState.FAULT, RobotState.WAITING
     looks: list[dict[str, RobotState]] = [{}, {"a": ok}, {"a": ok, "b": waiting}, {"a": ok, "b": fault}]
     looks.append({"a": ok, "b": ok})
-    found = demo_fleet._heard(Looks(*looks), 2, lambda: as_they_are)  # type: ignore[arg-type]
+    found = demo._heard(Looks(*looks), 2, lambda: as_they_are)  # type: ignore[arg-type]
     assert [(robot.summary.name, robot.summary.state) for robot in found] == [("a", ok), ("b", expected)]
 
 

@@ -19,7 +19,7 @@ from rsb_bridge.model.robot_summary import RobotState
 from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import RouteSnapshot, State
 from rsb_console.command.arguments import parser_and_commands
-from rsb_console.command.fleet_arguments import ALLOWED
+from rsb_console.command.remote_arguments import IN_FLEET
 from rsb_console.fleet.memory import Memory, Remembered, memory_path
 
 if TYPE_CHECKING:
@@ -204,7 +204,7 @@ def test_what_is_no_command_for_a_robot(
 
 
 def test_every_command_that_is_allowed_exists() -> None:
-    assert set(ALLOWED) <= set(parser_and_commands()[1])
+    assert set(IN_FLEET) <= set(parser_and_commands()[1])
 
 
 # --- a change from robot to robot

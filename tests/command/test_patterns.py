@@ -12,7 +12,7 @@ from tests.console.scripted import SESSION, ScriptedEngine, route
 
 from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import PatternSnapshot, State
-from rsb_console.command.check_report import summary
+from rsb_console.command.check import summary
 
 if TYPE_CHECKING:
     from tests.support.control import Machine

@@ -20,7 +20,7 @@ from rsb_bridge.model.snapshot import RefusedClient, State
 from rsb_bridge.model.text import escape_json, is_clean, one_line, several_lines
 from rsb_console.cli import main
 from rsb_console.command.arguments import parser_and_commands
-from rsb_console.command.bench import Progress
+from rsb_console.command.bench_command import Progress
 from rsb_console.command.headless import LogWriter
 from rsb_console.command.shell import CleanErrors, print_error, print_line, print_lines
 
@@ -35,7 +35,7 @@ CONSOLE = Path(__file__).parents[2] / "console" / "rsb_console"
 PRINTS = {
     "command/shell.py": "print_line, print_lines, print_error and CleanErrors",
     "command/headless.py": "lines of the log, each cleaned by `LogWriter.write`",
-    "command/bench.py": "one line of progress, cleaned",
+    "command/bench_command.py": "one line of progress, cleaned",
     "terminal/driver.py": "the app's own terminal",
     "terminal/clipboard.py": "an escape sequence of the app's own",
     "bench/router.py": "a child's pipe",
@@ -197,7 +197,7 @@ def test_a_traceback_is_clean_too(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     stream = io.StringIO()
     stream.fileno = lambda: 2  # type: ignore[method-assign]
     monkeypatch.setattr(sys, "stderr", stream)
-    monkeypatch.setattr("rsb_console.command.commands.check", fails)
+    monkeypatch.setattr("rsb_console.command.arguments.check_session", fails)
     monkeypatch.setattr("signal.signal", lambda *_: None)
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))
     assert main(["check", "x.yaml", "--debug"]) == 1

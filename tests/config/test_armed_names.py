@@ -9,7 +9,7 @@ import pytest
 
 from rsb_bridge.config.session_file import SessionError, demand_places, load_file, parse, save
 from rsb_bridge.model.session import Armed, Session, Topic
-from rsb_console.command.check_report import summary
+from rsb_console.command.check import summary
 
 if TYPE_CHECKING:
     from pathlib import Path

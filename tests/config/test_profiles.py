@@ -17,7 +17,7 @@ from rsb_bridge.route.ledger import RouteLedger
 from rsb_bridge.route.outbox import Outbox
 from rsb_bridge.route.rate_limit import AllowedRates, RateLimit
 from rsb_bridge.transport.registry import default_transports
-from rsb_console.command.check_report import summary
+from rsb_console.command.check import summary
 
 _CLIENT = """\
 name: robot1

@@ -6,8 +6,8 @@ import pytest
 from tests.console.driving import drive, engine_of, gone, scripted_app, shown, text, until
 from textual.pilot import Pilot
 
-from rsb_console.preferences import KeymapError, load_keymap, split_keys
 from rsb_console.actions import ACTIONS, BY_ID, FLEET_ACTIONS, Action, Group
+from rsb_console.preferences import KeymapError, load_keymap, split_keys
 
 EATEN = {"ctrl+s", "ctrl+q", "ctrl+a", "ctrl+b", "ctrl+j", "ctrl+enter"}
 

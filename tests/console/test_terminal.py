@@ -28,7 +28,7 @@ CRASHING = """
 import sys
 from pathlib import Path
 from rsb_console import app
-from rsb_console.command.console import run_console
+from rsb_console.command.console_command import run_console
 app.ConsoleApp.action_theme = lambda self: 1 / 0
 path = Path(sys.argv[1])
 sys.exit(run_console(path, readonly=False, ascii_only=False, theme=None, on_hangup="stop"))
@@ -38,7 +38,7 @@ NOISY = """
 import os, sys
 from pathlib import Path
 from rsb_console import app
-from rsb_console.command.console import run_console
+from rsb_console.command.console_command import run_console
 ready = app.ConsoleApp.on_ready
 app.ConsoleApp.on_ready = lambda self: [ready(self)] + [os.write(fd, b"[RTPS Error] no port") for fd in (1, 2)]
 code = run_console(None, readonly=False, ascii_only=False, theme=None, on_hangup="stop")

@@ -3,22 +3,28 @@
 from __future__ import annotations
 
 import argparse
-from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rsb_bridge.config.keys import DEFAULT_KEY_FILE
 from rsb_bridge.model.text import is_clean
-from rsb_console.command import commands
-from rsb_console.command.bench_arguments import add_bench_command
-from rsb_console.command.call_arguments import add_call_commands
-from rsb_console.command.fleet_arguments import add_fleet_commands
-from rsb_console.command.remote_arguments import add_client_commands, add_remote_commands, lazily
+from rsb_console.command import local_commands
+from rsb_console.command.argument_values import TRANSPORTS, count, domains, seconds, sizes, topics, transports
+from rsb_console.command.check import check_session
+from rsb_console.command.remote_arguments import (
+    add_call_commands,
+    add_client_commands,
+    add_fleet_commands,
+    add_remote_commands,
+    lazily,
+    place_options,
+)
 from rsb_console.command.shell import print_line
-from rsb_console.command.values import count, seconds
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
+
+    from rsb_console.command.remote_arguments import AddCommand, Complete
 
 EPILOG = """\
 Without a command: `rsb-console SESSION` bridges that session, `rsb-console` alone opens the console to choose one.
@@ -72,26 +78,28 @@ def parser_and_commands() -> tuple[argparse.ArgumentParser, list[str]]:
         added.set_defaults(command=run)
         return added
 
-    _run_arguments(command("run", commands.run, "bridge a session, with or without the console"))
-    check = command("check", commands.check, "say what a session would do, and what is wrong with it")
+    _run_arguments(command("run", local_commands.run, "bridge a session, with or without the console"))
+    check = command("check", check_session, "say what a session would do, and what is wrong with it")
     _complete(check.add_argument("session", type=Path, metavar="SESSION", help="session file"), "yaml_files")
-    keygen = command("keygen", commands.keygen, "make a key for both sides of a link")
+    keygen = command("keygen", local_commands.keygen, "make a key for both sides of a link")
     keygen.add_argument(
         "path", type=Path, metavar="PATH", nargs="?", default=Path(DEFAULT_KEY_FILE), help="default: %(default)s"
     )
     keygen.add_argument("--force", action="store_true", help="replace an existing key file")
-    _import_arguments(command("import", commands.import_thesis, "make a session file from the thesis's bringup.yaml"))
-    scan = command("bt-scan", commands.bt_scan, "list Bluetooth adapters and their busy RFCOMM channels")
+    _import_arguments(
+        command("import", local_commands.import_thesis, "make a session file from the thesis's bringup.yaml")
+    )
+    scan = command("bt-scan", local_commands.bt_scan, "list Bluetooth adapters and their busy RFCOMM channels")
     only = scan.add_argument("--adapter", metavar="NAME", help="only this one: hci0, or its MAC")
     _complete(only, "adapters")
     scan.add_argument("--json", action="store_true", help="print JSON, for programs")
-    demo = command("demo", commands.demo, "bridge two ROS domains on this machine, with a simulated robot")
+    demo = command("demo", local_commands.demo, "bridge two ROS domains on this machine, with a simulated robot")
     demo.add_argument("--no-ui", action="store_true", help="print the log, without the console")
     demo.add_argument("--seconds", type=seconds, metavar="N", help="stop after N s")
     demo.add_argument("--fleet", action="store_true", help="the fleet's screen on several simulated robots instead")
     demo.add_argument("--robots", type=count, metavar="N", default=8, help="with --fleet: how many (%(default)s)")
-    _service_arguments(command("service", commands.service, "run a session as a service of systemd"))
-    add_remote_commands(command, _complete, commands.attach, _console_options)
+    _service_arguments(command("service", local_commands.service, "run a session as a service of systemd"))
+    add_remote_commands(command, _complete, local_commands.attach, _console_options)
     add_call_commands(command, _complete)
     add_client_commands(command, _complete)
     add_bench_command(command, _complete)
@@ -115,13 +123,12 @@ def _add_debug(parser: argparse.ArgumentParser) -> None:
 
 
 def _complete(action: argparse.Action, completer: str) -> None:
-    """Complete an argument with a function of `rsb_console.command.completion` or `completion_live`."""
+    """Complete an argument with a function of `rsb_console.command.completion`."""
 
     def offers(**known: object) -> list[str]:
         from rsb_console.command import completion  # noqa: PLC0415 (only while a shell completes)
 
-        module = completion if hasattr(completion, completer) else import_module(f"{completion.__name__}_live")
-        found: list[str] = getattr(module, completer)(**known)
+        found: list[str] = getattr(completion, completer)(**known)
         return [each for each in found if is_clean(each)]  # a shell prints them as they are
 
     action.completer = offers  # type: ignore[attr-defined]  # argcomplete's own
@@ -215,3 +222,44 @@ class _Version(argparse.Action):
 
         print_line(f"rsb-console {version('rsb-console')}")
         parser.exit()
+
+
+_BENCH = """\
+Without NAME: two bridges between two ROS domains on this machine, over loopback.
+With the name or the file of a session that a bridge here runs: its link with the
+peer, whose operator has to give leave (bench: {} in the peer's session file).
+
+for example:
+  rsb-console bench --quick
+  rsb-console bench robot1 --sizes 2500,1M --plot link.svg
+  rsb-console bench control --link robot1 --direction both --json
+
+exit codes:
+  0  measured; also if time, or the peer's leave, did not suffice for everything
+  1  nothing could be measured: why is said
+  2  wrong usage: bad arguments, or several bridges or clients to choose from
+  3  no such bridge runs, or it cannot be reached
+  130, 143  interrupted; what was measured until then is printed"""
+
+
+def add_bench_command(command: AddCommand, complete: Complete) -> None:
+    """Add `bench`; the arguments are those of `rsb_console.command.remote_arguments.add_remote_commands`."""
+    parser = command("bench", lazily("bench", "bench_command"), "measure what this machine, or a link, carries", _BENCH)
+    name = parser.add_argument("bridge", metavar="NAME", nargs="?", help="a running bridge, or its session file")
+    complete(name, "bridges_and_files")
+    place_options(parser, complete)
+    which = "on a server of several clients: which one"
+    complete(parser.add_argument("--link", default="", metavar="CLIENT", help=which), "links")
+    parser.add_argument("--quick", action="store_true", help="at most a minute; else up to six")
+    parser.add_argument("--seconds", type=seconds, metavar="N", help="at most N s; default: 50 with --quick, else 360")
+    parser.add_argument("--sizes", type=sizes, metavar="N,...", help="of the messages: 256,10k,1M; default: 256 to 6M")
+    which = f"of {', '.join(TRANSPORTS)}; default: all that there are"
+    parser.add_argument("--transports", type=transports, default=(), metavar="NAME,...", help=which)
+    way = "to the server, from it, or both (%(default)s)"
+    parser.add_argument("--direction", choices=("transmit", "receive", "both"), default="transmit", help=way)
+    numbers = "how many topics to open at once on this machine: 1,50,500; 0: skip that"
+    parser.add_argument("--topics", type=topics, metavar="N,...", help=numbers)
+    own = "two ROS domains on this machine that nobody uses (92,93)"
+    parser.add_argument("--domains", type=domains, metavar="A,B", help=own)
+    parser.add_argument("--plot", type=Path, metavar="FILE.svg", help="draw it, too")
+    parser.add_argument("--json", action="store_true", help="print JSON, for programs")

@@ -1,4 +1,4 @@
-"""The arguments of the commands that attach to a running bridge."""
+"""The arguments of the commands on running bridges: of one, of its clients, of calls by hand, and of a fleet."""
 
 from __future__ import annotations
 
@@ -7,11 +7,10 @@ from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Protocol, TypeAlias
 
-from rsb_console.command.values import above_0, count, timeout, window_seconds
+from rsb_console.command.argument_values import above_0, count, seconds, timeout, window_seconds
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
+    from collections.abc import Callable, Sequence
 
 Complete: TypeAlias = "Callable[[argparse.Action, str], None]"
 TOPIC_KEYS = (
@@ -278,12 +277,12 @@ def bridge_options(
 
 def add_client_commands(command: AddCommand, complete: Complete) -> None:
     """Add `client` and its own commands; the arguments are those of `add_remote_commands`."""
-    parent = command("client", lazily("list", "client"), "add, remove, list and rekey a server's clients")
+    parent = command("client", lazily("list", "client_command"), "add, remove, list and rekey a server's clients")
     commands = parent.add_subparsers(metavar="COMMAND", required=True)
 
     def client(name: str, summary: str, *, named: bool = True, hands_out: bool = False) -> argparse.ArgumentParser:
         parser = commands.add_parser(name, help=summary, description=f"{summary}.")
-        parser.set_defaults(command=lazily(name, "client"), saves=name != "show")
+        parser.set_defaults(command=lazily(name, "client_command"), saves=name != "show")
         if named:
             its_name = parser.add_argument("name", metavar="NAME", help="the client's")
             if name != "add":
@@ -373,3 +372,205 @@ def _topic_keys(parser: argparse.ArgumentParser, complete: Complete) -> None:
         "is the default",
     )
     complete(keys, "keys")
+
+
+_CALL = f"""\
+The bridge calls it: in this side's domain if the node is there, else over the
+link. The type has to be installed where this bridge runs.
+
+for example:
+  rsb-console call /dock
+  rsb-console call /map_server/load_map '{{map_url: /maps/hall.yaml}}'
+
+a goal is sent, its result waited for, and it may be cancelled meanwhile:
+  rsb-console call /navigate_to_pose --lane send_goal '{{goal: {{...}}}}'  # prints its goal_id
+  rsb-console call /navigate_to_pose --lane get_result '{{goal_id: ID}}'
+  rsb-console call /navigate_to_pose --lane cancel_goal '{{goal_info: {{goal_id: ID}}}}'
+
+exit codes:
+  0  there is an answer, and it is printed
+  1  there is none, or the bridge refused: why is said
+{NO_BRIDGE}"""
+_PARAM = f"""\
+The parameters of the node have to be bridged: rsb-console add --parameters.
+
+exit codes:
+  0  done
+  1  the node or the bridge refused, or did not answer: why is said
+{NO_BRIDGE}"""
+
+
+def add_call_commands(command: AddCommand, complete: Complete) -> None:
+    """Add `call`, and `param` with its own commands; the arguments are those of `add_remote_commands`."""
+    call = command(
+        "call", lazily("call", "call_command"), "call a bridged service once, and print its response as YAML", _CALL
+    )
+    bridge_options(call, complete)
+    route_arguments(call, complete, kinds=KINDS[1:])
+    call.add_argument(
+        "request", metavar="YAML", nargs="?", default="", help="the request's fields; -: read them from standard input"
+    )
+    lanes = "of an action: send_goal, cancel_goal, get_result; of parameters: set_parameters, ..."
+    complete(call.add_argument("--lane", default="", metavar="SERVICE", help=lanes), "lanes")
+    limit = "give up after so long; else after the route's timeout, and get_result waits until the goal is over"
+    call.add_argument("--timeout", type=seconds, metavar="SECONDS", help=limit)
+    parent = command("param", lazily("list", "call_command"), "read and set the parameters of a bridged node", _PARAM)
+    commands = parent.add_subparsers(metavar="COMMAND", required=True)
+    words: tuple[str, ...]
+    for name, summary, words in (
+        ("list", "print the names of a node's parameters", ()),
+        ("get", "print the value of a parameter", ("parameter",)),
+        ("set", "set a parameter", ("parameter", "value")),
+        ("dump", "print all parameters of a node as YAML, as ros2 param dump does", ()),
+        ("describe", "print the type of a parameter, its range, and what the node says of it", ("parameter",)),
+    ):
+        parser = commands.add_parser(name, help=summary, description=f"{summary}.")
+        parser.set_defaults(command=lazily(name, "call_command"))
+        bridge_options(parser, complete)
+        route_arguments(parser, complete, kinds=("parameters",), metavar="NODE")
+        for word in words:
+            argument = parser.add_argument(word, metavar=word.upper())
+            if word == "parameter":
+                complete(argument, "parameters")
+        if name == "set":
+            kinds = "bool, integer, double or string, byte_array, ...: which it must have, else the one that it shows"
+            complete(parser.add_argument("--type", default="", metavar="TYPE", help=kinds), "parameter_types")
+
+
+_NO_SERVER = """\
+  2  wrong usage: bad arguments, no such robot or group
+  3  no server runs here that you may attach to, or it or the fleet is not reached"""
+_WHICH_SERVER = "only the robots of this server, by the name that `status` prints"
+_OVER_ZENOH = "a fleet file: all bridges of that fleet, over Zenoh, instead of the servers here"
+_FLEET = f"""\
+The robots are those of all servers that run here; with --fleet, all bridges of a
+fleet over Zenoh.
+
+Without --json, it opens the screen of all robots. A robot that is missing, or
+has a fault or a warning, is wrong; one that has never been there is not.
+
+exit codes, with --json:
+  0  nothing is wrong
+  1  something is wrong with a robot: its state says what
+{_NO_SERVER}"""
+_DISMISS = f"""\
+exit codes:
+  0  done
+{_NO_SERVER}"""
+_EXEC = f"""\
+COMMAND is one of the commands that show or change a bridge, with its arguments:
+{{commands}}. Topics have the
+robot's own names. No shell is involved.
+
+for example:
+  rsb-console fleet exec robot1 robot2 -- pause /camera
+  rsb-console fleet exec --group hall -- status
+  rsb-console fleet exec --all -- echo /battery_state --once --timeout 5
+
+exit codes:
+  0  done, for every robot
+  1  not done for one of them: it is named
+{_NO_SERVER}"""
+_EDIT = f"""\
+First it prints what would change on each robot, and asks. Then it changes one robot
+after the other. After each, it waits until the robot has been as well as before for
+--settle seconds, and stops at the first that gets worse: it says which, and why, what
+is done and what is not, and how to go back. So it does on Ctrl-C, after the present
+robot.
+
+for example:
+  rsb-console fleet edit --group hall /camera max_rate=5 --dry-run
+  rsb-console fleet edit robot1 robot2 /camera max_rate=5 compression=zstd
+
+exit codes:
+  0  done on every robot that has the topic; or nothing is to change
+  1  it has stopped, or was not wanted, or a robot was not reached; or with --dry-run,
+     it cannot be done on one
+{_NO_SERVER}"""
+IN_FLEET = (
+    "status", "topics", "add", "edit", "remove", "pause", "resume", "ack", "disarm", "retry", "events", "echo", "hz",
+    "bw", "info", "wait", "call", "param",
+)  # fmt: skip
+"""Commands that `exec` runs."""
+
+
+def add_fleet_commands(
+    command: AddCommand, complete: Complete, console_options: Callable[[argparse.ArgumentParser], None]
+) -> None:
+    """Add `fleet` and its own commands; the arguments are those of `add_remote_commands`."""
+    fleet = command("fleet", lazily("show", "fleet_command"), "show all robots on one screen", _FLEET)
+    bridge_options(fleet, complete, which=_WHICH_SERVER, over=_OVER_ZENOH)
+    fleet.add_argument(
+        "--seconds", type=seconds, default=2.0, metavar="N", help="with --json: look for N s, which loss is about (2)"
+    )
+    console_options(fleet)
+    commands = fleet.add_subparsers(metavar="COMMAND", parser_class=_FleetParser)
+    forget = _add_fleet_command(
+        commands, complete, "dismiss", "forget robots that were there, and are known no more", _DISMISS
+    )
+    complete(forget.add_argument("names", metavar="NAME", nargs="*", help="robots"), "robots")
+    listed = f"{', '.join(IN_FLEET[:8])},\n{', '.join(IN_FLEET[8:])}"
+    run = _add_fleet_command(
+        commands, complete, "exec", "run a command for some robots", _EXEC.replace("{commands}", listed)
+    )
+    complete(run.add_argument("names", metavar="NAME", nargs="*", help="robots"), "robots")
+    run.usage = "rsb-console fleet exec [NAME ...] [--group GROUP] [--all] [--fleet FILE] [--json] -- COMMAND ..."
+    edit = _add_fleet_command(commands, complete, "edit", "change a topic of some robots, one after the other", _EDIT)
+    words = edit.add_argument("names", metavar="NAME|TOPIC|KEY=VALUE", nargs="*", help="robots, topic, what to change")
+    complete(words, "robots")
+    edit.add_argument("--dry-run", action="store_true", help="only print what would change")
+    edit.add_argument("--yes", action="store_true", help="do not ask")
+    edit.add_argument(
+        "--undo", action="store_true", help="where it stops, put back what was before, without a question"
+    )
+    edit.add_argument("--settle", type=seconds, default=10.0, metavar="N", help="s that a robot has to be well (10)")
+
+
+def _add_fleet_command(
+    commands: argparse._SubParsersAction[_FleetParser],
+    complete: Complete,
+    name: str,
+    summary: str,
+    more: str,
+) -> argparse.ArgumentParser:
+    parser = commands.add_parser(
+        name,
+        help=summary,
+        description=f"{summary[0].upper()}{summary[1:]}.",
+        epilog=more,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.set_defaults(command=lazily(name, "fleet_command"))
+    bridge_options(parser, complete, which=_WHICH_SERVER, over=_OVER_ZENOH)
+    for option in parser._actions:
+        if option.dest in ("bridge", "control", "fleet", "json"):
+            option.default = argparse.SUPPRESS  # `fleet` has them, too: what stands there counts
+    in_group = parser.add_argument("--group", default="", metavar="GROUP", help="all robots of this group, too")
+    complete(in_group, "groups")
+    parser.add_argument("--all", dest="everyone", action="store_true", help="all robots")
+    return parser
+
+
+class _FleetParser(argparse.ArgumentParser):
+    """Leaves what follows ``--`` as it is: it has options of its own."""
+
+    def parse_known_args(  # type: ignore[override]  # argparse's is overloaded, by the kind of namespace
+        self, args: Sequence[str] | None = None, namespace: argparse.Namespace | None = None
+    ) -> tuple[argparse.Namespace, list[str]]:
+        own, words = list(args or ()), []
+        if "--" in own:
+            at = own.index("--")
+            own, words = own[:at], own[at + 1 :]
+        if self._subparsers is not None or not {"-h", "--help"}.isdisjoint(own) or self._mixes:
+            return super().parse_known_args(own, namespace)
+        self._mixes = True
+        try:
+            found, unknown = self.parse_known_intermixed_args(own, namespace)
+        finally:
+            self._mixes = False
+        if unknown:
+            self.error(f"unrecognized arguments: {' '.join(unknown)}")
+        found.words = words
+        return found, []
+
+    _mixes = False

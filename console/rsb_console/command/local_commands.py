@@ -9,31 +9,18 @@ import errno
 import os
 import sys
 import termios
-import time
-from itertools import chain
 from typing import TYPE_CHECKING
 
-from rsb_bridge.config.advice import advise, uninstalled_types
-from rsb_bridge.config.fault_command import fault_command_warnings
 from rsb_bridge.config.keys import (
-    Key,
     KeyFileError,
     fingerprint,
-    key_files_by_client,
-    key_path,
-    key_users,
-    read_key,
     write_key,
 )
-from rsb_bridge.config.operators import operator_key_problem
-from rsb_bridge.config.rotation import key_warnings, written
-from rsb_bridge.config.session_file import SessionError, demand_places, dump, load, save
-from rsb_bridge.config.shared_keys import shared_key_problem
+from rsb_bridge.config.session_file import SessionError, dump, load, save
 from rsb_bridge.config.thesis import import_bringup
-from rsb_console.command.check_report import hints, rights, summary
+from rsb_console.command.check import print_mistakes
 from rsb_console.command.shell import (
     FAILURE,
-    NO_KEY,
     OK,
     USAGE,
     allow_many_descriptors,
@@ -44,10 +31,8 @@ from rsb_console.command.shell import (
 
 if TYPE_CHECKING:
     from argparse import Namespace
-    from collections.abc import Iterator, Mapping
     from pathlib import Path
 
-    from rsb_bridge.model.session import Session
 
 _IMPORT_OPTIONS = {"key_file": "--key-file PATH, or --no-encryption", "server_port": "--port N"}  # by what they give
 
@@ -62,7 +47,7 @@ def run(arguments: Namespace) -> int:
     try:
         session = load(path) if path is not None else None
     except SessionError as error:
-        return _refuse(error)
+        return print_mistakes(error)
     if arguments.no_ui and path is not None and session is not None:
         from rsb_console.command.headless import run_headless  # noqa: PLC0415 (needs ROS)
 
@@ -76,7 +61,7 @@ def run(arguments: Namespace) -> int:
         )
     if not can_draw(f"rsb-console run --no-ui {path or 'SESSION'}"):
         return USAGE
-    from rsb_console.command.console import run_console  # noqa: PLC0415 (needs Textual)
+    from rsb_console.command.console_command import run_console  # noqa: PLC0415 (needs Textual)
 
     return run_console(
         path,
@@ -98,7 +83,7 @@ def attach(arguments: Namespace) -> int:
     bridge = what_to_attach(arguments)
     if isinstance(bridge, int):
         return bridge
-    from rsb_console.command.console import run_console  # noqa: PLC0415 (needs Textual)
+    from rsb_console.command.console_command import run_console  # noqa: PLC0415 (needs Textual)
 
     return run_console(
         None,
@@ -109,35 +94,6 @@ def attach(arguments: Namespace) -> int:
         mouse=not arguments.no_mouse,
         attach_to=bridge,
     )
-
-
-def check(arguments: Namespace) -> int:
-    """Print what a session would do, and what an operator should mend first; a missing key has its own exit code."""
-    path: Path = arguments.session
-    try:
-        session = load(path)
-    except SessionError as error:
-        return _refuse(error)
-    for line in summary(session, demand_places(path)):
-        print_line(line)
-    for line in chain(rights(session), hints(session)):
-        print_line(line)
-    keys = dict(_keys(session, path))
-    for line in _key_lines(session, keys):
-        print_line(line)
-    for warning in chain(_warnings(session, keys), fault_command_warnings(session, path)):
-        print_line(f"warning: {warning}")
-    if problem := _shared_keys(session, keys):
-        print_error(f"the bridge does not start: {problem}")
-        return USAGE
-    return NO_KEY if any(isinstance(key, KeyFileError) for key in keys.values()) else OK
-
-
-def _refuse(error: SessionError) -> int:
-    """Say what is wrong with a session file: with the file as a whole, or in its lines."""
-    in_lines = any(problem.line for problem in error.problems)
-    print_error(f"a session file with mistakes\n{error}" if in_lines else str(error))
-    return USAGE
 
 
 def keygen(arguments: Namespace) -> int:
@@ -175,7 +131,7 @@ def demo(arguments: Namespace) -> int:
     if not arguments.no_ui and not can_draw(headless):
         return USAGE
     if arguments.fleet:
-        from rsb_console.command.demo_fleet import run_fleet_demo  # noqa: PLC0415 (needs ROS)
+        from rsb_console.command.demo import run_fleet_demo  # noqa: PLC0415 (needs ROS)
 
         return run_fleet_demo(arguments.robots, ui=not arguments.no_ui, seconds=arguments.seconds)
     from rsb_console.command.demo import run_demo  # noqa: PLC0415 (needs ROS)
@@ -216,53 +172,6 @@ def import_thesis(arguments: Namespace) -> int:
     for note in notes:
         print_error(note)
     return OK
-
-
-def _warnings(session: Session, keys: Mapping[str, Key | KeyFileError]) -> Iterator[str]:
-    """What is no mistake in a session, but what running it would warn of."""
-    yield from (
-        f"{key}; without it the bridge does not start" for key in keys.values() if isinstance(key, KeyFileError)
-    )
-    valid = {
-        name: tuple(key for file in files if isinstance(key := keys.get(file), Key))
-        for name, files in key_files_by_client(session).items()
-    }
-    operators = {
-        f"operator {each.name}": (key,) for each in session.operators if isinstance(key := keys.get(each.key_file), Key)
-    }
-    yield from key_warnings(valid | operators, time.time())
-    yield from map(str, advise(session, os.environ.get("ROS_DOMAIN_ID")))
-    yield from map(str, uninstalled_types(session))
-
-
-def _key_lines(session: Session, keys: Mapping[str, Key | KeyFileError]) -> Iterator[str]:
-    """Whose each key is, and since when it has been in its file."""
-    users = key_users(session)
-    for file, key in keys.items():
-        if isinstance(key, Key):
-            yield f"key {file}, for {users[file]}: {fingerprint(key)}, written {written(key, time.time())}"
-
-
-def _shared_keys(session: Session, keys: Mapping[str, Key | KeyFileError]) -> str:
-    """Why clients' or operators' keys are refused. Where a key cannot be read, its file stands for it."""
-
-    def read(file: str) -> Key | str:
-        return key if isinstance(key := keys[file], Key) else file
-
-    files = key_files_by_client(session).items() if session.use_encryption else ()
-    of_links = {name: [*map(read, of_client)] for name, of_client in files}
-    shared = shared_key_problem(session, of_links) if session.role == "server" else ""
-    return shared or operator_key_problem({each.name: read(each.key_file) for each in session.operators}, of_links)
-
-
-def _keys(session: Session, path: Path) -> Iterator[tuple[str, Key | KeyFileError]]:
-    """Each key that a session needs, by its file, or why there is none."""
-    of_links = chain.from_iterable(key_files_by_client(session).values()) if session.use_encryption else ()
-    for name in dict.fromkeys([*of_links, *(each.key_file for each in session.operators)]):
-        try:
-            yield name, read_key(key_path(path.parent, name))
-        except KeyFileError as error:
-            yield name, error
 
 
 def _has_hung_up(terminal: int) -> bool:

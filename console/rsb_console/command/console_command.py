@@ -1,10 +1,10 @@
-"""The console as a command: the app in the terminal, and what becomes of the bridge when the app ends."""
+"""The console as a command, or a fleet's screen: the app in the terminal, and the bridge after the app has ended."""
 
 from __future__ import annotations
 
 import os
 from functools import partial
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from rsb_bridge.config.session_file import load
 from rsb_bridge.control.identity import identify
@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from rsb_bridge.control.server import ControlServer
     from rsb_bridge.model.session import Session
     from rsb_console.command.target import Attach
+    from rsb_console.fleet.fleet import Fleet
     from rsb_console.terminal_app import TerminalApp
 
 T = TypeVar("T")
@@ -111,9 +112,7 @@ def _finish(app: ConsoleApp, on_hangup: str) -> int:
     """Stop the engine, or bridge on without the app. Returns the exit code."""
     crashed = app.shutdown_reason is ShutdownReason.CRASH
     hung_up = app.shutdown_reason is ShutdownReason.HANGUP
-    code = FAILURE if crashed else HUNG_UP if hung_up else OK
-    if crashed:
-        print_error(f"the console has crashed; please report {crash_path()}")
+    code = _exit_code(app)
     if app.engine is not None and not app.attached_to and (crashed or (hung_up and on_hangup == "continue")):
         from rsb_console.command.headless import bridge_on  # noqa: PLC0415 -- seldom needed
 
@@ -121,3 +120,58 @@ def _finish(app: ConsoleApp, on_hangup: str) -> int:
         code = bridge_on(app.engine, crashed=crashed)
     app.stop()
     return code
+
+
+def run_fleet(
+    fleet: Fleet,
+    *,
+    readonly: bool,
+    ascii_only: bool,
+    theme: str | None,
+    mouse: bool,
+    after_quit: str = "",
+) -> int:
+    """Show the fleet, and the robots that the operator opens, until they quit.
+
+    Args:
+        fleet: started.
+        readonly: nothing may be changed.
+        ascii_only: draw only ASCII, whatever the terminal can do.
+        theme: its name; None: the one that suits the terminal.
+        mouse: take the mouse from the terminal.
+        after_quit: says whether the bridges go on when the operator quits; empty: they do.
+
+    Returns:
+        The exit code: 0, 1 after a crash, or 129 if the terminal has gone.
+    """
+    from rsb_console.fleet_app import BRIDGES_GO_ON, FleetApp, RobotApp  # noqa: PLC0415 -- keeps the start short
+    from rsb_console.widgets.fleet_table import FleetView  # noqa: PLC0415 -- keeps the start short
+
+    after_quit = after_quit or BRIDGES_GO_ON
+    view, ascii_only = FleetView(), ascii_only or prefers_ascii(os.environ)
+    while True:
+        app = FleetApp(fleet, view, readonly=readonly, ascii_only=ascii_only, theme=theme, after_quit=after_quit)
+        robot = run_app(app, mouse=mouse)
+        if robot is None or app.shutdown_reason is not ShutdownReason.QUIT:
+            return _exit_code(app)
+        theme = app.theme
+        console = RobotApp(
+            None,
+            None,
+            readonly=readonly,
+            ascii_only=ascii_only,
+            theme=theme,
+            attach_to=partial(robot.source.open, robot.summary.name, read_only=readonly),
+        )
+        run_app(console, mouse=mouse)
+        console.stop()
+        if console.shutdown_reason is not ShutdownReason.QUIT:
+            return _exit_code(console)
+        theme = console.theme
+
+
+def _exit_code(app: TerminalApp[Any]) -> int:
+    if app.shutdown_reason is ShutdownReason.CRASH:
+        print_error(f"the console has crashed; please report {crash_path()}")
+        return FAILURE
+    return HUNG_UP if app.shutdown_reason is ShutdownReason.HANGUP else OK

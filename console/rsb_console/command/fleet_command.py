@@ -17,8 +17,8 @@ from rsb_bridge.control.bridges import running_bridges
 from rsb_bridge.model.clock import Clock
 from rsb_bridge.model.robot_summary import RobotState
 from rsb_bridge.model.text import plural
-from rsb_console.command.fleet_arguments import ALLOWED
 from rsb_console.command.formatting import json_line
+from rsb_console.command.remote_arguments import IN_FLEET
 from rsb_console.command.shell import FAILURE, OK, USAGE, print_error, print_line
 from rsb_console.command.target import NoBridgeError, UsageError, chosen_bridge, fleet_file, reported
 from rsb_console.fleet.fleet import Fleet, UnknownRobotError
@@ -99,11 +99,11 @@ def _fleet(arguments: Namespace, *, wait: bool = True) -> Iterator[Fleet]:
 def _show(arguments: Namespace) -> int:
     if arguments.json:
         return _print(arguments)
-    from rsb_console.command.commands import can_draw  # noqa: PLC0415 -- it imports what reads keys, not needed else
+    from rsb_console.command.local_commands import can_draw  # noqa: PLC0415 -- it imports what reads keys, not needed else
 
     if not can_draw("rsb-console fleet --json"):
         return USAGE
-    from rsb_console.command.fleet_console import run_fleet  # noqa: PLC0415 (needs Textual)
+    from rsb_console.command.console_command import run_fleet  # noqa: PLC0415 (needs Textual)
 
     with _fleet(arguments, wait=False) as fleet:
         return run_fleet(
@@ -167,8 +167,8 @@ def _exec(arguments: Namespace) -> int:
     words: list[str] = arguments.words
     if not words:
         raise UsageError("no command: rsb-console fleet exec NAME ... -- COMMAND ..., as in -- pause /camera")
-    if words[0] not in ALLOWED:
-        raise UsageError(f"{words[0]}: no command that runs for a robot; these do: {', '.join(ALLOWED)}")
+    if words[0] not in IN_FLEET:
+        raise UsageError(f"{words[0]}: no command that runs for a robot; these do: {', '.join(IN_FLEET)}")
     command = _parsed(words)
     with _fleet(arguments) as fleet:
         robots = _chosen(fleet, arguments)

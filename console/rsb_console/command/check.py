@@ -1,17 +1,25 @@
-"""What `rsb-console check` prints of a session that has no mistakes."""
+"""The command ``check``: what a session would do, and what an operator should mend first."""
 
 from __future__ import annotations
 
 import os
 import shlex
+import time
+from itertools import chain
 from typing import TYPE_CHECKING
 
 import msgspec
 
-from rsb_bridge.config.fault_command import command_words
+from rsb_bridge.config.advice import advise, uninstalled_types
+from rsb_bridge.config.fault_command import command_words, fault_command_warnings
 from rsb_bridge.config.file_form import LISTS, NOUNS
+from rsb_bridge.config.keys import Key, KeyFileError, fingerprint, key_files_by_client, key_path, key_users, read_key
 from rsb_bridge.config.moving import without_max_age
+from rsb_bridge.config.operators import operator_key_problem
 from rsb_bridge.config.rights_table import listings
+from rsb_bridge.config.rotation import key_warnings, written
+from rsb_bridge.config.session_file import SessionError, demand_places, load
+from rsb_bridge.config.shared_keys import shared_key_problem
 from rsb_bridge.config.topic_rules import transport_of
 from rsb_bridge.config.validation import domain_of
 from rsb_bridge.config.yaml_text import inline
@@ -19,9 +27,12 @@ from rsb_bridge.model.demands import Demands, demand_on_entry, describe, sources
 from rsb_bridge.model.profiles import PROFILES, compression_of, described, profile_of
 from rsb_bridge.model.session import Grant
 from rsb_bridge.model.text import join_first
+from rsb_console.command.shell import NO_KEY, OK, USAGE, print_error, print_line
 
 if TYPE_CHECKING:
+    from argparse import Namespace
     from collections.abc import Iterable, Iterator, Mapping
+    from pathlib import Path
 
     from rsb_bridge.model.demands import Source, SourceKey
     from rsb_bridge.model.profiles import Compression, LinkProfile
@@ -194,3 +205,79 @@ def _details(topic: Topic, compression: Compression) -> Iterator[str]:
     if topic.arm and topic.is_pattern:
         keys = f"within {topic.deadman_seconds:g} s" if topic.deadman_seconds else "never"
         yield f"has to be armed (keys needed: {keys})"
+
+
+def check_session(arguments: Namespace) -> int:
+    """Print what a session would do, and what an operator should mend first; a missing key has its own exit code."""
+    path: Path = arguments.session
+    try:
+        session = load(path)
+    except SessionError as error:
+        return print_mistakes(error)
+    for line in summary(session, demand_places(path)):
+        print_line(line)
+    for line in chain(rights(session), hints(session)):
+        print_line(line)
+    keys = dict(_keys(session, path))
+    for line in _key_lines(session, keys):
+        print_line(line)
+    for warning in chain(_warnings(session, keys), fault_command_warnings(session, path)):
+        print_line(f"warning: {warning}")
+    if problem := _shared_keys(session, keys):
+        print_error(f"the bridge does not start: {problem}")
+        return USAGE
+    return NO_KEY if any(isinstance(key, KeyFileError) for key in keys.values()) else OK
+
+
+def print_mistakes(error: SessionError) -> int:
+    """Say what is wrong with a session file: with the file as a whole, or in its lines."""
+    in_lines = any(problem.line for problem in error.problems)
+    print_error(f"a session file with mistakes\n{error}" if in_lines else str(error))
+    return USAGE
+
+
+def _warnings(session: Session, keys: Mapping[str, Key | KeyFileError]) -> Iterator[str]:
+    """What is no mistake in a session, but what running it would warn of."""
+    yield from (
+        f"{key}; without it the bridge does not start" for key in keys.values() if isinstance(key, KeyFileError)
+    )
+    valid = {
+        name: tuple(key for file in files if isinstance(key := keys.get(file), Key))
+        for name, files in key_files_by_client(session).items()
+    }
+    operators = {
+        f"operator {each.name}": (key,) for each in session.operators if isinstance(key := keys.get(each.key_file), Key)
+    }
+    yield from key_warnings(valid | operators, time.time())
+    yield from map(str, advise(session, os.environ.get("ROS_DOMAIN_ID")))
+    yield from map(str, uninstalled_types(session))
+
+
+def _key_lines(session: Session, keys: Mapping[str, Key | KeyFileError]) -> Iterator[str]:
+    """Whose each key is, and since when it has been in its file."""
+    users = key_users(session)
+    for file, key in keys.items():
+        if isinstance(key, Key):
+            yield f"key {file}, for {users[file]}: {fingerprint(key)}, written {written(key, time.time())}"
+
+
+def _shared_keys(session: Session, keys: Mapping[str, Key | KeyFileError]) -> str:
+    """Why clients' or operators' keys are refused. Where a key cannot be read, its file stands for it."""
+
+    def read(file: str) -> Key | str:
+        return key if isinstance(key := keys[file], Key) else file
+
+    files = key_files_by_client(session).items() if session.use_encryption else ()
+    of_links = {name: [*map(read, of_client)] for name, of_client in files}
+    shared = shared_key_problem(session, of_links) if session.role == "server" else ""
+    return shared or operator_key_problem({each.name: read(each.key_file) for each in session.operators}, of_links)
+
+
+def _keys(session: Session, path: Path) -> Iterator[tuple[str, Key | KeyFileError]]:
+    """Each key that a session needs, by its file, or why there is none."""
+    of_links = chain.from_iterable(key_files_by_client(session).values()) if session.use_encryption else ()
+    for name in dict.fromkeys([*of_links, *(each.key_file for each in session.operators)]):
+        try:
+            yield name, read_key(key_path(path.parent, name))
+        except KeyFileError as error:
+            yield name, error
