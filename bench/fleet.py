@@ -24,9 +24,9 @@ from bench import bed
 from rsb_bridge.control.client import RemoteEngine
 from rsb_bridge.ros.stand_in import Talk
 from rsb_console.bench import loopback
-from rsb_console.bench.fleet import USUAL, WAYS, Fleet, fleet, listening
 from rsb_console.bench.results import BenchError
 from rsb_console.bench.robots import Load
+from rsb_console.bench.simulated_fleet import USUAL, WAYS, Fleet, fleet, listening
 from rsb_console.command.shell import allow_many_descriptors
 
 if TYPE_CHECKING:

@@ -20,10 +20,10 @@ from bench.console import Watched
 from rsb_bridge.config.fleet_file import load_fleet
 from rsb_bridge.ros.battery_state import BATTERY_STATE
 from rsb_bridge.ros.stand_in import Talk
-from rsb_console.bench.fleet import Fleet, fleet, listening
 from rsb_console.bench.robots import Load
+from rsb_console.bench.simulated_fleet import Fleet, fleet, listening
 from rsb_console.command.shell import allow_many_descriptors
-from rsb_console.fleet.zenoh import ZenohFleet
+from rsb_console.fleet.zenoh_source import ZenohFleet
 
 if TYPE_CHECKING:
     from rsb_console.bench.processes import Process

@@ -24,7 +24,7 @@ from rsb_bridge.ros.battery_state import BATTERY_STATE
 from rsb_bridge.ros.stamped import made_at, message
 from rsb_bridge.ros.stand_in import Metronome, StandIn, Talk
 from rsb_bridge.ros.std_string import STRING, STRING_HASH, string_bytes
-from rsb_console.bench.fleet import USUAL
+from rsb_console.bench.simulated_fleet import USUAL
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -30,9 +30,9 @@ EVIL = "\x1b]0;evil\x07\x1b[2J\u202eevil\u200b\x9b31m\n2026-01-01 forged\r"
 PACKAGES = [Path(__file__).parents[2] / each for each in ("bridge/rsb_bridge", "console/rsb_console")]
 WRITES_OTHERWISE = {
     "config/files.py": "what is not a file: a device or a pipe; `new_file`",
-    "session/demo.py": "logs in a temporary folder, mode 0700",
-    "bench/beds.py": "sessions in a temporary folder, mode 0700",
-    "bench/fleet.py": "likewise",
+    "session/demo_session.py": "logs in a temporary folder, mode 0700",
+    "bench/loopback.py": "sessions in a temporary folder, mode 0700",
+    "bench/simulated_fleet.py": "likewise",
     "bench/processes.py": "likewise",
     "ros/simulation.py": "a child's pipe",
     "config/keys.py": "with `owner_only`",

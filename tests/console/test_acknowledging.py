@@ -23,7 +23,7 @@ from rsb_bridge.model.session import Session, Topic
 from rsb_bridge.model.snapshot import Acknowledgement, LinkSnapshot, RouteSnapshot, Snapshot, State
 from rsb_console.app import ConsoleApp
 from rsb_console.look.glyphs import ACK_WORD, STATE_WORD
-from rsb_console.screens.links import LinksScreen
+from rsb_console.screens.links_screen import LinksScreen
 from rsb_console.widgets.faults import faults_of
 from rsb_console.widgets.filter import Pattern
 from rsb_console.widgets.status_bar import acknowledged_count, state_counts, warning_count

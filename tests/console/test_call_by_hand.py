@@ -31,7 +31,7 @@ from rsb_bridge.model.fields import FieldError
 from rsb_bridge.model.snapshot import State
 from rsb_console.actions import BY_ID
 from rsb_console.app import ConsoleApp
-from rsb_console.screens.call import answer_lines
+from rsb_console.screens.call_screen import answer_lines
 from rsb_console.session.parameter_values import KIND_NAMES, refusal, set_request
 from rsb_console.widgets.lines import ScrolledLines
 

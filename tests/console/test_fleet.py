@@ -23,7 +23,7 @@ from rsb_bridge.model.robot_summary import Battery, Loss, RobotState
 from rsb_bridge.model.session import Topic
 from rsb_console.actions import FLEET_ACTIONS, Group
 from rsb_console.fleet.rolling import Bridged
-from rsb_console.fleet.servers import ServerFleet
+from rsb_console.fleet.server_source import ServerFleet
 from rsb_console.fleet_app import FleetApp, RobotApp
 from rsb_console.screens.rollout import Phase, RolloutScreen, _key_line
 from rsb_console.screens.rollout import _now as present_values

@@ -14,7 +14,7 @@ from rsb_bridge.bluetooth.scan import ANY_ADAPTER, CHANNELS, Adapter, Device, Sc
 from rsb_bridge.config.keys import fingerprint, read_key, write_key
 from rsb_bridge.model.session import Client
 from rsb_bridge.model.snapshot import State
-from rsb_console.screens import bluetooth
+from rsb_console.screens import bluetooth_screen
 from rsb_console.screens.keys_screen import key_files
 
 # -- keys ------------------------------------------------------------------------------------------------------------
@@ -225,7 +225,7 @@ def radio(monkeypatch: pytest.MonkeyPatch) -> list[object]:
         calls.append(own_channels)
         return found()
 
-    monkeypatch.setattr(bluetooth, "scan", scan)
+    monkeypatch.setattr(bluetooth_screen, "scan", scan)
     return calls
 
 
@@ -233,7 +233,7 @@ def test_before_anything_is_found_the_dialog_has_no_empty_lines(monkeypatch: pyt
     async def scan(own_channels: object) -> Scan:
         return Scan((), {}, (), ("no radio here",))
 
-    monkeypatch.setattr(bluetooth, "scan", scan)
+    monkeypatch.setattr(bluetooth_screen, "scan", scan)
     app = scripted_app()
 
     async def steps(pilot: Pilot[None]) -> None:

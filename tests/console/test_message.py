@@ -107,7 +107,7 @@ def test_keys_do_something_while_a_message_is_read(monkeypatch: pytest.MonkeyPat
         assert may_go_on.wait(30), "the screen waits for the message"
         return read_message(*arguments, **limits)
 
-    monkeypatch.setattr("rsb_console.screens.message.read_message", slow)
+    monkeypatch.setattr("rsb_console.screens.message_screen.read_message", slow)
 
     async def steps(pilot: Pilot[None]) -> None:
         await shown(pilot, "/robot2/scan")

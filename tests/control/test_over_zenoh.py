@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from rsb_bridge.model.robot_summary import RobotSummary
-    from rsb_console.fleet.zenoh import ZenohFleet
+    from rsb_console.fleet.zenoh_source import ZenohFleet
 
 
 @pytest.fixture
@@ -200,7 +200,7 @@ def test_a_console_waits_for_the_first_word_of_each_engine_and_not_for_a_link(fl
 
 
 def test_robots_that_come_and_go_under_new_names_have_a_budget(fleet: Fleet, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("rsb_console.fleet.zenoh.MOST", 3)
+    monkeypatch.setattr("rsb_console.fleet.zenoh_source.MOST", 3)
     fleet.add("robot1")
     seen = fleet.seen_by()
     eventually(lambda: has_spoken(seen, "robot1"))

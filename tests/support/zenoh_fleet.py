@@ -21,7 +21,7 @@ from rsb_bridge.model.clock import Clock
 from rsb_bridge.model.session import ZenohSettings
 from rsb_bridge.telemetry.event_log import EventLog
 from rsb_bridge.transport.zenoh.network import Network
-from rsb_console.fleet.zenoh import ZenohFleet
+from rsb_console.fleet.zenoh_source import ZenohFleet
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -24,7 +24,7 @@ from rsb_console.command.target import NoBridgeError, UsageError, chosen_bridge,
 from rsb_console.fleet.fleet import Fleet, UnknownRobotError
 from rsb_console.fleet.memory import Memory, memory_path
 from rsb_console.fleet.rolling import Rollout, names_of, report, said, way_back
-from rsb_console.fleet.servers import ServerFleet
+from rsb_console.fleet.server_source import ServerFleet
 
 if TYPE_CHECKING:
     from argparse import Namespace
@@ -54,7 +54,7 @@ def sources_of(arguments: Namespace) -> list[FleetSource]:
             raise UsageError(
                 "--fleet is about bridges over Zenoh, --bridge and --control about a server here: give one"
             )
-        from rsb_console.fleet.zenoh import ZenohFleet  # noqa: PLC0415 -- not needed elsewhere
+        from rsb_console.fleet.zenoh_source import ZenohFleet  # noqa: PLC0415 -- not needed elsewhere
 
         return [ZenohFleet(fleet_file(arguments))]
     if arguments.bridge is not None or arguments.control is not None:

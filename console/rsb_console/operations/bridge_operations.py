@@ -139,7 +139,7 @@ class BridgeOperations:
 
     async def call(self) -> None:
         """Call what is under the cursor by hand."""
-        from rsb_console.screens.call import CallScreen  # noqa: PLC0415 -- keeps the start short
+        from rsb_console.screens.call_screen import CallScreen  # noqa: PLC0415 -- keeps the start short
 
         engine, route = self._console.engine, self._selected()
         if engine is not None and route is not None and route.lanes:
@@ -278,8 +278,7 @@ class BridgeOperations:
 
     async def restart(self) -> None:
         """Close all links on both sides and open them again, after a question; start an engine that has ended."""
-        from rsb_console.screens.dialog import ConfirmScreen  # noqa: PLC0415 -- keeps the start short
-        from rsb_console.screens.restart import RestartScreen  # noqa: PLC0415 -- keeps the start short
+        from rsb_console.screens.dialog import ConfirmScreen, RestartScreen  # noqa: PLC0415 -- keeps the start short
 
         engine = self._console.engine
         if engine is None:

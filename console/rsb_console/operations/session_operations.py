@@ -239,7 +239,7 @@ class SessionOperations:
         await self._console.ask(KeysScreen(self._console))
 
     async def links(self) -> None:
-        from rsb_console.screens.links import LinksScreen  # noqa: PLC0415 -- keeps the start short
+        from rsb_console.screens.links_screen import LinksScreen  # noqa: PLC0415 -- keeps the start short
 
         await self._console.ask(LinksScreen(self._console))
 
@@ -250,7 +250,7 @@ class SessionOperations:
 
     async def bluetooth(self) -> None:
         """Scan for Bluetooth; a device that is picked becomes the server of a new session."""
-        from rsb_console.screens.bluetooth import BluetoothScreen  # noqa: PLC0415 -- needs D-Bus
+        from rsb_console.screens.bluetooth_screen import BluetoothScreen  # noqa: PLC0415 -- needs D-Bus
 
         address = await self._console.ask(BluetoothScreen(self._console))
         if address is not None:

@@ -339,7 +339,7 @@ class MainScreen(Screen[None]):
 
     def action_message(self) -> None:
         """Show the topic's latest message."""
-        from rsb_console.screens.message import MessageScreen  # noqa: PLC0415 -- keeps the start short
+        from rsb_console.screens.message_screen import MessageScreen  # noqa: PLC0415 -- keeps the start short
 
         route = self.selected
         if route is None or self.console.engine is None:

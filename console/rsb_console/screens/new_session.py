@@ -195,7 +195,7 @@ class NewSessionScreen(FormScreen[NewSession]):
 
     @work(group=DIALOG)
     async def _pick_bluetooth(self) -> None:
-        from rsb_console.screens.bluetooth import BluetoothScreen  # noqa: PLC0415 -- needs D-Bus
+        from rsb_console.screens.bluetooth_screen import BluetoothScreen  # noqa: PLC0415 -- needs D-Bus
 
         address = await self.console.ask(BluetoothScreen(self.console))
         if address:
