@@ -17,6 +17,12 @@ if TYPE_CHECKING:
 
     from rsb_console.actions import Action
 
+KEY_SIGNS = {
+    "slash": "/", "question_mark": "?", "escape": "esc", "less_than_sign": "<", "greater_than_sign": ">", "plus": "+",
+    "minus": "-", "exclamation_mark": "!", "colon": ":", "pagedown": "PgDn", "pageup": "PgUp",
+}  # fmt: skip
+UNICODE_KEY_SIGNS = {"enter": "⏎", "up": "↑", "down": "↓"}
+
 
 class KeymapError(ValueError):
     """A mistake in ``keys.yaml``; the message says which, for the user."""
@@ -65,13 +71,6 @@ def _refuse_shared_keys(path: Path, keymap: Mapping[str, str]) -> None:
 def split_keys(keys: str) -> Iterable[str]:
     """The keys of a comma-separated list."""
     return (key.strip() for key in keys.split(",") if key.strip())
-
-
-KEY_SIGNS = {
-    "slash": "/", "question_mark": "?", "escape": "esc", "less_than_sign": "<", "greater_than_sign": ">", "plus": "+",
-    "minus": "-", "exclamation_mark": "!", "colon": ":", "pagedown": "PgDn", "pageup": "PgUp",
-}  # fmt: skip
-UNICODE_KEY_SIGNS = {"enter": "⏎", "up": "↑", "down": "↓"}
 
 
 class Preferences:

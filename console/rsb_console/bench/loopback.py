@@ -40,6 +40,9 @@ _QUIET = 0.7
 _LOOK_EVERY = 0.05
 _READY_WITHIN = 20.0
 _ANSWERS_WITHIN = 5.0
+_OPENED_WITHIN = 60.0
+_WATCHED_FOR = 3.0
+_STATE_EVERY = 0.1
 
 
 def depth_of(size: int) -> int:
@@ -250,11 +253,6 @@ def ready(bed: Bed) -> Bed:
             bed.first = time.monotonic() - bed.started
     bed.send(1000, 0.3, 1000)
     return bed
-
-
-_OPENED_WITHIN = 60.0
-_WATCHED_FOR = 3.0
-_STATE_EVERY = 0.1
 
 
 class Loopback:

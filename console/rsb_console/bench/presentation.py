@@ -23,6 +23,25 @@ _LIMITS = {
     "time": " (time was up)",
 }
 _NONE = "-"
+BARELY = 0.8
+"""The share of the highest lossless rate from which on a topic has too little to spare."""
+USUAL = (
+    Load("an IMU", 320, 200),
+    Load("a laser scan", 9_000, 40),
+    Load("a map", 400_000, 1),
+    Load("a compressed camera image", 150_000, 30),
+    Load("a depth image of 640 × 480", 614_400, 30),
+    Load("a point cloud", 1_200_000, 10),
+    Load("a raw camera image of 1920 × 1080", 6_220_800, 30),
+)
+"""What robots usually send; for a benchmark that knows of no session."""
+_NAMED = 8
+_MARKS = "*o+x#@"
+_COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9")
+"""Okabe and Ito's, which people who see fewer colours tell apart."""
+_HEIGHT = 14
+_LEFT = 11
+_NARROWEST = 40
 
 
 def lines_of(report: Report) -> Iterator[str]:
@@ -119,21 +138,6 @@ def _aligned(rows: Sequence[Sequence[str]]) -> Iterator[str]:
         first, *others = row
         cells = [f"{cell:>{width}}" for cell, width in zip(others, widths[1:], strict=False)]
         yield "  ".join([f"{first:<{widths[0]}}", *cells]).rstrip()
-
-
-BARELY = 0.8
-"""The share of the highest lossless rate from which on a topic has too little to spare."""
-USUAL = (
-    Load("an IMU", 320, 200),
-    Load("a laser scan", 9_000, 40),
-    Load("a map", 400_000, 1),
-    Load("a compressed camera image", 150_000, 30),
-    Load("a depth image of 640 × 480", 614_400, 30),
-    Load("a point cloud", 1_200_000, 10),
-    Load("a raw camera image of 1920 × 1080", 6_220_800, 30),
-)
-"""What robots usually send; for a benchmark that knows of no session."""
-_NAMED = 8
 
 
 def capacity(points: Iterable[Point], size: float) -> float:
@@ -237,14 +241,6 @@ def in_words(judged: Sequence[Judged], over: str, *, together: bool) -> list[str
 def _load(judged: Judged) -> str:
     load = judged.load
     return f"{load.topic} ({byte_count(round(load.size))} at {expected(load.rate)} Hz by {judged.transport})"
-
-
-_MARKS = "*o+x#@"
-_COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9")
-"""Okabe and Ito's, which people who see fewer colours tell apart."""
-_HEIGHT = 14
-_LEFT = 11
-_NARROWEST = 40
 
 
 class Curve(NamedTuple):

@@ -21,6 +21,12 @@ _GENTLE_BYTES = 20e6
 _LEAST_MESSAGES = 5
 _TOO_FAST = 1.5
 _SLOWER_BY = 0.5
+TRIES = 2
+"""At each rate: one loss may be another program's."""
+CLOSE = 1.1
+"""How close the lowest rate that is too high comes to the highest that is not."""
+_KEEPS_UP = 0.95
+_LOWEST = 0.5  # Hz
 
 
 @dataclass(frozen=True, slots=True)
@@ -188,14 +194,6 @@ class Suite:
 def _of(run: Run, sent: int) -> int | None:
     """The wire bytes of a run, for as many messages as another one has sent."""
     return round(run.wire * sent / run.sent) if run.wire and run.sent else None
-
-
-TRIES = 2
-"""At each rate: one loss may be another program's."""
-CLOSE = 1.1
-"""How close the lowest rate that is too high comes to the highest that is not."""
-_KEEPS_UP = 0.95
-_LOWEST = 0.5  # Hz
 
 
 class Found(NamedTuple):

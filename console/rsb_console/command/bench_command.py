@@ -36,6 +36,10 @@ if TYPE_CHECKING:
     from rsb_console.bench.results import Load, Place
 
 _ERASE = "\r\x1b[K"
+_BOTH = ("transmit", "receive")
+_DOMAINS = 92, 93
+_LINKED_WITHIN = 3.0
+_LOOK_EVERY = 0.1
 
 
 class Progress:
@@ -65,12 +69,6 @@ class Progress:
         with contextlib.suppress(OSError):  # the terminal has gone
             self._stream.write(text)
             self._stream.flush()
-
-
-_BOTH = ("transmit", "receive")
-_DOMAINS = 92, 93
-_LINKED_WITHIN = 3.0
-_LOOK_EVERY = 0.1
 
 
 def run(_: str, arguments: Namespace) -> int:

@@ -30,6 +30,8 @@ _LOOKED_EVERY, _TOLD_EVERY = 0.5, 30.0
 """s until a goal's state is looked at again, and until it is told again."""
 _GOAL = re.compile(r"[0-9a-fA-F]{32}")
 _NEW_GOAL = "# goal_id: "
+_AT_ONCE = 50
+"""Parameters that are asked for in one call."""
 
 
 def run(name: str, arguments: Namespace) -> int:
@@ -119,10 +121,6 @@ def data_of(text: str) -> Any:
     except FieldError:
         return text
     return text if data is None else data
-
-
-_AT_ONCE = 50
-"""Parameters that are asked for in one call."""
 
 
 def _list(arguments: Namespace) -> int:

@@ -31,6 +31,14 @@ if TYPE_CHECKING:
 _PATHS = ("PATH", "FILE", "FILE.svg")
 """The metavars of arguments that are paths, and still texts."""
 _ADAPTERS = Path("/sys/class/bluetooth")
+_WAITS = 1.0
+"""s for a bridge to answer. If anything goes wrong, nothing is offered: a shell has no place for a message then."""
+_DIRECTIONS = ["transmit", "receive"]
+_DEFAULTS: dict[str, Any] = {
+    "bridge": None, "control": None, "link": "", "kind": None, "kinds": tuple(KEYS), "direction": None,
+}  # fmt: skip
+_NOT_TYPED = ("direction", *NAME_KEYS.values())
+"""Keys that `add` and `edit` have arguments of their own for."""
 
 
 def run(name: str, arguments: Namespace) -> int:
@@ -118,16 +126,6 @@ def _remembered() -> list[Remembered]:
 def adapters(**_: object) -> list[str]:
     """The Bluetooth adapters of this machine."""
     return sorted(path.name for path in _ADAPTERS.glob("hci*")) if _ADAPTERS.is_dir() else []
-
-
-_WAITS = 1.0
-"""s for a bridge to answer. If anything goes wrong, nothing is offered: a shell has no place for a message then."""
-_DIRECTIONS = ["transmit", "receive"]
-_DEFAULTS: dict[str, Any] = {
-    "bridge": None, "control": None, "link": "", "kind": None, "kinds": tuple(KEYS), "direction": None,
-}  # fmt: skip
-_NOT_TYPED = ("direction", *NAME_KEYS.values())
-"""Keys that `add` and `edit` have arguments of their own for."""
 
 
 def bridged(parsed_args: Namespace, **_: object) -> list[str]:

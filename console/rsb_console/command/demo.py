@@ -34,6 +34,16 @@ if TYPE_CHECKING:
     from rsb_console.fleet.fleet import FleetSource, Robot
     from rsb_console.session.demo_session import Demo
 
+GROUPS = ("hall", "yard")
+_OPEN_WITHIN, _SEEN_WITHIN, _WELL_WITHIN = 60.0, 10.0, 60.0
+_AFTER = 5.0
+"""s until the first trouble."""
+_AWAY, _THERE = 10.0, 20.0
+"""s for which the robot that comes and goes is away, and there."""
+_LOOK_EVERY = 0.2
+_FAULTY = "/scan"
+_AFTER_QUIT = "All simulated robots end."
+
 
 def run_demo(*, ui: bool, seconds: float | None) -> int:
     """Run the demo.
@@ -101,17 +111,6 @@ def _print_counts(demo: Demo) -> int:
         print_error(f"the demo failed: {', '.join(failed) or 'the robot or the desk did not run'}")
         return FAILURE
     return OK
-
-
-GROUPS = ("hall", "yard")
-_OPEN_WITHIN, _SEEN_WITHIN, _WELL_WITHIN = 60.0, 10.0, 60.0
-_AFTER = 5.0
-"""s until the first trouble."""
-_AWAY, _THERE = 10.0, 20.0
-"""s for which the robot that comes and goes is away, and there."""
-_LOOK_EVERY = 0.2
-_FAULTY = "/scan"
-_AFTER_QUIT = "All simulated robots end."
 
 
 def run_fleet_demo(robots: int, *, ui: bool, seconds: float | None) -> int:

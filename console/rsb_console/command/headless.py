@@ -42,6 +42,9 @@ _LOOK_EVERY = 1.0
 """s from one look at the engine to the next where nothing happens: no more often than it renews what is seen."""
 _STOPS_WITHIN = 4.0
 _WRITTEN_WITHIN = 0.5  # s, of the 5 in which the program ends whatever its peer and its reader do
+WAITING_LIMIT = 1 << 20
+"""Bytes of lines that wait for a slow reader; a status line of 500 topics has 200 kB as JSON."""
+_TOO_SLOW = "they were not read fast enough"
 
 
 def run_headless(
@@ -266,11 +269,6 @@ class Signals:
 def _lines_lost(lost: int, reason: str) -> Event:
     text = f"{lost:,} log {plural(lost, 'line')} lost: {reason}"
     return Event(0, time.time(), Level.WARNING, EventCode.LOG_LINES_LOST, text)
-
-
-WAITING_LIMIT = 1 << 20
-"""Bytes of lines that wait for a slow reader; a status line of 500 topics has 200 kB as JSON."""
-_TOO_SLOW = "they were not read fast enough"
 
 
 class LogWriter:

@@ -56,6 +56,8 @@ CONFINED = (
 """What a service of the system may do, and no more. configs/rsb-console@.service has the same, and says why."""
 _SOURCING = 'source "$0" && exec "$@"'
 _HOMES = ("/home/", "/root/", "/run/user/")
+_SYSTEM_UNITS = Path("/etc/systemd/system")
+_READABLE = 0o644
 
 
 @dataclass(frozen=True, slots=True)
@@ -152,10 +154,6 @@ def _quoted(word: str, *, command: bool = False) -> str:
 
 def _plain(text: str) -> str:
     return text.replace("%", "%%")
-
-
-_SYSTEM_UNITS = Path("/etc/systemd/system")
-_READABLE = 0o644
 
 
 def run(arguments: Namespace) -> int:

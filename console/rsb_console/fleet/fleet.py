@@ -22,6 +22,11 @@ if TYPE_CHECKING:
     from rsb_bridge.model.clock import Clock
     from rsb_console.fleet.memory import Memory
 
+HISTORY = 12
+"""Message rates that are kept of each robot, one every `_SAMPLED_EVERY` s: of a minute."""
+_SAVED_EVERY = 60.0
+_SAMPLED_EVERY = 5.0
+
 
 class FleetSource(Protocol):
     """Knows some robots, no two of the same name. All but `start`, `wait` and `open` answer at once.
@@ -68,12 +73,6 @@ class FleetSource(Protocol):
             EngineError: that cannot be done.
         """
         ...
-
-
-HISTORY = 12
-"""Message rates that are kept of each robot, one every `_SAMPLED_EVERY` s: of a minute."""
-_SAVED_EVERY = 60.0
-_SAMPLED_EVERY = 5.0
 
 
 class UnknownRobotError(ValueError):

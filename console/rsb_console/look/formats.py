@@ -18,6 +18,10 @@ if TYPE_CHECKING:
     from rsb_bridge.model.session import Kind
     from rsb_bridge.model.snapshot import LinkSnapshot
 
+KIND_NOUN: dict[Kind, str] = {"topic": "topic", "service": "service", "action": "action", "parameters": "parameters"}
+KIND_SHORT: dict[Kind, str] = {"topic": "msg", "service": "srv", "action": "act", "parameters": "par"}
+"""What fits into a narrow column: the first three are ROS's own names for the types."""
+
 
 def thousands(count: int) -> str:
     """Format a count with spaces between the thousands: ``7 134``."""
@@ -162,11 +166,6 @@ def qos_parts(qos: Qos, *, depth_known: bool = True) -> list[str]:
     if qos.lifespan:
         parts.append(f"lifespan {span(qos.lifespan)}")
     return [f"{each}," for each in parts[:-1]] + parts[-1:]
-
-
-KIND_NOUN: dict[Kind, str] = {"topic": "topic", "service": "service", "action": "action", "parameters": "parameters"}
-KIND_SHORT: dict[Kind, str] = {"topic": "msg", "service": "srv", "action": "act", "parameters": "par"}
-"""What fits into a narrow column: the first three are ROS's own names for the types."""
 
 
 def counted_kinds(kinds: Iterable[Kind]) -> str:

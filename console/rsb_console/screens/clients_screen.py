@@ -40,6 +40,17 @@ if TYPE_CHECKING:
     from rsb_console.console_api import Console
     from rsb_console.session.client_files import Changed
 
+_BETWEEN = re.compile(r"[\s,]+")
+PREFIXES = (("", "as the server's"), ("yes", "yes"), ("no", "no"))
+FIELDS = (
+    Spec("name", "Name", "As in the client's own session: robot2."),
+    Spec("key_file", "Key file", "Beside the session file. Empty: a new one. A file that exists is used as it is.",
+         blank="a new one"),
+    Spec("use_name", "Prefix", "Its topics here have its name as a prefix: /robot2/scan.", options=PREFIXES),
+    Spec("allow", "Allowed", "Patterns of the topics that it may bridge, like /camera/*. Empty: all.", blank="all"),
+    Spec("deny", "Denied", "Patterns of the topics that it may not bridge; stronger than those above.", blank="none"),
+)  # fmt: skip
+
 
 @dataclass(frozen=True, slots=True)
 class _ClientChange(Change):
@@ -149,18 +160,6 @@ def _client_in(path: Path, name: str) -> Client | None:
         return _client(client_files.open_server(path).session, name)
     except (ClientError, SessionError) as error:
         raise CannotUndoError(f"client {name}: {error}") from None
-
-
-_BETWEEN = re.compile(r"[\s,]+")
-PREFIXES = (("", "as the server's"), ("yes", "yes"), ("no", "no"))
-FIELDS = (
-    Spec("name", "Name", "As in the client's own session: robot2."),
-    Spec("key_file", "Key file", "Beside the session file. Empty: a new one. A file that exists is used as it is.",
-         blank="a new one"),
-    Spec("use_name", "Prefix", "Its topics here have its name as a prefix: /robot2/scan.", options=PREFIXES),
-    Spec("allow", "Allowed", "Patterns of the topics that it may bridge, like /camera/*. Empty: all.", blank="all"),
-    Spec("deny", "Denied", "Patterns of the topics that it may not bridge; stronger than those above.", blank="none"),
-)  # fmt: skip
 
 
 def words(text: str) -> tuple[str, ...]:

@@ -25,6 +25,18 @@ if TYPE_CHECKING:
     from rsb_bridge.api import EngineApi
     from rsb_console.session.changes import Undo
 
+_AROUND = 8
+"""Lines of the dialog that are not its message: frame, buttons, keys, and the empty ones between."""
+_SCROLL = {
+    "up,k": "up",
+    "down,j": "down",
+    "pageup": "page_up",
+    "pagedown": "page_down",
+    "g,home": "home",
+    "G,end": "end",
+}
+RUNNING = "◌"
+
 
 class Dialog(Vertical):
     """A dialog's widgets, with a title on the frame, and the keys as its last line.
@@ -39,18 +51,6 @@ class Dialog(Vertical):
     def __init__(self, title: str, *widgets: Widget, keys: str, shape: str = "-wide") -> None:
         super().__init__(*widgets, Static(keys, classes="hint keys", markup=False), classes=f"dialog {shape}")
         self.border_title = title
-
-
-_AROUND = 8
-"""Lines of the dialog that are not its message: frame, buttons, keys, and the empty ones between."""
-_SCROLL = {
-    "up,k": "up",
-    "down,j": "down",
-    "pageup": "page_up",
-    "pagedown": "page_down",
-    "g,home": "home",
-    "G,end": "end",
-}
 
 
 class ConfirmScreen(ModalScreen[bool]):
@@ -149,9 +149,6 @@ class UndoScreen(ConfirmScreen):
     def compose_buttons(self) -> ComposeResult:
         yield Button(self._yes, id="yes", variant="error" if self._careful else "primary", compact=True)
         yield Button("No", id="no", compact=True)
-
-
-RUNNING = "◌"
 
 
 class Steps(LiveLines, can_focus=False):

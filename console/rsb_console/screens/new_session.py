@@ -54,6 +54,23 @@ FIELDS = (
          edited=True),
     Spec("path", "Session file", "Where the session is saved.", edited=True),
 )  # fmt: skip
+ROLES: dict[str, Role | None] = {"": None, "client": "client", "server": "server"}
+MOST_PROBLEMS = 4
+BRINGUP = Spec("bringup", "File", "config/bringup.yaml of ros2_socket_bridge: a client's or a server's.",
+               blank="type to look for a file", edited=True)  # fmt: skip
+IMPORT_FIELDS = (
+    Spec("name", "Name", "As in the launch file (-name)."),
+    Spec("role", "Role", "The session's role. A client's file can make a server's session, too.",
+         options=(("", "as the file's node"), ("client", "client"), ("server", "server"))),
+    Spec("server_port", "Port", "Of the server, as in its launch file (-p).", blank="the file's"),
+    Spec("domain_id", "Domain", f"ROS domain of this side, {SAFE_DOMAIN}. Empty: $ROS_DOMAIN_ID, else 0.",
+         blank="$ROS_DOMAIN_ID"),
+    Spec("key_file", "Key file", "File with the launch file's key (-key), relative to the session's folder.", "key.txt",
+         edited=True),
+    Spec("use_name", "Prefix", "As in the launch file (-usename).", options=tuple(reversed(YES_NO))),
+    Spec("use_encryption", "Encryption", "As in the launch file (-encrypt).", options=YES_NO),
+    Spec("path", "Session file", "Where the session is saved.", edited=True),
+)  # fmt: skip
 
 
 class NewSession(NamedTuple):
@@ -227,25 +244,6 @@ def _key_problem(path: Path) -> str:
     except KeyFileError as error:
         return str(error)
     return ""
-
-
-ROLES: dict[str, Role | None] = {"": None, "client": "client", "server": "server"}
-MOST_PROBLEMS = 4
-BRINGUP = Spec("bringup", "File", "config/bringup.yaml of ros2_socket_bridge: a client's or a server's.",
-               blank="type to look for a file", edited=True)  # fmt: skip
-IMPORT_FIELDS = (
-    Spec("name", "Name", "As in the launch file (-name)."),
-    Spec("role", "Role", "The session's role. A client's file can make a server's session, too.",
-         options=(("", "as the file's node"), ("client", "client"), ("server", "server"))),
-    Spec("server_port", "Port", "Of the server, as in its launch file (-p).", blank="the file's"),
-    Spec("domain_id", "Domain", f"ROS domain of this side, {SAFE_DOMAIN}. Empty: $ROS_DOMAIN_ID, else 0.",
-         blank="$ROS_DOMAIN_ID"),
-    Spec("key_file", "Key file", "File with the launch file's key (-key), relative to the session's folder.", "key.txt",
-         edited=True),
-    Spec("use_name", "Prefix", "As in the launch file (-usename).", options=tuple(reversed(YES_NO))),
-    Spec("use_encryption", "Encryption", "As in the launch file (-encrypt).", options=YES_NO),
-    Spec("path", "Session file", "Where the session is saved.", edited=True),
-)  # fmt: skip
 
 
 class ImportScreen(FormScreen[Opened]):

@@ -47,6 +47,10 @@ _CHECKED = 5
 """Most entries against which a value is checked while it is typed; the plan checks all."""
 _FIXED = ("topic", "direction", "kind")
 """Fields whose change makes another topic of it."""
+SETTLE = 10.0
+"""s that a robot has to be as well as before."""
+_NAMED = 5
+_CAN_UNDO = "u put back what was before   esc close"
 
 
 class Typed(NamedTuple):
@@ -265,11 +269,6 @@ def _value_line(value: str, label: str, _width: int) -> Line:
     return (*padded(value, _KEY, "strong"), (label, "dim")) if value else ((label, "strong"),)
 
 
-SETTLE = 10.0
-"""s that a robot has to be as well as before."""
-_NAMED = 5
-
-
 class Phase(Enum):
     """How far it is."""
 
@@ -287,7 +286,6 @@ _KEYS = {
     Phase.RUNNING: "esc stop after this robot",
     Phase.ENDED: "esc close",
 }
-_CAN_UNDO = "u put back what was before   esc close"
 
 
 class RolloutScreen(ModalScreen[None]):

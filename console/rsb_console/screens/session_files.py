@@ -31,6 +31,19 @@ if TYPE_CHECKING:
     from rsb_bridge.model.session import Session
 
 LIMIT = 20
+MORE = {"new_session": "New…", "import_session": "Import…", "save": "Save", "save_as": "Save as…"}
+ABOUT = """\
+Bridges ROS 2 topics between domains and networks over encrypted sockets,
+and shows what flows and what doesn't."""
+CHOICES = {
+    "demo": ("d", "Demo", "a simulated robot, bridged on this machine"),
+    "new_session": ("n", "New session", "a form that writes the session file and the key"),
+    "sessions": ("o", "Open a session", "a recent one, or any file"),
+    "import_session": ("i", "Import", "a bringup.yaml of the thesis's ros2_socket_bridge"),
+    "quit": ("q", "Quit", ""),
+}
+WATCHING = ("demo", "sessions", "quit")
+RECENT = 5
 
 
 def recents_path() -> Path:
@@ -56,9 +69,6 @@ def remember(path: Path) -> None:
     newest = [path, *(other for other in recent_sessions() if other != path)][:LIMIT]
     recents_path().parent.mkdir(parents=True, exist_ok=True)
     replace_file(recents_path(), "".join(f"{each}\n" for each in newest).encode())
-
-
-MORE = {"new_session": "New…", "import_session": "Import…", "save": "Save", "save_as": "Save as…"}
 
 
 class Opened(NamedTuple):
@@ -191,20 +201,6 @@ class SaveAsScreen(FormScreen[Path]):
 
     def result(self, values: Mapping[str, str]) -> Path:
         return typed_path(values["path"])
-
-
-ABOUT = """\
-Bridges ROS 2 topics between domains and networks over encrypted sockets,
-and shows what flows and what doesn't."""
-CHOICES = {
-    "demo": ("d", "Demo", "a simulated robot, bridged on this machine"),
-    "new_session": ("n", "New session", "a form that writes the session file and the key"),
-    "sessions": ("o", "Open a session", "a recent one, or any file"),
-    "import_session": ("i", "Import", "a bringup.yaml of the thesis's ros2_socket_bridge"),
-    "quit": ("q", "Quit", ""),
-}
-WATCHING = ("demo", "sessions", "quit")
-RECENT = 5
 
 
 class Menu(SelectableList):

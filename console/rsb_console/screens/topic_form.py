@@ -43,6 +43,15 @@ ORDER = (
 """The keys of all fields, in the order in which an operator thinks of them."""
 _LABELS: dict[Kind, str] = {"topic": "Topic", "service": "Service", "action": "Action", "parameters": "Node"}
 _FOLDERS: dict[Kind, str] = {"topic": "msg", "service": "srv", "action": "action"}
+LOOK_EVERY = 2.0  # s between two looks at the graphs
+_NAME_WIDTH, _WHERE_WIDTH, _TYPE_WIDTH = 32, 21, 24  # cells; the name takes what is left, and no less than this
+_ENDS: dict[Kind, tuple[str, str]] = {
+    "topic": ("publisher", "subscriber"),
+    "service": ("server", "client"),
+    "action": ("server", "client"),
+    "parameters": ("parameters", "client"),
+}
+"""What there is of each kind on the side that gives it, and on the other."""
 
 
 def fields_by_kind(session: Session, ends: Ends, route: RouteSnapshot | None) -> dict[Kind, dict[str, Spec]]:
@@ -196,9 +205,6 @@ def _protocol(kind: Kind, session: Session, *, has_radio: bool) -> Spec:
         meaning = "calls never go over udp, which may lose them"
     carriers += [("bluetooth", "bluetooth")] if has_radio else []
     return Spec("protocol", "Protocol", f"{meaning}{radio}.", options=tuple(carriers))
-
-
-LOOK_EVERY = 2.0  # s between two looks at the graphs
 
 
 class Draft(NamedTuple):
@@ -377,16 +383,6 @@ class TopicScreen(FormScreen[Draft]):
         event.field.touched = True
         self.check()
         self.form.fields["direction" if self._kind == "topic" else "provider"].control.focus()
-
-
-_NAME_WIDTH, _WHERE_WIDTH, _TYPE_WIDTH = 32, 21, 24  # cells; the name takes what is left, and no less than this
-_ENDS: dict[Kind, tuple[str, str]] = {
-    "topic": ("publisher", "subscriber"),
-    "service": ("server", "client"),
-    "action": ("server", "client"),
-    "parameters": ("parameters", "client"),
-}
-"""What there is of each kind on the side that gives it, and on the other."""
 
 
 def suggestions_for(

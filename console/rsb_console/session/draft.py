@@ -22,6 +22,11 @@ if TYPE_CHECKING:
     from rsb_bridge.model.snapshot import Snapshot
 
 NUMBERS = ("port", "max_rate", "expected_rate", "stale_after", "late_after", "max_age", "deadman", "timeout")
+SWITCHES = ("paused", "arm")
+"""The keys that are on or off: any text is on but those of `_OFF`."""
+_OFF = ("", "false", "no", "off")
+_DIRECTIONS = {"server": "transmit", "client": "receive"}
+"""Of requests, by the side whose node answers."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,13 +78,6 @@ def _plain_qos(text: str) -> Any:
         except SessionError:
             return text
     return text
-
-
-SWITCHES = ("paused", "arm")
-"""The keys that are on or off: any text is on but those of `_OFF`."""
-_OFF = ("", "false", "no", "off")
-_DIRECTIONS = {"server": "transmit", "client": "receive"}
-"""Of requests, by the side whose node answers."""
 
 
 def topic_of(values: Mapping[str, str]) -> Topic:

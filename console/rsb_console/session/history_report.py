@@ -34,6 +34,16 @@ _FORMULAS = ("=", "+", "-", "@", "\t", "\r", "\n", "\uff1d", "\uff0b", "\uff0d",
 """What a cell begins with that a spreadsheet may take for a formula; the last four are the signs in full width."""
 _SHORT_WAIT = 60.0
 """s of waiting that are not worth a word beside the time in which it was up or out."""
+# The names are those of `status --json`. A topic has what is in a `Ledger`, all else what is in a `CallsSnapshot`.
+_ROUTE = (
+    "topic", "link", "outgoing", "transport", "port", "type_name", "rate", "expected_rate", "bytes_per_second",
+    "latency_p50", "latency_p99", "age", "cause", "reason",
+)  # fmt: skip
+_COUNTS = (
+    "offered", "delivered", "throttled", "expired", "in_flight", "dropped_total", "unknown", "lost_in_dds",
+    "missed_while_down",
+    "asked", "answered", "refused", "lost", "late", "node_p50", "node_p99", "way_p50", "way_p99", "last_failure",
+)  # fmt: skip
 
 
 def parse_span(text: str) -> float:
@@ -301,18 +311,6 @@ def cell(value: object) -> object:
 
 def _iso(moment: float) -> str:
     return time.strftime("%Y-%m-%dT%H:%M:%S%z", time.localtime(moment))
-
-
-# The names are those of `status --json`. A topic has what is in a `Ledger`, all else what is in a `CallsSnapshot`.
-_ROUTE = (
-    "topic", "link", "outgoing", "transport", "port", "type_name", "rate", "expected_rate", "bytes_per_second",
-    "latency_p50", "latency_p99", "age", "cause", "reason",
-)  # fmt: skip
-_COUNTS = (
-    "offered", "delivered", "throttled", "expired", "in_flight", "dropped_total", "unknown", "lost_in_dds",
-    "missed_while_down",
-    "asked", "answered", "refused", "lost", "late", "node_p50", "node_p99", "way_p50", "way_p99", "last_failure",
-)  # fmt: skip
 
 
 def _new_file(kind: str, suffix: str) -> Path:

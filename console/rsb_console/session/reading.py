@@ -26,6 +26,12 @@ _GUESSED_WITHIN = 86_400.0
 """s from now within which eight bytes of an unknown type are taken for a stamp."""
 _LONGEST_FRAME_ID = 256
 _ASK_AGAIN_AFTER = 10.0  # s
+Line: TypeAlias = tuple[tuple[str, str], ...]
+"""As in `rsb_console.widgets.lines`: pieces of text, each with the name of its look."""
+INDENT = "  "
+_ITEM = "- "
+_NARROWEST = 20  # cells for a value, however deep it stands
+_BYTES_IN_LINE = 16
 
 
 @dataclass(frozen=True, slots=True)
@@ -182,15 +188,6 @@ def how_it_came(peeked: PeekedMessage) -> str:
     way = "taken from ROS" if peeked.outgoing else "came over the link"
     took = "" if peeked.latency is None else f" in {formats.latency(peeked.latency, peeked.clock_uncertainty)}"
     return f"{size}, {way}{took} at {moment}"
-
-
-Line: TypeAlias = tuple[tuple[str, str], ...]
-"""As in `rsb_console.widgets.lines`: pieces of text, each with the name of its look."""
-
-INDENT = "  "
-_ITEM = "- "
-_NARROWEST = 20  # cells for a value, however deep it stands
-_BYTES_IN_LINE = 16
 
 
 def message_lines(message: Message, width: int, *, arrays: bool = True) -> Iterator[Line]:

@@ -17,6 +17,14 @@ if TYPE_CHECKING:
     from rsb_bridge.model.calls import CallsSnapshot, GoalSnapshot
     from rsb_bridge.model.snapshot import Ledger, RouteSnapshot
 
+_MOST_GOALS = 8
+_ID_LENGTH = 8  # digits that tell goals apart
+_OVER = {
+    "succeeded": (DONE, "ok"), "canceled": (UNKNOWN, "dim"), "aborted": (FAILED, "down"), "rejected": (FAILED, "stale"),
+}  # fmt: skip
+_NOT_KNOWN = "unknown"
+"""What became of it: its server has gone, say."""
+
 
 class DetailPane(LiveLines, can_focus=True):
     """Shows the topic under the table's cursor. It has no cursor of its own: a list's keys scroll it."""
@@ -152,15 +160,6 @@ def _figures(route: RouteSnapshot, width: int) -> Iterator[Line]:
         yield parts.labelled("type hash", route.type_hash)  # cut: its beginning is enough to tell two hashes apart
     if route.last_error:
         yield from parts.figure("last error", route.last_error.split(), width)
-
-
-_MOST_GOALS = 8
-_ID_LENGTH = 8  # digits that tell goals apart
-_OVER = {
-    "succeeded": (DONE, "ok"), "canceled": (UNKNOWN, "dim"), "aborted": (FAILED, "down"), "rejected": (FAILED, "stale"),
-}  # fmt: skip
-_NOT_KNOWN = "unknown"
-"""What became of it: its server has gone, say."""
 
 
 def call_lines(route: RouteSnapshot, calls: CallsSnapshot, peer: str, width: int) -> Iterator[Line]:

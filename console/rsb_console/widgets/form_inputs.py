@@ -21,6 +21,8 @@ if TYPE_CHECKING:
 
 AT_MOST = 5.0  # s that a form ignores input if no result is ever shown
 LEAVING = ("escape", "ctrl+c")
+_SAME_WORD = 1.0
+"""s after which a typed letter begins a new word."""
 
 
 class InputGuard:
@@ -118,10 +120,6 @@ class TextInput(TextArea):
     @value.setter
     def value(self, value: str) -> None:
         self.text = value
-
-
-_SAME_WORD = 1.0
-"""s after which a typed letter begins a new word."""
 
 
 class Choice(Widget, can_focus=True):
