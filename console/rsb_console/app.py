@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 from textual import work
 
 from rsb_bridge.api import EngineError
-from rsb_bridge.model.fault_watch import ChangeKind, FaultWatch
+from rsb_bridge.model.faults import ChangeKind, FaultWatch
 from rsb_bridge.model.snapshot import Snapshot, State
 from rsb_console.actions import Group
 from rsb_console.operations.bridge_operations import BridgeOperations, Deadman
@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from rsb_bridge.control.bridges import RunningBridge
     from rsb_bridge.control.client import RemoteEngine
     from rsb_bridge.control.server import ControlServer
-    from rsb_bridge.model.fault_watch import FaultChange
+    from rsb_bridge.model.faults import FaultChange
     from rsb_bridge.model.session import Session
     from rsb_bridge.model.snapshot import RouteSnapshot
     from rsb_console.console_api import Console

@@ -15,7 +15,7 @@ from msgspec.structs import fields
 
 from rsb_bridge.config.file_form import KEYS, NAME_KEYS
 from rsb_bridge.config.files import typed_path
-from rsb_bridge.model.lanes import LANES
+from rsb_bridge.model.calls import LANES
 from rsb_bridge.model.qos import AUTO, PROFILES
 from rsb_bridge.model.session import Topic
 from rsb_bridge.model.text import is_clean

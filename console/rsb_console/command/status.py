@@ -8,7 +8,7 @@ from rsb_bridge.api import EngineError
 from rsb_bridge.control.bridges import running_bridges
 from rsb_bridge.control.client import RemoteEngine
 from rsb_bridge.control.folders import ControlError
-from rsb_bridge.model.health import (
+from rsb_bridge.model.faults import (
     link_is_wrong,
     link_needs_attention,
     pattern_is_wrong,
