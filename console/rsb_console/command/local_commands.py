@@ -1,6 +1,7 @@
-"""What each command does. Whatever needs ROS, Textual or D-Bus is imported by the command that uses it.
+"""The commands `run`, `attach`, `keygen`, `import`, and those that start another module: `bt-scan`, `service`, `demo`.
 
-So help, keygen, check and import answer at once, on a machine with none of them.
+Whatever needs ROS, Textual or D-Bus is imported by the command that uses it. So help, keygen, check and import answer
+at once, on a machine with none of them.
 """
 
 from __future__ import annotations

@@ -1,1 +1,1 @@
-"""The console's screens, one a file."""
+"""The screens and dialogs of the console."""

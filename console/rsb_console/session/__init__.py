@@ -1,1 +1,1 @@
-"""Session files and what belongs to them: saving, recent files, topic drafts, exports, the demo session."""
+"""Session files and what belongs to them: saving, topic drafts, client files, reports, the demo session."""
