@@ -182,7 +182,7 @@ def test_nobody_waits_for_ever_nor_in_numbers(bridge: Bridge, monkeypatch: pytes
     assert last == [None]
     running = client._bridge
     assert running is not None
-    eventually(lambda: running.contents._peeking._lookers == 0 and not any(wanted(running.links()[0])))
+    eventually(lambda: running.inspector._peeking._lookers == 0 and not any(wanted(running.links()[0])))
     with pytest.raises(EngineError, match="no route"):
         client.peek("nonsense").result(10)
 

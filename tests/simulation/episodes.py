@@ -10,7 +10,7 @@ from unittest.mock import patch
 from tests.simulation import station
 from tests.simulation.action_server import Plan
 
-from rsb_bridge import bridge
+from rsb_bridge.engine import bridge
 from rsb_bridge.link import graph_watch, keepalive
 from rsb_bridge.link.shut_down import ASKED_EVERY
 from rsb_bridge.route import route

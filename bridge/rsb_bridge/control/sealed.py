@@ -35,9 +35,9 @@ from rsb_bridge.wire.preamble import Refusal, RefusalCode
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from rsb_bridge.access import Access
     from rsb_bridge.config.operators import Granted
     from rsb_bridge.control.server import ControlServer
+    from rsb_bridge.engine.access import Access
 
 _PLACES = protocol.CONSOLES - 8
 """Consoles, those of this machine among them, up to which operators get in: this machine's own always find a place."""
