@@ -20,7 +20,7 @@ from tests.support.waiting import eventually
 from rsb_bridge.api import EngineError
 from rsb_bridge.cdr.decoder import decode
 from rsb_bridge.cdr.description import hash_of_text, read_description
-from rsb_bridge.link.type_questions import TypeQuestions
+from rsb_bridge.link.questions import TypeQuestions
 from rsb_bridge.model.peek import PEEK_LIMIT
 from rsb_bridge.model.session import Topic
 from rsb_bridge.route import peeking

@@ -17,7 +17,7 @@ from rsb_bridge.channel.data_keys import DataKeys
 from rsb_bridge.channel.datagram import DatagramReceiver, DatagramSender, datagram_channel
 from rsb_bridge.channel.path_probe import PathProbe
 from rsb_bridge.channel.udp_channel import ClientUdpChannel, ServerUdpChannel, UdpDemultiplexer
-from rsb_bridge.link.udp_channels import UdpChannels
+from rsb_bridge.link.data_channels import UdpChannels
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.transport.streams import StreamHandler
 from rsb_bridge.transport.transport import Acceptor

@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, cast
 from rsb_bridge.control import protocol
 from rsb_bridge.control.console import Console
 from rsb_bridge.control.protocol import ProtocolError
-from rsb_bridge.link.refusals import Refusals
+from rsb_bridge.link.refused_clients import Refusals
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.snapshot import Level
 from rsb_bridge.model.strangers import CONNECTION

@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING, Protocol
 
 import msgspec
 
+from rsb_bridge.link.control_channel import in_slices
 from rsb_bridge.link.errors import LinkError
 from rsb_bridge.link.questions import Questions
-from rsb_bridge.link.slices import in_slices
 from rsb_bridge.model.lanes import LANES
 from rsb_bridge.model.limits import TEXT_LENGTH
 from rsb_bridge.model.snapshot import TopicInfo
@@ -26,7 +26,7 @@ from rsb_bridge.wire.records import TopicEntry
 if TYPE_CHECKING:
     from collections.abc import Callable, Coroutine, Iterable, Iterator, Sequence
 
-    from rsb_bridge.link.slices import Slices
+    from rsb_bridge.link.control_channel import Slices
     from rsb_bridge.model.session import Kind
     from rsb_bridge.ros.api import RosInterface
     from rsb_bridge.wire.codec import TopicListParts
