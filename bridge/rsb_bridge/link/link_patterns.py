@@ -10,8 +10,8 @@ import msgspec
 
 from rsb_bridge.config.rights import Use, as_if_listed, uses
 from rsb_bridge.link.errors import LinkError
+from rsb_bridge.link.proposals import KINDS
 from rsb_bridge.model.codes import EventCode
-from rsb_bridge.model.lanes import LANES
 from rsb_bridge.model.limits import TEXT_LENGTH
 from rsb_bridge.model.names import client_topic, is_topic_name, server_topic
 from rsb_bridge.model.operators import acting
@@ -46,7 +46,6 @@ if TYPE_CHECKING:
 
 _REMEMBERED: Final = 10_000
 _GONE: Final = f"gone for {GONE_AFTER / 60:g} min"
-_KINDS: dict[str, Kind] = {kind: kind for kind in LANES}
 _IN_ONE_MESSAGE = 200
 
 
@@ -156,7 +155,7 @@ class FollowedByPeer:
             self._patterns = [
                 (kind, Pattern(each.pattern))
                 for each in self._asked_for
-                if (kind := _KINDS.get(each.kind)) is not None and is_valid(each.pattern)
+                if (kind := KINDS.get(each.kind)) is not None and is_valid(each.pattern)
             ]
             self._asked_for = ()
         return self._patterns
@@ -366,10 +365,10 @@ class LinkPatterns:
     def _take(self, message: Followed) -> None:
         names = {} if self.there is None else self.there
         for each in message.gone:
-            if (kind := _KINDS.get(each.kind)) is not None:
+            if (kind := KINDS.get(each.kind)) is not None:
                 names.pop((kind, each.name), None)
         for each in message.present:
-            kind = _KINDS.get(each.kind)
+            kind = KINDS.get(each.kind)
             if kind is not None and ((kind, each.name) in names or len(names) < NAMES_FOLLOWED):
                 names[kind, each.name] = each.type
         self.there, self.unseen, self._due = names, message.more, True

@@ -30,7 +30,8 @@ if TYPE_CHECKING:
     from rsb_bridge.route.route import Route
     from rsb_bridge.transport.transport import Transport
 
-_KINDS: dict[str, Kind] = {kind: kind for kind in LANES}
+KINDS: dict[str, Kind] = {kind: kind for kind in LANES}
+"""The kinds that this version knows, by the names that a peer sends."""
 
 
 def proposal_of(
@@ -108,7 +109,7 @@ def kind_of(proposal: Propose) -> Kind:
     Raises:
         LinkError: it is something that only newer versions have.
     """
-    kind = _KINDS.get(proposal.kind)
+    kind = KINDS.get(proposal.kind)
     if kind is None:
         raise LinkError(f"rsb-console {__version__} does not know what {proposal.kind} is: update it")
     return kind

@@ -17,6 +17,7 @@ from rsb_bridge.model.verdict import LinkCause
 from rsb_bridge.wire.preamble import RefusalCode
 
 if TYPE_CHECKING:
+    from rsb_bridge.context import Context
     from rsb_bridge.model.codes import EventCode
     from rsb_bridge.telemetry.event_log import EventLog
     from rsb_bridge.transport.streams import Stream
@@ -208,18 +209,6 @@ def network(host: str) -> str:
     return str(ipaddress.IPv6Network((int(address), 64), strict=False))
 
 
-class Clocks(Protocol):
-    """The two clocks of a context."""
-
-    def now(self) -> float:
-        """Return seconds on a clock that nobody sets."""
-        ...
-
-    def wall(self) -> float:
-        """Return seconds since the epoch."""
-        ...
-
-
 @dataclass(slots=True)
 class _Entry:
     shown: RefusedClient
@@ -234,8 +223,8 @@ class RefusedClients:
     A new client displaces no other: a flood of made-up names cannot hide a robot that is listed.
     """
 
-    def __init__(self, clocks: Clocks) -> None:
-        self._clocks = clocks
+    def __init__(self, context: Context) -> None:
+        self._context = context
         self._entries: dict[tuple[str, str], _Entry] = {}
 
     def record_attempt(self, stream: Stream, name: str, cause: LinkCause, reason: str) -> None:
@@ -253,12 +242,12 @@ class RefusedClients:
             of_host = sum(1 for each, _ in self._entries if each == host)
             if len(self._entries) >= MOST or of_host >= MOST_OF_ONE_HOST:
                 return
-            shown = RefusedClient(name, stream.host, cause, reason, self._clocks.wall(), 1)
+            shown = RefusedClient(name, stream.host, cause, reason, self._context.wall(), 1)
         else:
             old = entry.shown
-            since = old.since if old.cause == cause else self._clocks.wall()
+            since = old.since if old.cause == cause else self._context.wall()
             shown = RefusedClient(name, stream.host, cause, reason, since, old.attempts + 1)
-        self._entries[host, name] = _Entry(shown, self._clocks.now())
+        self._entries[host, name] = _Entry(shown, self._context.now())
 
     def forget(self, name: str) -> None:
         """Drop the entries of a name when its client is linked or added."""
@@ -267,7 +256,7 @@ class RefusedClients:
 
     def tick(self) -> None:
         """Forget clients without a recent attempt; called once a second."""
-        oldest = self._clocks.now() - FORGOTTEN_AFTER
+        oldest = self._context.now() - FORGOTTEN_AFTER
         for key in [key for key, entry in self._entries.items() if entry.tried_at < oldest]:
             del self._entries[key]
 
