@@ -78,7 +78,7 @@ class UdpChannels:
             for here, shortage in channel.shortages.items():
                 if here not in self._shortages_told:
                     self._shortages_told.add(here)
-                    self._log(Level.WARNING, EventCode.LINK_UDP_BUFFER, shortage_message(shortage))
+                    self._log(Level.WARNING, EventCode.LINK_UDP_BUFFER, _shortage_message(shortage))
 
     def close(self) -> None:
         """Close them all."""
@@ -91,7 +91,7 @@ class UdpChannels:
         return list(self._channels.values())
 
 
-def shortage_message(shortage: BufferShortage) -> str:
+def _shortage_message(shortage: BufferShortage) -> str:
     """What holds large messages up, and the remedy; for the operator of either side."""
     whose, where = ("this machine's", "here") if shortage.here else ("the other side's", "there")
     return (

@@ -49,7 +49,7 @@ _GONE: Final = f"gone for {GONE_AFTER / 60:g} min"
 _IN_ONE_MESSAGE = 200
 
 
-def from_client_graph(topic: Topic) -> bool:
+def _from_client_graph(topic: Topic) -> bool:
     """Whether an entry follows the client's graph: where it is published, or where the provider is."""
     return (topic.direction == "transmit") == (topic.kind == "topic")
 
@@ -73,7 +73,7 @@ class PatternEntry:
 
     def __init__(self, topic: Topic, *, client: str, prefixed: bool, always_prefixed: bool = False) -> None:
         self.topic = topic
-        self.from_client = from_client_graph(topic)
+        self.from_client = _from_client_graph(topic)
         self.left_out: dict[str, str] = {}
         self.beyond = 0
         self._here = Pattern(topic.topic)
@@ -300,7 +300,7 @@ class LinkPatterns:
 
     def brings_back(self, route: Route) -> str:
         """Why a pattern cannot leave out a route's topic; empty: all can."""
-        reached = (exceptions_reached(entry) for entry in self.entries if self._claims(entry, route))
+        reached = (_exceptions_reached(entry) for entry in self.entries if self._claims(entry, route))
         return next(filter(None, reached), "")
 
     def _claims(self, entry: PatternEntry, route: Route) -> bool:
@@ -309,7 +309,7 @@ class LinkPatterns:
 
     def has_made(self, route: Route, topic: Topic) -> bool:
         """Whether a route is one of a pattern's."""
-        return bool(route.pattern) and identity_of(route) == topic.identity
+        return bool(route.pattern) and _identity_of(route) == topic.identity
 
     def key_of(self, topic: Topic) -> str:
         """What identifies a pattern in commands and snapshots of this side; no route has such a key."""
@@ -489,7 +489,7 @@ class LinkPatterns:
         total = len(matched)
         counts = dict.fromkeys((entry.topic.identity for entry in self.entries), 0)
         for route in matched:
-            counts[identity_of(route)] = counts.get(identity_of(route), 0) + 1
+            counts[_identity_of(route)] = counts.get(_identity_of(route), 0) + 1
         taken = {route.spec.identity for route in self._table.routes.values()}
         taken |= {topic.identity for topic in self._table.yielded.values()}
         for identity, (entry, topic) in wanted.items():
@@ -501,7 +501,7 @@ class LinkPatterns:
                 if gone is None:
                     entry.beyond += 1
                     continue
-                counts[identity_of(gone)] -= 1
+                counts[_identity_of(gone)] -= 1
                 total -= 1
                 self._drop(gone, "gone, and others that match need its room")
             try:
@@ -518,7 +518,7 @@ class LinkPatterns:
         """The route whose topic has been gone for longest, of one pattern or of any."""
         routes = {route.spec.identity: route for route in self._table.routes.values() if route.pattern}
         for identity in sorted(self.gone, key=lambda each: self.gone[each]):
-            if identity in routes and pattern in (None, identity_of(routes[identity])):
+            if identity in routes and pattern in (None, _identity_of(routes[identity])):
                 return routes[identity]
         return None
 
@@ -548,7 +548,7 @@ class LinkPatterns:
             identity, name = entry.topic.identity, entry.topic.topic
             if entry.beyond and identity not in self._told_full:
                 self._told_full.add(identity)
-                text = f"pattern {name}: {limit_reached(entry, len(self.routes_of(entry)))}"
+                text = f"pattern {name}: {_limit_reached(entry, len(self.routes_of(entry)))}"
                 self._owner.log(Level.WARNING, EventCode.LINK_PATTERN_FULL, text, topic=name)
             elif not entry.beyond and identity in self._told_full:
                 self._told_full.discard(identity)
@@ -580,7 +580,7 @@ class LinkPatterns:
         owner, here = self._owner, self.is_local(entry)
         some = f"{count}; " if count else ""
         if entry.beyond:
-            return State.DOWN, f"{some}{limit_reached(entry, len(self.routes_of(entry)))}"
+            return State.DOWN, f"{some}{_limit_reached(entry, len(self.routes_of(entry)))}"
         if entry.left_out:
             name, reason = next(iter(entry.left_out.items()))
             return State.DOWN, f"{some}{len(entry.left_out)} not bridged: {name}: {reason}"
@@ -602,12 +602,12 @@ class LinkPatterns:
         return State.OK, count
 
 
-def identity_of(route: Route) -> Identity:
+def _identity_of(route: Route) -> Identity:
     """Of the pattern that has made a route."""
     return route.spec.kind, route.pattern, route.spec.direction
 
 
-def exceptions_reached(entry: PatternEntry) -> str:
+def _exceptions_reached(entry: PatternEntry) -> str:
     """Why a pattern can leave out no more names, and what to do; empty: it can."""
     if len(entry.topic.excepts) < EXCEPTIONS_PER_PATTERN:
         return ""
@@ -615,7 +615,7 @@ def exceptions_reached(entry: PatternEntry) -> str:
     return f"{limit}: edit it, and use patterns in except"
 
 
-def limit_reached(entry: PatternEntry, routes: int) -> str:
+def _limit_reached(entry: PatternEntry, routes: int) -> str:
     """What is left out for a limit, and what to do."""
     alone = routes >= ROUTES_PER_PATTERN
     limit = f"{ROUTES_PER_PATTERN} for a pattern" if alone else f"{ROUTES_BY_PATTERNS} for all patterns of a link"

@@ -97,13 +97,13 @@ def topic_of(proposal: Propose) -> Topic:
         paused=proposal.paused,
         arm=proposal.arm,
         deadman=proposal.deadman if proposal.arm else None,
-        kind=kind_of(proposal),
+        kind=_kind_of(proposal),
         timeout=proposal.timeout or None,
         priority=priority_of(proposal.priority) if proposal.kind == "topic" else "normal",
     )
 
 
-def kind_of(proposal: Propose) -> Kind:
+def _kind_of(proposal: Propose) -> Kind:
     """What a peer proposes.
 
     Raises:
@@ -208,7 +208,7 @@ def authorized(proposal: Propose, authority: Authority, session: Session) -> Pro
 
 def use_of(proposal: Propose, *, is_client: bool) -> Use:
     """What a peer does here with what it proposes, of a proposal that has this side's name for that."""
-    kind = kind_of(proposal)
+    kind = _kind_of(proposal)
     sends, takes = uses(kind)
     if proposal.from_client != is_client:
         return Use(proposal.remote_topic, sends, proposal.transport, kind)

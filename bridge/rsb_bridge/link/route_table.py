@@ -80,11 +80,11 @@ _HALVES: dict[str, tuple[type[Route], type[Route]]] = {
     "parameters": (ParametersCallingRoute, ParametersProvidingRoute),
 }
 """By kind: of the side that sends, or calls, and of the other one."""
-HalfMessage: TypeAlias = Describe | Ready | Publishers | Provide
+_HalfMessage: TypeAlias = Describe | Ready | Publishers | Provide
 """The control messages that one half has for the other, by what they carry."""
 _CLOSED_REMEMBERED = 4
 """Ids of a route's closed incarnations: what the peer says of one may be under way while the next ones come and go."""
-_AboutOpenRoute: TypeAlias = Accept | Refuse | HalfMessage | Close | Limit | Pause | ByHand | ArmingMessage
+_AboutOpenRoute: TypeAlias = Accept | Refuse | _HalfMessage | Close | Limit | Pause | ByHand | ArmingMessage
 RouteMessage: TypeAlias = Propose | Amend | LeaseMessage | _AboutOpenRoute
 """The control messages that are about routes."""
 
@@ -122,20 +122,20 @@ class RouteOwner(Owner, Authority, Protocol):
         ...
 
 
-def half_of(proposal: Propose, *, is_client: bool) -> type[Route]:
+def _half_of(proposal: Propose, *, is_client: bool) -> type[Route]:
     """What a route's half on this side is made of."""
     sending, receiving = _HALVES[proposal.kind]
     return sending if proposal.from_client == is_client else receiving
 
 
-def unsupported(proposal: Propose, features: Container[str]) -> str:
+def _unsupported(proposal: Propose, features: Container[str]) -> str:
     """Why a peer with these features cannot be asked for that; empty: it can."""
     if proposal.kind == "topic" or FEATURE in features:
         return ""
     return "the other side's rsb-console is too old for services, actions and parameters: update it"
 
 
-def hand_over(message: HalfMessage, route: Route) -> None:
+def _dispatch(message: _HalfMessage, route: Route) -> None:
     """Give a message to this side's half; one that such a half does not take is ignored."""
     match message:
         case Describe() if isinstance(route, IncomingRoute):
@@ -338,7 +338,7 @@ class RouteTable:
         if not by_pattern:
             self.keep_demand(spec, key)
         self.check_add(spec, proposal, key)
-        half = half_of(proposal, is_client=self._owner.is_client)
+        half = _half_of(proposal, is_client=self._owner.is_client)
         route = self.routes[key] = half(self._context, self._owner, spec, proposal, proposed_here=proposed_here)
         allow_rate(route, self._owner)
         if proposed_here:
@@ -507,7 +507,7 @@ class RouteTable:
             edited: it takes the place of a route that was removed right before.
         """
         self._reopen(route, self.ids.new())
-        if refusal := unsupported(route.proposal, self._owner.features):
+        if refusal := _unsupported(route.proposal, self._owner.features):
             route.refuse(EventCode.ROUTE_REFUSED, refusal)
             return
         self._owner.spawn(self._propose(route, route.id, who, edited=edited))
@@ -646,7 +646,7 @@ class RouteTable:
             case Refuse():
                 route.refuse(EventCode.ROUTE_REFUSED, f"refused by the other side: {message.reason}")
             case Describe() | Ready() | Publishers() | Provide():
-                hand_over(message, route)
+                _dispatch(message, route)
             case Close():
                 route.refuse(EventCode.ROUTE_CLOSED, f"closed by the other side: {message.reason}")
             case Pause():

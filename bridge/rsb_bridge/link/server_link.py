@@ -46,7 +46,7 @@ if TYPE_CHECKING:
     from rsb_bridge.wire.events import Attach
 
 _NAMED = 12
-SHARE = "leave the topic's port out, so that it shares the link's"
+_SHARE = "leave the topic's port out, so that it shares the link's"
 _SILENT = 1.5
 """s without a byte (pings come every second) after which another process may take a client's name over."""
 UNKNOWN_ROUTE = "unknown route"  # whoever has not authenticated does not learn which links there are
@@ -121,11 +121,11 @@ class TopicPorts:
             listed = () if session.ports == "none" else session.ports
             if port not in listed:
                 allowed = join_first([str(each) for each in listed], _NAMED) or "none"
-                raise ListenError(f"port {port}: the server's session has ports: {allowed}; {SHARE}, or add it there")
+                raise ListenError(f"port {port}: the server's session has ports: {allowed}; {_SHARE}, or add it there")
             return _nothing  # the list is the limit
         if key not in self._users and len(self._users) >= PORTS_PER_CLIENT:
             raise ListenError(
-                f"{self._client}'s topics already have {PORTS_PER_CLIENT} ports of their own: {SHARE}, or list the "
+                f"{self._client}'s topics already have {PORTS_PER_CLIENT} ports of their own: {_SHARE}, or list the "
                 "ports that clients may have under ports in the server's session file"
             )
         self._users[key] = self._users.get(key, 0) + 1
@@ -154,16 +154,16 @@ def check_topic_port(domain: int, transport: TransportTraits, port: int) -> None
     """
     kind = transport.port_kind
     if port not in transport.topic_ports:
-        raise ListenError(f"{kind} {port}: topics may have {transport.topic_ports}; give one of these, or {SHARE}")
+        raise ListenError(f"{kind} {port}: topics may have {transport.topic_ports}; give one of these, or {_SHARE}")
     if transport.ip_ports and port in dds_ports(domain):
         raise ListenError(
             f"{kind} {port} is reserved for discovery in the server's ROS domain {domain} ({dds_ports(domain)}): "
-            f"give another, or {SHARE}"
+            f"give another, or {_SHARE}"
         )
     if transport.ip_ports and (other := discovery_domain(port)) is not None:
         raise ListenError(
             f"{kind} {port} is reserved for discovery in ROS domain {other}, which the server's machine may run, too: "
-            f"give another, or {SHARE}"
+            f"give another, or {_SHARE}"
         )
 
 
