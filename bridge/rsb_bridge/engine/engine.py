@@ -10,7 +10,7 @@ import threading
 from concurrent.futures import Future
 from pathlib import Path
 from random import Random
-from typing import TYPE_CHECKING, TypeAlias, TypeVar
+from typing import TYPE_CHECKING, TypeVar
 
 import msgspec
 
@@ -28,8 +28,7 @@ from rsb_bridge.history.recorder import Recorder
 from rsb_bridge.model.clock import Clock
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.operators import operator
-from rsb_bridge.model.reloaded import Reloaded
-from rsb_bridge.model.snapshot import Event, Level, Snapshot, TopicInfo
+from rsb_bridge.model.snapshot import Event, Level, Reloaded, Snapshot, TopicInfo
 from rsb_bridge.ros.api import RosError, RosInterface
 from rsb_bridge.ros.queue import RosToLoopQueue
 from rsb_bridge.ros.side import ros_side
@@ -46,8 +45,8 @@ if TYPE_CHECKING:
     from rsb_bridge.model.benchmark import Order, Outcome
     from rsb_bridge.model.demands import SourceKey
     from rsb_bridge.model.history import HistoryReport
-    from rsb_bridge.model.peek import PeekedMessage
     from rsb_bridge.model.session import Client, Session, Topic
+    from rsb_bridge.model.snapshot import PeekedMessage
 
 _STOP_WITHIN = 5.0
 _ROS_STOPS_WITHIN = 1.0
@@ -55,8 +54,6 @@ _RECORDED_WITHIN = 0.5
 
 _logger = logging.getLogger(__name__)
 T = TypeVar("T")
-
-Run: TypeAlias = "Callable[[Callable[[BridgeArming], Coroutine[None, None, None]]], Future[None]]"
 
 
 class Engine(EngineApi):
@@ -416,7 +413,7 @@ class EngineArming(ArmingApi):
         run: runs a command on the bridge's thread.
     """
 
-    def __init__(self, run: Run) -> None:
+    def __init__(self, run: Callable[[Callable[[BridgeArming], Coroutine[None, None, None]]], Future[None]]) -> None:
         self._run = run
 
     def arm(self, key: str) -> Future[None]:

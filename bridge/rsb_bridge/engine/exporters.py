@@ -6,8 +6,8 @@ import threading
 from typing import TYPE_CHECKING
 
 from rsb_bridge.engine.fault_hook import FaultHook
+from rsb_bridge.model.calls import FieldError
 from rsb_bridge.model.codes import EventCode
-from rsb_bridge.model.fields import FieldError
 from rsb_bridge.model.http_address import host_and_port
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.model.snapshot import Level

@@ -9,9 +9,8 @@ import msgspec
 from rsb_bridge.config.difference import changes, described
 from rsb_bridge.link.errors import LinkError
 from rsb_bridge.model.codes import EventCode
-from rsb_bridge.model.consoles import console
 from rsb_bridge.model.demands import PEER_DEMANDS, local_name
-from rsb_bridge.model.operators import operator
+from rsb_bridge.model.operators import console, operator
 from rsb_bridge.route.arming import Disarmed
 from rsb_bridge.route.pause import pause_word
 
@@ -21,7 +20,7 @@ if TYPE_CHECKING:
 
     from rsb_bridge.link.link import Link
     from rsb_bridge.link.roles import BridgeRole
-    from rsb_bridge.model.running_demands import RunningDemands
+    from rsb_bridge.model.demands import RunningDemands
     from rsb_bridge.model.session import Topic
     from rsb_bridge.route.route import Route
 

@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from typing import Any
 
     from rsb_bridge.channel.channel import Carrier
-    from rsb_bridge.channel.metered import Meter
+    from rsb_bridge.channel.data_keys import Meter
     from rsb_bridge.context import Context
     from rsb_bridge.link.proposed_topics import ProposedTopics
     from rsb_bridge.link.route_table import RouteOwner, RouteTable

@@ -13,7 +13,7 @@ from rsb_bridge.link.errors import LinkError
 from rsb_bridge.link.proposals import KINDS
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.limits import TEXT_LENGTH
-from rsb_bridge.model.names import client_topic, is_topic_name, server_topic
+from rsb_bridge.model.names import client_topic, expand_type_name, is_topic_name, server_topic
 from rsb_bridge.model.operators import acting
 from rsb_bridge.model.patterns import (
     EXCEPTIONS_PER_PATTERN,
@@ -29,7 +29,6 @@ from rsb_bridge.model.patterns import (
 )
 from rsb_bridge.model.qos import AUTO
 from rsb_bridge.model.snapshot import Level, PatternSnapshot, State
-from rsb_bridge.model.type_names import expand_type_name
 from rsb_bridge.wire.messages import Follow, Followed, FoundName, NamePattern
 
 if TYPE_CHECKING:

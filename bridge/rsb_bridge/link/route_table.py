@@ -24,8 +24,8 @@ from rsb_bridge.link.proposals import (
     topic_of,
     unsupported_change,
 )
+from rsb_bridge.model.calls import FEATURE
 from rsb_bridge.model.codes import EventCode
-from rsb_bridge.model.lanes import FEATURE
 from rsb_bridge.model.limits import ROUTES_PER_LINK
 from rsb_bridge.model.snapshot import Level
 from rsb_bridge.model.text import sanitize_text

@@ -32,7 +32,7 @@ from rsb_bridge.wire.sealing import SealError
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from rsb_bridge.channel.shared_stream import SharedStream
+    from rsb_bridge.channel.multiplexer import SharedStream
     from rsb_bridge.config.keys import Key
     from rsb_bridge.config.rights import Rights
     from rsb_bridge.context import Context

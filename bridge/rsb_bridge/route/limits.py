@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from rsb_bridge.model.priority import priority_of
+from rsb_bridge.model.session import priority_of
 
 if TYPE_CHECKING:
     from rsb_bridge.wire.messages import Propose

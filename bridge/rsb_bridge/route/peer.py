@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Protocol
 
 if TYPE_CHECKING:
-    from rsb_bridge.model.fullness import Fullness
+    from rsb_bridge.model.capacity import Fullness
     from rsb_bridge.model.profiles import LinkProfile
     from rsb_bridge.route.pause import Revisions
     from rsb_bridge.route.peer_budget import PeerBudget

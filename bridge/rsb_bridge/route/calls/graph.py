@@ -15,7 +15,7 @@ from rsb_bridge.wire.records import LaneEntry
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping, Sequence
 
-    from rsb_bridge.model.lanes import Lane
+    from rsb_bridge.model.calls import Lane
     from rsb_bridge.ros.api import Endpoint, RosInterface
 
 

@@ -10,7 +10,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Sequence
 
     from rsb_bridge.context import Context
-    from rsb_bridge.model.lanes import Lane
+    from rsb_bridge.model.calls import Lane
     from rsb_bridge.ros.api import OnFailure, RosError
     from rsb_bridge.route.peer import Peer
     from rsb_bridge.wire.records import LaneEntry

@@ -11,7 +11,7 @@ from rsb_bridge.route.volatile import SlowSubscriberError
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
-    from rsb_bridge.model.lanes import Lane
+    from rsb_bridge.model.calls import Lane
     from rsb_bridge.route.calls.offers import Offers
     from rsb_bridge.route.notices import Notices
     from rsb_bridge.wire.framing import Budget

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from rsb_bridge.model.lanes import Lane
+    from rsb_bridge.model.calls import Lane
 
 
 def name_of(lane: Lane, route_name: str) -> str:
