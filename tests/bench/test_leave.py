@@ -7,7 +7,7 @@ import pytest
 from rsb_bridge.config.clients import with_client
 from rsb_bridge.config.rights import Use, rights_of_client, rights_of_server
 from rsb_bridge.config.validation import build, validate
-from rsb_bridge.link.bench_budget import HOUR, BenchBudget
+from rsb_bridge.link.link_bench import HOUR, BenchBudget
 from rsb_bridge.model.benchmark import Leave, bench_topic, is_bench_topic
 from rsb_bridge.model.session import Client, Session
 

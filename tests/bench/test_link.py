@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
     from pathlib import Path
 
-    from rsb_bridge.bridge import Bridge
+    from rsb_bridge.engine.bridge import Bridge
     from rsb_bridge.model.benchmark import Outcome
     from rsb_bridge.wire.messages import BenchAnswer
 

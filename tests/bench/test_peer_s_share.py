@@ -6,7 +6,7 @@ import asyncio
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any, cast
 
-from rsb_bridge.link.bench import LinkBench
+from rsb_bridge.link.link_bench import LinkBench
 from rsb_bridge.model.benchmark import Leave, Order, bench_topic
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.ros.no_ros import NoRos
@@ -16,7 +16,8 @@ from rsb_bridge.wire.messages import BenchAnswer, BenchAsk
 if TYPE_CHECKING:
     import pytest
 
-    from rsb_bridge.link.link import Link
+    from rsb_bridge.context import Context
+    from rsb_bridge.link.route_table import RouteOwner, RouteTable
     from rsb_bridge.route.route import Route
 
 UP, DOWN = bench_topic("tcp", "transmit"), bench_topic("tcp", "receive")
@@ -33,21 +34,16 @@ class Here:
         loop = SimpleNamespace(call_soon=lambda work: work())
         self.routes: dict[str, Any] = {}
         ids = SimpleNamespace(open_route=lambda number: list(self.routes.values())[number])
-        table = SimpleNamespace(deny=lambda _, reason: self.denied.append(reason), ids=ids)
+        table = SimpleNamespace(routes=self.routes, deny=lambda _, reason: self.denied.append(reason), ids=ids)
+        context = SimpleNamespace(ros=self.ros, now=lambda: self.time, loop=loop)
+        owner = SimpleNamespace(
+            name=PEER,
+            send=lambda _: None,
+            spawn=lambda _: None,
+            rights=SimpleNamespace(bench=Leave(seconds=10.0, max_rate=100.0, megabytes=1.0)),
+        )
         self.bench = LinkBench(
-            cast(
-                "Link",
-                SimpleNamespace(
-                    name=PEER,
-                    context=SimpleNamespace(ros=self.ros, now=lambda: self.time, loop=loop),
-                    send=lambda _: None,
-                    spawn=lambda _: None,
-                    rights=SimpleNamespace(bench=Leave(seconds=10.0, max_rate=100.0, megabytes=1.0)),
-                    routes=self.routes,
-                    carriers=set,
-                    table=table,
-                ),
-            )
+            cast("Context", context), cast("RouteOwner", owner), cast("RouteTable", table), cast("Any", None), set
         )
 
     def open(self, topic: str) -> Any:

@@ -17,7 +17,7 @@ from tests.support.waiting import eventually
 from rsb_bridge.bluetooth.scan import held_channels
 from rsb_bridge.config.keys import write_key
 from rsb_bridge.engine import Engine
-from rsb_bridge.link.client import ClientLink
+from rsb_bridge.link.client_link import ClientLink
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.model.session import Session, Topic

@@ -12,7 +12,7 @@ from rsb_bridge.config.grants import typed_grants
 from rsb_bridge.config.rights import Rights, Use, rights_of_client, rights_of_server
 from rsb_bridge.config.rights_table import listings
 from rsb_bridge.config.session_file import SessionError, dump, parse
-from rsb_bridge.link.authorizing import use_of
+from rsb_bridge.link.proposals import use_of
 from rsb_bridge.model.session import Client, Grant, Session, Topic
 from rsb_bridge.wire.messages import Propose
 

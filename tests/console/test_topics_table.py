@@ -64,6 +64,17 @@ async def test_five_hundred_topics_scroll_and_the_heading_stays(app: ConsoleApp,
 
 
 @on_main()
+async def test_the_cursor_is_on_the_screen_right_after_the_list_has_grown(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    """The key came before the refresh that makes the scrollbar."""
+    put(app, *(route(f"/t{i:03d}") for i in range(500)))
+    app.main.topics.action_move_last()
+    await shown(pilot, "/t499  ")
+    await gone(pilot, "/t000")
+    put(app, *(route(f"/s{i:03d}") for i in range(100)), *(route(f"/t{i:03d}") for i in range(500)))
+    await shown(pilot, "/t499  ")
+
+
+@on_main()
 async def test_sorting(app: ConsoleApp, pilot: Pilot[None]) -> None:
     await pilot.press("greater_than_sign")
     assert listed(app) == sorted(listed(app))

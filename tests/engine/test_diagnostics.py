@@ -79,7 +79,7 @@ def test_on_another_topic_and_on_none(bridge: Bridge, pc: Domain, tmp_path: Path
 
 
 def test_a_type_that_is_missing_ends_nothing_else(bridge: Bridge, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("rsb_bridge.diagnostics._TYPE", "no_msgs/msg/None")
+    monkeypatch.setattr("rsb_bridge.engine.exporters._TYPE", "no_msgs/msg/None")
     server, client = bridge.both()
     for engine in (server, client):
         assert happened(engine, EventCode.ENGINE_DIAGNOSTICS)

@@ -15,8 +15,17 @@ import pytest
 from tests.console.scripted import LINK, NOW, SESSION, route
 from tests.support.waiting import eventually
 
-from rsb_bridge import fault_hook
-from rsb_bridge.fault_hook import EVERY, OUTPUT, STARTS, STARTS_WITHIN, WAITING, FaultHook, StartLimit, WaitingChanges
+from rsb_bridge.engine import fault_hook
+from rsb_bridge.engine.fault_hook import (
+    EVERY,
+    OUTPUT,
+    STARTS,
+    STARTS_WITHIN,
+    WAITING,
+    FaultHook,
+    StartLimit,
+    WaitingChanges,
+)
 from rsb_bridge.model.clock import Clock
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.faults import LASTS, ChangeKind, FaultChange

@@ -17,7 +17,7 @@ from tests.support.bridge import carries, heard, protocol_of, settled
 from tests.support.domain import text
 from tests.support.waiting import eventually, holds
 
-from rsb_bridge.io_loop import IoLoop
+from rsb_bridge.engine.io_loop import IoLoop
 from rsb_bridge.model.session import Topic
 from rsb_bridge.ros.queue import RosToLoopQueue
 

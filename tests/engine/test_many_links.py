@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from tests.support.offline import loop, make_context
 
-from rsb_bridge.bridge import Bridge
+from rsb_bridge.engine.bridge import Bridge
 from rsb_bridge.model.session import Client
 from rsb_bridge.model.snapshot import Snapshot
 from rsb_bridge.tasks import SLICE

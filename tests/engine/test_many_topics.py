@@ -15,7 +15,7 @@ from tests.support.rogue import Rogue
 from tests.support.waiting import eventually
 
 from rsb_bridge.config.keys import read_key
-from rsb_bridge.link import client as link_client
+from rsb_bridge.link import client_link as link_client
 from rsb_bridge.link.roles import ServerRole
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.session import Topic

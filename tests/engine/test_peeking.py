@@ -20,7 +20,7 @@ from tests.support.waiting import eventually
 from rsb_bridge.api import EngineError
 from rsb_bridge.cdr.decoder import decode
 from rsb_bridge.cdr.description import hash_of_text, read_description
-from rsb_bridge.link.type_questions import TypeQuestions
+from rsb_bridge.link.questions import TypeQuestions
 from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import PEEK_LIMIT
 from rsb_bridge.route import peeking
@@ -182,7 +182,7 @@ def test_nobody_waits_for_ever_nor_in_numbers(bridge: Bridge, monkeypatch: pytes
     assert last == [None]
     running = client._bridge
     assert running is not None
-    eventually(lambda: running.contents._peeking._lookers == 0 and not any(wanted(running.links()[0])))
+    eventually(lambda: running.inspector._peeking._lookers == 0 and not any(wanted(running.links()[0])))
     with pytest.raises(EngineError, match="no route"):
         client.peek("nonsense").result(10)
 

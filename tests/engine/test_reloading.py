@@ -11,9 +11,9 @@ from tests.support.bridge import carries, find, happened, heard, link, linked, r
 from tests.support.domain import text
 from tests.support.waiting import eventually, holds
 
-from rsb_bridge import engine as engine_module
 from rsb_bridge.api import EngineError
 from rsb_bridge.config.session_file import load, save
+from rsb_bridge.engine import engine as engine_module
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.operators import OWN_CONSOLE, acting
 from rsb_bridge.model.session import Client, Session, Topic

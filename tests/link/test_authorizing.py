@@ -13,7 +13,7 @@ from tests.support.waiting import eventually
 
 from rsb_bridge.config.keys import read_key
 from rsb_bridge.config.session_file import load_file, save
-from rsb_bridge.link import authorizing
+from rsb_bridge.link import proposals
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.model.session import Client, Grant, Topic
@@ -142,7 +142,7 @@ def test_a_client_is_held_to_direction_and_transport(bridge: Bridge) -> None:
 
 def test_a_server_has_a_client_keep_so_many_topics(bridge: Bridge, monkeypatch: pytest.MonkeyPatch) -> None:
     """The client's own are not counted, and those that it has already are taken up again after a reconnect."""
-    monkeypatch.setattr(authorizing, "ROUTES_PROPOSED_BY_SERVER", 2)
+    monkeypatch.setattr(proposals, "ROUTES_PROPOSED_BY_SERVER", 2)
     topics = tuple(Topic(f"/t{number}", "transmit") for number in range(3))
     server = bridge.server(clients=(Client("robot1", topics=topics),))
     client = bridge.client(Topic("/own", "transmit"), Topic("/own2", "transmit"))

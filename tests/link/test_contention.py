@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING, cast
 
 import pytest
 
-from rsb_bridge.link.contention import Contention, _Asking
-from rsb_bridge.link.fullness import LinkFullness
+from rsb_bridge.link.contention import Contention, LinkFullness, _Asking
 from rsb_bridge.link.proposals import proposal_of
 from rsb_bridge.model.profiles import PLAIN
 from rsb_bridge.model.qos import Qos

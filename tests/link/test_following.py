@@ -6,10 +6,9 @@ from typing import TYPE_CHECKING, Any, cast
 
 import pytest
 
-from rsb_bridge.link.authorizing import Authority, authorized
 from rsb_bridge.link.errors import LinkError
-from rsb_bridge.link.following import FollowedByPeer
-from rsb_bridge.link.pattern_entry import PatternEntry
+from rsb_bridge.link.link_patterns import FollowedByPeer, PatternEntry
+from rsb_bridge.link.proposals import Authority, authorized
 from rsb_bridge.model.patterns import NAMES_FOLLOWED
 from rsb_bridge.model.session import Session, Topic
 from rsb_bridge.wire.messages import Follow, Followed, FoundName, NamePattern, Propose

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from rsb_bridge.link.fullness import Asked, LinkFullness
+from rsb_bridge.link.contention import Asked, LinkFullness
 from rsb_bridge.link.roles import ClientRole
 from rsb_bridge.model.capacity import rates_text
 from rsb_bridge.model.codes import EventCode

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from rsb_bridge.link.refusals import Refusals
+from rsb_bridge.link.refused_clients import Refusals
 from rsb_bridge.model.codes import EventCode
 
 if TYPE_CHECKING:

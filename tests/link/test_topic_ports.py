@@ -11,7 +11,7 @@ from tests.support.rogue import Rogue
 from tests.support.waiting import eventually
 
 from rsb_bridge.config.keys import read_key
-from rsb_bridge.link.topic_ports import TopicPorts, check_topic_port
+from rsb_bridge.link.server_link import TopicPorts, check_topic_port
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.limits import DEFAULT_PORT, PORTS_PER_CLIENT, discovery_domain
 from rsb_bridge.model.session import Session, Topic

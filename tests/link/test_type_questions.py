@@ -11,7 +11,7 @@ import zstandard
 from rsb_bridge.cdr.description import DESCRIPTION_LIMIT, Field, FieldType, MessageType, TypeDescription, hash_of_text
 from rsb_bridge.cdr.description import text_of as text_of_description
 from rsb_bridge.link.errors import LinkError
-from rsb_bridge.link.type_questions import TypeQuestions
+from rsb_bridge.link.questions import TypeQuestions
 from rsb_bridge.ros import type_descriptions
 from rsb_bridge.ros.api import RosError
 from rsb_bridge.ros.type_descriptions import TypeDescriptions

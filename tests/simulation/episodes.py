@@ -10,9 +10,9 @@ from unittest.mock import patch
 from tests.simulation import station
 from tests.simulation.action_server import Plan
 
-from rsb_bridge import bridge
+from rsb_bridge.engine import bridge
 from rsb_bridge.link import graph_watch, keepalive
-from rsb_bridge.link.shut_down import ASKED_EVERY
+from rsb_bridge.link.refused_clients import ASKED_EVERY
 from rsb_bridge.route import route
 
 if TYPE_CHECKING:

@@ -11,8 +11,8 @@ from tests.simulation.node import Node
 from tests.simulation.ros import Domain
 
 from rsb_bridge.api import EngineError
-from rsb_bridge.bridge import Bridge
 from rsb_bridge.context import Context
+from rsb_bridge.engine.bridge import Bridge
 from rsb_bridge.model.clock import Clock
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.snapshot import Snapshot

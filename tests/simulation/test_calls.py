@@ -13,8 +13,8 @@ from tests.simulation.booths import SETTLED, TYPE, Booth
 from tests.simulation.ros import hash_of
 
 from rsb_bridge.link import roles
-from rsb_bridge.link.arming import LinkArming
 from rsb_bridge.link.link import Link
+from rsb_bridge.link.link_arming import LinkArming
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.verdict import Cause

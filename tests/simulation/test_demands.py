@@ -18,7 +18,7 @@ from tests.simulation.ros import STRING, Reader, Writer, hash_of
 from tests.simulation.test_patterns import Yard, lived
 
 from rsb_bridge.api import EngineError
-from rsb_bridge.link.arming import LinkArming
+from rsb_bridge.link.link_arming import LinkArming
 from rsb_bridge.model.demands import NO_DEMAND, Demand, Demands, RunningDemands, Source
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.model.session import Topic

@@ -21,7 +21,7 @@ from tests.simulation.mutations import Mutation
 from tests.simulation.world import Violation, World
 
 from rsb_bridge.api import EngineError
-from rsb_bridge.link.lease import LinkLease
+from rsb_bridge.link.link_arming import LinkLease
 from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import State
 from rsb_bridge.route.lease import GIVEN_UP_AFTER, LASTS, Lease, Marker, Standstill

@@ -15,8 +15,7 @@ from tests.simulation.test_calls import until
 from tests.simulation.world import World
 
 from rsb_bridge.api import EngineError
-from rsb_bridge.link import following, roles
-from rsb_bridge.link import patterns as link_patterns
+from rsb_bridge.link import link_patterns, roles
 from rsb_bridge.link.name_watch import NameWatch
 from rsb_bridge.model import patterns
 from rsb_bridge.model.codes import EventCode
@@ -210,7 +209,7 @@ def test_what_the_other_side_does_not_tell_is_forgotten_with_the_connection(play
             yard.server.start()
         await until(lambda: yard.patterns()[0].beyond == 1, 60.0)
 
-    with patch.object(following, "NAMES_FOLLOWED", 2):
+    with patch.object(link_patterns, "NAMES_FOLLOWED", 2):
         lived(play, yard, live(), 180.0)
 
 

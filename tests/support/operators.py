@@ -9,13 +9,13 @@ from typing import TYPE_CHECKING, Any, Self
 from tests.console.scripted import ScriptedEngine
 
 from rsb_bridge import __version__
-from rsb_bridge.access import Access
 from rsb_bridge.config.keys import Key
 from rsb_bridge.config.operators import Granted
 from rsb_bridge.control.client import RemoteEngine
 from rsb_bridge.control.protocol import VERSION, Hello, Welcome, encode, frames_to_console
 from rsb_bridge.control.sealed import SealedAcceptor
 from rsb_bridge.control.sealed_way import Sealed
+from rsb_bridge.engine.access import Access
 from rsb_bridge.model.clock import Clock
 from rsb_bridge.model.session import Operator
 from rsb_bridge.telemetry.event_log import EventLog

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from rsb_bridge.link.slices import Slices
+    from rsb_bridge.link.control_channel import Slices
 
 
 def finish(work: Slices | None) -> None:

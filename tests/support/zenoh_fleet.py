@@ -12,11 +12,11 @@ from tests.support.operators import ANNA, BOB, granted
 from tests.support.waiting import eventually
 from tests.support.zenoh_router import Router, stranger
 
-from rsb_bridge.access import Access
 from rsb_bridge.config.fleet_file import FleetFile
 from rsb_bridge.config.keys import copy_key
 from rsb_bridge.control.client import RemoteEngine
 from rsb_bridge.control.over_zenoh import Announcement, FleetWay
+from rsb_bridge.engine.access import Access
 from rsb_bridge.model.clock import Clock
 from rsb_bridge.model.session import ZenohSettings
 from rsb_bridge.telemetry.event_log import EventLog

@@ -14,10 +14,7 @@ from rsb_bridge.transport.tcp import Tcp
 from rsb_bridge.transport.udp import Udp
 
 _ROOT = Path(rsb_bridge.__file__).parent
-_ABOVE = [
-    _ROOT / "engine.py",
-    *(file for layer in ("link", "route", "channel") for file in (_ROOT / layer).glob("*.py")),
-]
+_ABOVE = [file for layer in ("engine", "link", "route", "channel") for file in (_ROOT / layer).glob("*.py")]
 
 
 @pytest.mark.parametrize("file", _ABOVE, ids=lambda file: file.stem)

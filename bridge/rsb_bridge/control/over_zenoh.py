@@ -27,11 +27,11 @@ from rsb_bridge.transport.zenoh.pipe import Pipe
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from rsb_bridge.access import Access
     from rsb_bridge.api import EngineApi
     from rsb_bridge.config.fleet_file import FleetFile
     from rsb_bridge.control.server import ControlServer
     from rsb_bridge.control.ways import Connection
+    from rsb_bridge.engine.access import Access
     from rsb_bridge.transport.zenoh.endpoint import Endpoint, Seen
     from rsb_bridge.transport.zenoh.sample import Header
 

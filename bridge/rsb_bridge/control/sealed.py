@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, cast
 from rsb_bridge.control import protocol
 from rsb_bridge.control.console import Console
 from rsb_bridge.control.protocol import ProtocolError
-from rsb_bridge.link.refusals import Refusals
+from rsb_bridge.link.refused_clients import Refusals
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.snapshot import Level
 from rsb_bridge.model.strangers import CONNECTION
@@ -35,9 +35,9 @@ from rsb_bridge.wire.preamble import Refusal, RefusalCode
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from rsb_bridge.access import Access
     from rsb_bridge.config.operators import Granted
     from rsb_bridge.control.server import ControlServer
+    from rsb_bridge.engine.access import Access
 
 _PLACES = protocol.CONSOLES - 8
 """Consoles, those of this machine among them, up to which operators get in: this machine's own always find a place."""

@@ -6,7 +6,7 @@ import asyncio
 import contextlib
 from typing import TYPE_CHECKING, NamedTuple, TypeAlias
 
-from rsb_bridge.link.refused import CAUSES
+from rsb_bridge.link.refused_clients import CAUSES
 from rsb_bridge.model.verdict import LinkCause
 from rsb_bridge.transport.streams import Stream, StreamHandler
 from rsb_bridge.wire.events import Accepted, Established, Event, Failed, Refused

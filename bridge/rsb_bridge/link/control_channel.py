@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import asyncio
 from collections import deque
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING, Protocol, TypeAlias, TypeVar
+
+import msgspec
 
 from rsb_bridge.channel.multiplexer import Multiplexer
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.text import sanitize_text
 from rsb_bridge.model.token_bucket import TokenBucket
 from rsb_bridge.transport.streams import Stream, StreamHandler
-from rsb_bridge.wire.codec import decode_in_parts
+from rsb_bridge.wire.codec import decode_in_parts, invalid
 from rsb_bridge.wire.events import DataFrame, Event, Failed, Received, Refused, Undecoded
 from rsb_bridge.wire.framing import CONTROL_LIMIT
 from rsb_bridge.wire.messages import Describe, Shutdown
@@ -19,17 +21,28 @@ from rsb_bridge.wire.protocol_error import ProtocolError
 from rsb_bridge.wire.sealing import SealError
 
 if TYPE_CHECKING:
-    from rsb_bridge.link.slices import Slices
+    from collections.abc import Callable, Generator, Iterable
+
     from rsb_bridge.wire.codec import ReportParts, TopicListParts
     from rsb_bridge.wire.connection import ClientConnection, ServerConnection
     from rsb_bridge.wire.messages import ControlMessage
 
+_E = TypeVar("_E")
+
+ENTRIES = 64
+"""Entries of one slice: to decode an entry of a report and to judge its route takes about 20 microseconds."""
+BYTES = 8 << 10
+"""Bytes of one slice, or one entry: 8 KiB of short texts take about 4 ms to decode."""
+
+
+Slices: TypeAlias = "Generator[int, None, int]"
+"""Work in slices: yields how many entries a slice had, and returns how many the last one had."""
 _MOST_WAITING = 8 * CONTROL_LIMIT
 """Bytes; a thousand routes' reports are a fifth of one frame, and 6 s of silence end the link."""
 _AT_ONCE = 8
 """Units of work that are done before the I/O loop does other work. An event is one, as it may create a DDS endpoint,
 which takes 0.5 ms; further ones are each further endpoint, each `_BYTES_A_UNIT` and each `_ENTRIES_A_UNIT` of it.
-Nothing more is done after a whole slice of a message (`rsb_bridge.link.slices`)."""
+Nothing more is done after a whole slice of a message (`in_slices`)."""
 _BYTES_A_UNIT = 1 << 10
 """Bytes of any message that are decoded in 0.5 ms."""
 _ENTRIES_A_UNIT = 8
@@ -40,10 +53,28 @@ _BYTES, _BYTES_A_SECOND = 4 * CONTROL_LIMIT, CONTROL_LIMIT
 _ENTRIES, _ENTRIES_A_SECOND = 40_000, 10_000.0
 """Entries of reports and lists that are handled at once, and then in a second. A thousand routes report once a second,
 and up to ten times as often at high rates. A steady flood of entries takes a fifth of the thread's time."""
-
-
 _NOT_TOO_EARLY = 0.001
 """s; the rest could be too short for the clock to move."""
+
+
+def in_slices(entries: Iterable[tuple[_E, int]], work: Callable[[_E], None]) -> Slices:
+    """Work off a long list of the peer's, each entry given with its bytes; other links have their turn in between.
+
+    Raises:
+        ProtocolError: an entry is invalid.
+    """
+    count = size = 0
+    try:
+        for entry, length in entries:
+            if count >= ENTRIES or size >= BYTES:
+                yield count
+                count = size = 0
+            work(entry)
+            count += 1
+            size += length
+    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
+        raise invalid(error) from None
+    return count
 
 
 class ControlHandler(Protocol):

@@ -3,36 +3,33 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING
 
 from rsb_bridge.channel import window
 from rsb_bridge.channel.datagram import datagram_channel
-from rsb_bridge.link.bench import LinkBench
-from rsb_bridge.link.contention import Contention
+from rsb_bridge.link.contention import Contention, LinkFullness
 from rsb_bridge.link.data_channels import DataChannels
 from rsb_bridge.link.duplicate_client import DuplicateClients
-from rsb_bridge.link.fullness import LinkFullness
 from rsb_bridge.link.keepalive import Keepalive
-from rsb_bridge.link.listed import listed_topics
-from rsb_bridge.link.neighbourhood import Neighbourhood
-from rsb_bridge.link.patterns import LinkPatterns
+from rsb_bridge.link.link_bench import LinkBench
+from rsb_bridge.link.link_patterns import LinkPatterns, PatternEntry
 from rsb_bridge.link.proposed_topics import ProposedTopics
+from rsb_bridge.link.questions import TypeQuestions
 from rsb_bridge.link.reporting import EarlyReports, reports, take_report
 from rsb_bridge.link.route_table import RouteTable
-from rsb_bridge.link.snapshots import snapshot_of
-from rsb_bridge.link.status import LinkStatus
 from rsb_bridge.link.topic_lists import TopicLists
-from rsb_bridge.link.type_questions import TypeQuestions
 from rsb_bridge.model import profiles
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.demands import sources_of_entries
 from rsb_bridge.model.limits import MAX_AGE_FEATURE
-from rsb_bridge.model.snapshot import Level, LinkSnapshot
+from rsb_bridge.model.snapshot import Level, LinkSnapshot, State
 from rsb_bridge.model.verdict import LinkCause
 from rsb_bridge.route.pause import Revisions
 from rsb_bridge.route.peer_budget import PeerBudget
 from rsb_bridge.tasks import Tasks
+from rsb_bridge.telemetry.meters import ClockOffset
 from rsb_bridge.transport.streams import CLOSED_BY_PEER
 from rsb_bridge.transport.transport import StreamTransport
 from rsb_bridge.wire import sealing
@@ -53,6 +50,7 @@ from rsb_bridge.wire.messages import (
     Shutdown,
     TopicList,
     TypeText,
+    Welcome,
 )
 from rsb_bridge.wire.protocol_error import ProtocolError
 
@@ -65,20 +63,90 @@ if TYPE_CHECKING:
     from rsb_bridge.channel.udp_channel import UdpChannel
     from rsb_bridge.config.rights import Rights
     from rsb_bridge.context import Context
-    from rsb_bridge.link.control_channel import ControlChannel
-    from rsb_bridge.link.slices import Slices
+    from rsb_bridge.link.control_channel import ControlChannel, Slices
     from rsb_bridge.model.capacity import Fullness
     from rsb_bridge.model.demands import Source
     from rsb_bridge.model.session import Kind, Topic
     from rsb_bridge.route.route import Route
     from rsb_bridge.telemetry.event_log import About
     from rsb_bridge.transport.transport import DatagramTransport
-    from rsb_bridge.wire.messages import ControlMessage, Hello, Propose, Welcome
+    from rsb_bridge.wire.messages import ControlMessage, Hello, Propose
     from rsb_bridge.wire.sealing import Role, SessionKeys
 
+_NOT_YET = "not connected yet"
 _NO_GOODBYE = "the other side ended without a goodbye: look whether its process or machine has died"
 _CAUSES = {EventCode.LINK_LOST: LinkCause.LOST, EventCode.LINK_SHUT_DOWN: LinkCause.SHUT_DOWN}
 """Why a link is down, by how it ended; any other is closed."""
+
+
+@dataclass(slots=True)
+class LinkStatus:
+    """Whether a link is up, since when, and why not.
+
+    Attributes:
+        since: s since the epoch, when it came up or went down.
+        cause: why it is down.
+        reason: likewise, for an operator.
+        attempts: to connect that failed, since it was last up.
+        retry_at: s, when the next one is due; None: none is planned.
+    """
+
+    since: float
+    cause: LinkCause = LinkCause.NOT_YET
+    reason: str = _NOT_YET
+    attempts: int = 0
+    retry_at: float | None = None
+
+    def up(self, wall: float) -> None:
+        """It is up, at `wall` (s since the epoch)."""
+        self.since, self.cause = wall, LinkCause.NONE
+        self.attempts, self.retry_at = 0, None
+
+    def down(self, cause: LinkCause, reason: str) -> None:
+        """It is down for this reason now."""
+        self.cause, self.reason = cause, reason
+
+    def retry_in(self, now: float) -> float | None:
+        """S until the next attempt, at `now` (s)."""
+        return None if self.retry_at is None else max(0.0, self.retry_at - now)
+
+    @property
+    def state(self) -> State:
+        """WAITING until the first attempt has ended, then OK or DOWN."""
+        if self.cause is LinkCause.NONE:
+            return State.OK
+        return State.WAITING if self.cause is LinkCause.NOT_YET else State.DOWN
+
+
+class Neighbourhood:
+    """The bridges in the ROS domains of both sides: each side tells the other who is in its own.
+
+    Attributes:
+        bridges: the names of the bridge nodes in the peer's domain, its own first; empty: not known yet.
+    """
+
+    def __init__(self, context: Context, send: Callable[[Neighbours], None]) -> None:
+        self.bridges: tuple[str, ...] = ()
+        self._context = context
+        self._send = send
+        self._told: tuple[str, ...] = ()
+
+    def tell(self) -> None:
+        """Tell the linked peer which bridges are in this domain, if it does not know."""
+        bridges = self._context.announcements.bridges
+        if bridges != self._told:
+            self._told = bridges
+            self._send(Neighbours(bridges=bridges))
+
+    def heard(self, neighbours: Neighbours) -> None:
+        """The peer says which bridges are in its domain."""
+        if neighbours.bridges != self.bridges:
+            self.bridges = neighbours.bridges
+            self._context.announcements.changed()
+
+    def disconnected(self) -> None:
+        """The next connection begins with nothing told or known."""
+        self.bridges = self._told = ()
 
 
 class Link(ABC):
@@ -127,7 +195,9 @@ class Link(ABC):
         self.neighbourhood = Neighbourhood(context, self.send)
         self._tasks = Tasks(context.loop, self.fail)
         self.keepalive = Keepalive(context, self.carriers)
-        self.bench = LinkBench(self)
+        self.table = RouteTable(context, self)
+        self.proposed = ProposedTopics(context, self.table, name, self._prefixed, lambda: self.profile)
+        self.bench = LinkBench(context, self, self.table, self.proposed, self.carriers)
         self.channels = DataChannels(
             context.loop,
             self._log_udp,
@@ -137,11 +207,9 @@ class Link(ABC):
             self._shortest_ping,
             self.bench.meter_of,
         )
-        self.table = RouteTable(context, self)
         self.fullness = LinkFullness(self._log_full)
         self.contention = Contention(context, lambda: tuple(self.routes.values()), self.carriers, self.fullness)
-        self.proposed = ProposedTopics(context, self.table, name, self._prefixed, lambda: self.profile)
-        self.patterns = LinkPatterns(self)
+        self.patterns = LinkPatterns(context, self, self.table, self.proposed, self.shows, self._pattern_entry)
         self.topic_lists = TopicLists(context.ros, self.shows, self.send, self.spawn)
         self._early = EarlyReports(context.loop, self.send)
         self.type_questions = TypeQuestions(context.descriptions, self.table.ids.open_route, self.send, self.spawn)
@@ -170,6 +238,10 @@ class Link(ABC):
 
     def _prefixed(self) -> bool:
         return self.context.session.use_name if self.is_client else self.use_name
+
+    def _pattern_entry(self, topic: Topic) -> PatternEntry:
+        theirs = isinstance(self.peer, Welcome) and self.peer.use_name
+        return PatternEntry(topic, client=self.name, prefixed=self._prefixed(), always_prefixed=theirs)
 
     @property
     def shut_down(self) -> bool:
@@ -414,6 +486,18 @@ class Link(ABC):
         """The routes, by key."""
         return self.table.routes
 
+    def listed_topics(self) -> tuple[Topic, ...]:
+        """What this side proposes, by name and by pattern, as operators have left it. May be called from any thread."""
+        return (*self.proposed.all(), *self.patterns.all())
+
+    def add_entry(self, topic: Topic) -> str:
+        """Bridge one more topic, or follow one more pattern; its key.
+
+        Raises:
+            LinkError: it has a mistake, or is there already.
+        """
+        return self.patterns.add(topic) if topic.is_pattern else self.proposed.add(topic).key
+
     def closed(self, route_id: int) -> None:
         """An incarnation of a route is over."""
         self.table.closed(route_id)
@@ -457,7 +541,7 @@ class Link(ABC):
     def demand_sources(self) -> Iterable[Source]:
         """Yield the entries that demand arming, as operators have left them."""
         use_name = not self.is_client and self.use_name
-        return sources_of_entries(listed_topics(self), self.name, on_server=not self.is_client, use_name=use_name)
+        return sources_of_entries(self.listed_topics(), self.name, on_server=not self.is_client, use_name=use_name)
 
     def apply_demands(self) -> None:
         """Reopen the routes whose demands have changed."""
@@ -499,7 +583,40 @@ class Link(ABC):
 
     def snapshot(self) -> LinkSnapshot:
         """The link as it is now."""
-        return snapshot_of(self)
+        now = self.context.now()
+        keepalive, keys, peer = self.keepalive, self.keys, self.peer
+        clock = keepalive.clock if self.linked else ClockOffset()  # what a dead connection measured holds no more
+        return LinkSnapshot(
+            name=self.name,
+            peer=self.address,
+            state=self.status.state,
+            reason=self.down_reason,
+            since=self.status.since,
+            retry_in=self.status.retry_in(now),
+            attempts=self.status.attempts,
+            encrypted=self.encrypted,
+            cipher=keys.suite.name if keys and self.encrypted else "",
+            fingerprint=self.fingerprints[0],
+            next_fingerprint=self.fingerprints[1],
+            rtt=clock.rtt,
+            clock_offset=clock.offset,
+            clock_uncertainty=clock.uncertainty,
+            rx_bytes_per_second=keepalive.rx_rate if self.linked else 0.0,
+            tx_bytes_per_second=keepalive.tx_rate if self.linked else 0.0,
+            rx_bytes_total=keepalive.rx_bytes,
+            tx_bytes_total=keepalive.tx_bytes,
+            peer_version=peer.version if peer else "",
+            peer_domain=peer.domain_id if peer else None,
+            use_name=self.use_name,
+            cause=self.cause,
+            warning=self.warning,
+            warning_since=self.warning_since(),
+            capacity_out=self.contention.sending.capacity,
+            capacity_in=self.contention.receiving.capacity,
+            full_out=self.full_out,
+            full_in=self.full_in,
+            patterns=tuple(self.patterns.snapshots()),
+        )
 
     @property
     def warning(self) -> str:

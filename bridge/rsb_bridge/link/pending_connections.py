@@ -5,8 +5,7 @@ from __future__ import annotations
 from enum import IntEnum, auto
 from typing import TYPE_CHECKING, Protocol
 
-from rsb_bridge.link.refusals import Refusals, network
-from rsb_bridge.link.refused import CAUSES
+from rsb_bridge.link.refused_clients import CAUSES, Refusals, network
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.snapshot import Level
 from rsb_bridge.model.strangers import CONNECTION

@@ -13,8 +13,7 @@ from typing import TYPE_CHECKING
 from rsb_bridge.config.difference import changes, described, named
 from rsb_bridge.config.keys import fingerprint
 from rsb_bridge.config.rights import rights_of_server
-from rsb_bridge.link.authorizing import denied
-from rsb_bridge.link.listed import list_topic
+from rsb_bridge.link.proposals import denied
 from rsb_bridge.model.session import Topic
 
 if TYPE_CHECKING:
@@ -22,11 +21,10 @@ if TYPE_CHECKING:
 
     from rsb_bridge.config.keys import Key
     from rsb_bridge.config.rights import Rights
-    from rsb_bridge.link.client import ClientLink
-    from rsb_bridge.link.entry import Entry
+    from rsb_bridge.link.client_link import ClientLink
     from rsb_bridge.link.link import Link
-    from rsb_bridge.link.server import Server
-    from rsb_bridge.link.server_link import ServerLink
+    from rsb_bridge.link.link_server import Server
+    from rsb_bridge.link.server_link import ClientEntry, ServerLink
     from rsb_bridge.model.session import Identity, Session
     from rsb_bridge.route.route import Route
 
@@ -70,7 +68,7 @@ def client_steps(link: ClientLink, session: Session, key: Key | None) -> Iterato
         yield Step(": ".join(filter(None, (", ".join(differs), effect))), partial(link.change_listed, listed))
 
 
-def server_steps(server: Server, entries: list[Entry]) -> Iterator[Step]:
+def server_steps(server: Server, entries: list[ClientEntry]) -> Iterator[Step]:
     """What changes on a server.
 
     Args:
@@ -99,7 +97,7 @@ def server_steps(server: Server, entries: list[Entry]) -> Iterator[Step]:
                 yield Step(f"client {name}: {step.text}", step.apply)
 
 
-def _client_changes(old: Entry, new: Entry) -> list[str]:
+def _client_changes(old: ClientEntry, new: ClientEntry) -> list[str]:
     parts = changes(old.client, new.client, leave_out=("key_file", "next_key_file", "topics", "use_name"))
     if old.use_name != new.use_name:
         parts.append(f"use_name {str(old.use_name).lower()} → {str(new.use_name).lower()}")
@@ -107,7 +105,7 @@ def _client_changes(old: Entry, new: Entry) -> list[str]:
     return parts or changes(old.client, new.client, leave_out=("topics",))
 
 
-def _client_effect(link: ServerLink, new: Entry) -> str:
+def _client_effect(link: ServerLink, new: ClientEntry) -> str:
     effects = []
     if link.linked and not link.stays_valid(new):
         effects.append("its link is closed, and comes back once the client has the new key")
@@ -181,12 +179,12 @@ def _removed(topic: Topic) -> str:
 
 
 def _add(link: Link, topic: Topic) -> None:
-    list_topic(link, topic)
+    link.add_entry(topic)
 
 
 def _add_to_client(server: Server, name: str, topic: Topic) -> None:
     if name in server.links:
-        list_topic(server.links[name], topic)
+        server.links[name].add_entry(topic)
 
 
 def _remove(link: Link, identity: Identity) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from rsb_bridge.link.slices import in_slices
+from rsb_bridge.link.control_channel import in_slices
 from rsb_bridge.route.calls.route import CallsRoute
 from rsb_bridge.route.incoming import IncomingRoute
 from rsb_bridge.route.outgoing import OutgoingRoute
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     import asyncio
     from collections.abc import Callable, Iterable, Iterator
 
-    from rsb_bridge.link.slices import Slices
+    from rsb_bridge.link.control_channel import Slices
     from rsb_bridge.route.route import Route
     from rsb_bridge.wire.codec import ReportParts
     from rsb_bridge.wire.records import CallsReport, FullRecord

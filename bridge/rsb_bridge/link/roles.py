@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import socket
 from collections.abc import Callable, Iterable, Mapping
+from pathlib import Path
 from typing import TYPE_CHECKING, Protocol
 
 import msgspec
@@ -13,13 +14,11 @@ from rsb_bridge import __version__
 from rsb_bridge.channel import window
 from rsb_bridge.config.keys import Key
 from rsb_bridge.config.rights import rights_of_client
-from rsb_bridge.link.cipher_preference import preferred_suite
-from rsb_bridge.link.client import ClientLink
-from rsb_bridge.link.entry import Entry
+from rsb_bridge.link.client_link import ClientLink
 from rsb_bridge.link.errors import LinkError
-from rsb_bridge.link.listed import list_topic, listed_topics
+from rsb_bridge.link.link_server import Server
 from rsb_bridge.link.reloading import Step, client_steps, server_steps
-from rsb_bridge.link.server import Server
+from rsb_bridge.link.server_link import ClientEntry
 from rsb_bridge.model import benchmark, calls, patterns
 from rsb_bridge.model.backoff import Backoff
 from rsb_bridge.model.codes import EventCode
@@ -119,9 +118,9 @@ class BridgeRole(Protocol):
         ...
 
 
-def _entries(session: Session, keys: Keys) -> list[Entry]:
+def _entries(session: Session, keys: Keys) -> list[ClientEntry]:
     return [
-        Entry(
+        ClientEntry(
             client,
             keys[client.name],
             session.use_name if client.use_name is None else client.use_name,
@@ -149,7 +148,7 @@ class ClientRole:
 
     async def start(self) -> None:
         for topic in self._context.session.topics:
-            list_topic(self._link, topic)
+            self._link.add_entry(topic)
         self._tasks.keep(self._link.run, Backoff(_RESTARTED_AFTER, _LONGEST_PAUSE, self._context.random))
 
     async def stop(self) -> None:
@@ -159,7 +158,7 @@ class ClientRole:
 
     @property
     def session(self) -> Session:
-        return msgspec.structs.replace(self._context.session, topics=listed_topics(self._link))
+        return msgspec.structs.replace(self._context.session, topics=self._link.listed_topics())
 
     @property
     def keys(self) -> Keys:
@@ -175,7 +174,7 @@ class ClientRole:
         """There is nothing to do besides the link's own tick."""
 
     def add(self, topic: Topic, link: str) -> tuple[Link, str, Topic]:
-        return self._link, list_topic(self._link, topic), topic
+        return self._link, self._link.add_entry(topic), topic
 
     def steps_to(self, session: Session, keys: Keys) -> list[Step]:
         return list(client_steps(self._link, session, _own(keys, session)))
@@ -225,7 +224,7 @@ class ServerRole:
     async def start(self) -> None:
         for link in self._server.links.values():
             for topic in link.entry.client.topics:
-                list_topic(link, topic)
+                link.add_entry(topic)
         try:
             await self._server.start()
         except ListenError as error:
@@ -244,7 +243,7 @@ class ServerRole:
     @property
     def session(self) -> Session:
         links = tuple(self._server.links.values())
-        clients = tuple(msgspec.structs.replace(link.entry.client, topics=listed_topics(link)) for link in links)
+        clients = tuple(msgspec.structs.replace(link.entry.client, topics=link.listed_topics()) for link in links)
         session = self._context.session
         if not session.clients and not any(client.topics for client in clients):
             return session
@@ -266,7 +265,7 @@ class ServerRole:
     def add(self, topic: Topic, link: str) -> tuple[Link, str, Topic]:
         chosen = self._chosen(link, topic.topic)
         topic = chosen.client_names(topic)
-        return chosen, list_topic(chosen, topic), topic
+        return chosen, chosen.add_entry(topic), topic
 
     def steps_to(self, session: Session, keys: Keys) -> list[Step]:
         return list(server_steps(self._server, _entries(session, keys)))
@@ -369,3 +368,12 @@ async def _until(condition: Callable[[], bool], otherwise: Callable[[], str]) ->
                 await asyncio.sleep(_LOOK_EVERY)
     except TimeoutError:
         raise LinkError(otherwise()) from None
+
+
+def preferred_suite() -> Suite:
+    """AES-GCM where the processor has AES instructions (a flag in /proc/cpuinfo), else ChaCha20-Poly1305."""
+    try:
+        flags = Path("/proc/cpuinfo").read_text(encoding="ascii", errors="replace").split()
+    except OSError:
+        return Suite.CHACHAPOLY
+    return Suite.AESGCM if "aes" in flags else Suite.CHACHAPOLY

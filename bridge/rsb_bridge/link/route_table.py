@@ -2,25 +2,43 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, TypeAlias
+from typing import TYPE_CHECKING, Protocol, TypeAlias
 
 import msgspec
 from msgspec import UNSET
 
-from rsb_bridge.link.arming import DROPPED, LinkArming
-from rsb_bridge.link.authorizing import allow_rate, authorized, check_overlap, check_room, denied
 from rsb_bridge.link.errors import LinkError
-from rsb_bridge.link.halves import HalfMessage, half_of, hand_over, unsupported
-from rsb_bridge.link.pausing import Pausing
+from rsb_bridge.link.link_arming import DROPPED, LinkArming
 from rsb_bridge.link.peer_operators import PeerOperators, acting_operator
-from rsb_bridge.link.proposals import amended, amended_topic, amendment, same_route, topic_of, unsupported_change
-from rsb_bridge.link.route_ids import RouteIds
+from rsb_bridge.link.proposals import (
+    Authority,
+    allow_rate,
+    amended,
+    amended_topic,
+    amendment,
+    authorized,
+    check_overlap,
+    check_room,
+    denied,
+    same_route,
+    topic_of,
+    unsupported_change,
+)
+from rsb_bridge.model.calls import FEATURE
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.limits import ROUTES_PER_LINK
 from rsb_bridge.model.snapshot import Level
 from rsb_bridge.model.text import sanitize_text
 from rsb_bridge.route.arming import Disarmed
+from rsb_bridge.route.calls.calling import CallingRoute
+from rsb_bridge.route.calls.calling_action import CallingAction
+from rsb_bridge.route.calls.parameters import ParametersCallingRoute, ParametersProvidingRoute
+from rsb_bridge.route.calls.providing import ProvidingRoute
+from rsb_bridge.route.calls.providing_action import ProvidingAction
+from rsb_bridge.route.incoming import IncomingRoute
 from rsb_bridge.route.keys import route_key
+from rsb_bridge.route.outgoing import OutgoingRoute
+from rsb_bridge.route.peer import Owner
 from rsb_bridge.tasks import in_slices
 from rsb_bridge.transport.transport import ListenError
 from rsb_bridge.wire.messages import (
@@ -46,15 +64,206 @@ from rsb_bridge.wire.messages import (
 )
 
 if TYPE_CHECKING:
+    import asyncio
+    from collections.abc import Callable, Container, Coroutine
+
     from rsb_bridge.context import Context
-    from rsb_bridge.link.route_owner import OnRemoved, RouteOwner
     from rsb_bridge.model.session import Identity, Topic
+    from rsb_bridge.route.peer import Peer
     from rsb_bridge.route.route import Route
     from rsb_bridge.wire.fields import RefuseCode
 
-_AboutOpenRoute: TypeAlias = Accept | Refuse | HalfMessage | Close | Limit | Pause | ByHand | ArmingMessage
+_HALVES: dict[str, tuple[type[Route], type[Route]]] = {
+    "topic": (OutgoingRoute, IncomingRoute),
+    "service": (CallingRoute, ProvidingRoute),
+    "action": (CallingAction, ProvidingAction),
+    "parameters": (ParametersCallingRoute, ParametersProvidingRoute),
+}
+"""By kind: of the side that sends, or calls, and of the other one."""
+_HalfMessage: TypeAlias = Describe | Ready | Publishers | Provide
+"""The control messages that one half has for the other, by what they carry."""
+_CLOSED_REMEMBERED = 4
+"""Ids of a route's closed incarnations: what the peer says of one may be under way while the next ones come and go."""
+_AboutOpenRoute: TypeAlias = Accept | Refuse | _HalfMessage | Close | Limit | Pause | ByHand | ArmingMessage
 RouteMessage: TypeAlias = Propose | Amend | LeaseMessage | _AboutOpenRoute
 """The control messages that are about routes."""
+
+
+class RouteOwner(Owner, Authority, Protocol):
+    """The link, as far as its route table and the parts that work with it know it."""
+
+    @property
+    def linked_at(self) -> float:
+        """s, when the present connection was made."""
+        ...
+
+    async def prepare_port(self, route: Route) -> None:
+        """Have the port that a route names ready for the client.
+
+        Raises:
+            ListenError: it cannot be bound.
+        """
+        ...
+
+    def spawn(self, work: Coroutine[None, None, None]) -> asyncio.Task[None]:
+        """Run a coroutine beside."""
+        ...
+
+    def guarded(self, work: Callable[[], None]) -> None:
+        """Do regular work; if it fails, this link's connection ends, not the others'."""
+        ...
+
+    def protocol_error(self, reason: str) -> None:
+        """The peer broke the protocol: end the connection."""
+        ...
+
+    def log(self, level: Level, code: EventCode, text: str, *, topic: str = "") -> None:
+        """Add an event about this link."""
+        ...
+
+
+def _half_of(proposal: Propose, *, is_client: bool) -> type[Route]:
+    """What a route's half on this side is made of."""
+    sending, receiving = _HALVES[proposal.kind]
+    return sending if proposal.from_client == is_client else receiving
+
+
+def _unsupported(proposal: Propose, features: Container[str]) -> str:
+    """Why a peer with these features cannot be asked for that; empty: it can."""
+    if proposal.kind == "topic" or FEATURE in features:
+        return ""
+    return "the other side's rsb-console is too old for services, actions and parameters: update it"
+
+
+def _dispatch(message: _HalfMessage, route: Route) -> None:
+    """Give a message to this side's half; one that such a half does not take is ignored."""
+    match message:
+        case Describe() if isinstance(route, IncomingRoute):
+            route.described(message)
+        case Ready() if isinstance(route, OutgoingRoute):
+            route.peer_ready(message)
+        case Publishers() if isinstance(route, IncomingRoute):
+            route.publishers_present(message.present)
+        case Provide() if isinstance(route, CallingRoute):
+            route.provided(message)
+
+
+class RouteIds:
+    """Which route is open under which id on the present connection, and which was.
+
+    Each opening of a route has an id of its own, and none is used twice. A client gives odd ids, a server even ones.
+    """
+
+    def __init__(self, *, is_client: bool) -> None:
+        self._is_client = is_client
+        self._by_id: dict[int, Route] = {}
+        self._closed: dict[int, Route] = {}  # by the ids of its last incarnations on this connection
+        # Ids count on across connections, so that late messages from a closed connection match no route.
+        self._next = 1 if is_client else 2
+        self._newest_of_peer = 0
+
+    def disconnected(self) -> None:
+        """The connection is over, and nothing can be late any more."""
+        for route in self._closed.values():
+            route.closed_ids.clear()
+        self._by_id.clear()
+        self._closed.clear()
+        self._newest_of_peer = 0
+
+    def new(self) -> int:
+        """An id for a route that this side opens."""
+        self._next += 2
+        return self._next - 2
+
+    def take_of_peer(self, route_id: int) -> bool:
+        """Take note of an id that the peer gives; whether it may: it is one of the peer's, and newer than the last."""
+        if route_id % 2 == self._is_client or route_id <= self._newest_of_peer:
+            return False
+        self._newest_of_peer = route_id
+        return True
+
+    def opened(self, route: Route, route_id: int) -> None:
+        """A route is open under an id."""
+        self._by_id[route_id] = route
+
+    def closed(self, route_id: int) -> None:
+        """An incarnation of a route is over."""
+        route = self._by_id.pop(route_id, None)
+        if route is not None:
+            self._closed[route_id] = route
+            route.closed_ids.append(route_id)
+            if len(route.closed_ids) > _CLOSED_REMEMBERED:
+                del self._closed[route.closed_ids.popleft()]
+
+    def forget(self, route: Route) -> None:
+        """A route is removed."""
+        for route_id in route.closed_ids:
+            del self._closed[route_id]
+
+    def open_route(self, route_id: int) -> Route | None:
+        """The open route of that id."""
+        return self._by_id.get(route_id)
+
+    def open_routes(self) -> tuple[Route, ...]:
+        """All of them."""
+        return tuple(self._by_id.values())
+
+    def find(self, route_id: int) -> Route | None:
+        """The route that is open under that id, or was lately."""
+        return self._by_id.get(route_id) or self._closed.get(route_id)
+
+    def last_of(self, route: Route) -> int:
+        """The id of a route's present or last incarnation; 0: the peer has not heard of it on this connection."""
+        return route.id or next(reversed(route.closed_ids), 0)
+
+    def is_closed(self, route_id: int) -> bool:
+        """Whether a route was open under that id and is no longer: what still arrives for it is late, not wrong."""
+        ours = route_id % 2 == self._is_client
+        newest = self._next - 2 if ours else self._newest_of_peer
+        return 0 < route_id <= newest and route_id not in self._by_id
+
+
+class Pausing:
+    """Pauses and resumes routes on both sides, whoever asks for it.
+
+    Args:
+        peer: the other side.
+        peer_operators: record what is paused and resumed there.
+    """
+
+    def __init__(self, peer: Peer, peer_operators: PeerOperators) -> None:
+        self._peer = peer
+        self._peer_operators = peer_operators
+
+    def pause(self, route: Route, *, paused: bool) -> None:
+        """Pause or resume a route on both sides."""
+        who = acting_operator()
+        route.pause(paused, who)
+        self._send(route, who)
+
+    def taken_up(self, route: Route, proposal: Propose, *, known: bool) -> None:
+        """The peer proposes a route, paused or not; this side's operators may have changed that since.
+
+        Args:
+            route: this side's half.
+            proposal: the peer's.
+            known: whether this side's revisions are about the peer's present process.
+        """
+        self.from_peer(route, proposal, known=known)
+        if (route.paused, route.pausing.revision) != (proposal.paused, proposal.pause_revision):
+            self._send(route)  # an operator of this side changed it while the link was down
+
+    def from_peer(self, route: Route, message: Pause | Propose, *, known: bool = True) -> None:
+        """The peer tells its state of the pause; what an operator there has changed is recorded here, too."""
+        was, who = route.paused, message.who if isinstance(message, Pause) else ""
+        revision = message.revision if isinstance(message, Pause) else message.pause_revision
+        route.pause_from_peer(message.paused, revision, self._peer_operators.says(who), known=known)
+        if route.paused != was and known:
+            self._peer_operators.paused(route, who)
+
+    def _send(self, route: Route, who: str = "") -> None:
+        if route.id:
+            self._peer.send(Pause(route=route.id, paused=route.paused, revision=route.pausing.revision, who=who))
 
 
 class RouteTable:
@@ -74,7 +283,7 @@ class RouteTable:
         self.routes: dict[str, Route] = {}
         self.yielded: dict[str, Topic] = {}
         self.listed: set[Identity] = set()
-        self.on_removed: OnRemoved = lambda _: None
+        self.on_removed: Callable[[Route], None] = lambda _: None
         self._context = context
         self._owner = owner
         self.ids = RouteIds(is_client=owner.is_client)
@@ -129,7 +338,7 @@ class RouteTable:
         if not by_pattern:
             self.keep_demand(spec, key)
         self.check_add(spec, proposal, key)
-        half = half_of(proposal, is_client=self._owner.is_client)
+        half = _half_of(proposal, is_client=self._owner.is_client)
         route = self.routes[key] = half(self._context, self._owner, spec, proposal, proposed_here=proposed_here)
         allow_rate(route, self._owner)
         if proposed_here:
@@ -298,7 +507,7 @@ class RouteTable:
             edited: it takes the place of a route that was removed right before.
         """
         self._reopen(route, self.ids.new())
-        if refusal := unsupported(route.proposal, self._owner.features):
+        if refusal := _unsupported(route.proposal, self._owner.features):
             route.refuse(EventCode.ROUTE_REFUSED, refusal)
             return
         self._owner.spawn(self._propose(route, route.id, who, edited=edited))
@@ -437,7 +646,7 @@ class RouteTable:
             case Refuse():
                 route.refuse(EventCode.ROUTE_REFUSED, f"refused by the other side: {message.reason}")
             case Describe() | Ready() | Publishers() | Provide():
-                hand_over(message, route)
+                _dispatch(message, route)
             case Close():
                 route.refuse(EventCode.ROUTE_CLOSED, f"closed by the other side: {message.reason}")
             case Pause():

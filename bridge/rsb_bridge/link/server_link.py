@@ -1,23 +1,28 @@
-"""One client, as the server sees it."""
+"""One client, as the server sees it: its entry in the session, its link, and what its topics may take of the server."""
 
 from __future__ import annotations
 
+import resource
 from contextlib import ExitStack
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import msgspec
 
 from rsb_bridge.channel.udp_channel import ServerUdpChannel
+from rsb_bridge.config.keys import fingerprint
 from rsb_bridge.link.duplicate_client import DuplicateClients, name_taken
 from rsb_bridge.link.link import Link
-from rsb_bridge.link.listed import listed_topics
-from rsb_bridge.link.shut_down import ASKED_EVERY, ShutDown
-from rsb_bridge.link.topic_ports import TopicPorts, check_topic_port
+from rsb_bridge.link.refused_clients import ASKED_EVERY, ShutDown
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.fingerprints import format_fingerprint
+from rsb_bridge.model.limits import PORTS_PER_CLIENT, dds_ports, discovery_domain
+from rsb_bridge.model.names import client_topic, server_topic
 from rsb_bridge.model.profiles import profile_of
 from rsb_bridge.model.snapshot import Level
+from rsb_bridge.model.text import join_first
 from rsb_bridge.model.verdict import LinkCause
+from rsb_bridge.transport import descriptors
 from rsb_bridge.transport.transport import ListenError, StreamTransport
 from rsb_bridge.wire.handshake import ReplayCache
 from rsb_bridge.wire.messages import Duplicate, Hello, Propose, Shutdown
@@ -25,28 +30,198 @@ from rsb_bridge.wire.preamble import DataPreamble, Refusal, RefusalCode, parse_f
 from rsb_bridge.wire.sealing import SealError
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from rsb_bridge.channel.multiplexer import SharedStream
+    from rsb_bridge.config.keys import Key
     from rsb_bridge.config.rights import Rights
     from rsb_bridge.context import Context
-    from rsb_bridge.link.descriptor_share import DescriptorShare
-    from rsb_bridge.link.entry import Entry
     from rsb_bridge.model.profiles import LinkProfile
-    from rsb_bridge.model.session import Kind, Topic
+    from rsb_bridge.model.session import Client, Kind, Session, Topic
+    from rsb_bridge.model.transports import TransportTraits
     from rsb_bridge.route.route import Route
     from rsb_bridge.transport.ports import Ports
     from rsb_bridge.transport.streams import Address, Stream
     from rsb_bridge.transport.transport import DatagramSocket, DatagramTransport
     from rsb_bridge.wire.events import Attach
 
+_NAMED = 12
+_SHARE = "leave the topic's port out, so that it shares the link's"
 _SILENT = 1.5
 """s without a byte (pings come every second) after which another process may take a client's name over."""
 UNKNOWN_ROUTE = "unknown route"  # whoever has not authenticated does not learn which links there are
 
 
+@dataclass(frozen=True, slots=True)
+class ClientEntry:
+    """A client that the server accepts.
+
+    Attributes:
+        client: its entry in the session.
+        keys: those that are valid, the next one last; none: unencrypted.
+        use_name: whether its topics have its name before them here.
+        rights: what it may do here.
+    """
+
+    client: Client
+    keys: tuple[Key, ...]
+    use_name: bool
+    rights: Rights
+
+    @property
+    def fingerprints(self) -> tuple[str, ...]:
+        """Of its keys; of none, an empty one."""
+        return tuple(map(fingerprint, self.keys)) or ("",)
+
+    def server_name(self, topic: str) -> str:
+        """The server's name of a topic; the client's name may be before it already."""
+        name = self.client.name
+        return server_topic(topic, name) if self.use_name and client_topic(topic, name) is None else topic
+
+    def client_names(self, topic: Topic) -> Topic:
+        """A topic as the client sees it, though an operator of the server may name it as the server does.
+
+        Where `use_name` is set, ``/robot1/scan`` is robot1's ``/scan``. A topic with a `remote_topic` has both names.
+        """
+        name = client_topic(topic.topic, self.client.name) if self.use_name and topic.remote_topic is None else None
+        return topic if name is None else msgspec.structs.replace(topic, topic=name)
+
+    def shows(self, topic: str, kind: Kind = "topic") -> bool:
+        """Whether the client may know of a topic of the server, or of what else there is."""
+        reachable = not self.use_name or client_topic(topic, self.client.name) is not None
+        return reachable and self.rights.shows(topic, kind)
+
+
+class TopicPorts:
+    """The ports that one client's topics have here, whichever of its links opened them.
+
+    A port counts from when it is asked for, and not only once it is bound: a client may ask for many at once.
+    """
+
+    def __init__(self, client: str) -> None:
+        self._client = client
+        self._users: dict[tuple[str, int], int] = {}
+
+    def reserve(self, session: Session, transport: TransportTraits, port: int) -> Callable[[], None]:
+        """Count a port that the client asks for.
+
+        Args:
+            session: the server's.
+            transport: of the topic.
+            port: its number, or channel.
+
+        Returns:
+            What to call once when the topic has it no longer.
+
+        Raises:
+            ListenError: the client may not have it, or has too many; the message says what would do.
+        """
+        key = (transport.name, port)
+        if transport.ip_ports and session.ports is not None:
+            listed = () if session.ports == "none" else session.ports
+            if port not in listed:
+                allowed = join_first([str(each) for each in listed], _NAMED) or "none"
+                raise ListenError(f"port {port}: the server's session has ports: {allowed}; {_SHARE}, or add it there")
+            return _nothing  # the list is the limit
+        if key not in self._users and len(self._users) >= PORTS_PER_CLIENT:
+            raise ListenError(
+                f"{self._client}'s topics already have {PORTS_PER_CLIENT} ports of their own: {_SHARE}, or list the "
+                "ports that clients may have under ports in the server's session file"
+            )
+        self._users[key] = self._users.get(key, 0) + 1
+        return lambda: self._release(key)
+
+    def _release(self, key: tuple[str, int]) -> None:
+        self._users[key] -= 1
+        if not self._users[key]:
+            del self._users[key]
+
+
+def _nothing() -> None:
+    """A listed port is not counted."""
+
+
+def check_topic_port(domain: int, transport: TransportTraits, port: int) -> None:
+    """Check that topics may have a port of their own here, whoever asks.
+
+    Args:
+        domain: the ROS domain that this side has joined.
+        transport: of the topic.
+        port: its number, or channel.
+
+    Raises:
+        ListenError: none may; the message says what would do.
+    """
+    kind = transport.port_kind
+    if port not in transport.topic_ports:
+        raise ListenError(f"{kind} {port}: topics may have {transport.topic_ports}; give one of these, or {_SHARE}")
+    if transport.ip_ports and port in dds_ports(domain):
+        raise ListenError(
+            f"{kind} {port} is reserved for discovery in the server's ROS domain {domain} ({dds_ports(domain)}): "
+            f"give another, or {_SHARE}"
+        )
+    if transport.ip_ports and (other := discovery_domain(port)) is not None:
+        raise ListenError(
+            f"{kind} {port} is reserved for discovery in ROS domain {other}, which the server's machine may run, too: "
+            f"give another, or {_SHARE}"
+        )
+
+
+class DescriptorShare:
+    """The streams and the ports of its own that one client's topics have on the server.
+
+    They hold no more of its descriptors than are left for everyone else. With this rule, one client alone may take half
+    of what there is; of any number that take all they can, none keeps the next one out. It needs no figure, and so fits
+    whatever limit the process has.
+    """
+
+    def __init__(self, client: str, is_only_client: Callable[[], bool]) -> None:
+        """There are none yet.
+
+        Args:
+            client: its name.
+            is_only_client: whether there is nobody else to leave any for.
+        """
+        self.held = 0
+        self._client = client
+        self._is_only_client = is_only_client
+
+    @property
+    def room(self) -> int:
+        """How many more it may have now."""
+        left = descriptors.left()
+        return left if self._is_only_client() else (left - self.held + 1) // 2
+
+    @property
+    def refusal(self) -> str:
+        """Why it may have no more now, for the operators of both sides; empty: it may."""
+        if descriptors.scarce():
+            return descriptors.scarcity_message("server")
+        if self.room > 0:
+            return ""
+        limit = resource.getrlimit(resource.RLIMIT_NOFILE)[0]
+        return (
+            f"{self._client}'s topics may hold no more of the server's {limit:,} file descriptors than are left for "
+            f"everyone else: {descriptors.MORE_DESCRIPTORS} there, or use protocol: udp, whose topics share one"
+        )
+
+    def take(self) -> Callable[[], None]:
+        """Count one more.
+
+        Returns:
+            What to call once when it is closed.
+        """
+        self.held += 1
+        return self._give
+
+    def _give(self) -> None:
+        self.held -= 1
+
+
 class ServerLink(Link):
     """One client, as the server sees it."""
 
-    def __init__(self, context: Context, entry: Entry, ports: Ports, descriptors: DescriptorShare) -> None:
+    def __init__(self, context: Context, entry: ClientEntry, ports: Ports, descriptors: DescriptorShare) -> None:
         super().__init__(context, entry.client.name, is_client=False, encrypted=bool(entry.keys))
         self.entry = entry
         self.replays = ReplayCache()
@@ -183,7 +358,7 @@ class ServerLink(Link):
     def shows(self, topic: str, kind: Kind = "topic") -> bool:
         return self.entry.shows(topic, kind)
 
-    def change_entry(self, entry: Entry) -> None:
+    def change_entry(self, entry: ClientEntry) -> None:
         """Go on with another entry of the session.
 
         The link ends where the client's key is not valid any more, or the names of topics change.
@@ -198,7 +373,7 @@ class ServerLink(Link):
         self.table.rights_changed()
         self.patterns.renew()
 
-    def stays_valid(self, entry: Entry) -> bool:
+    def stays_valid(self, entry: ClientEntry) -> bool:
         """Whether the key that the linked client has is valid with another entry of it."""
         return self._seen_key in entry.fingerprints
 
@@ -206,7 +381,7 @@ class ServerLink(Link):
         """Open everything anew, under other names on this side."""
         if self.control is not None:
             self.control.shut_down("the server has other names for the topics now (use_name)", retry_after=0.0)
-        own = listed_topics(self)
+        own = self.listed_topics()
         self.table.destroy()
         self.table.yielded.clear()
         for topic in own:

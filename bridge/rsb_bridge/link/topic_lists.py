@@ -11,10 +11,10 @@ from typing import TYPE_CHECKING, Protocol
 
 import msgspec
 
+from rsb_bridge.link.control_channel import in_slices
 from rsb_bridge.link.errors import LinkError
+from rsb_bridge.link.proposals import KINDS
 from rsb_bridge.link.questions import Questions
-from rsb_bridge.link.slices import in_slices
-from rsb_bridge.model.calls import LANES
 from rsb_bridge.model.limits import TEXT_LENGTH
 from rsb_bridge.model.snapshot import TopicInfo
 from rsb_bridge.ros.graph_entries import CALLED, graph_of
@@ -26,7 +26,7 @@ from rsb_bridge.wire.records import TopicEntry
 if TYPE_CHECKING:
     from collections.abc import Callable, Coroutine, Iterable, Iterator, Sequence
 
-    from rsb_bridge.link.slices import Slices
+    from rsb_bridge.link.control_channel import Slices
     from rsb_bridge.model.session import Kind
     from rsb_bridge.ros.api import RosInterface
     from rsb_bridge.wire.codec import TopicListParts
@@ -36,7 +36,6 @@ _ANSWERED_WITHIN = 5.0
 _MOST_ENTRIES = 4000
 """Of one list, which is one control frame: it holds some 5,000 of usual names, and 1,400 of the longest."""
 _MOST_BYTES = CONTROL_LIMIT - 4096
-_KINDS: dict[str, Kind] = {kind: kind for kind in LANES}
 
 
 class TopicLists:
@@ -115,7 +114,7 @@ class TopicLists:
         return [
             TopicInfo(e.topic, e.type, e.type_hash, e.qos, e.publishers, e.subscriptions, kind)
             for e in entries
-            if (kind := _KINDS.get(e.kind)) is not None
+            if (kind := KINDS.get(e.kind)) is not None
         ]
 
 

@@ -75,9 +75,7 @@ class LiveLines(ScrollView):
     def sync(self) -> None:
         """Redraw what differs from what is on screen."""
         yield_gil()
-        size = Size(0, self.line_count)
-        if size != self.virtual_size:
-            self.virtual_size = size
+        self.measure_lines()
         self._measure()
         width = self.width
         for y, (old, was_cursor) in list(self._drawn.items()):
@@ -86,6 +84,12 @@ class LiveLines(ScrollView):
                 self.refresh(Region(0, y, width, 1))
             elif new != old:
                 self.refresh(Region(0, y, changed_width(old, new, width), 1))
+
+    def measure_lines(self) -> None:
+        """Let as many lines be scrolled to as there are now."""
+        size = Size(0, self.line_count)
+        if size != self.virtual_size:
+            self.virtual_size = size
 
     def _measure(self) -> None:
         self.width, self._top = self.size.width, round(self.scroll_offset.y)

@@ -75,6 +75,7 @@ class SelectableList(LiveLines, can_focus=True):
         """List `keys`. The cursor stays on its item, or at its position if the item is gone."""
         before, follows = self.cursor_key, self.follows_top
         self.keys = keys
+        self.measure_lines()
         if follows:
             self._place(0)
         elif self.cursor_key != before:
@@ -96,9 +97,13 @@ class SelectableList(LiveLines, can_focus=True):
         self._cursor = position
         top, page = round(self.scroll_offset.y), self.page
         if position < top:
-            self.scroll_to(y=position, animate=False)
+            self._scroll_to_line(position)
         elif position >= top + page:
-            self.scroll_to(y=position - page + 1, animate=False)
+            self._scroll_to_line(position - page + 1)
+
+    def _scroll_to_line(self, top: int) -> None:
+        # Forced: Textual scrolls only where a scrollbar stands, which comes a refresh after what makes it necessary.
+        self.scroll_to(y=top, animate=False, force=True)
 
     @property
     def position(self) -> int:

@@ -20,7 +20,7 @@ from rsb_bridge.cdr.description import (
     text_of,
 )
 from rsb_bridge.cdr.parameter_event import ParameterEventError, node_of, with_node
-from rsb_bridge.link.type_questions import description_in
+from rsb_bridge.link.questions import description_in
 
 if TYPE_CHECKING:
     from rsb_bridge.cdr.decoder import Value

@@ -6,7 +6,6 @@ import asyncio
 from typing import TYPE_CHECKING, Any, Final
 
 from rsb_bridge.link.errors import LinkError
-from rsb_bridge.link.lease import LinkLease
 from rsb_bridge.link.peer_operators import acting_operator
 from rsb_bridge.model.benchmark import is_bench_topic
 from rsb_bridge.model.codes import EventCode
@@ -14,6 +13,9 @@ from rsb_bridge.model.demands import NO_DEMAND, PEER_DEMANDS, Demands, Source, d
 from rsb_bridge.model.snapshot import Level
 from rsb_bridge.model.token_bucket import TokenBucket
 from rsb_bridge.route.arming import SAID, Disarmed
+from rsb_bridge.route.lease import BEAT, Lease, Standstill
+from rsb_bridge.wire import messages as wire
+from rsb_bridge.wire.headers import LEASE_FEATURE
 from rsb_bridge.wire.messages import Arm, Armed, Disarm
 
 if TYPE_CHECKING:
@@ -23,16 +25,100 @@ if TYPE_CHECKING:
     from rsb_bridge.link.peer_operators import PeerOperators
     from rsb_bridge.model.demands import Demand, RunningDemands
     from rsb_bridge.model.session import Topic
-    from rsb_bridge.route.lease import Standstill
     from rsb_bridge.route.peer import Peer
     from rsb_bridge.route.route import Route
     from rsb_bridge.wire.messages import ArmingMessage, Propose, Settled
 
 _AT_ONCE, _A_SECOND = 20.0, 1 / 30
 """Armings by one link's peer: each is in the log, so more than people need are refused."""
-
 DROPPED: Final = "arm_dropped"
 """The cause of a `Disarm` by which a side says that its operator has dropped a demand; older peers ignore it."""
+
+
+class LinkLease:
+    """Keeps a link's lease as long as anything is armed (PROTOCOL.md, 7.2): numbers to and from the other side.
+
+    Args:
+        context: has the clock and the loop.
+        peer: the other side.
+        is_needed: whether any route is armed or asked for.
+        lives: called when the two sides hear each other, for the first time or again.
+        disarm: disarms all routes when something stood still.
+
+    Attributes:
+        state: what it proves now.
+    """
+
+    def __init__(
+        self,
+        context: Context,
+        peer: Peer,
+        is_needed: Callable[[], bool],
+        lives: Callable[[], None],
+        disarm: Callable[[Standstill], None],
+    ) -> None:
+        self.state = Lease(context.clock.steady, context.ros.turns, self._over)
+        self._loop = context.loop
+        self._peer = peer
+        self._is_needed = is_needed
+        self._lives = lives
+        self._disarm = disarm
+        self._timer: asyncio.TimerHandle | None = None
+
+    @property
+    def supported(self) -> bool:
+        """Whether the other side takes part."""
+        return LEASE_FEATURE in self._peer.features
+
+    def hold(self) -> None:
+        """Keep the lease from now on, for a route that is about to be armed, and send a number at once."""
+        if self.state.over is not None:
+            self._end()
+        if not self.state.is_on:
+            self.state.begin()
+        self._send()
+        if self._timer is None:
+            self._timer = self._loop.call_later(BEAT, self._beat)
+
+    def handle(self, message: wire.Lease) -> None:
+        """Take a number of the other side's. A side that has not heard any yet is answered at once."""
+        state = self.state
+        was_alive, had_begun = state.alive, state.begun
+        state.hear(message.number, message.echo)
+        lives = state.alive and not was_alive
+        if state.is_on and (lives or not message.echo):
+            self._send()
+        if state.alive and state.begun and not (was_alive and had_begun):
+            self._lives()
+
+    def stop(self) -> None:
+        """The connection is over."""
+        if self._timer is not None:
+            self._timer.cancel()
+            self._timer = None
+        self.state.end()
+
+    def _beat(self) -> None:
+        self._timer = None
+        if not self._is_needed():
+            self.state.end()
+            return
+        self._send()
+        if self.state.over is None:
+            self._timer = self._loop.call_later(BEAT, self._beat)
+
+    def _send(self) -> None:
+        self._peer.send(wire.Lease(*self.state.beat()))
+
+    def _over(self) -> None:
+        """Disarm all routes at the next turn of the loop: the caller may be in the midst of publishing."""
+        self._loop.call_soon(self._end)
+
+    def _end(self) -> None:
+        over = self.state.over
+        if over is not None and self.state.is_on:
+            self._disarm(over)
+            self.stop()
 
 
 class LinkArming:

@@ -27,10 +27,10 @@ if TYPE_CHECKING:
 
     from rsb_bridge.cdr.decoder import Decoded
     from rsb_bridge.context import Context
+    from rsb_bridge.engine.topic_commands import Recorder
     from rsb_bridge.link.link import Link
     from rsb_bridge.model.snapshot import PeekedMessage
     from rsb_bridge.route.route import Route
-    from rsb_bridge.topic_commands import Recorder
     from rsb_bridge.wire.records import LaneEntry
 
 
@@ -39,7 +39,7 @@ CALLS_AT_ONCE = 32
 _GOAL_ID_BYTES = 16
 
 
-class Contents:
+class RouteInspector:
     """Commands of one bridge, on its event loop; what is wrong with one is an `EngineError`.
 
     Args:

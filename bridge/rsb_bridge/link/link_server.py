@@ -13,11 +13,9 @@ import msgspec
 from rsb_bridge import __version__
 from rsb_bridge.channel.udp_channel import ServerUdpChannel, UdpDemultiplexer
 from rsb_bridge.link.control_channel import ControlChannel
-from rsb_bridge.link.descriptor_share import DescriptorShare
 from rsb_bridge.link.pending_connections import PendingConnections
-from rsb_bridge.link.refused import CAUSES
-from rsb_bridge.link.refused_clients import RefusedClients
-from rsb_bridge.link.server_link import UNKNOWN_ROUTE, ServerLink
+from rsb_bridge.link.refused_clients import CAUSES, RefusedClients
+from rsb_bridge.link.server_link import UNKNOWN_ROUTE, DescriptorShare, ServerLink
 from rsb_bridge.link.server_search import ServerSearch
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.snapshot import Level
@@ -34,7 +32,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from rsb_bridge.context import Context
-    from rsb_bridge.link.entry import Entry
+    from rsb_bridge.link.server_link import ClientEntry
     from rsb_bridge.transport.streams import Address, Stream
     from rsb_bridge.transport.transport import DatagramSocket
     from rsb_bridge.wire.events import Attach, Established
@@ -59,7 +57,7 @@ class Server:
     """
 
     def __init__(
-        self, context: Context, entries: list[Entry], make_welcome: Callable[[bytes, bool], Welcome], *, aes: bool
+        self, context: Context, entries: list[ClientEntry], make_welcome: Callable[[bytes, bool], Welcome], *, aes: bool
     ) -> None:
         self.context = context
         self._make_welcome = make_welcome
@@ -101,7 +99,7 @@ class Server:
         found = await asyncio.gather(*(self._with_the_key_of(entry, hosts) for entry in keyed))
         return sorted(set(chain.from_iterable(found)))
 
-    async def _with_the_key_of(self, entry: Entry, hosts: list[str]) -> list[str]:
+    async def _with_the_key_of(self, entry: ClientEntry, hosts: list[str]) -> list[str]:
         hello = Hello(__version__, entry.client.name, os.urandom(8).hex(), 0, (sealing.FEATURE,))
 
         def begin(suite: Suite | None) -> ClientConnection:
@@ -128,13 +126,13 @@ class Server:
 
     # --- other clients than before
 
-    def add_client(self, entry: Entry) -> None:
+    def add_client(self, entry: ClientEntry) -> None:
         """Let one more client in."""
         self.entries[entry.client.name] = entry
         self.refused_clients.forget(entry.client.name)
         self._add_link(entry)
 
-    def _add_link(self, entry: Entry) -> None:
+    def _add_link(self, entry: ClientEntry) -> None:
         name = entry.client.name
         descriptors = DescriptorShare(name, lambda: len(self.links) == 1)
         self.links[name] = ServerLink(self.context, entry, self._ports, descriptors)
@@ -149,7 +147,7 @@ class Server:
         self.context.demands.unregister(link)
         link.destroy()
 
-    def change_client(self, entry: Entry) -> None:
+    def change_client(self, entry: ClientEntry) -> None:
         """Go on with another entry of a client."""
         name = entry.client.name
         self.entries[name] = entry

@@ -9,7 +9,6 @@ from __future__ import annotations
 import asyncio
 from typing import TYPE_CHECKING
 
-from rsb_bridge.link.bench_budget import BenchBudget
 from rsb_bridge.link.errors import LinkError
 from rsb_bridge.link.questions import Questions
 from rsb_bridge.model.benchmark import (
@@ -34,12 +33,17 @@ if TYPE_CHECKING:
     from collections.abc import Callable
     from typing import Any
 
+    from rsb_bridge.channel.channel import Carrier
     from rsb_bridge.channel.data_keys import Meter
-    from rsb_bridge.link.link import Link
+    from rsb_bridge.context import Context
+    from rsb_bridge.link.proposed_topics import ProposedTopics
+    from rsb_bridge.link.route_table import RouteOwner, RouteTable
     from rsb_bridge.model.benchmark import Leave, Order
     from rsb_bridge.ros.synthetic import Drain, Source
     from rsb_bridge.route.route import Route
 
+HOUR = 3600.0
+_LITTLE_LEFT = ", and too little of that is left"
 _DEPTH = 2000
 _ANSWERED_WITHIN = 5.0
 _OPENED_WITHIN = 10.0
@@ -55,20 +59,111 @@ _MORE, _MORE_AT_ONCE = 1.25, 10
 _ENDED = "the benchmark is over"
 
 
+class BenchBudget:
+    """What a peer that measures the link may still cause here, within an hour from the first use on.
+
+    Args:
+        now: the clock that all timers use, in s.
+    """
+
+    def __init__(self, now: Callable[[], float]) -> None:
+        self._now = now
+        self._began = float("-inf")
+        self._seconds = self._bytes = 0.0
+        self._wire = self._payload = 0
+        self._full = False
+
+    def refusal(self, leave: Leave | None, seconds: float = 0.0, size: float = 0.0, rate: float = 0.0) -> str:
+        """Why nothing, or nothing of this kind, may be caused now; empty: it may.
+
+        Args:
+            leave: the limits that the session sets now, or None if nothing is allowed.
+            seconds: s for which is to be sent.
+            size: bytes that are to be sent.
+            rate: Hz at which.
+        """
+        if leave is None:
+            return "there is no leave to measure the link"
+        self._renew()
+        if rate > leave.max_rate:
+            return f"a benchmark may send at most {leave.max_rate:g} messages a second (bench.max_rate)"
+        if self._seconds >= leave.seconds or self._seconds + seconds > leave.seconds:
+            return f"a benchmark may take at most {leave.seconds:g} s in an hour (bench.seconds){_LITTLE_LEFT}"
+        most = leave.megabytes * 1e6
+        if self._full or self._used() >= most or self._used() + size > most:
+            return f"a benchmark may send at most {most / 1e6:g} MB in an hour (bench.megabytes){_LITTLE_LEFT}"
+        return ""
+
+    def spend(self, seconds: float, size: float) -> None:
+        """So many s were used, and bytes."""
+        self._renew()
+        self._begin()
+        self._seconds += seconds
+        self._bytes += size
+
+    def take(self, leave: Leave | None, *, wire: int = 0, payload: int = 0) -> bool:
+        """Count bytes from the peer before they are used; return False if they exceed the peer's limits.
+
+        Args:
+            leave: the limits that the session sets now, or None if nothing is allowed.
+            wire: bytes as they came, with headers and seals.
+            payload: bytes of a message after decompression.
+        """
+        self._renew()
+        most = 0.0 if leave is None else leave.megabytes * 1e6
+        if self._full or self._bytes + max(self._wire + wire, self._payload + payload) > most:
+            self._full = True
+            return False
+        self._begin()
+        self._wire += wire
+        self._payload += payload
+        return True
+
+    def _used(self) -> float:
+        """Bytes that were sent for the peer, and of what it sent what is more: as it came, or unpacked."""
+        return self._bytes + max(self._wire, self._payload)
+
+    def _begin(self) -> None:
+        if self._began == float("-inf"):
+            self._began = self._now()
+
+    def _renew(self) -> None:
+        if self._now() - self._began >= HOUR:
+            self._began = float("-inf")
+            self._seconds = self._bytes = 0.0
+            self._wire = self._payload = 0
+            self._full = False
+
+
 class LinkBench:
     """One link's benchmark, in either role.
 
     Args:
-        link: which.
+        context: has the clock and the ROS side.
+        owner: the link.
+        table: its routes.
+        proposed: the topics that this side proposes, those that measure among them.
+        carriers: gives all that carries bytes of the present connection.
     """
 
-    def __init__(self, link: Link) -> None:
-        self._link = link
-        self._synthetic = synthetic_of(link.context.ros)
-        self._now = link.context.now
+    def __init__(
+        self,
+        context: Context,
+        owner: RouteOwner,
+        table: RouteTable,
+        proposed: ProposedTopics,
+        carriers: Callable[[], set[Carrier]],
+    ) -> None:
+        self._context = context
+        self._owner = owner
+        self._table = table
+        self._proposed = proposed
+        self._carriers = carriers
+        self._synthetic = synthetic_of(context.ros)
+        self._now = context.now
         self._budget = BenchBudget(self._now)
         self._request = 0
-        self._questions: Questions[BenchAnswer] = Questions(link.send, link.spawn, _ANSWERED_WITHIN)
+        self._questions: Questions[BenchAnswer] = Questions(owner.send, owner.spawn, _ANSWERED_WITHIN)
         self._used_at = 0.0
         self._stopped_until = float("-inf")
         self._busy = False
@@ -78,7 +173,7 @@ class LinkBench:
         """What this side has the peer send to, which costs the peer nothing."""
         self._ends_soon = False
         if self._synthetic is not None:
-            self._synthetic.admits[link.name] = self._admits
+            self._synthetic.admits[owner.name] = self._admits
 
     # --- for the peer
 
@@ -106,7 +201,7 @@ class LinkBench:
                 self._questions.answered(message.request, message)
 
     async def _answer(self, ask: BenchAsk) -> BenchAnswer:
-        route = self._link.table.ids.open_route(ask.route)
+        route = self._table.ids.open_route(ask.route)
         if route is None or not is_bench_topic(route.local_topic):
             return BenchAnswer(ask.request, "there is no such topic that measures")
         source, drain = self._ends(route)
@@ -114,7 +209,7 @@ class LinkBench:
             drain.reset()
         problem = self._send_for_peer(ask, route, source) if ask.count else ""
         usage, arrived = self.usage(), drain.arrived if drain is not None else Arrived(0, (0.0, 0.0, 0.0))
-        leave = self._link.rights.bench
+        leave = self._owner.rights.bench
         busy = source is not None and source.busy
         return BenchAnswer(
             ask.request,
@@ -139,7 +234,7 @@ class LinkBench:
         size, seconds = max(ask.size, LEAST_SIZE), ask.count / max(ask.rate, 1e-3)
         if seconds > MOST_SECONDS:
             return f"a run takes at most {MOST_SECONDS:g} s"
-        if refused := self._budget.refusal(self._link.rights.bench, seconds, size * ask.count, ask.rate):
+        if refused := self._budget.refusal(self._owner.rights.bench, seconds, size * ask.count, ask.rate):
             return refused
         self._budget.spend(seconds, size * ask.count)
         source.start(size, ask.rate, ask.count)
@@ -147,30 +242,30 @@ class LinkBench:
 
     def meter_of(self, route_id: int) -> Meter | None:
         """The meter of a topic by which the peer measures, or None of any other route."""
-        route = self._link.table.ids.open_route(route_id)
+        route = self._table.ids.open_route(route_id)
         if route is None or route.proposed_here or route.outgoing or not is_bench_topic(route.local_topic):
             return None
-        return lambda size: self._budget.take(self._link.rights.bench, wire=size) or self._end_soon()
+        return lambda size: self._budget.take(self._owner.rights.bench, wire=size) or self._end_soon()
 
     def _admits(self, drain: Drain, size: int) -> bool:
         """Whether a message may come to a topic that measures, unpacked."""
         if drain in self._own:
             return True
-        return self._budget.take(self._link.rights.bench, payload=size) or self._end_soon()
+        return self._budget.take(self._owner.rights.bench, payload=size) or self._end_soon()
 
     def _end_soon(self) -> bool:
         """End the peer's topics at the next turn of the loop: what they have used up has just come through one."""
         if not self._ends_soon:
             self._ends_soon = True
-            self._link.context.loop.call_soon(self._end_refused)
+            self._context.loop.call_soon(self._end_refused)
         return False
 
     def _end_refused(self, rate: float = 0.0) -> None:
         self._ends_soon = False
-        if refused := self._budget.refusal(self._link.rights.bench, rate=rate):
+        if refused := self._budget.refusal(self._owner.rights.bench, rate=rate):
             for route in self._routes():
                 if not route.proposed_here:
-                    self._link.table.deny(route, refused)
+                    self._table.deny(route, refused)
 
     def tick(self) -> None:
         """Once a second: count what the peer has caused, and remove the topics of a benchmark that has gone."""
@@ -181,14 +276,14 @@ class LinkBench:
         self._end_refused(rate)
         for route in self._routes():
             if route.proposed_here and not self._busy and self._now() - self._used_at > _IDLE_FOR:
-                self._link.table.remove(route, _ENDED)
+                self._table.remove(route, _ENDED)
 
     def _come(self) -> int:
         """Messages that the peer has sent since the last tick, also on topics that are gone."""
         if self._synthetic is None:
             return 0
         messages = 0
-        opened = dict.fromkeys(self._synthetic.opened(self._link.name), 0)
+        opened = dict.fromkeys(self._synthetic.opened(self._owner.name), 0)
         for drain, before in (self._seen | opened).items():
             if drain not in self._own:
                 messages += drain.messages - before
@@ -224,7 +319,7 @@ class LinkBench:
         """Remove the topics."""
         for route in self._routes():
             if route.proposed_here:
-                self._link.table.remove(route, _ENDED)
+                self._table.remove(route, _ENDED)
 
     def disconnected(self) -> None:
         """The connection is over."""
@@ -237,16 +332,16 @@ class LinkBench:
 
     def wire_bytes(self) -> tuple[int, int]:
         """Bytes sent and received by what carries the present connection."""
-        carriers = self._link.carriers()
+        carriers = self._carriers()
         return sum(each.sent_bytes for each in carriers), sum(each.received_bytes for each in carriers)
 
     def _check(self, order: Order) -> None:
-        link = self._link
+        owner = self._owner
         if self._synthetic is None:
             raise LinkError("nothing can be measured here")
-        if not link.linked:
-            raise LinkError(f"{link.name} is not linked: {link.status.reason}")
-        if FEATURE not in link.features:
+        if not owner.linked:
+            raise LinkError(f"{owner.name} is not linked: {owner.down_reason}")
+        if FEATURE not in owner.features:
             raise LinkError("the other side's rsb-console is too old to be measured: update it")
         if not LEAST_SIZE <= order.size <= MOST_SIZE:
             raise LinkError(f"a message has {LEAST_SIZE} to {MOST_SIZE:,} bytes")
@@ -286,7 +381,7 @@ class LinkBench:
         now = self.usage()
         mine = _between(ours, now)
         peers = _between(_usage_in(theirs), _usage_in(answer))
-        offset = (self._link.clock_offset or 0.0) * (-1 if sends else 1)
+        offset = (self._owner.clock_offset or 0.0) * (-1 if sends else 1)
         p50, p99, p999 = (each + offset for each in latencies)
         return Outcome(
             now,
@@ -296,7 +391,7 @@ class LinkBench:
             p50,
             p99,
             p999,
-            self._link.clock_uncertainty,
+            self._owner.clock_uncertainty,
             mine if sends else peers,
             peers if sends else mine,
             answer.max_rate,
@@ -304,8 +399,8 @@ class LinkBench:
 
     async def _opened(self, order: Order) -> Route:
         """The topic's route, once messages can cross on it."""
-        link = self._link
-        transport = order.transport or link.transport.name
+        link_transport = self._context.transports.of_link(self._context.session.server_ip)
+        transport = order.transport or link_transport.name
         name = bench_topic(transport, order.direction)
         route = next((each for each in self._routes() if each.proposed_here and each.spec.topic == name), None)
         if route is None:
@@ -315,12 +410,12 @@ class LinkBench:
             topic = Topic(
                 name, order.direction, TYPE, protocol, qos=_DEPTH, compression="none", stale_after=0.0, late_after=0.0
             )  # fmt: skip
-            route = link.proposed.add(topic)
+            route = self._proposed.add(topic)
         deadline = self._now() + _OPENED_WITHIN
         while not self._open(route):
             if route.refusal:
                 raise LinkError(route.refusal)
-            if route.key not in link.routes or self._now() > deadline:
+            if route.key not in self._table.routes or self._now() > deadline:
                 raise LinkError(_why_not(route))
             await asyncio.sleep(_LOOK_EVERY)
         return route
@@ -380,12 +475,12 @@ class LinkBench:
         return bool(self._routes())
 
     def _routes(self) -> list[Route]:
-        return [each for each in self._link.routes.values() if is_bench_topic(each.local_topic)]
+        return [each for each in self._table.routes.values() if is_bench_topic(each.local_topic)]
 
     def _ends(self, route: Route) -> tuple[Source | None, Drain | None]:
         if self._synthetic is None:
             return None, None
-        end = route.local_topic, self._link.name
+        end = route.local_topic, self._owner.name
         return self._synthetic.sources.get(end), self._synthetic.drains.get(end)
 
 

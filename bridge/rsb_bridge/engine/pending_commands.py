@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 T = TypeVar("T")
 
 
-class CommandsUnderWay:
+class PendingCommands:
     """Runs commands on an event loop from `open` to `refuse`; `end` fails those that are still under way."""
 
     def __init__(self) -> None:

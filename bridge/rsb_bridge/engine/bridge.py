@@ -16,14 +16,13 @@ from typing import TYPE_CHECKING
 import msgspec
 
 from rsb_bridge.api import EngineError, InvalidRequestError
-from rsb_bridge.arming import BridgeArming
-from rsb_bridge.benchmarking import carry_out
 from rsb_bridge.config.clients import client_named, with_changed_client, with_client, without_client
 from rsb_bridge.config.difference import changes
 from rsb_bridge.config.shared_keys import shared_key_problem
 from rsb_bridge.config.validation import validate
-from rsb_bridge.contents import Contents
-from rsb_bridge.instruments import Instruments
+from rsb_bridge.engine.exporters import Exporters
+from rsb_bridge.engine.inspector import RouteInspector
+from rsb_bridge.engine.topic_commands import BridgeArming, TopicCommands
 from rsb_bridge.link.errors import LinkError
 from rsb_bridge.link.graph_watch import GraphWatch
 from rsb_bridge.link.name_watch import NameWatch
@@ -31,6 +30,7 @@ from rsb_bridge.link.reloading import Step
 from rsb_bridge.link.roles import BridgeRole, ClientRole, Keys, ServerRole
 from rsb_bridge.link.topic_lists import topics_of_peer
 from rsb_bridge.model.backoff import Backoff
+from rsb_bridge.model.benchmark import Outcome, Usage
 from rsb_bridge.model.calls import FieldError
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.demands import Demands, sources_of
@@ -39,20 +39,20 @@ from rsb_bridge.model.snapshot import Level, LinkSnapshot, RouteSnapshot, TopicI
 from rsb_bridge.ros.api import RosError
 from rsb_bridge.ros.graph_entries import CALLED, graph_of
 from rsb_bridge.ros.shutdown_topic import watch_shutdown_topic
+from rsb_bridge.ros.synthetic import resources
 from rsb_bridge.route.topic_route import TopicRoute
 from rsb_bridge.tasks import Tasks, in_slices
 from rsb_bridge.telemetry.acknowledgements import find_faulty
-from rsb_bridge.topic_commands import TopicCommands
 from rsb_bridge.transport.transport import ListenError
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator
+    from collections.abc import Callable, Iterable, Iterator, Sequence
 
     from rsb_bridge.config.keys import Key
     from rsb_bridge.context import Context
     from rsb_bridge.link.link import Link
     from rsb_bridge.link.name_watch import Follower
-    from rsb_bridge.model.benchmark import Order, Outcome
+    from rsb_bridge.model.benchmark import Order
     from rsb_bridge.model.demands import Source
     from rsb_bridge.model.session import Client, Session, Topic
     from rsb_bridge.model.snapshot import RefusedClient
@@ -95,11 +95,11 @@ class Bridge:
         self.graph_watch = GraphWatch(context, self._role.links, self._names.changed)
         self._topic_commands = TopicCommands(self._role, self._did, context.demands)
         self.arming = BridgeArming(self.links, self._topic_commands.find, self._command)
-        self.contents = Contents(context, self._topic_commands.find, self._command, self._did)
+        self.inspector = RouteInspector(context, self._topic_commands.find, self._command, self._did)
         self._tasks = Tasks(context.loop, lambda: None)
         self._stopping = asyncio.Event()
         self._shutdown_watch: LastingSubscription | None = None
-        self._instruments = Instruments(context, snapshots.look, folder)
+        self._exporters = Exporters(context, snapshots.look, folder)
         self._errors_logged: dict[str, float] = {}
 
     def links(self) -> list[Link]:
@@ -127,7 +127,7 @@ class Bridge:
         try:
             self.context.announcements.start(self._bridges_changed)
             self._shutdown_watch = self._watch_shutdown()
-            self._instruments.open()
+            self._exporters.open()
             await self._role.start()
             started = True
         except (ListenError, RosError, LinkError, ValueError) as error:
@@ -168,7 +168,7 @@ class Bridge:
                 await link.table.tick_routes()
                 link.guarded(link.tick)
                 await asyncio.sleep(0)  # no message waits until hundreds of links have had their turn
-            self._instruments.tick(self._snapshots.latest)
+            self._exporters.tick(self._snapshots.latest)
 
     def _ros_failed(self, reason: str) -> None:
         """The ROS side is gone: end, so that whoever supervises the process starts it again."""
@@ -178,13 +178,13 @@ class Bridge:
     async def _close(self) -> None:
         if self._shutdown_watch is not None:
             self._shutdown_watch.close()
-        self._instruments.close()
+        self._exporters.close()
         self.context.descriptions.close()
         await self._role.stop()
         self.context.announcements.stop()
         self.context.events.add(Level.INFO, EventCode.ENGINE_STOPPED, "stopped")
         self._snapshots.refresh_now(self._role, running=False)
-        self._instruments.join()
+        self._exporters.join()
 
     def _bridges_changed(self) -> None:
         for link in self.links():
@@ -387,7 +387,7 @@ class Bridge:
             (("group",), lambda: None),  # whoever looks reads it in the session
             (("armed",), self.context.demands.changed),
             (("shutdown_topic",), self._change_shutdown_topic),
-            *self._instruments.by_key,
+            *self._exporters.by_key,
         )
         steps = [Step(", ".join(said), act) for names, act in in_place if (said := changes(old, session, only=names))]
         return steps + self._role.steps_to(session, keys)
@@ -457,3 +457,27 @@ async def _settled(routes: Iterable[Route]) -> None:
 def _undo_mark() -> str:
     """Return the end of an event's text: a mark if the operator takes back an earlier change."""
     return " (undo)" if is_undo() else ""
+
+
+async def carry_out(order: Order, links: Sequence[Link]) -> Outcome:
+    """Do what a benchmark orders.
+
+    Raises:
+        LinkError: it cannot be done, or the peer does not allow it.
+    """
+    if order.what == "measure":
+        cpu, memory = resources()
+        sent, received = (sum(each) for each in zip((0, 0), *(link.bench.wire_bytes() for link in links), strict=True))
+        return Outcome(Usage(cpu, memory, sent, received))
+    link = _chosen(order.link, links)
+    if order.what == "run":
+        return await link.bench.run(order)
+    link.bench.end()
+    return Outcome(link.bench.usage())
+
+
+def _chosen(name: str, links: Sequence[Link]) -> Link:
+    found = [link for link in links if name in ("", link.name)]
+    if len(found) != 1:
+        raise LinkError(f"say which client: one of {', '.join(link.name for link in links)}")
+    return found[0]

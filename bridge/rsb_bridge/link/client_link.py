@@ -14,9 +14,8 @@ from rsb_bridge.link.connecting import ConnectAttempt, Failure, LetIn
 from rsb_bridge.link.control_channel import ControlChannel
 from rsb_bridge.link.duplicate_client import NAME_TRIED_EVERY, DuplicateClients
 from rsb_bridge.link.link import Link
-from rsb_bridge.link.refused import with_remedy
+from rsb_bridge.link.refused_clients import ASKED_EVERY, told_by_server, with_remedy
 from rsb_bridge.link.server_search import ServerSearch, failure_of_search, unproven_servers
-from rsb_bridge.link.shut_down import ASKED_EVERY, told_by_server
 from rsb_bridge.model.backoff import Backoff
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.snapshot import Level

@@ -1,4 +1,4 @@
-"""What operators do with what is bridged: with single routes, and with patterns, which make routes."""
+"""Operators' commands about single topics, about patterns, which make routes, and about arming."""
 
 from __future__ import annotations
 
@@ -10,10 +10,14 @@ from rsb_bridge.config.difference import changes, described
 from rsb_bridge.link.errors import LinkError
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.demands import PEER_DEMANDS, local_name
-from rsb_bridge.model.operators import operator
+from rsb_bridge.model.operators import console, operator
+from rsb_bridge.route.arming import Disarmed
 from rsb_bridge.route.pause import pause_word
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+    from contextlib import AbstractContextManager
+
     from rsb_bridge.link.link import Link
     from rsb_bridge.link.roles import BridgeRole
     from rsb_bridge.model.demands import RunningDemands
@@ -193,6 +197,55 @@ class TopicCommands:
             link.table.pause(route, paused=paused)
         word = pause_word(paused=paused)
         self._did(code, "paused" if paused else "resumed", topic=name, link=link.name, old=old, new=word)
+
+
+class BridgeArming:
+    """Commands of one bridge, on its event loop; what is wrong with one is an `EngineError`.
+
+    Args:
+        links: all of the bridge's.
+        find: gives a route and its link by the route's key.
+        command: what a command runs in: turns its errors into `EngineError`, and has the snapshot show its effect.
+    """
+
+    def __init__(
+        self,
+        links: Callable[[], list[Link]],
+        find: Callable[[str], tuple[Link, Route]],
+        command: Callable[[], AbstractContextManager[None]],
+    ) -> None:
+        self._links = links
+        self._find = find
+        self._command = command
+
+    async def arm(self, key: str) -> None:
+        """Arm a topic for the console that gives the command."""
+        with self._command():
+            link, route = self._find(key)
+            await link.table.arming.arm(route, console())
+
+    async def disarm(self, key: str) -> None:
+        """Disarm a topic, even if another operator armed it; return once no earlier message can be published."""
+        with self._command():
+            link, route = self._find(key)
+            link.table.arming.disarm(route, Disarmed.OPERATOR)
+            await route.settling.wait()
+
+    async def keep(self, *, pressed: bool) -> None:
+        """The console that gives the command is there; `pressed`: its operator has pressed a key."""
+        for link in self._links():
+            link.table.arming.seen(console(), pressed=pressed)
+
+    async def release(self) -> None:
+        """The console that gives the command goes."""
+        with self._command():
+            for link in self._links():
+                link.table.arming.gone(console())
+
+    def reloaded(self) -> None:
+        """The session has been read again: whether it still says the same of what is armed is for people to look at."""
+        for link in self._links():
+            link.table.arming.disarm_all(Disarmed.RELOADED)
 
 
 def _local(link: Link, topic: Topic) -> str:

@@ -14,18 +14,17 @@ from typing import TYPE_CHECKING, TypeVar
 
 import msgspec
 
-from rsb_bridge.access import Access, load_keys
-from rsb_bridge.api import EngineApi, EngineError
-from rsb_bridge.arming import EngineArming
-from rsb_bridge.bridge import Bridge
-from rsb_bridge.commands_under_way import CommandsUnderWay, not_running
+from rsb_bridge.api import ArmingApi, EngineApi, EngineError
 from rsb_bridge.config.difference import is_another, kept
 from rsb_bridge.config.session_file import SessionError, demand_places, load
 from rsb_bridge.config.validation import domain_of, validate
 from rsb_bridge.context import Context
+from rsb_bridge.engine.access import Access, load_keys
+from rsb_bridge.engine.bridge import Bridge
+from rsb_bridge.engine.io_loop import IoLoop
+from rsb_bridge.engine.pending_commands import PendingCommands, not_running
 from rsb_bridge.history.disk import Disk
 from rsb_bridge.history.recorder import Recorder
-from rsb_bridge.io_loop import IoLoop
 from rsb_bridge.model.clock import Clock
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.operators import operator
@@ -41,6 +40,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Coroutine, Mapping
 
     from rsb_bridge.config.keys import Key
+    from rsb_bridge.engine.topic_commands import BridgeArming
     from rsb_bridge.link.roles import Keys
     from rsb_bridge.model.benchmark import Order, Outcome
     from rsb_bridge.model.demands import SourceKey
@@ -102,7 +102,7 @@ class Engine(EngineApi):
         self._stop_wanted = False
         self._changing = asyncio.Lock()
         """Held by the command that changes the session, so that the next one sees all of its effect."""
-        self._commands = CommandsUnderWay()
+        self._commands = PendingCommands()
         self._thread: threading.Thread | None = None
         self._bridge: Bridge | None = None
         transport = self._transports.of_link(session.server_ip)
@@ -277,16 +277,16 @@ class Engine(EngineApi):
         return self._command(lambda bridge: bridge.topics(link))
 
     def peek(self, key: str, *, kept: bool = False) -> Future[PeekedMessage | None]:
-        return self._command(lambda bridge: bridge.contents.peek(key, kept=kept))
+        return self._command(lambda bridge: bridge.inspector.peek(key, kept=kept))
 
     def describe(self, key: str) -> Future[str]:
-        return self._command(lambda bridge: bridge.contents.describe(key))
+        return self._command(lambda bridge: bridge.inspector.describe(key))
 
     def template(self, key: str, lane: str = "") -> Future[str]:
-        return self._command(lambda bridge: bridge.contents.template(key, lane))
+        return self._command(lambda bridge: bridge.inspector.template(key, lane))
 
     def call(self, key: str, request: str, lane: str = "") -> Future[str]:
-        return self._command(lambda bridge: bridge.contents.call(key, request, lane))
+        return self._command(lambda bridge: bridge.inspector.call(key, request, lane))
 
     def bench(self, order: Order) -> Future[Outcome]:
         return self._command(lambda bridge: bridge.bench(order))
@@ -404,3 +404,26 @@ class Engine(EngineApi):
         if problems := validate(session):  # what is left as it is may not go with what is new
             raise EngineError("; ".join([*left, *map(str, problems)]))
         return self._file, session, left
+
+
+class EngineArming(ArmingApi):
+    """Arms topics for consoles, from any thread.
+
+    Args:
+        run: runs a command on the bridge's thread.
+    """
+
+    def __init__(self, run: Callable[[Callable[[BridgeArming], Coroutine[None, None, None]]], Future[None]]) -> None:
+        self._run = run
+
+    def arm(self, key: str) -> Future[None]:
+        return self._run(lambda arming: arming.arm(key))
+
+    def disarm(self, key: str) -> Future[None]:
+        return self._run(lambda arming: arming.disarm(key))
+
+    def keep(self, *, pressed: bool) -> Future[None]:
+        return self._run(lambda arming: arming.keep(pressed=pressed))
+
+    def release(self) -> Future[None]:
+        return self._run(lambda arming: arming.release())

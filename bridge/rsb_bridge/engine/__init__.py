@@ -1,0 +1,7 @@
+"""The engine: one session's bridge on threads of its own."""
+
+from __future__ import annotations
+
+from rsb_bridge.engine.engine import Engine
+
+__all__ = ["Engine"]

@@ -1,0 +1,216 @@
+"""Shows an engine on ``/diagnostics`` and to Prometheus, and reports its faults to the session's command."""
+
+from __future__ import annotations
+
+import threading
+from typing import TYPE_CHECKING
+
+from rsb_bridge.engine.fault_hook import FaultHook
+from rsb_bridge.model.calls import FieldError
+from rsb_bridge.model.codes import EventCode
+from rsb_bridge.model.http_address import host_and_port
+from rsb_bridge.model.qos import Qos
+from rsb_bridge.model.snapshot import Level
+from rsb_bridge.ros.api import Endpoint, RosError
+from rsb_bridge.ros.own_announcement import Origin
+from rsb_bridge.telemetry.diagnostics import diagnostics
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
+
+    from rsb_bridge.context import Context
+    from rsb_bridge.model.snapshot import Snapshot
+    from rsb_bridge.ros.api import Publisher
+
+_TYPE = "diagnostic_msgs/msg/DiagnosticArray"
+_QOS = Qos()  # as diagnostic_updater
+_RETRIED_EVERY = 10.0
+_ENDS_WITHIN = 2.0
+
+
+class DiagnosticsExporter:
+    """The bridge's publisher on the session's `diagnostics_topic`. It belongs to the I/O thread."""
+
+    def __init__(self, context: Context) -> None:
+        self._context = context
+        self._publisher: Publisher | None = None
+
+    def open(self) -> None:
+        """Publish from now on, on the topic that the session names now. What does not work ends nothing else."""
+        self.close()
+        topic = self._context.session.diagnostics_topic
+        if topic is None:
+            return
+        ros = self._context.ros
+        type_hash = ros.installed_hash(_TYPE)
+        if type_hash is None:
+            self._failed(f"{_TYPE} is not installed here", Level.INFO)
+            return
+        try:
+            self._publisher = ros.advertise(topic, _TYPE, type_hash, _QOS, self)
+            endpoint = Endpoint(f"/{ros.node_name}", _TYPE, type_hash, _QOS, self._publisher.gid)
+            self._context.announcements.announce(topic, self, endpoint, Origin(()))
+        except RosError as error:
+            self._failed(str(error))
+
+    def tick(self, snapshot: Snapshot) -> None:
+        """Publish how everything is, if anybody listens; to be called once a second."""
+        if self._publisher is None or not (self._publisher.subscriber_count or self._bridged(snapshot)):
+            return
+        try:
+            ros, now = self._context.ros, self._context.wall_ns()
+            self._publisher.publish(ros.serialize(_TYPE, diagnostics(snapshot), now))
+        except (RosError, FieldError) as error:
+            self._failed(str(error))
+
+    def _bridged(self, snapshot: Snapshot) -> bool:
+        """Whether this bridge itself takes the topic to another domain."""
+        topic = self._context.session.diagnostics_topic
+        return any(route.outgoing and route.topic == topic for route in snapshot.routes)
+
+    def _failed(self, why: str, level: Level = Level.WARNING) -> None:
+        text = f"nothing is published on {self._context.session.diagnostics_topic}: {why}"
+        self._context.log(level, EventCode.ENGINE_DIAGNOSTICS, text)
+        self.close()
+
+    def close(self) -> None:
+        """Publish no more. May be called twice."""
+        if self._publisher is not None:
+            self._context.announcements.withdraw(self._publisher.gid)
+            self._publisher.close()
+            self._publisher = None
+
+
+class MetricsExporter:
+    """Serves the session's `metrics` over HTTP, on threads of their own; the I/O thread, its owner, awaits no scrape.
+
+    Args:
+        context: the session, and the event log.
+        look: gives the newest snapshot, on any thread.
+    """
+
+    def __init__(self, context: Context, look: Callable[[], Snapshot]) -> None:
+        self._context = context
+        self._look = look
+        self._service: _Service | None = None
+
+    def open(self) -> None:
+        """Serve from now on, at the address that the session names now."""
+        before, self._service = self._service, None
+        if before is not None:
+            before.end()
+        if self._context.session.metrics is not None:
+            self._service = _Service(self._context, self._look, before)
+            self._service.thread.start()
+
+    def close(self) -> None:
+        """Serve no more. May be called twice."""
+        service, self._service = self._service, None
+        if service is not None:
+            service.end()
+            service.thread.join(_ENDS_WITHIN)
+
+
+class _Service:
+    """Serves at one address until `end`. An address that is taken is tried again, and ends nothing else.
+
+    Attributes:
+        thread: that does so.
+    """
+
+    def __init__(self, context: Context, look: Callable[[], Snapshot], before: _Service | None) -> None:
+        self._context = context
+        self._look = look
+        self._before = before
+        self._address = context.session.metrics or ""
+        self._ends = threading.Event()
+        self._stop: Callable[[], None] = self._ends.set
+        self.thread = threading.Thread(target=self._run, name="rsb-metrics", daemon=True)
+
+    def end(self) -> None:
+        """Have the thread end soon."""
+        self._ends.set()
+        self._stop()
+
+    def _run(self) -> None:
+        if self._before is not None:
+            self._before.thread.join()  # it may have this port
+            self._before = None
+        try:
+            # Here, since they take a while to load, and only bridges with this key need them.
+            from rsb_bridge.telemetry.metrics import application  # noqa: PLC0415
+            from rsb_bridge.telemetry.metrics_server import MetricsServer  # noqa: PLC0415
+        except ModuleNotFoundError as error:
+            if error.name != "prometheus_client":
+                raise
+            remedy = "it needs prometheus-client: pip install 'rsb-console[metrics]', and restart the bridge"
+            self._tell(Level.WARNING, f"no metrics are served: {remedy}")
+            return
+        app = application(self._look, self._context.events)
+        host, port = host_and_port(self._address)
+        told = ""
+        while not self._ends.is_set():
+            try:
+                server = MetricsServer(host, port, app, self._context.clock.steady, self._failed)
+            except OSError as error:
+                if told != (told := error.strerror or str(error)):
+                    remedy = f"it is tried again every {_RETRIED_EVERY:.0f} s; or name another address"
+                    self._tell(Level.ERROR, f"no metrics are served, and the bridge goes on: {told}; {remedy}")
+                self._ends.wait(_RETRIED_EVERY)
+                continue
+            told = ""
+            self._tell(Level.INFO, "metrics are served")
+            self._stop = server.wake
+            with server:
+                while not self._ends.is_set():
+                    server.turn()
+
+    def _failed(self, error: Exception) -> None:
+        self._tell(Level.ERROR, f"internal error, please report it: {error}")
+
+    def _tell(self, level: Level, text: str) -> None:
+        self._context.events.add(level, EventCode.ENGINE_METRICS, f"metrics {self._address}: {text}")
+
+
+class Exporters:
+    """All exporters of one engine, and its fault hook. They belong to the I/O thread; a failing one ends nothing else.
+
+    Args:
+        context: the session, and what every part shares.
+        look: gives the newest snapshot, on any thread.
+        folder: gives the folder of the session file.
+
+    Attributes:
+        by_key: exporters to restart when their key of the session changes.
+    """
+
+    def __init__(self, context: Context, look: Callable[[], Snapshot], folder: Callable[[], Path]) -> None:
+        self._diagnostics = DiagnosticsExporter(context)
+        self._metrics = MetricsExporter(context, look)
+        self._fault_hook = FaultHook(context, folder)
+        self.by_key: tuple[tuple[tuple[str], Callable[[], None]], ...] = (
+            (("diagnostics_topic",), self._diagnostics.open),
+            (("metrics",), self._metrics.open),
+            (("on_fault",), self._fault_hook.open),
+        )
+
+    def open(self) -> None:
+        """Show everything that the session says, from now on."""
+        for _, start in self.by_key:
+            start()
+
+    def tick(self, snapshot: Snapshot) -> None:
+        """To be called once a second, with the newest snapshot."""
+        self._diagnostics.tick(snapshot)
+        self._fault_hook.tick(snapshot)
+
+    def close(self) -> None:
+        """Show nothing more. May be called twice."""
+        self._diagnostics.close()
+        self._fault_hook.close()
+        self._metrics.close()
+
+    def join(self) -> None:
+        """Wait for what `close` ended, a second at most."""
+        self._fault_hook.join()

@@ -1,0 +1,622 @@
+"""The patterns that this side of a link proposes: each name that matches gets a route, for as long as it is there."""
+
+from __future__ import annotations
+
+from itertools import islice
+from operator import itemgetter
+from typing import TYPE_CHECKING, Final
+
+import msgspec
+
+from rsb_bridge.config.rights import Use, as_if_listed, uses
+from rsb_bridge.link.errors import LinkError
+from rsb_bridge.link.proposals import KINDS
+from rsb_bridge.model.codes import EventCode
+from rsb_bridge.model.limits import TEXT_LENGTH
+from rsb_bridge.model.names import client_topic, expand_type_name, is_topic_name, server_topic
+from rsb_bridge.model.operators import acting
+from rsb_bridge.model.patterns import (
+    EXCEPTIONS_PER_PATTERN,
+    FEATURE,
+    GONE_AFTER,
+    NAMES_FOLLOWED,
+    PATTERNS_PER_LINK,
+    ROUTES_BY_PATTERNS,
+    ROUTES_PER_PATTERN,
+    Pattern,
+    is_hidden,
+    is_valid,
+)
+from rsb_bridge.model.qos import AUTO
+from rsb_bridge.model.snapshot import Level, PatternSnapshot, State
+from rsb_bridge.wire.messages import Follow, Followed, FoundName, NamePattern
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Collection, Iterable, Iterator
+
+    from rsb_bridge.config.rights import Rights
+    from rsb_bridge.context import Context
+    from rsb_bridge.link.name_watch import Named, Names
+    from rsb_bridge.link.proposed_topics import ProposedTopics
+    from rsb_bridge.link.route_table import RouteOwner, RouteTable
+    from rsb_bridge.model.session import Identity, Kind, Topic
+    from rsb_bridge.route.route import Route
+    from rsb_bridge.wire.messages import ControlMessage
+
+_REMEMBERED: Final = 10_000
+_GONE: Final = f"gone for {GONE_AFTER / 60:g} min"
+_IN_ONE_MESSAGE = 200
+
+
+def _from_client_graph(topic: Topic) -> bool:
+    """Whether an entry follows the client's graph: where it is published, or where the provider is."""
+    return (topic.direction == "transmit") == (topic.kind == "topic")
+
+
+class PatternEntry:
+    """An entry of a session whose name is a pattern, ready to be held against names.
+
+    Args:
+        topic: whose name is a pattern; validated.
+        client: the client's name: the prefix.
+        prefixed: whether the server's names of what has no `Topic.remote_topic` have the prefix.
+        always_prefixed: whether the others have it, too, unless they begin with it already.
+
+    Attributes:
+        topic: likewise.
+        source: the pattern of names in the graph that is followed.
+        from_client: whether that is the client's.
+        left_out: what the last names that matched could not be bridged for, by name.
+        beyond: how many more names match than there is room for.
+    """
+
+    def __init__(self, topic: Topic, *, client: str, prefixed: bool, always_prefixed: bool = False) -> None:
+        self.topic = topic
+        self.from_client = _from_client_graph(topic)
+        self.left_out: dict[str, str] = {}
+        self.beyond = 0
+        self._here = Pattern(topic.topic)
+        self._remote = None if topic.remote_topic is None else Pattern(topic.remote_topic)
+        self._excepts = [Pattern(each) for each in topic.excepts]
+        self._type = "" if topic.type == AUTO else expand_type_name(topic.type)
+        self._client = client
+        self._prefixed = prefixed if self._remote is None else False
+        self._always = always_prefixed
+        self.source = self._here if self.from_client else Pattern(self.server_name(topic.remote_topic or topic.topic))
+
+    def server_name(self, name: str) -> str:
+        """The server's name of what the client, or its session's `Topic.remote_topic`, calls so."""
+        if self._prefixed or (self._always and client_topic(name, self._client) is None):
+            return server_topic(name, self._client)
+        return name
+
+    def match(self, name: str, type_name: str | None) -> Topic | None:
+        """What a name of the graph that is followed is to be bridged as; None: it does not match.
+
+        Args:
+            name: in that graph.
+            type_name: its type there; empty: its endpoints disagree; None: whatever it is.
+        """
+        parts = self.source.match(name)
+        if parts is None or (self._type and type_name is not None and type_name != self._type):
+            return None
+        on_client = self._here.fill(parts)
+        remote = None if self._remote is None else self._remote.fill(parts)
+        if is_hidden(on_client) or not is_topic_name(on_client) or self.excepts(on_client):
+            return None
+        return msgspec.structs.replace(self.topic, topic=on_client, remote_topic=remote, excepts=())
+
+    def matches_client(self, name: str) -> bool:
+        """Whether a name on the client is one of those that it stands for."""
+        return self._here.match(name) is not None and not self.excepts(name)
+
+    def excepts(self, name: str) -> bool:
+        """Whether it leaves out a name on the client."""
+        return any(each.match(name) is not None for each in self._excepts)
+
+
+class FollowedByPeer:
+    """What the peer follows of this side's graph: it is told which names match its patterns.
+
+    Args:
+        context: is told when the peer asks for something else.
+        shows: whether the peer may know of a name of a kind.
+        send: sends a control message.
+    """
+
+    def __init__(
+        self, context: Context, shows: Callable[[str, Kind], bool], send: Callable[[ControlMessage], None]
+    ) -> None:
+        self._context = context
+        self._shows = shows
+        self._send = send
+        self._request: int | None = None  # None: the peer follows nothing
+        self._asked_for: tuple[NamePattern, ...] = ()  # not compiled yet
+        self._patterns: list[tuple[Kind, Pattern]] = []
+        self._told: Names = {}
+        self._more = 0
+        self._answered = False
+
+    def disconnected(self) -> None:
+        """The next connection begins with nothing."""
+        self._request, self._asked_for, self._patterns, self._told = None, (), [], {}
+
+    def asked(self, message: Follow) -> None:
+        """The peer asks."""
+        self.disconnected()
+        self._request, self._answered, self._more = message.request, False, 0
+        self._asked_for = message.patterns
+        self._context.names_changed()
+
+    def patterns_here(self) -> Collection[tuple[Kind, Pattern]]:
+        """What the peer asks for. It is compiled when the graph is looked at, not as often as the peer asks."""
+        if self._asked_for:
+            self._patterns = [
+                (kind, Pattern(each.pattern))
+                for each in self._asked_for
+                if (kind := KINDS.get(each.kind)) is not None and is_valid(each.pattern)
+            ]
+            self._asked_for = ()
+        return self._patterns
+
+    def look(self, names: Names) -> None:
+        """Tell the peer what has changed."""
+        if self._request is None or self._asked_for or not (self._patterns or self._told or not self._answered):
+            return
+        matching = [(named, type_name) for named, type_name in sorted(names.items()) if self._tells(named, type_name)]
+        known = [each for each in matching if each[0] in self._told]  # first: a full list does not flutter
+        new = [each for each in matching if each[0] not in self._told]
+        told = dict(islice((*known, *new), NAMES_FOLLOWED))
+        present = [_found(named, kind) for named, kind in told.items() if self._told.get(named) != kind]
+        gone = [_found(named, "") for named in self._told if named not in told]
+        more = len(matching) - len(told)
+        if not (present or gone or more != self._more or not self._answered):
+            return
+        self._told, self._more, self._answered = told, more, True
+        for at in range(0, max(len(present), len(gone), 1), _IN_ONE_MESSAGE):
+            part = slice(at, at + _IN_ONE_MESSAGE)
+            self._send(Followed(self._request, tuple(present[part]), tuple(gone[part]), more))
+
+    def _tells(self, named: Named, type_name: str) -> bool:
+        kind, name = named
+        matches = any(kind == each and pattern.match(name) is not None for each, pattern in self._patterns)
+        return matches and max(len(name), len(type_name)) <= TEXT_LENGTH and self._shows(name, kind)
+
+
+def _found(named: Named, type_name: str) -> FoundName:
+    kind, name = named
+    return FoundName(name, type_name, kind)
+
+
+class LinkPatterns:
+    """The patterns of one link.
+
+    Entries that are no patterns win over these, and the first pattern that a name matches wins over the others. What
+    operators remove is an exception from then on, and what they edit an entry of its own.
+
+    Args:
+        context: has the session, and is told when other names are followed.
+        owner: the link.
+        table: its routes.
+        proposed: the topics that this side proposes, those of patterns among them.
+        shows: whether the peer may know of a name of a kind.
+        make_entry: makes the entry of a pattern, as the two sides name topics now.
+
+    Attributes:
+        followed: what the peer follows of this side's graph.
+        entries: the patterns, in order.
+        there: what the peer's graph has of what is followed; None: that is not known now.
+        unseen: how many names it has beyond those that it tells.
+        gone: the identities of what has a route and nobody publishes or provides, each with the time since when.
+    """
+
+    def __init__(
+        self,
+        context: Context,
+        owner: RouteOwner,
+        table: RouteTable,
+        proposed: ProposedTopics,
+        shows: Callable[[str, Kind], bool],
+        make_entry: Callable[[Topic], PatternEntry],
+    ) -> None:
+        self._context = context
+        self._owner = owner
+        self._table = table
+        self._proposed = proposed
+        self._make_entry = make_entry
+        self._transport = context.transports.of_link(context.session.server_ip).name
+        self.followed = FollowedByPeer(context, shows, owner.send)
+        self.entries: list[PatternEntry] = []
+        self._here: Names | None = None  # this side's graph; None: not known yet
+        self.there: Names | None = None
+        self._request = 0
+        self._due = False  # the peer has told something new
+        self.unseen = 0
+        self.gone: dict[Identity, float] = {}
+        self._known: dict[tuple[bool, Kind, str, str], tuple[int, Topic] | None] = {}  # which pattern matches
+        self._told_full: set[Identity] = set()
+        table.on_removed = self.leave_out
+
+    # --- what operators want
+
+    def all(self) -> tuple[Topic, ...]:
+        """The patterns, in order. May be called from any thread."""
+        return tuple(entry.topic for entry in tuple(self.entries))
+
+    def add(self, topic: Topic) -> str:
+        """Follow one more pattern; its key.
+
+        Raises:
+            LinkError: it has a mistake, there is such a pattern, or there are too many.
+        """
+        self._proposed.check(topic)
+        if any(entry.topic.identity == topic.identity for entry in self.entries):
+            raise LinkError(f"{topic.topic} is followed in that direction already: edit or remove that pattern")
+        if len(self.entries) >= PATTERNS_PER_LINK:
+            raise LinkError(f"this link has {PATTERNS_PER_LINK} patterns already, which is the limit")
+        self._set([*self.all(), topic])
+        return self.key_of(topic)
+
+    def replace(self, identity: Identity, topic: Topic) -> str:
+        """Put another pattern in a pattern's place; its key.
+
+        Raises:
+            LinkError: it has a mistake, or there is such a pattern at another place.
+        """
+        self.check_replace(identity, topic)
+        self._set(topic if each.identity == identity else each for each in self.all())
+        return self.key_of(topic)
+
+    def check_replace(self, identity: Identity, topic: Topic) -> None:
+        """Raise `LinkError` where `replace` would."""
+        self._proposed.check(topic)
+        if topic.identity != identity and any(each.identity == topic.identity for each in self.all()):
+            raise LinkError(f"{topic.topic} is followed in that direction already: edit or remove that pattern")
+
+    def remove(self, identity: Identity) -> None:
+        """Follow a pattern no more: all routes that it has made are removed, unless another one matches."""
+        self._set(each for each in self.all() if each.identity != identity)
+
+    def arrange(self, identities: Iterable[Identity]) -> None:
+        """Put the patterns in another order."""
+        known = {each.identity: each for each in self.all()}
+        self._set(known[identity] for identity in identities if identity in known)
+
+    def leave_out(self, route: Route) -> None:
+        """An operator removes a route: no pattern brings it back."""
+        name = route.spec.topic
+        if not any(self._claims(entry, route) for entry in self.entries):
+            return
+        if problem := self.brings_back(route):
+            self._owner.log(Level.WARNING, EventCode.LINK_PATTERN_FULL, problem, topic=name)
+            return
+        self._set(
+            msgspec.structs.replace(each.topic, excepts=(*each.topic.excepts, name))
+            if self._claims(each, route)
+            else each.topic
+            for each in self.entries
+        )
+
+    def brings_back(self, route: Route) -> str:
+        """Why a pattern cannot leave out a route's topic; empty: all can."""
+        reached = (_exceptions_reached(entry) for entry in self.entries if self._claims(entry, route))
+        return next(filter(None, reached), "")
+
+    def _claims(self, entry: PatternEntry, route: Route) -> bool:
+        same = entry.topic.kind == route.spec.kind and entry.topic.direction == route.spec.direction
+        return same and route.proposed_here and entry.matches_client(route.spec.topic)
+
+    def has_made(self, route: Route, topic: Topic) -> bool:
+        """Whether a route is one of a pattern's."""
+        return bool(route.pattern) and _identity_of(route) == topic.identity
+
+    def key_of(self, topic: Topic) -> str:
+        """What identifies a pattern in commands and snapshots of this side; no route has such a key."""
+        return f"{self._owner.name} {'→' if topic.direction == 'transmit' else '←'} pattern {topic.kind} {topic.topic}"
+
+    def find(self, key: str) -> Topic | None:
+        """The pattern of that key."""
+        return next((topic for topic in self.all() if self.key_of(topic) == key), None)
+
+    def _set(self, topics: Iterable[Topic]) -> None:
+        before = {entry.topic.identity for entry in self.entries if entry.beyond}
+        self.entries = [self._make_entry(topic) for topic in topics]
+        self._context.demands.changed()
+        self._known.clear()
+        self._told_full &= before & {entry.topic.identity for entry in self.entries}
+        self._ask()
+        self._context.names_changed()
+        self.reconcile()
+
+    # --- the two graphs
+
+    def connected(self) -> None:
+        """The peer is connected, and is asked for what its graph has. Who is on the server is known from now on."""
+        self._request = 0
+        self.renew()
+
+    def renew(self) -> None:
+        """The server may have other names for the client's topics, or the peer other rights."""
+        self._set(self.all())
+
+    def disconnected(self) -> None:
+        """The connection is over: nothing is known of the peer's graph, and nothing of it is taken for gone."""
+        self.followed.disconnected()
+        self.there, self.unseen = None, 0
+        self.reconcile()
+
+    def _ask(self) -> None:
+        theirs = tuple(
+            NamePattern(entry.source.text, entry.topic.kind) for entry in self.entries if not self.is_local(entry)
+        )
+        if self._owner.linked and FEATURE in self._owner.features and (theirs or self._request):
+            self._request += 1
+            self.there, self.unseen = None, 0
+            self._owner.send(Follow(self._request, theirs))
+
+    def handle(self, message: Follow | Followed) -> None:
+        """The peer follows this side's graph, or says what has changed in its own."""
+        if isinstance(message, Follow):
+            self.followed.asked(message)
+        elif message.request == self._request:
+            self._take(message)
+
+    def _take(self, message: Followed) -> None:
+        names = {} if self.there is None else self.there
+        for each in message.gone:
+            if (kind := KINDS.get(each.kind)) is not None:
+                names.pop((kind, each.name), None)
+        for each in message.present:
+            kind = KINDS.get(each.kind)
+            if kind is not None and ((kind, each.name) in names or len(names) < NAMES_FOLLOWED):
+                names[kind, each.name] = each.type
+        self.there, self.unseen, self._due = names, message.more, True
+
+    def patterns_here(self) -> Collection[tuple[Kind, Pattern]]:
+        """What it asks of this side's graph."""
+        return [(entry.topic.kind, entry.source) for entry in self.entries if self.is_local(entry)]
+
+    def look(self, names: Names) -> None:
+        """See what this side's graph has now."""
+        if self.entries and names != self._here:
+            self._here = names
+            self.reconcile()
+
+    def is_local(self, entry: PatternEntry) -> bool:
+        """Whether an entry follows this side's graph."""
+        return entry.from_client == self._owner.is_client
+
+    # --- routes
+
+    def routes_of(self, entry: PatternEntry) -> list[Route]:
+        """The routes that a pattern has made."""
+        return [route for route in self._table.routes.values() if self.has_made(route, entry.topic)]
+
+    def reconcile(self) -> None:
+        """Have routes for what matches, and for nothing else."""
+        if not self.entries and not any(route.pattern for route in self._table.routes.values()):
+            return
+        with acting(""):  # whoever has made the graph change is no operator
+            self._reconcile(self._wanted())
+
+    def _reconcile(self, wanted: dict[Identity, tuple[PatternEntry, Topic]]) -> None:
+        for each in self.entries:
+            each.beyond, each.left_out = 0, {}
+        routes = {route.spec.identity: route for route in self._table.routes.values()}
+        self.gone = {identity: at for identity, at in self.gone.items() if identity in routes}
+        for identity, route in routes.items():
+            if not route.pattern:
+                continue
+            if identity in wanted:
+                self.gone.pop(identity, None)
+                self._keep(route, *wanted[identity])
+            elif (entry := self._entry_of(route)) is None:
+                self._drop(route, "no pattern matches it any more")
+            elif (self._here if self.is_local(entry) else self.there) is None:
+                self.gone.pop(identity, None)
+            else:
+                self.gone.setdefault(identity, self._context.now())
+        self._add(wanted)
+
+    def _wanted(self) -> dict[Identity, tuple[PatternEntry, Topic]]:
+        """What matches now, each with the pattern that wins, in the order of patterns and names."""
+        session, rights = self._context.session, as_if_listed(self._owner.rights)
+        own = {session.shutdown_topic, session.diagnostics_topic}
+        found: list[tuple[int, str, Topic]] = []
+        for local, names in ((True, self._here), (False, self.there)):
+            for (kind, name), type_name in (names or {}).items():
+                key = local, kind, name, type_name
+                if key not in self._known:
+                    self._known[key] = self._first_match(*key, rights)
+                match = self._known[key]
+                if match is not None and own.isdisjoint((name, match[1].topic, match[1].remote_topic)):
+                    found.append((match[0], name, match[1]))
+        found.sort(key=itemgetter(0, 1))
+        wanted: dict[Identity, tuple[PatternEntry, Topic]] = {}
+        for at, _, topic in found:
+            wanted.setdefault(topic.identity, (self.entries[at], topic))
+        return wanted
+
+    def _first_match(
+        self, local: bool, kind: Kind, name: str, type_name: str, rights: Rights
+    ) -> tuple[int, Topic] | None:
+        """The place of the first pattern that matches a name, and what that makes of it."""
+        if len(self._known) >= _REMEMBERED:
+            self._known.clear()
+        for at, entry in enumerate(self.entries):
+            if entry.topic.kind == kind and self.is_local(entry) == local:
+                topic = entry.match(name, type_name)
+                if topic is not None and self._may_have(entry, name, topic, rights):
+                    return at, topic
+        return None
+
+    def _entry_of(self, route: Route) -> PatternEntry | None:
+        """The pattern that would match a route's topic if that was there; None: none does any more."""
+        rights = as_if_listed(self._owner.rights)
+        for entry in self.entries:
+            if self._claims(entry, route):
+                name = route.spec.topic
+                if not entry.from_client:
+                    name = entry.server_name(route.spec.remote_topic or name)
+                topic = entry.match(name, None)
+                if topic is not None and self._may_have(entry, name, topic, rights):
+                    return entry
+        return None
+
+    def _may_have(self, entry: PatternEntry, name: str, topic: Topic, rights: Rights) -> bool:
+        """Whether a pattern may bridge a name, as this side's own rights say."""
+        if self.is_local(entry):
+            local = name
+        else:
+            local = topic.topic if self._owner.is_client else entry.server_name(topic.remote_topic or topic.topic)
+        sends, takes = uses(topic.kind)
+        may = sends if (topic.direction == "transmit") != self._owner.is_client else takes
+        return rights.refusal(Use(local, may, topic.protocol or self._transport, topic.kind)) is None
+
+    def _keep(self, route: Route, entry: PatternEntry, topic: Topic) -> None:
+        """Have a route be as its pattern says now."""
+        if msgspec.structs.replace(topic, paused=route.spec.paused) != route.spec:
+            try:
+                route = self._proposed.replace(route, topic)
+            except LinkError as error:
+                entry.left_out[topic.topic] = str(error)
+        route.pattern = entry.topic.topic
+
+    def _add(self, wanted: dict[Identity, tuple[PatternEntry, Topic]]) -> None:
+        """Make routes for what has none, as far as there is room."""
+        matched = [route for route in self._table.routes.values() if route.pattern]
+        total = len(matched)
+        counts = dict.fromkeys((entry.topic.identity for entry in self.entries), 0)
+        for route in matched:
+            counts[_identity_of(route)] = counts.get(_identity_of(route), 0) + 1
+        taken = {route.spec.identity for route in self._table.routes.values()}
+        taken |= {topic.identity for topic in self._table.yielded.values()}
+        for identity, (entry, topic) in wanted.items():
+            if identity in taken:
+                continue
+            of_entry = entry.topic.identity
+            if counts[of_entry] >= ROUTES_PER_PATTERN or total >= ROUTES_BY_PATTERNS:
+                gone = self._longest_gone(of_entry if counts[of_entry] >= ROUTES_PER_PATTERN else None)
+                if gone is None:
+                    entry.beyond += 1
+                    continue
+                counts[_identity_of(gone)] -= 1
+                total -= 1
+                self._drop(gone, "gone, and others that match need its room")
+            try:
+                self._proposed.add(topic, by_pattern=True).pattern = entry.topic.topic
+            except LinkError as error:
+                if not self._proposed.is_bridged(topic):  # under another name on the client
+                    entry.left_out[topic.topic] = str(error)
+            else:
+                counts[of_entry] += 1
+                total += 1
+        self._tell_full()
+
+    def _longest_gone(self, pattern: Identity | None) -> Route | None:
+        """The route whose topic has been gone for longest, of one pattern or of any."""
+        routes = {route.spec.identity: route for route in self._table.routes.values() if route.pattern}
+        for identity in sorted(self.gone, key=lambda each: self.gone[each]):
+            if identity in routes and pattern in (None, _identity_of(routes[identity])):
+                return routes[identity]
+        return None
+
+    def _drop(self, route: Route, reason: str) -> None:
+        self.gone.pop(route.spec.identity, None)
+        self._table.remove(route, reason, told=False)
+
+    def tick(self) -> None:
+        """Once a second: see what the peer has told, however often it has; remove what has been gone for long."""
+        if self._due:
+            self._due = False
+            self.reconcile()
+        if not self.gone:
+            return
+        now = self._context.now()
+        over = {identity for identity, at in self.gone.items() if now - at >= GONE_AFTER}
+        for route in [route for route in self._table.routes.values() if route.pattern and route.spec.identity in over]:
+            self._drop(route, f"{_GONE}; {route.pattern} matches it again once it is back")
+        if over:
+            self.gone = {identity: at for identity, at in self.gone.items() if identity not in over}
+            self.reconcile()
+
+    # --- what operators see
+
+    def _tell_full(self) -> None:
+        for entry in self.entries:
+            identity, name = entry.topic.identity, entry.topic.topic
+            if entry.beyond and identity not in self._told_full:
+                self._told_full.add(identity)
+                text = f"pattern {name}: {_limit_reached(entry, len(self.routes_of(entry)))}"
+                self._owner.log(Level.WARNING, EventCode.LINK_PATTERN_FULL, text, topic=name)
+            elif not entry.beyond and identity in self._told_full:
+                self._told_full.discard(identity)
+                text = f"pattern {name}: all that match are bridged"
+                self._owner.log(Level.INFO, EventCode.LINK_PATTERN_ROOM, text, topic=name)
+
+    def snapshots(self) -> Iterator[PatternSnapshot]:
+        """Yield the patterns as user interfaces show them."""
+        for entry in self.entries:
+            routes = self.routes_of(entry)
+            gone = sum(1 for each in routes if each.spec.identity in self.gone)
+            count = f"{len(routes)} bridged{f', {gone} of them gone' if gone else ''}"
+            state, reason = self._state(entry, count if routes else "")
+            here = self.is_local(entry)
+            yield PatternSnapshot(
+                key=self.key_of(entry.topic),
+                link=self._owner.name,
+                spec=entry.topic,
+                state=state,
+                reason=reason,
+                here=here,
+                source=entry.source.text,
+                routes=len(routes),
+                gone=gone,
+                beyond=entry.beyond + (0 if here else self.unseen),
+            )
+
+    def _state(self, entry: PatternEntry, count: str) -> tuple[State, str]:
+        owner, here = self._owner, self.is_local(entry)
+        some = f"{count}; " if count else ""
+        if entry.beyond:
+            return State.DOWN, f"{some}{_limit_reached(entry, len(self.routes_of(entry)))}"
+        if entry.left_out:
+            name, reason = next(iter(entry.left_out.items()))
+            return State.DOWN, f"{some}{len(entry.left_out)} not bridged: {name}: {reason}"
+        if entry.topic.paused:
+            return State.PAUSED, count
+        if not here and self.unseen:
+            return State.DOWN, f"{some}the other side does not tell {self.unseen} more that match: narrow the patterns"
+        if not here and owner.linked and FEATURE not in owner.features:
+            return State.DOWN, f"{some}the other side cannot tell what matches: update rsb-console there"
+        if not here and self.there is None:
+            why = (
+                "it has just been asked" if owner.linked else f"not linked: {owner.down_reason or 'not connected yet'}"
+            )
+            return State.WAITING, f"{some}what the other side has is not known: {why}"
+        if not count:
+            side = f"in domain {self._context.domain_id}" if here else "on the other side"
+            but = ", but for what it leaves out" if entry.topic.excepts else ""
+            return State.WAITING, f"nothing {side} matches {entry.source.text}{but}"
+        return State.OK, count
+
+
+def _identity_of(route: Route) -> Identity:
+    """Of the pattern that has made a route."""
+    return route.spec.kind, route.pattern, route.spec.direction
+
+
+def _exceptions_reached(entry: PatternEntry) -> str:
+    """Why a pattern can leave out no more names, and what to do; empty: it can."""
+    if len(entry.topic.excepts) < EXCEPTIONS_PER_PATTERN:
+        return ""
+    limit = f"pattern {entry.topic.topic} has {EXCEPTIONS_PER_PATTERN} exceptions already, which is the limit"
+    return f"{limit}: edit it, and use patterns in except"
+
+
+def _limit_reached(entry: PatternEntry, routes: int) -> str:
+    """What is left out for a limit, and what to do."""
+    alone = routes >= ROUTES_PER_PATTERN
+    limit = f"{ROUTES_PER_PATTERN} for a pattern" if alone else f"{ROUTES_BY_PATTERNS} for all patterns of a link"
+    remedy = "make it narrower, leave some out (except), or list them by name"
+    return f"{entry.beyond} more match, and are not bridged: the limit is {limit}; {remedy}"
