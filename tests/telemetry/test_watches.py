@@ -12,8 +12,7 @@ from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.verdict import FINE, Cause, Verdict
 from rsb_bridge.route.announcing import Announcer
-from rsb_bridge.telemetry.meters import RateMeter
-from rsb_bridge.telemetry.usual_rate import UsualRate
+from rsb_bridge.telemetry.meters import RateMeter, UsualRate
 from rsb_bridge.telemetry.watches import LossWatch, SlowWatch, StopWatch
 
 if TYPE_CHECKING:

@@ -19,7 +19,7 @@ from rsb_bridge.model.priority import FEATURE
 from rsb_bridge.model.snapshot import Level
 from rsb_bridge.route.outgoing import OutgoingRoute
 from rsb_bridge.route.yielding import Share
-from rsb_bridge.telemetry.throughput import Throughput
+from rsb_bridge.telemetry.meters import Throughput
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterable

@@ -8,9 +8,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rsb_bridge.control.bridges import running_bridges
-from rsb_bridge.history import offline
-from rsb_bridge.history.folders import EVENTS, Files, kept_bridges
-from rsb_bridge.history.history_file import HistoryFileError
+from rsb_bridge.history import history_files
+from rsb_bridge.history.history_files import HistoryFileError
+from rsb_bridge.history.state_folder import EVENTS, Files, kept_bridges
 from rsb_console.command.shell import OK, print_line, print_lines
 from rsb_console.command.target import NoBridgeError, UsageError, ask_history, reported
 from rsb_console.session.history import csv_report, json_report, parse_span, text_report
@@ -65,6 +65,6 @@ def _report(arguments: Namespace, seconds: float) -> HistoryReport:
         found = "".join(f"\n  {files.stem}: {files.history}" for files in kept)
         raise UsageError(f"no bridge runs here, and several have left their files; say which:{found}")
     try:
-        return offline.report(kept[0], time.time(), seconds)
+        return history_files.report(kept[0], time.time(), seconds)
     except HistoryFileError as error:
         raise NoBridgeError(str(error)) from None

@@ -1,4 +1,4 @@
-"""Events as lines of JSON in files of a bounded size."""
+"""The files of one bridge: its events as lines of JSON, its time line as compressed MessagePack."""
 
 from __future__ import annotations
 
@@ -7,13 +7,20 @@ import os
 from typing import TYPE_CHECKING
 
 import msgspec
+import zstandard
 
+from rsb_bridge.config.files import replace_file
+from rsb_bridge.history.timeline import FROM_THE_FUTURE, VERSION, Saved, Timeline
+from rsb_bridge.model.history import KEPT_FOR
 from rsb_bridge.model.snapshot import Event
 from rsb_bridge.model.text import sanitize_text
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
     from pathlib import Path
+
+    from rsb_bridge.history.state_folder import Files
+    from rsb_bridge.model.history import HistoryReport
 
 FILE_BYTES = 2 << 20
 FILES = 5
@@ -22,6 +29,9 @@ _TEXT_LENGTH = 2000
 
 _EMPTY = ("", None, False)
 _line = msgspec.json.Decoder(dict[str, object])
+_FILE_BYTES = 64 << 20
+_BYTES = 256 << 20
+_LEVEL = 1
 
 
 class EventFile:
@@ -42,7 +52,7 @@ class EventFile:
         Raises:
             OSError: they cannot be written.
         """
-        data = b"".join(encode(event) for event in events)
+        data = b"".join(encode_event(event) for event in events)
         if self._fd is not None and not self._is_there():
             self.close()
         if self._fd is None:
@@ -100,7 +110,7 @@ def numbered(path: Path, number: int) -> Path:
     return path if number == 0 else path.with_name(f"{path.stem}.{number}{path.suffix}")
 
 
-def encode(event: Event) -> bytes:
+def encode_event(event: Event) -> bytes:
     """An event as one line, with the keys of ``--log-format json``; what is empty is left out."""
     fields = msgspec.to_builtins(event).items()
     line = {name: _sanitized(name, value) for name, value in fields if value not in _EMPTY and name != "number"}
@@ -113,7 +123,7 @@ def _sanitized(name: str, value: object) -> object:
     return sanitize_text(value, _TEXT_LENGTH) if name == "text" else sanitize_text(value)
 
 
-def read(path: Path, since: float) -> Iterator[Event]:
+def read_events(path: Path, since: float) -> Iterator[Event]:
     """The events in the files, oldest first; what is no event is left out.
 
     Args:
@@ -127,3 +137,75 @@ def read(path: Path, since: float) -> Iterator[Event]:
                     event = msgspec.convert({**_line.decode(line), "number": 0}, Event)
                     if event.time >= since:
                         yield event
+
+
+class HistoryFileError(Exception):
+    """The file cannot be used; the message says why."""
+
+
+class _Versioned(msgspec.Struct):
+    version: int
+
+
+def write_history(path: Path, saved: Saved) -> None:
+    """Replace the file, atomically.
+
+    Raises:
+        OSError: it cannot be written.
+    """
+    packed = zstandard.ZstdCompressor(level=_LEVEL, write_checksum=True).compress(msgspec.msgpack.encode(saved))
+    replace_file(path, packed)
+
+
+def read_history(path: Path) -> Saved:
+    """The content of the file.
+
+    Raises:
+        FileNotFoundError: there is none.
+        HistoryFileError: it is not one of this version, or it cannot be read.
+    """
+    try:
+        with path.open("rb") as file:
+            packed = file.read(_FILE_BYTES + 1)
+    except (FileNotFoundError, NotADirectoryError):
+        raise FileNotFoundError(path) from None
+    except OSError as error:
+        raise HistoryFileError(error.strerror or str(error)) from None
+    if len(packed) > _FILE_BYTES:
+        raise HistoryFileError("it is too large")
+    try:
+        if zstandard.frame_content_size(packed) > _BYTES:  # it is taken at its word, and so much memory is allocated
+            raise HistoryFileError("it is too large")
+        content = zstandard.ZstdDecompressor().decompress(packed, max_output_size=_BYTES)
+        version = msgspec.msgpack.decode(content, type=_Versioned).version
+        if version != VERSION:
+            age = "an older" if version < VERSION else "a newer"
+            raise HistoryFileError(f"it is of {age} version of rsb-console")
+        return msgspec.msgpack.decode(content, type=Saved)
+    except (zstandard.ZstdError, msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
+        raise HistoryFileError(f"it is damaged ({error})") from None
+
+
+def report(files: Files, now: float, seconds: float) -> HistoryReport:
+    """What happened in the last so many s.
+
+    Args:
+        files: of the bridge.
+        now: s since the epoch.
+        seconds: 24 h at most.
+
+    Raises:
+        HistoryFileError: there is no time line, or none that can be used.
+    """
+    try:
+        saved = read_history(files.history)
+        timeline = Timeline.restore(saved, saved.name, saved.role)
+    except FileNotFoundError:
+        raise HistoryFileError(f"{files.history}: there is no such file") from None
+    except (HistoryFileError, ValueError) as error:
+        raise HistoryFileError(f"{files.history}: {error}") from None
+    if saved.time - now > KEPT_FOR:
+        raise HistoryFileError(f"{files.history}: {FROM_THE_FUTURE}")
+    end = max(now, saved.time)
+    timeline.go_on(event for event in read_events(files.events, saved.time) if event.time <= end)
+    return timeline.report(end, seconds, running=False)

@@ -1,4 +1,4 @@
-"""Where a bridge keeps what it remembers, and which files are whose."""
+"""The folder in which a bridge keeps its events and its time line, and the claim to its files there."""
 
 from __future__ import annotations
 
