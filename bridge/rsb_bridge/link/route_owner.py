@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Protocol, TypeAlias
 
 from rsb_bridge.link.authorizing import Authority
-from rsb_bridge.route.peer import Owner
+from rsb_bridge.route.route import Owner
 
 if TYPE_CHECKING:
     import asyncio

@@ -20,7 +20,6 @@ from rsb_bridge.ros.api import RosError
 from rsb_bridge.ros.graph import type_hint
 from rsb_bridge.route.age import EXPIRED
 from rsb_bridge.route.both_sides import lasting, node_names, record_of
-from rsb_bridge.route.judging import facts_of
 from rsb_bridge.route.latched import LatchedFullError, LatchedTopic
 from rsb_bridge.route.ledger import THROTTLED, reported_ledger
 from rsb_bridge.route.lifecycle import Event
@@ -28,7 +27,6 @@ from rsb_bridge.route.message_check import MessageCheck, malformed_text
 from rsb_bridge.route.outputs import Outputs, Subject
 from rsb_bridge.route.peeking import peeked
 from rsb_bridge.route.publisher_qos import AUTO_DEPTH, bounded, without_history
-from rsb_bridge.route.stages import accepted_stage, link_stage
 from rsb_bridge.route.topic_route import TopicRoute
 from rsb_bridge.route.unpacking import ExpandsTooMuchError, Unpacker
 from rsb_bridge.route.verdict import no_subscriber
@@ -47,7 +45,7 @@ if TYPE_CHECKING:
     from rsb_bridge.model.qos import Qos
     from rsb_bridge.model.session import Topic
     from rsb_bridge.route.arming import Disarmed
-    from rsb_bridge.route.peer import Owner
+    from rsb_bridge.route.route import Owner
     from rsb_bridge.route.verdict import Facts
 
 _INCOMPLETE_IN_A_ROW = 3
@@ -477,7 +475,7 @@ class IncomingRoute(TopicRoute):
         )
 
     def facts(self) -> Facts:
-        return facts_of(self)._replace(matched=self._subscribers)
+        return super().facts()._replace(matched=self._subscribers)
 
     @property
     def has_kept(self) -> bool:
@@ -524,8 +522,8 @@ class IncomingRoute(TopicRoute):
                 False if self.notices.loop or self._failure else (report is not None and report.subscribed) or None,
                 self.notices.loop or self._failure,
             ),
-            link_stage(self),
-            accepted_stage(self),
+            self._link_stage(),
+            self._accepted_stage(),
             Stage("sent", (report is not None and report.offered > 0) or self.has_kept or None),
             Stage(
                 "received",

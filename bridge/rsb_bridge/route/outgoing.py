@@ -15,7 +15,6 @@ from rsb_bridge.ros.api import RawMessage, RosError
 from rsb_bridge.route.both_sides import lasting, node_names, record_of
 from rsb_bridge.route.health import Flow, Health
 from rsb_bridge.route.intake import Intake, Subject
-from rsb_bridge.route.judging import facts_of
 from rsb_bridge.route.lateness import QUEUE, WAY, Unreported, delay_of_sender
 from rsb_bridge.route.ledger import RouteLedger, reported_drops
 from rsb_bridge.route.lifecycle import Event
@@ -23,7 +22,6 @@ from rsb_bridge.route.publisher_qos import without_history
 from rsb_bridge.route.resolving import MessageType, Resolver, qos_clash
 from rsb_bridge.route.sending import Sending
 from rsb_bridge.route.sorter import Sorter
-from rsb_bridge.route.stages import accepted_stage, link_stage
 from rsb_bridge.route.topic_route import MEASURED_FOR, TopicRoute
 from rsb_bridge.route.type_budget import TypeUse
 from rsb_bridge.route.verdict import no_subscriber
@@ -42,7 +40,7 @@ if TYPE_CHECKING:
     from rsb_bridge.model.session import Topic
     from rsb_bridge.route.arming import Disarmed
     from rsb_bridge.route.histories import Sample
-    from rsb_bridge.route.peer import Owner
+    from rsb_bridge.route.route import Owner
     from rsb_bridge.route.verdict import Facts
 
 _REPORTED_LATELY = 2.5
@@ -469,14 +467,18 @@ class OutgoingRoute(TopicRoute):
 
     def facts(self) -> Facts:
         unresolved = self._resolver.unresolved
-        facts = facts_of(self)._replace(
-            similar=self._resolver.similar,
-            breaking="" if self.peer.full_out is not None or self.peer.fullness_undecided else self.losses.repeated,
-            subscribe_failed=self._failure,
-            unresolved=(unresolved.cause, self._resolver.why()) if unresolved and self.accepted else None,
-            left_out=self.notices.warning,
-            rate=self.meter.rate,
-            datagrams=self._datagrams(),
+        facts = (
+            super()
+            .facts()
+            ._replace(
+                similar=self._resolver.similar,
+                breaking="" if self.peer.full_out is not None or self.peer.fullness_undecided else self.losses.repeated,
+                subscribe_failed=self._failure,
+                unresolved=(unresolved.cause, self._resolver.why()) if unresolved and self.accepted else None,
+                left_out=self.notices.warning,
+                rate=self.meter.rate,
+                datagrams=self._datagrams(),
+            )
         )
         facts = self._health.added_to(facts)
         loss = facts.loss
@@ -534,8 +536,8 @@ class OutgoingRoute(TopicRoute):
             ),
             Stage("QoS compatible", not clash if known else None, clash),
             Stage("subscribed", False if failure else self._subscribed or None, failure),
-            link_stage(self),
-            accepted_stage(self),
+            self._link_stage(),
+            self._accepted_stage(),
             Stage("sent", self._ledger.sent_now > 0 or self.has_kept or None),
             Stage("received", self._ledger.received_now > 0 or self.has_kept or None),
             Stage("published", self._ledger.delivered_now > 0 or self.has_kept or None),

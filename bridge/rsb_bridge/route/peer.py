@@ -9,7 +9,6 @@ if TYPE_CHECKING:
     from rsb_bridge.model.profiles import LinkProfile
     from rsb_bridge.route.pause import Revisions
     from rsb_bridge.route.peer_budget import PeerBudget
-    from rsb_bridge.route.route import Route
     from rsb_bridge.wire.messages import ControlMessage
 
 
@@ -116,16 +115,4 @@ class Peer(Protocol):
 
     def closed(self, route_id: int) -> None:
         """A route's opening is over: messages about it that still come are late."""
-        ...
-
-
-class Owner(Peer, Protocol):
-    """The link that a route belongs to."""
-
-    def report_soon(self, route: Route) -> None:
-        """Send a route's counts before the next regular report. May be called for every batch."""
-        ...
-
-    def open_channel(self, route: Route) -> None:
-        """Begin to open `route.channel`. For streams, a server waits for the client's instead."""
         ...

@@ -10,7 +10,6 @@ from rsb_bridge.route.lateness import Late, LateWatch
 from rsb_bridge.route.peeking import PeekSlot
 from rsb_bridge.route.route import Route
 from rsb_bridge.route.silence import Silence
-from rsb_bridge.route.snapshots import snapshot_of_topic
 from rsb_bridge.route.verdict import LOSS_CAUSES, Facts, judge
 from rsb_bridge.route.yielding import Yielding
 from rsb_bridge.telemetry.meters import LatencyMeter
@@ -21,7 +20,7 @@ if TYPE_CHECKING:
     from rsb_bridge.model.session import Topic
     from rsb_bridge.model.snapshot import Ledger, RouteSnapshot
     from rsb_bridge.model.verdict import Verdict
-    from rsb_bridge.route.peer import Owner
+    from rsb_bridge.route.route import Owner
     from rsb_bridge.wire.messages import Propose
     from rsb_bridge.wire.records import ReceivedReport, SentReport
 
@@ -71,10 +70,6 @@ class TopicRoute(Route):
 
     def end_nodes(self) -> tuple[tuple[str, ...], tuple[str, ...]]:
         """The nodes that publish the topic at the beginning, and those that subscribe to it at the end."""
-        raise NotImplementedError
-
-    def facts(self) -> Facts:
-        """What this half knows."""
         raise NotImplementedError
 
     # --- what is the same for both
@@ -200,9 +195,45 @@ class TopicRoute(Route):
         """
         return self.silence.own or (self.meter.regular and not self.is_latched)
 
+    def facts(self) -> Facts:
+        """What this half knows; each adds its own."""
+        known = self.life.described
+        return Facts(
+            **self.standing()._asdict(),
+            endpoints=self.endpoints,
+            type_name=self.type_name if known else "",
+            qos=self.qos if known else None,
+            flowing=self.flowing,
+            came=self.came,
+            came_before=self.came_before,
+            stale_since=self._stale_since(),
+            yielded=self.yielding.shown(),
+            late=self.late(),
+            expired=self.age.late() if self.flowing else None,
+            full=self.link_full,
+            shown_cause=self.judged.shown_cause,
+        )
+
+    def _stale_since(self) -> float | None:
+        if not self.flowing or not self.silence_counts:
+            return None
+        return self.silence.stale_since(self.context.now())
+
     def _judge(self) -> Verdict:
         return judge(self.facts())
 
     def snapshot(self) -> RouteSnapshot:
         """The route as it is now."""
-        return snapshot_of_topic(self)
+        publisher_qos, subscriber_qos = self.end_qos()
+        publishers, subscribers = self.end_nodes()
+        return self.common_snapshot()(
+            qos=self.qos,
+            publisher_qos=publisher_qos,
+            subscriber_qos=subscriber_qos,
+            ledger=self.ledger(),
+            latency_p50=self.latency.p50,
+            latency_p99=self.latency.p99,
+            jitter=self.latency.jitter,
+            publishers=publishers,
+            subscribers=subscribers,
+        )

@@ -23,7 +23,6 @@ from rsb_bridge.route.calls.rivals import Rivals
 from rsb_bridge.route.calls.route import CallsRoute, frame_size
 from rsb_bridge.route.calls.under_way import Call, UnderWay
 from rsb_bridge.route.calls.verdict import CallsFacts, Trouble
-from rsb_bridge.route.stages import accepted_stage, link_stage
 from rsb_bridge.route.verdict import named
 from rsb_bridge.wire.headers import CallFrame, What
 from rsb_bridge.wire.protocol_error import ProtocolError
@@ -35,7 +34,7 @@ if TYPE_CHECKING:
     from rsb_bridge.model.session import Topic
     from rsb_bridge.ros.api import ServiceServer
     from rsb_bridge.route.lease import Lease
-    from rsb_bridge.route.peer import Owner
+    from rsb_bridge.route.route import Owner
     from rsb_bridge.wire.messages import Propose, Provide
     from rsb_bridge.wire.records import CallsReport, LaneEntry
 
@@ -432,8 +431,8 @@ class CallingRoute(CallsRoute):
         return (
             Stage("server seen", seen, ", ".join(self.provider_nodes) if seen else nobody if seen is False else ""),
             Stage("type known", bool(self.type_name) or None, self.type_name),
-            link_stage(self),
-            accepted_stage(self),
+            self._link_stage(),
+            self._accepted_stage(),
             Stage("offered", False if failure else self.offered or None, failure),
             Stage("called", self.calls.asked > 0 or None),
             Stage("answered", self.calls.answered > 0 or None, "" if self.calls.answered else self.calls.last_failure),

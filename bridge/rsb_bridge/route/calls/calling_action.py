@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from rsb_bridge.model.snapshot import RouteSnapshot
     from rsb_bridge.ros.api import Request, ServiceServer
     from rsb_bridge.route.calls.by_hand import Hand
-    from rsb_bridge.route.peer import Owner
+    from rsb_bridge.route.route import Owner
     from rsb_bridge.wire.messages import Propose, Provide
 
 _OUTLIVING = (CANCEL_GOAL, GET_RESULT)

@@ -22,7 +22,6 @@ from rsb_bridge.route.calls.refusals import REMEDIES, Refused
 from rsb_bridge.route.calls.route import CallsRoute, frame_size
 from rsb_bridge.route.calls.under_way import Call, UnderWay
 from rsb_bridge.route.calls.verdict import CallsFacts, Trouble
-from rsb_bridge.route.stages import accepted_stage, link_stage
 from rsb_bridge.wire.headers import CallFrame, What
 from rsb_bridge.wire.messages import Provide
 from rsb_bridge.wire.protocol_error import ProtocolError
@@ -34,7 +33,7 @@ if TYPE_CHECKING:
     from rsb_bridge.context import Context
     from rsb_bridge.model.session import Topic
     from rsb_bridge.ros.api import Endpoint, RawMessage, Response
-    from rsb_bridge.route.peer import Owner
+    from rsb_bridge.route.route import Owner
     from rsb_bridge.wire.messages import Propose
     from rsb_bridge.wire.records import LaneEntry
 
@@ -402,8 +401,8 @@ class ProvidingRoute(CallsRoute):
                 known or (False if seen else None),
                 self.type_name if known else trouble.text if seen and trouble else "",
             ),
-            link_stage(self),
-            accepted_stage(self),
+            self._link_stage(),
+            self._accepted_stage(),
             Stage("offered", False if failed else self.offered or None, "" if self.offered else failed or why_not),
             Stage("called", self.calls.asked > 0 or None),
             Stage("answered", self.calls.answered > 0 or None, "" if self.calls.answered else self.calls.last_failure),

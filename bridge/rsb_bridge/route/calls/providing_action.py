@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from rsb_bridge.model.session import Topic
     from rsb_bridge.model.snapshot import RouteSnapshot
     from rsb_bridge.ros.api import RawMessage, Response
-    from rsb_bridge.route.peer import Owner
+    from rsb_bridge.route.route import Owner
     from rsb_bridge.wire.messages import Propose
 
 _REFUSALS = {Do.REFUSE: Refused.NOT_ARRIVED, Do.LOSE: Refused.LOST}

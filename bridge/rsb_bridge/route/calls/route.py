@@ -36,10 +36,8 @@ from rsb_bridge.route.calls.names import name_of, route_type_of
 from rsb_bridge.route.calls.outbox import CallsOutbox
 from rsb_bridge.route.calls.refusals import REMEDIES, Refused
 from rsb_bridge.route.calls.verdict import CallsFacts, Trouble, judge_calls
-from rsb_bridge.route.judging import standing_of
 from rsb_bridge.route.message_check import MessageCheck, malformed_text
 from rsb_bridge.route.route import Route
-from rsb_bridge.route.snapshots import snapshot_of
 from rsb_bridge.route.unpacking import ExpandsTooMuchError, Unpacker
 from rsb_bridge.wire.framing import LEASED, ZSTD, Message
 from rsb_bridge.wire.headers import CALL_HEADER_LENGTH, CallFrame, What, split_number, unpack_call
@@ -55,7 +53,7 @@ if TYPE_CHECKING:
     from rsb_bridge.model.snapshot import RouteSnapshot
     from rsb_bridge.model.verdict import Verdict
     from rsb_bridge.route.arming import Disarmed
-    from rsb_bridge.route.peer import Owner
+    from rsb_bridge.route.route import Owner
     from rsb_bridge.wire.messages import Propose
     from rsb_bridge.wire.records import CallsReport, LaneEntry
 
@@ -436,7 +434,7 @@ class CallsRoute(Route):
     def facts(self) -> CallsFacts:
         """What this half knows."""
         return CallsFacts(
-            **standing_of(self)._asdict(),
+            **self.standing()._asdict(),
             breaking=self.losses.repeated,
             unavailable=self._unavailable or self._failures.trouble,
             warning=self._warning,
@@ -456,7 +454,7 @@ class CallsRoute(Route):
 
     def snapshot(self) -> RouteSnapshot:
         """The route as it is now."""
-        return snapshot_of(self)(
+        return self.common_snapshot()(
             qos=None,
             publisher_qos=None,
             subscriber_qos=None,
