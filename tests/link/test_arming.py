@@ -23,9 +23,9 @@ from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.verdict import Cause
 from rsb_bridge.route.arming import CONSOLE_SILENT_AFTER, PEER_GRACE, SAID, Disarmed
-from rsb_bridge.route.gates import gated
+from rsb_bridge.route.blocking_rules import gated
 from rsb_bridge.route.lease import LASTS, SLOW
-from rsb_bridge.route.verdict import Facts
+from rsb_bridge.route.topic_verdict import Facts
 from rsb_bridge.wire.messages import Arm, Armed, Close, Describe, Disarm, Lease, Pause, Propose, Provide
 from rsb_bridge.wire.records import LaneEntry
 from rsb_bridge.wire.records import Source as Origin

@@ -16,15 +16,15 @@ from rsb_bridge.model.session import Topic
 from rsb_bridge.ros.api import RawMessage
 from rsb_bridge.route.ledger import RouteLedger
 from rsb_bridge.route.sending import Sending
-from rsb_bridge.route.yielding import Share, Traffic, Yielding
+from rsb_bridge.route.thinning import Share, Traffic, Yielding
 from rsb_bridge.transport.registry import default_transports
 
 if TYPE_CHECKING:
     from rsb_bridge.context import Context
+    from rsb_bridge.route.loop_filter import Sorter
     from rsb_bridge.route.outgoing import OutgoingRoute
     from rsb_bridge.route.route import Route
     from rsb_bridge.route.sending import SendingRoute
-    from rsb_bridge.route.sorter import Sorter
 
 ASKED = 100_000.0
 """Bytes/s, by each topic."""

@@ -13,7 +13,7 @@ from rsb_bridge.model.verdict import Cause, Verdict
 from rsb_bridge.route import topic_route as module
 from rsb_bridge.route.incoming import IncomingRoute
 from rsb_bridge.route.outgoing import OutgoingRoute
-from rsb_bridge.route.verdict import judge
+from rsb_bridge.route.topic_verdict import judge
 from rsb_bridge.wire.messages import Propose
 from rsb_bridge.wire.records import SentReport
 
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     import pytest
 
     from rsb_bridge.context import Context
-    from rsb_bridge.route.verdict import Facts
+    from rsb_bridge.route.topic_verdict import Facts
 
 
 def test_snapshots_take_the_last_tick_s_verdict_until_somebody_changes_the_route(

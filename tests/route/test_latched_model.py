@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from rsb_bridge.ros.api import Sink
-    from rsb_bridge.route.histories import Sample
+    from rsb_bridge.route.history_depth import Sample
 
 LATCHED = Qos(durability="transient_local", depth=0)
 

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import pytest
-from tests.route.test_verdict import NOW, RECEIVER, SENDER, verdict_on
+from tests.route.test_topic_verdict import NOW, RECEIVER, SENDER, verdict_on
 
 from rsb_bridge.model.fullness import Fullness, rates_text
 from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.verdict import Cause, Verdict, state_for_any, state_of
 from rsb_bridge.route.both_sides import BothSides, record_of
-from rsb_bridge.route.channel_losses import ChannelLosses
 from rsb_bridge.route.lateness import QUEUE, WAY, Late, LateWatch, Unreported, delay_of_sender, seconds_text
+from rsb_bridge.route.notices import ChannelLosses
 from rsb_bridge.telemetry.meters import LatencyMeter
 from rsb_bridge.telemetry.watches import Loss
 from rsb_bridge.wire.records import VerdictRecord

@@ -17,12 +17,12 @@ from rsb_bridge.model.qos import Qos
 from rsb_bridge.model.sources import hop
 from rsb_bridge.ros.api import Endpoint, RawMessage
 from rsb_bridge.ros.own_announcement import Origin
-from rsb_bridge.route.sorter import Sorter
+from rsb_bridge.route.loop_filter import Sorter
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from rsb_bridge.route.sources import SourceTable
+    from rsb_bridge.route.loop_filter import SourceTable
     from rsb_bridge.wire.records import Source
 
 

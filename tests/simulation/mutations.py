@@ -34,13 +34,12 @@ from rsb_bridge.route.both_sides import BothSides
 from rsb_bridge.route.calls import kept_calls
 from rsb_bridge.route.calls.calling import CallingRoute
 from rsb_bridge.route.calls.calling_action import CallingAction
-from rsb_bridge.route.calls.kept_answers import Do, KeptAnswers
-from rsb_bridge.route.calls.kept_calls import KeptCalls
-from rsb_bridge.route.calls.under_way import UnderWay
+from rsb_bridge.route.calls.kept_calls import Do, KeptAnswers, KeptCalls
+from rsb_bridge.route.calls.pending_calls import UnderWay
 from rsb_bridge.route.incoming import IncomingRoute
 from rsb_bridge.route.lateness import LateWatch
 from rsb_bridge.route.ledger import RouteLedger
-from rsb_bridge.route.send_queue import SendQueue
+from rsb_bridge.route.outbox import SendQueue
 from rsb_bridge.tasks import Tasks
 
 if TYPE_CHECKING:

@@ -39,7 +39,10 @@ _SHORT_GAP = 5.0
 
 
 class Subjects(dict[Key, Subject]):
-    """Subjects by key. What the timeline looks up for each route, every second, takes no walk over all of them."""
+    """Links and topics that a timeline remembers, by key; where there are too many, some give way.
+
+    What the timeline looks up for each route, every second, takes no walk over all of them.
+    """
 
     def __init__(self) -> None:
         super().__init__()

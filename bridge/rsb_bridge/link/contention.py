@@ -18,7 +18,7 @@ from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.priority import FEATURE
 from rsb_bridge.model.snapshot import Level
 from rsb_bridge.route.outgoing import OutgoingRoute
-from rsb_bridge.route.yielding import Share
+from rsb_bridge.route.thinning import Share
 from rsb_bridge.telemetry.meters import Throughput
 
 if TYPE_CHECKING:
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from rsb_bridge.link.fullness import LinkFullness
     from rsb_bridge.link.keepalive import Keepalive
     from rsb_bridge.route.route import Route
-    from rsb_bridge.route.yielding import Traffic
+    from rsb_bridge.route.thinning import Traffic
 
 _BUSY = 0.5
 """s for which a channel has not been idle."""

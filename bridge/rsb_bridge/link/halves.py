@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, TypeAlias
 from rsb_bridge.model.lanes import FEATURE
 from rsb_bridge.route.calls.calling import CallingRoute
 from rsb_bridge.route.calls.calling_action import CallingAction
-from rsb_bridge.route.calls.parameters import ParametersCallingRoute, ParametersProvidingRoute
+from rsb_bridge.route.calls.node_parameters import ParametersCallingRoute, ParametersProvidingRoute
 from rsb_bridge.route.calls.providing import ProvidingRoute
 from rsb_bridge.route.calls.providing_action import ProvidingAction
 from rsb_bridge.route.incoming import IncomingRoute

@@ -19,18 +19,16 @@ from rsb_bridge.model.verdict import Cause
 from rsb_bridge.ros.api import RosError
 from rsb_bridge.ros.graph import type_hint
 from rsb_bridge.route.age import EXPIRED
+from rsb_bridge.route.arming import without_history
 from rsb_bridge.route.both_sides import lasting, node_names, record_of
 from rsb_bridge.route.latched import LatchedFullError, LatchedTopic
 from rsb_bridge.route.ledger import THROTTLED, reported_ledger
 from rsb_bridge.route.lifecycle import Event
-from rsb_bridge.route.message_check import MessageCheck, malformed_text
-from rsb_bridge.route.outputs import Outputs, Subject
+from rsb_bridge.route.message_check import ExpandsTooMuchError, MessageCheck, Unpacker, malformed_text
 from rsb_bridge.route.peeking import peeked
-from rsb_bridge.route.publisher_qos import AUTO_DEPTH, bounded, without_history
+from rsb_bridge.route.source_publishers import AUTO_DEPTH, Outputs, SlowSubscriberError, Subject, bounded
 from rsb_bridge.route.topic_route import TopicRoute
-from rsb_bridge.route.unpacking import ExpandsTooMuchError, Unpacker
-from rsb_bridge.route.verdict import no_subscriber
-from rsb_bridge.route.volatile import SlowSubscriberError
+from rsb_bridge.route.topic_verdict import no_subscriber
 from rsb_bridge.wire.framing import HISTORY, LEASED, SOURCE_SHIFT, ZSTD, Message
 from rsb_bridge.wire.headers import PUBLISHER_ID_LENGTH, HistoryHeader, split_history
 from rsb_bridge.wire.messages import Describe, Propose, Ready, Refuse
@@ -46,7 +44,7 @@ if TYPE_CHECKING:
     from rsb_bridge.model.session import Topic
     from rsb_bridge.route.arming import Disarmed
     from rsb_bridge.route.route import Owner
-    from rsb_bridge.route.verdict import Facts
+    from rsb_bridge.route.topic_verdict import Facts
 
 _INCOMPLETE_IN_A_ROW = 3
 _ASKED_EVERY = 0.9
@@ -56,8 +54,6 @@ _REPORTS_AFTER = 100
 unreported messages arrived."""
 _NO_HISTORY = HistoryHeader(bytes(PUBLISHER_ID_LENGTH), number=0, depth=AUTO_DEPTH)
 """Of messages whose sender does not say whose they are: they count as one publisher's."""
-
-
 _LATENCIES = ("latency", "latency_p50", "latency_p99")
 
 

@@ -13,7 +13,7 @@ from rsb_bridge.model.snapshot import Level
 from rsb_bridge.ros.api import RosError
 from rsb_bridge.ros.drain import BATCH
 from rsb_bridge.ros.lasting_subscription import LastingSubscription
-from rsb_bridge.route.histories import Histories
+from rsb_bridge.route.history_depth import Histories
 from rsb_bridge.route.lease import Marker
 
 if TYPE_CHECKING:
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from rsb_bridge.model.qos import Qos
     from rsb_bridge.ros.api import OnFailure, RawMessage, Subscription
     from rsb_bridge.ros.queue import Receiver
-    from rsb_bridge.route.histories import Sample
+    from rsb_bridge.route.history_depth import Sample
     from rsb_bridge.route.lease import Lease
     from rsb_bridge.telemetry.meters import RateMeter
 

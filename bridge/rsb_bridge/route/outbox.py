@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections import Counter, deque
+from typing import TYPE_CHECKING, NamedTuple
 
 import zstandard
 
@@ -10,8 +11,6 @@ from rsb_bridge.channel.receipts import Pace
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.profiles import PLAIN
 from rsb_bridge.model.qos import AUTO_SECONDS
-from rsb_bridge.route.overload import WAITS, Overload
-from rsb_bridge.route.send_queue import QueueLimits, SendQueue
 from rsb_bridge.wire.framing import ZSTD, Message
 
 if TYPE_CHECKING:
@@ -25,11 +24,152 @@ if TYPE_CHECKING:
     from rsb_bridge.transport.transport import Transport
     from rsb_bridge.wire.messages import Propose
 
+_LOOKS_EVERY = 1.0
+WAITS = 1.0
+"""s that an overloaded topic's queue keeps a message, unless it is the only one."""
 _AUTO_DEPTH = 10
 _QUEUE_BYTES = 32 * 1024 * 1024
 _SLOW_QUEUE_BYTES = 64 * 1024  # best effort on a slow transport: a second or two, later it would be stale
 _BATCH = 16
 _ZSTD_LEVEL = 3
+
+
+class QueueLimits(NamedTuple):
+    """How much may wait. What is more is dropped, the oldest first; one message always may.
+
+    Attributes:
+        depth: messages of one publisher (of all, where publishers are not told apart); 0: any number.
+        younger_than: s; younger messages may wait even beyond the depth.
+        size: bytes.
+    """
+
+    depth: int
+    younger_than: float
+    size: int
+
+
+class SendQueue:
+    """A first-in, first-out queue that is bounded in messages and bytes. Every message passes through it."""
+
+    def __init__(self) -> None:
+        self._queue: deque[tuple[Message, bytes, float]] = deque()  # message, publisher, since when (s)
+        self._size = 0
+        self._counts: Counter[bytes] = Counter()  # of the publishers that are told apart
+
+    def __len__(self) -> int:
+        return len(self._queue)
+
+    @property
+    def oldest_since(self) -> float | None:
+        """When (s) the oldest message was added, or None if the queue is empty."""
+        return self._queue[0][2] if self._queue else None
+
+    def add(self, messages: Sequence[Message], now: float, publisher: bytes = b"") -> None:
+        """Append messages of one publisher, at `now` (s)."""
+        self._queue.extend([(message, publisher, now) for message in messages])
+        self._size += sum([len(message[0]) for message in messages])
+        if publisher:
+            self._counts[publisher] += len(messages)
+
+    def trim(self, limits: QueueLimits, now: float, publisher: bytes = b"") -> int:
+        """Drop what is beyond the limits after messages of a publisher were added.
+
+        Returns:
+            How many messages were dropped.
+        """
+        before = len(self._queue)
+        if limits.depth:
+            while self._count(publisher) > limits.depth:
+                index = self._oldest_of(publisher)
+                if now - self._queue[index][2] < limits.younger_than:
+                    break
+                self._forget(*self._queue[index])
+                del self._queue[index]
+        while self._size > limits.size and len(self._queue) > 1:
+            self._forget(*self._queue.popleft())
+        return before - len(self._queue)
+
+    def take(self, most: int, size: int) -> list[Message]:
+        """Remove the oldest messages: at most `most`, and no further one once they have `size` bytes."""
+        queue = self._queue
+        taken: list[Message] = []
+        taken_size = 0
+        while queue and len(taken) < most and taken_size < size:
+            message, publisher, _ = queue.popleft()
+            taken.append(message)
+            taken_size += len(message[0])
+            if publisher:
+                self._uncount(publisher)
+        self._size -= taken_size
+        return taken
+
+    def clear(self) -> int:
+        """Remove all messages; returns how many they were."""
+        count = len(self._queue)
+        self._queue.clear()
+        self._size = 0
+        self._counts.clear()
+        return count
+
+    def _count(self, publisher: bytes) -> int:
+        return self._counts[publisher] if publisher else len(self._queue)
+
+    def _oldest_of(self, publisher: bytes) -> int:
+        if not publisher:
+            return 0
+        return next(index for index, waiting in enumerate(self._queue) if waiting[1] == publisher)
+
+    def _forget(self, message: Message, publisher: bytes, _: float) -> None:
+        self._size -= len(message[0])
+        if publisher:
+            self._uncount(publisher)
+
+    def _uncount(self, publisher: bytes) -> None:
+        self._counts[publisher] -= 1
+        if not self._counts[publisher]:
+            del self._counts[publisher]
+
+
+class Overload:
+    """A steady overload of one topic, as distinguished from a link that stalls for a moment.
+
+    With ``qos: auto`` a reliable topic keeps messages for some seconds, so that a link that stalls loses none. In a
+    steady overload the link delivers, and yet the queue gets longer and older. Then every message would arrive late, so
+    the queue keeps only new ones.
+
+    Attributes:
+        lasts: whether more is published than the channel delivers.
+    """
+
+    def __init__(self) -> None:
+        self.lasts = False
+        self._before: tuple[float, float, int] | None = None  # when (s), the oldest message's age (s), the length
+
+    def look(self, now: float, oldest_since: float | None, length: int, *, moves: bool) -> None:
+        """Judge the queue. Called whenever a message is queued.
+
+        Args:
+            now: s.
+            oldest_since: when (s) the oldest message was queued, or None if the queue is empty.
+            length: messages in the queue.
+            moves: whether the channel delivers.
+        """
+        if oldest_since is None:
+            self.lasts, self._before = False, None
+            return
+        age = now - oldest_since
+        if not moves:
+            self._before = None
+        elif self._before is None:
+            self._before = (now, age, length)
+        elif now - self._before[0] >= _LOOKS_EVERY:
+            _, age_before, length_before = self._before
+            self.lasts = self.lasts or (age >= WAITS and age >= age_before and length >= length_before)
+            self._before = (now, age, length)
+
+    def over(self) -> None:
+        """End the overload: the queue is empty."""
+        self.lasts, self._before = False, None
 
 
 class Outbox:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, ClassVar
+from collections import deque
+from typing import TYPE_CHECKING, ClassVar, NamedTuple
 
 import msgspec
 
@@ -12,19 +13,19 @@ from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.snapshot import Ledger, Level, Stage
 from rsb_bridge.model.stamp_clock import shifted
 from rsb_bridge.ros.api import RawMessage, RosError
+from rsb_bridge.route.arming import without_history
 from rsb_bridge.route.both_sides import lasting, node_names, record_of
-from rsb_bridge.route.health import Flow, Health
 from rsb_bridge.route.intake import Intake, Subject
 from rsb_bridge.route.lateness import QUEUE, WAY, Unreported, delay_of_sender
 from rsb_bridge.route.ledger import RouteLedger, reported_drops
 from rsb_bridge.route.lifecycle import Event
-from rsb_bridge.route.publisher_qos import without_history
+from rsb_bridge.route.loop_filter import Sorter
+from rsb_bridge.route.peer import TypeUse
 from rsb_bridge.route.resolving import MessageType, Resolver, qos_clash
 from rsb_bridge.route.sending import Sending
-from rsb_bridge.route.sorter import Sorter
 from rsb_bridge.route.topic_route import MEASURED_FOR, TopicRoute
-from rsb_bridge.route.type_budget import TypeUse
-from rsb_bridge.route.verdict import no_subscriber
+from rsb_bridge.route.topic_verdict import LATELY, no_subscriber
+from rsb_bridge.telemetry.watches import LossWatch, SlowWatch, StopWatch
 from rsb_bridge.transport.transport import DatagramTransport
 from rsb_bridge.wire.fields import MOST_PUBLISHERS
 from rsb_bridge.wire.headers import publisher_id
@@ -39,9 +40,9 @@ if TYPE_CHECKING:
     from rsb_bridge.model.qos import Qos
     from rsb_bridge.model.session import Topic
     from rsb_bridge.route.arming import Disarmed
-    from rsb_bridge.route.histories import Sample
+    from rsb_bridge.route.history_depth import Sample
     from rsb_bridge.route.route import Owner
-    from rsb_bridge.route.verdict import Facts
+    from rsb_bridge.route.topic_verdict import Facts
 
 _REPORTED_LATELY = 2.5
 """s for which a delay that the receiver has reported counts."""
@@ -52,6 +53,75 @@ _LONGEST_UNDER_WAY = 60.0
 _JITTERS = 2.0
 """Times the jitter: that a message takes so much longer says nothing."""
 _LIMITED = "they are limited to what was sent"
+
+
+class Flow(NamedTuple):
+    """A route's messages, as far as they are watched.
+
+    Attributes:
+        flowing: messages could cross now.
+        last: s, when the last one was sent, or since when they could cross.
+        rate: Hz.
+        given_rate: Hz, that an operator expects; 0: none.
+        usual_rate: Hz, learned; None: not known.
+        limit: Hz that an operator allows; 0: all.
+        publishers: which there are.
+        ledger: where the messages went.
+    """
+
+    flowing: bool
+    last: float
+    rate: float
+    given_rate: float
+    usual_rate: float | None
+    limit: float
+    publishers: frozenset[bytes]
+    ledger: Ledger
+
+
+class Health:
+    """How well a sending half's messages flow, watched once a second.
+
+    Attributes:
+        expected_rate: Hz, that the route is judged by; None: it is not known, or messages come at random.
+    """
+
+    def __init__(self) -> None:
+        self.expected_rate: float | None = None
+        self._slow = SlowWatch()
+        self._stop = StopWatch()
+        self._loss = LossWatch()
+        self._lost_in_dds: deque[int] = deque(maxlen=LATELY)
+
+    def tick(self, flow: Flow, now: float) -> None:
+        """Once a second, at `now` (s)."""
+        ledger = flow.ledger
+        self._lost_in_dds.append(ledger.lost_in_dds)
+        self._loss.tick(ledger.delivered, ledger.dropped, now)
+        expected = flow.given_rate or flow.usual_rate
+        if expected and flow.limit:
+            expected = min(expected, flow.limit)
+        self.expected_rate = expected
+        if expected is None or not flow.flowing:
+            self._stop.reset()
+            self._slow.reset()
+            return
+        self._stop.tick(flow.last, expected, now, flow.publishers, promised=bool(flow.given_rate))
+        if self._stop.since is not None:
+            self._slow.reset()
+        elif not self._stop.quiet:  # a pause is not slow
+            self._slow.tick(flow.rate, expected, now)
+
+    def added_to(self, facts: Facts) -> Facts:
+        """The facts of a route with what the watches say."""
+        lost = self._lost_in_dds
+        return facts._replace(
+            expected_rate=self.expected_rate,
+            stopped_since=self._stop.since,
+            slow_since=self._slow.since,
+            loss=self._loss.loss,
+            lost_in_dds=max(0, lost[-1] - lost[0]) if lost else 0,
+        )
 
 
 class OutgoingRoute(TopicRoute):
@@ -467,18 +537,15 @@ class OutgoingRoute(TopicRoute):
 
     def facts(self) -> Facts:
         unresolved = self._resolver.unresolved
-        facts = (
-            super()
-            .facts()
-            ._replace(
-                similar=self._resolver.similar,
-                breaking="" if self.peer.full_out is not None or self.peer.fullness_undecided else self.losses.repeated,
-                subscribe_failed=self._failure,
-                unresolved=(unresolved.cause, self._resolver.why()) if unresolved and self.accepted else None,
-                left_out=self.notices.warning,
-                rate=self.meter.rate,
-                datagrams=self._datagrams(),
-            )
+        facts = super().facts()
+        facts = facts._replace(
+            similar=self._resolver.similar,
+            breaking="" if self.peer.full_out is not None or self.peer.fullness_undecided else self.losses.repeated,
+            subscribe_failed=self._failure,
+            unresolved=(unresolved.cause, self._resolver.why()) if unresolved and self.accepted else None,
+            left_out=self.notices.warning,
+            rate=self.meter.rate,
+            datagrams=self._datagrams(),
         )
         facts = self._health.added_to(facts)
         loss = facts.loss

@@ -14,7 +14,7 @@ from rsb_bridge.model.qos import incompatible, match_publishers
 from rsb_bridge.model.text import join_first
 from rsb_bridge.model.type_names import expand_type_name
 from rsb_bridge.model.verdict import Cause
-from rsb_bridge.route.verdict import no_publisher
+from rsb_bridge.route.topic_verdict import no_publisher
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Sequence
@@ -22,10 +22,8 @@ if TYPE_CHECKING:
     from rsb_bridge.context import Context
     from rsb_bridge.model.qos import Qos
     from rsb_bridge.ros.api import Endpoint, RosInterface
-    from rsb_bridge.route.sorter import Sorter
+    from rsb_bridge.route.loop_filter import Sorter
     from rsb_bridge.wire.messages import Propose
-
-
 _MOST_NODES = 3  # named of each type
 _MOST_TYPES = 4  # named in one sentence
 

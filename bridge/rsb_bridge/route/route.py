@@ -21,16 +21,13 @@ from rsb_bridge.model.priority import HIGHEST, RANKS, priority_of
 from rsb_bridge.model.snapshot import Level, RouteSnapshot, Stage
 from rsb_bridge.model.text import sanitize_text
 from rsb_bridge.route.age import MessageAge
-from rsb_bridge.route.arming import SAID, Arming, Disarmed
+from rsb_bridge.route.arming import SAID, Arming, Disarmed, Settling
 from rsb_bridge.route.both_sides import BothSides
-from rsb_bridge.route.channel_losses import ChannelLosses, timed_out
 from rsb_bridge.route.lifecycle import Event, Lifecycle
-from rsb_bridge.route.limits import limits_changed
-from rsb_bridge.route.notices import Notices
+from rsb_bridge.route.notices import ChannelLosses, Notices, timed_out
 from rsb_bridge.route.pause import PauseState
 from rsb_bridge.route.peer import Peer
-from rsb_bridge.route.rate_limit import RateLimit
-from rsb_bridge.route.settling import Settling
+from rsb_bridge.route.rate_limit import RateLimit, limits_changed
 from rsb_bridge.telemetry.meters import RateMeter
 from rsb_bridge.wire.headers import LEASE_FEATURE
 from rsb_bridge.wire.messages import Close, Propose
@@ -44,7 +41,7 @@ if TYPE_CHECKING:
     from rsb_bridge.model.session import Topic
     from rsb_bridge.model.verdict import Verdict
     from rsb_bridge.ros.api import Endpoint
-    from rsb_bridge.route.announcing import Announcement
+    from rsb_bridge.route.both_sides import Announcement
     from rsb_bridge.telemetry.event_log import About
     from rsb_bridge.wire.framing import Message
 

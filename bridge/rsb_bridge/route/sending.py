@@ -9,8 +9,7 @@ from rsb_bridge.channel.receipts import Pace, pace_of
 from rsb_bridge.model.verdict import Cause
 from rsb_bridge.route.outbox import Outbox
 from rsb_bridge.route.peeking import Peekable, peeked
-from rsb_bridge.route.throttle import LatestLater, Throttle
-from rsb_bridge.route.yielding import THINNED, Yielding
+from rsb_bridge.route.thinning import THINNED, LatestLater, Throttle, Yielding
 from rsb_bridge.wire.framing import HISTORY, Message
 
 if TYPE_CHECKING:
@@ -23,12 +22,12 @@ if TYPE_CHECKING:
     from rsb_bridge.ros.api import RawMessage
     from rsb_bridge.route.age import MessageAge
     from rsb_bridge.route.arming import Arming
-    from rsb_bridge.route.histories import Sample
+    from rsb_bridge.route.history_depth import Sample
     from rsb_bridge.route.ledger import RouteLedger
+    from rsb_bridge.route.loop_filter import Sorter
     from rsb_bridge.route.notices import Notices
     from rsb_bridge.route.peeking import PeekSlot
     from rsb_bridge.route.peer import Peer
-    from rsb_bridge.route.sorter import Sorter
     from rsb_bridge.transport.transport import Transport
     from rsb_bridge.wire.messages import Propose
 

@@ -450,7 +450,7 @@ class UsualRate:
 
 
 class Throughput:
-    """One direction of a link.
+    """How much a link carries in one direction, by what has arrived.
 
     Attributes:
         capacity: what it is known to carry; None: nothing yet.

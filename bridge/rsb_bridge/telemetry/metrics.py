@@ -330,6 +330,8 @@ def _labels_of(routes: Sequence[RouteSnapshot]) -> Iterator[tuple[str, str, str]
 class MetricsServer(ThreadingMixIn, WSGIServer):
     """Serves a WSGI application: a thread for each connection, while somebody calls `turn`.
 
+    It is for a few readers, each of which gets little time: it may be open to a whole network.
+
     Args:
         host: an address or a name.
         port: a TCP port.

@@ -7,8 +7,8 @@ import pytest
 from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.verdict import Cause
 from rsb_bridge.route.both_sides import BothSides, record_of
-from rsb_bridge.route.calls.refusals import Refused
-from rsb_bridge.route.calls.verdict import CallsFacts, Trouble, judge_calls
+from rsb_bridge.route.calls.calls_ledger import Refused
+from rsb_bridge.route.calls.calls_verdict import CallsFacts, Trouble, judge_calls
 
 FINE = CallsFacts(sends=True, topic="/go", offered=True, came=True, timeout=5.0, providers="/teller")
 NOBODY = Trouble(Cause.NO_SERVER, "no server of /go in domain 2")

@@ -6,9 +6,16 @@ import pytest
 from tests.support.goals import cancel_request, cancel_response, goal, goal_request, goal_response, result_response
 
 from rsb_bridge.model.lanes import CANCEL_GOAL, FEEDBACK, GET_RESULT, SEND_GOAL
-from rsb_bridge.route.calls import kept_answers
-from rsb_bridge.route.calls.kept_answers import SENT_KEPT, Do, KeptAnswers, Question, question_of, result_request
-from rsb_bridge.route.calls.kept_calls import INTERRUPTION
+from rsb_bridge.route.calls import kept_calls
+from rsb_bridge.route.calls.kept_calls import (
+    INTERRUPTION,
+    SENT_KEPT,
+    Do,
+    KeptAnswers,
+    Question,
+    question_of,
+    result_request,
+)
 
 SERVERS = frozenset([b"server"])
 NEW_SERVERS = frozenset([b"new server"])
@@ -179,7 +186,7 @@ def test_a_question_that_calls_asked_about_again_in_vain_is_forgotten(lane: int)
 
 
 def test_those_with_answers_are_forgotten_first(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(kept_answers, "MOST_KEPT", 3)
+    monkeypatch.setattr(kept_calls, "MOST_KEPT", 3)
     answers = KeptAnswers()
     for number in range(1, 4):
         answers.asked(asks(GET_RESULT, number), number, SERVERS)
@@ -193,7 +200,7 @@ def test_those_with_answers_are_forgotten_first(monkeypatch: pytest.MonkeyPatch)
 
 def test_what_calls_wait_for_is_not_forgotten(monkeypatch: pytest.MonkeyPatch) -> None:
     """Else a result would not reach who waits for it, though nothing was interrupted."""
-    monkeypatch.setattr(kept_answers, "MOST_KEPT", 3)
+    monkeypatch.setattr(kept_calls, "MOST_KEPT", 3)
     answers = KeptAnswers()
     for number in range(1, 11):
         answers.asked(asks(GET_RESULT, number), number, SERVERS, number)
@@ -204,7 +211,7 @@ def test_what_calls_wait_for_is_not_forgotten(monkeypatch: pytest.MonkeyPatch) -
 
 
 def test_their_bytes_are_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(kept_answers, "MOST_BYTES", 2 * len(RESULT))
+    monkeypatch.setattr(kept_calls, "MOST_ANSWER_BYTES", 2 * len(RESULT))
     answers = KeptAnswers()
     for number in range(1, 4):
         answers.asked(asks(GET_RESULT, number), number, SERVERS)

@@ -12,29 +12,29 @@ from rsb_bridge.model.token_bucket import TokenBucket
 from rsb_bridge.model.verdict import Cause
 from rsb_bridge.ros.api import Request, RosError
 from rsb_bridge.route.both_sides import node_names
-from rsb_bridge.route.calls.by_hand import CallError, Hand
-from rsb_bridge.route.calls.circles import way_here
-from rsb_bridge.route.calls.graph import others_called, types_clash
-from rsb_bridge.route.calls.lane_messages import LaneMessages
-from rsb_bridge.route.calls.names import name_of, type_of
-from rsb_bridge.route.calls.offers import Offers
-from rsb_bridge.route.calls.refusals import Refused, refused_as
-from rsb_bridge.route.calls.rivals import Rivals
-from rsb_bridge.route.calls.route import CallsRoute, frame_size
-from rsb_bridge.route.calls.under_way import Call, UnderWay
-from rsb_bridge.route.calls.verdict import CallsFacts, Trouble
-from rsb_bridge.route.verdict import named
+from rsb_bridge.route.calls.call_endpoints import Offers, name_of, type_of
+from rsb_bridge.route.calls.call_servers import Rivals, others_called, types_clash, way_here
+from rsb_bridge.route.calls.calls_ledger import Refused, refused_as
+from rsb_bridge.route.calls.calls_route import CallsRoute, frame_size
+from rsb_bridge.route.calls.calls_verdict import CallsFacts, Trouble
+from rsb_bridge.route.calls.manual_call import CallError, Hand
+from rsb_bridge.route.calls.pending_calls import Call, UnderWay
+from rsb_bridge.route.source_publishers import SlowSubscriberError
+from rsb_bridge.route.topic_verdict import named
 from rsb_bridge.wire.headers import CallFrame, What
 from rsb_bridge.wire.protocol_error import ProtocolError
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterable, Sequence
 
     from rsb_bridge.context import Context
+    from rsb_bridge.model.lanes import Lane
     from rsb_bridge.model.session import Topic
     from rsb_bridge.ros.api import ServiceServer
     from rsb_bridge.route.lease import Lease
+    from rsb_bridge.route.notices import Notices
     from rsb_bridge.route.route import Owner
+    from rsb_bridge.wire.framing import Budget
     from rsb_bridge.wire.messages import Propose, Provide
     from rsb_bridge.wire.records import CallsReport, LaneEntry
 
@@ -42,6 +42,58 @@ _CALLER = 16
 """Bytes of `Request.caller` that identify the caller; the others identify the request."""
 _AT_ONCE = 1.0
 """s of `max_rate` that may come at once."""
+
+
+class LaneMessages:
+    """Publishes the messages of lanes that are topics while they are offered, and keeps those of latched lanes.
+
+    Args:
+        lanes: of the route.
+        offers: have the publishers.
+        budget: bytes that may be kept on the link.
+        notices: told of messages that cannot be published.
+    """
+
+    def __init__(self, lanes: Sequence[Lane], offers: Offers, budget: Budget, notices: Notices) -> None:
+        self._lanes = lanes
+        self._offers = offers
+        self._budget = budget
+        self._notices = notices
+        self._kept: dict[int, bytes] = {}  # by lane
+
+    def take(self, lane: int, content: bytes) -> None:
+        """Publish a message that came."""
+        qos = self._lanes[lane].qos
+        if qos is not None and qos.latched:
+            self._keep(lane, content)
+        self._publish(lane, content)
+
+    def offered(self, lanes: Iterable[int]) -> None:
+        """Publish what is kept on lanes that are offered from now on."""
+        for lane in lanes:
+            if lane in self._kept:
+                self._publish(lane, self._kept[lane])
+
+    def clear(self) -> None:
+        """Keep nothing."""
+        for lane in tuple(self._kept):
+            self._keep(lane, b"")
+
+    def _keep(self, lane: int, content: bytes) -> None:
+        self._budget.give(len(self._kept.pop(lane, b"")))
+        if content and self._budget.take(len(content)):
+            self._kept[lane] = content
+
+    def _publish(self, lane: int, content: bytes) -> None:
+        publisher = self._offers.publishers.get(lane)
+        if publisher is None:
+            return
+        try:
+            publisher.publish(content)
+        except RosError as error:
+            self._notices.message_error(EventCode.ROUTE_PUBLISH_FAILED, str(error))
+        except SlowSubscriberError as error:
+            self._notices.message_error(EventCode.ROUTE_SLOW_SUBSCRIBER, str(error))
 
 
 @dataclass(slots=True)

@@ -15,17 +15,17 @@ from typing import TYPE_CHECKING
 from rsb_bridge.model.lanes import CANCEL_GOAL, FEEDBACK, GET_RESULT, SEND_GOAL, STATUS
 from rsb_bridge.ros.api import RosError
 from rsb_bridge.route.calls.calling import CallerCall, CallingRoute
-from rsb_bridge.route.calls.goal_messages import (
+from rsb_bridge.route.calls.calls_ledger import Refused
+from rsb_bridge.route.calls.calls_route import frame_size
+from rsb_bridge.route.calls.goals import (
+    Goals,
     accepted_by,
     goal_of,
     rejection_of,
     state_of,
     statuses_of,
 )
-from rsb_bridge.route.calls.goals import Goals
 from rsb_bridge.route.calls.kept_calls import INTERRUPTION, KeptCall, KeptCalls
-from rsb_bridge.route.calls.refusals import Refused
-from rsb_bridge.route.calls.route import frame_size
 from rsb_bridge.wire.headers import CallFrame, What
 
 if TYPE_CHECKING:
@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from rsb_bridge.model.session import Topic
     from rsb_bridge.model.snapshot import RouteSnapshot
     from rsb_bridge.ros.api import Request, ServiceServer
-    from rsb_bridge.route.calls.by_hand import Hand
+    from rsb_bridge.route.calls.manual_call import Hand
     from rsb_bridge.route.route import Owner
     from rsb_bridge.wire.messages import Propose, Provide
 

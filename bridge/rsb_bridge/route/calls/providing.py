@@ -13,15 +13,13 @@ from rsb_bridge.model.sources import MOST_HOPS
 from rsb_bridge.model.verdict import Cause
 from rsb_bridge.ros.api import RosError
 from rsb_bridge.route.both_sides import node_names
-from rsb_bridge.route.calls.by_hand import CallError, call_directly
-from rsb_bridge.route.calls.circles import Circles
-from rsb_bridge.route.calls.clients import Clients
-from rsb_bridge.route.calls.graph import Provision, provision
-from rsb_bridge.route.calls.names import name_of
-from rsb_bridge.route.calls.refusals import REMEDIES, Refused
-from rsb_bridge.route.calls.route import CallsRoute, frame_size
-from rsb_bridge.route.calls.under_way import Call, UnderWay
-from rsb_bridge.route.calls.verdict import CallsFacts, Trouble
+from rsb_bridge.route.calls.call_endpoints import Clients, name_of
+from rsb_bridge.route.calls.call_servers import Circles, Provision, provision
+from rsb_bridge.route.calls.calls_ledger import REMEDIES, Refused
+from rsb_bridge.route.calls.calls_route import CallsRoute, frame_size
+from rsb_bridge.route.calls.calls_verdict import CallsFacts, Trouble
+from rsb_bridge.route.calls.manual_call import CallError, call_directly
+from rsb_bridge.route.calls.pending_calls import Call, UnderWay
 from rsb_bridge.wire.headers import CallFrame, What
 from rsb_bridge.wire.messages import Provide
 from rsb_bridge.wire.protocol_error import ProtocolError

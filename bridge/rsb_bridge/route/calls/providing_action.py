@@ -11,13 +11,11 @@ from typing import TYPE_CHECKING, ClassVar
 
 from rsb_bridge.model.lanes import FEEDBACK, GET_RESULT, SEND_GOAL, STATUS
 from rsb_bridge.ros.api import RosError
-from rsb_bridge.route.calls.goal_messages import accepted_by, goal_of, state_of, statuses_of
-from rsb_bridge.route.calls.goals import Goals
-from rsb_bridge.route.calls.kept_answers import Do, KeptAnswers, Question, question_of, result_request
-from rsb_bridge.route.calls.kept_calls import INTERRUPTION
+from rsb_bridge.route.calls.calls_ledger import Refused
+from rsb_bridge.route.calls.calls_route import frame_size
+from rsb_bridge.route.calls.goals import Goals, accepted_by, goal_of, state_of, statuses_of
+from rsb_bridge.route.calls.kept_calls import INTERRUPTION, Do, KeptAnswers, Question, question_of, result_request
 from rsb_bridge.route.calls.providing import PeersCall, ProvidingRoute
-from rsb_bridge.route.calls.refusals import Refused
-from rsb_bridge.route.calls.route import frame_size
 from rsb_bridge.wire.headers import CallFrame, What
 
 if TYPE_CHECKING:

@@ -1,21 +1,43 @@
-"""A route's endpoints in ROS, by lane, whichever side they are on."""
+"""The endpoints of a route of calls in ROS, by lane: clients and subscriptions, or services and publishers."""
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING, Generic, NamedTuple, Protocol, TypeVar
 
-from rsb_bridge.route.type_budget import TypeUse
+from rsb_bridge.ros.drain import BATCH
+from rsb_bridge.route.lease import Marker
+from rsb_bridge.route.peer import TypeUse
+from rsb_bridge.route.source_publishers import VolatileTopic
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Sequence
 
     from rsb_bridge.context import Context
     from rsb_bridge.model.lanes import Lane
-    from rsb_bridge.ros.api import OnFailure, RosError
+    from rsb_bridge.model.sources import Via
+    from rsb_bridge.ros.api import OnFailure, RawMessage, Request, Response, RosError, ServiceClient, ServiceServer
+    from rsb_bridge.route.lease import Lease
     from rsb_bridge.route.peer import Peer
     from rsb_bridge.wire.records import LaneEntry
 
 T = TypeVar("T")
+
+
+def name_of(lane: Lane, route_name: str) -> str:
+    """A lane's service or topic: ``/navigate/_action/send_goal``."""
+    return lane.absolute or route_name + lane.suffix
+
+
+def type_of(lane: Lane, route_type: str) -> str:
+    """A lane's type: ``pkg/action/Navigate_SendGoal``; empty: it depends on the route's, which is not known."""
+    return lane.type_name or (route_type + lane.type_suffix if route_type else "")
+
+
+def route_type_of(lane: Lane, lane_type: str) -> str:
+    """The route's type, by the type of one of its lanes; empty: that says nothing about it."""
+    if lane.type_name or not lane_type.endswith(lane.type_suffix):
+        return ""
+    return lane_type.removesuffix(lane.type_suffix)
 
 
 class LaneType(NamedTuple):
@@ -210,3 +232,145 @@ class LaneEnds:
                 end.close()
             self._uses.pop(lane).end()
             self.types.pop(lane, None)
+
+
+class Clients(LaneEnds):
+    """Clients of services, and subscriptions to topics, of one providing half, while there is somebody to call.
+
+    Args:
+        context: what every part of the engine shares.
+        peer: whose callers ask.
+        lanes: of the route.
+        responded: gets a lane's responses.
+        published: gets a lane's messages.
+        failed: told of a client or a subscription that has failed and closed itself.
+
+    Attributes:
+        clients: by lane.
+    """
+
+    def __init__(
+        self,
+        context: Context,
+        peer: Peer,
+        lanes: Sequence[Lane],
+        responded: Callable[[int, Sequence[Response]], None],
+        published: Callable[[int, Sequence[RawMessage]], None],
+        failed: Callable[[RosError], None],
+    ) -> None:
+        super().__init__(context, peer, lanes, failed)
+        self.clients: dict[int, ServiceClient] = {}
+        self._responded = responded
+        self._published = published
+
+    @property
+    def ready(self) -> bool:
+        """Whether a call of any lane reaches a server."""
+        return bool(self.clients) and all(client.ready for client in self.clients.values())
+
+    def _open_service(self, lane: int, name: str, kind: LaneType) -> ServiceClient:
+        sink, failed = self._sink(lane, self._responded)
+        client = self._context.ros.call_service(name, kind.type_name, kind.type_hash, sink.put, failed)
+        self.clients[lane] = client
+        return client
+
+    def _open_topic(self, lane: int, name: str, kind: LaneType) -> Closable:
+        qos = self._lanes[lane].qos
+        assert qos is not None
+        sink, failed = self._sink(lane, self._published)
+        ros = self._context.ros
+        return ros.subscribe(name, kind.type_name, kind.type_hash, qos, sink.put, self._peer.name, failed)
+
+    def close(self, keep: Collection[int] = ()) -> None:
+        """Call nobody any more, but the lanes to keep."""
+        super().close(keep)
+        self.clients = {lane: client for lane, client in self.clients.items() if lane in keep}
+
+
+class Offers(LaneEnds):
+    """Services that others can call, and publishers, of one callers' half, while it is offered.
+
+    Args:
+        context: what every part of the engine shares.
+        peer: whose providers answer.
+        lanes: of the route.
+        asked: gets a lane's requests.
+        too_late: gets those that came when it was offered no more.
+        failed: told of a server that has failed and closed itself.
+        marks: gives the lease that requests are marked with, or None if they need not be.
+
+    Attributes:
+        servers: by lane.
+        publishers: by lane; what DDS holds for their subscribers is bounded, of those that keep one message, too.
+    """
+
+    def __init__(
+        self,
+        context: Context,
+        peer: Peer,
+        lanes: Sequence[Lane],
+        asked: Callable[[int, Sequence[Request]], None],
+        too_late: Callable[[int, Sequence[Request]], None],
+        failed: Callable[[RosError], None],
+        marks: Callable[[], Lease | None] = lambda: None,
+    ) -> None:
+        super().__init__(context, peer, lanes, failed)
+        self._marks = marks
+        self.servers: dict[int, ServiceServer] = {}
+        self.publishers: dict[int, VolatileTopic] = {}
+        self._ways: list[Via] = []
+        self._announced: dict[int, bytes] = {}
+        self._asked = asked
+        self._too_late = too_late
+
+    def announce(self, ways: list[Via]) -> None:
+        """Say by which bridges the answers come, of what is offered and will be.
+
+        Args:
+            ways: by lane.
+
+        Raises:
+            RosError: there are too many.
+        """
+        if ways != self._ways:
+            self._ways = ways
+            for lane, kind in self.types.items():
+                self._announce(lane, kind)
+
+    def _announce(self, lane: int, kind: LaneType) -> None:
+        announcements = self._context.announcements
+        if lane in self._announced:
+            announcements.withdraw(self._announced.pop(lane))
+        self._announced[lane] = announcements.offer(
+            self._names[lane], self._peer.name, kind.type_name, kind.type_hash, self._ways[lane]
+        )
+
+    def _open_service(self, lane: int, name: str, kind: LaneType) -> ServiceServer:
+        self._announce(lane, kind)  # first: others must not take it for a node's
+        sink, failed = self._sink(lane, self._asked, self._too_late)
+        put = sink.put
+        if (lease := self._marks()) is not None:
+            marker = Marker(lease, self._context.ros.turns, BATCH)
+
+            def put(batch: Sequence[Request]) -> None:
+                sink.put(marker.marked(batch))
+
+        server = self._context.ros.serve(name, kind.type_name, kind.type_hash, put, failed)
+        self.servers[lane] = server
+        return server
+
+    def _open_topic(self, lane: int, name: str, kind: LaneType) -> VolatileTopic:
+        qos = self._lanes[lane].qos
+        assert qos is not None
+        context, budget = self._context, self._peer.budget.unacknowledged
+        publisher = context.ros.advertise(name, kind.type_name, kind.type_hash, qos, self._peer.name)
+        self.publishers[lane] = bounded = VolatileTopic(publisher, qos.depth, budget, context.now)
+        return bounded
+
+    def close(self, keep: Collection[int] = ()) -> None:
+        """Offer nothing any more, but the lanes to keep."""
+        super().close(keep)
+        for lane in [each for each in self._announced if each not in keep]:
+            self._context.announcements.withdraw(self._announced.pop(lane))
+        self.servers = {lane: server for lane, server in self.servers.items() if lane in keep}
+        self.publishers = {lane: publisher for lane, publisher in self.publishers.items() if lane in keep}

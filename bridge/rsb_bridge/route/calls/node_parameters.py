@@ -8,18 +8,18 @@ from rsb_bridge.cdr.parameter_event import ParameterEventError, node_of, with_no
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.verdict import Cause
 from rsb_bridge.ros.parameter_events import EventsTopic
+from rsb_bridge.route.calls.call_endpoints import Clients
 from rsb_bridge.route.calls.calling import CallingRoute
-from rsb_bridge.route.calls.clients import Clients
+from rsb_bridge.route.calls.calls_verdict import Trouble
 from rsb_bridge.route.calls.providing import ProvidingRoute
-from rsb_bridge.route.calls.verdict import Trouble
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from rsb_bridge.ros.api import RawMessage
     from rsb_bridge.ros.parameter_events import Listening
-    from rsb_bridge.route.calls.graph import Provision
-    from rsb_bridge.route.calls.lane_ends import LaneType
+    from rsb_bridge.route.calls.call_endpoints import LaneType
+    from rsb_bridge.route.calls.call_servers import Provision
     from rsb_bridge.wire.headers import CallFrame
     from rsb_bridge.wire.records import LaneEntry
 

@@ -23,29 +23,28 @@ import msgspec
 import zstandard
 
 from rsb_bridge.cdr.checker import MalformedError, TooComplexError
+from rsb_bridge.model.backoff import Backoff
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.lanes import LANES
 from rsb_bridge.model.session import CALL_TIMEOUT
 from rsb_bridge.model.snapshot import Ledger, Level
 from rsb_bridge.model.stamp_clock import shifted
+from rsb_bridge.model.verdict import Cause
 from rsb_bridge.ros.api import RosError
 from rsb_bridge.route.both_sides import lasting, node_names, record_of
-from rsb_bridge.route.calls.failures import Failures
-from rsb_bridge.route.calls.ledger import CallsLedger
-from rsb_bridge.route.calls.names import name_of, route_type_of
-from rsb_bridge.route.calls.outbox import CallsOutbox
-from rsb_bridge.route.calls.refusals import REMEDIES, Refused
-from rsb_bridge.route.calls.verdict import CallsFacts, Trouble, judge_calls
-from rsb_bridge.route.message_check import MessageCheck, malformed_text
+from rsb_bridge.route.calls.call_endpoints import name_of, route_type_of
+from rsb_bridge.route.calls.calls_ledger import REMEDIES, CallsLedger, Refused
+from rsb_bridge.route.calls.calls_outbox import CallsOutbox
+from rsb_bridge.route.calls.calls_verdict import CallsFacts, Trouble, judge_calls
+from rsb_bridge.route.message_check import ExpandsTooMuchError, MessageCheck, Unpacker, malformed_text
 from rsb_bridge.route.route import Route
-from rsb_bridge.route.unpacking import ExpandsTooMuchError, Unpacker
 from rsb_bridge.wire.framing import LEASED, ZSTD, Message
 from rsb_bridge.wire.headers import CALL_HEADER_LENGTH, CallFrame, What, split_number, unpack_call
 from rsb_bridge.wire.protocol_error import ProtocolError
 
 if TYPE_CHECKING:
     import asyncio
-    from collections.abc import Iterable, Sequence
+    from collections.abc import Callable, Iterable, Sequence
 
     from rsb_bridge.channel.channel import DuplexChannel
     from rsb_bridge.context import Context
@@ -57,10 +56,70 @@ if TYPE_CHECKING:
     from rsb_bridge.wire.messages import Propose
     from rsb_bridge.wire.records import CallsReport, LaneEntry
 
+_FIRST_DELAY, _LONGEST_DELAY = 0.5, 30.0
+"""s."""
+_HEALED_AFTER = 60.0
+"""s without a failure after which the delays begin anew."""
 _NO_LEDGER = Ledger()
 _SAID_AGAIN_AFTER = 60.0
 """s."""
 _MOST_SAID = 32
+
+
+class Failures:
+    """Refusals of ROS to make the servers or clients of one half, and when they are tried again.
+
+    Whoever makes endpoints asks first whether to wait.
+
+    Args:
+        context: has the clock and the timers.
+        try_again: called when a delay is over.
+
+    Attributes:
+        trouble: the last failure, until an attempt succeeds; None: there was none.
+    """
+
+    def __init__(self, context: Context, try_again: Callable[[], None]) -> None:
+        self.trouble: Trouble | None = None
+        self._context = context
+        self._try_again = try_again
+        self._backoff = Backoff(_FIRST_DELAY, _LONGEST_DELAY)
+        self._failed_at = float("-inf")
+        self._about: object = None
+        self._timer: asyncio.TimerHandle | None = None
+
+    def waits(self, about: object) -> bool:
+        """Whether the same has failed so lately that it is not tried again yet.
+
+        Args:
+            about: what the endpoints are made of; if that has changed, they are tried at once.
+        """
+        return self._timer is not None and about == self._about
+
+    def failed(self, text: str, about: object) -> None:
+        """An attempt has failed, or what it made; `text` says why."""
+        now = self._context.now()
+        if now - self._failed_at >= _HEALED_AFTER:
+            self._backoff.reset()
+        self._failed_at, self._about = now, about
+        self.trouble = Trouble(Cause.OFFER_FAILED, f"{text}; it is tried again by itself")
+        self.close()
+        self._timer = self._context.loop.call_later(self._backoff.next(), self._due)
+
+    def clear(self) -> None:
+        """Nothing fails: all endpoints are there, or none is wanted."""
+        self.trouble = None
+        self.close()
+
+    def close(self) -> None:
+        """Try no more by itself."""
+        if self._timer is not None:
+            self._timer.cancel()
+            self._timer = None
+
+    def _due(self) -> None:
+        self._timer = None
+        self._try_again()
 
 
 class CallsRoute(Route):

@@ -1,4 +1,4 @@
-"""What decides about any route, whatever it carries: rules over what a half knows (`rsb_bridge.route.verdict`)."""
+"""Rules that decide about any route, whatever it carries, before those of topics and of calls."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 
 
 class Standing(Protocol):
-    """What a half knows of its route, whatever that carries: as in `rsb_bridge.route.verdict.Facts`."""
+    """What a half knows of its route, whatever that carries: as in `rsb_bridge.route.topic_verdict.Facts`."""
 
     @property
     def topic(self) -> str: ...

@@ -10,9 +10,9 @@ from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.text import join_first
 from rsb_bridge.model.verdict import FINE, LASTING, Cause, Verdict
 from rsb_bridge.route.age import expired_verdict
-from rsb_bridge.route.gates import gated, no_path, rank, throttled
+from rsb_bridge.route.blocking_rules import gated, no_path, rank, throttled
 from rsb_bridge.route.lateness import late_verdict
-from rsb_bridge.route.yielding import verdict_of, why
+from rsb_bridge.route.thinning import verdict_of, why
 from rsb_bridge.telemetry.watches import FAST_ABOVE
 
 if TYPE_CHECKING:
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from rsb_bridge.ros.api import Endpoint
     from rsb_bridge.route.age import Expired
     from rsb_bridge.route.lateness import Late
-    from rsb_bridge.route.yielding import Yielded
+    from rsb_bridge.route.thinning import Yielded
     from rsb_bridge.telemetry.watches import Loss
 
 LATELY = 10
@@ -35,6 +35,20 @@ _NAMED = 3
 _SILENCE = frozenset({Cause.PUBLISHER_SILENT, Cause.NO_MESSAGE})
 _EXPLAINS_SILENCE = frozenset({Cause.QOS_INCOMPATIBLE, Cause.TYPE_CONFLICT})
 """Where a publisher's messages are not taken, it is not silent."""
+_LOSSES: dict[str, tuple[Cause, str]] = {
+    "queue full": (
+        Cause.QUEUE_FULL,
+        "more is published than the link carries: set max_rate, compression: zstd or priority",
+    ),
+    "too large": (Cause.TOO_LARGE, "they are larger than its transport carries: use protocol: tcp"),
+    "publish failed": (Cause.NOT_PUBLISHED, "the receiving side cannot publish them; its log says why"),
+    "latched full": (Cause.NOT_PUBLISHED, "the receiving side keeps no more latched messages for this link"),
+    "slow subscriber": (Cause.NOT_PUBLISHED, "a subscriber there does not take its messages: restart it"),
+    "malformed": (Cause.NOT_PUBLISHED, "they are malformed: see what publishes them"),
+    "too complex": (Cause.NOT_PUBLISHED, "they have more strings and sequences than are checked there: send less"),
+    "expands too much": (Cause.NOT_PUBLISHED, "they expand too much there: send less, or without compression"),
+}
+LOSS_CAUSES = frozenset({Cause.LOSSY, *(cause for cause, _ in _LOSSES.values())})
 
 
 class Facts(NamedTuple):
@@ -297,24 +311,6 @@ def _slow(facts: Facts) -> Verdict | None:
     else:
         reason = f"that is all that {_plural(facts.endpoints, 'publishes', 'publish')}"
     return Verdict(State.SLOW, Cause.SLOW, f"{text}: {reason}", facts.slow_since)
-
-
-_LOSSES: dict[str, tuple[Cause, str]] = {
-    "queue full": (
-        Cause.QUEUE_FULL,
-        "more is published than the link carries: set max_rate, compression: zstd or priority",
-    ),
-    "too large": (Cause.TOO_LARGE, "they are larger than its transport carries: use protocol: tcp"),
-    "publish failed": (Cause.NOT_PUBLISHED, "the receiving side cannot publish them; its log says why"),
-    "latched full": (Cause.NOT_PUBLISHED, "the receiving side keeps no more latched messages for this link"),
-    "slow subscriber": (Cause.NOT_PUBLISHED, "a subscriber there does not take its messages: restart it"),
-    "malformed": (Cause.NOT_PUBLISHED, "they are malformed: see what publishes them"),
-    "too complex": (Cause.NOT_PUBLISHED, "they have more strings and sequences than are checked there: send less"),
-    "expands too much": (Cause.NOT_PUBLISHED, "they expand too much there: send less, or without compression"),
-}
-
-
-LOSS_CAUSES = frozenset({Cause.LOSSY, *(cause for cause, _ in _LOSSES.values())})
 
 
 def _thinned(facts: Facts) -> Verdict | None:

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, cast
 
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.ros.api import RawMessage
-from rsb_bridge.route.yielding import Share, Yielding
+from rsb_bridge.route.thinning import Share, Yielding
 
 if TYPE_CHECKING:
     from rsb_bridge.channel.channel import SendingChannel

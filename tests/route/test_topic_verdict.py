@@ -20,8 +20,8 @@ from rsb_bridge.route.arming import SAID, Disarmed
 from rsb_bridge.route.both_sides import BothSides, lasting, record_of
 from rsb_bridge.route.lateness import QUEUE, WAY, Late, late_verdict
 from rsb_bridge.route.lease import Standstill
-from rsb_bridge.route.verdict import LOWER_MTU, USE_TCP, Facts, judge, named
-from rsb_bridge.route.yielding import Share, Yielded
+from rsb_bridge.route.thinning import Share, Yielded
+from rsb_bridge.route.topic_verdict import LOWER_MTU, USE_TCP, Facts, judge, named
 from rsb_bridge.telemetry.watches import Loss
 from rsb_bridge.wire.records import VerdictRecord
 

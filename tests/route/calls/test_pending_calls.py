@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from rsb_bridge.route.calls.budget import CallBudget
-from rsb_bridge.route.calls.under_way import Call, UnderWay
+from rsb_bridge.route.calls.pending_calls import Call, CallBudget, UnderWay
 
 if TYPE_CHECKING:
     from tests.support.virtual_time import VirtualLoop

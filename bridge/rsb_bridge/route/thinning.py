@@ -12,17 +12,19 @@ from typing import TYPE_CHECKING, NamedTuple
 from rsb_bridge.model.fullness import rates_text
 from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.verdict import Cause, Verdict
-from rsb_bridge.route.throttle import Throttle
 from rsb_bridge.telemetry.meters import Smoothed
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    import asyncio
+    from collections.abc import Callable, Sequence
 
     from rsb_bridge.channel.channel import SendingChannel
     from rsb_bridge.model.qos import Qos
     from rsb_bridge.ros.api import RawMessage
+    from rsb_bridge.route.history_depth import Sample
     from rsb_bridge.wire.framing import Message
 
+_MOST_PUBLISHERS = 4096
 THINNED = "thinned"
 """The ledger's cause."""
 SLOWEST = 0.1
@@ -35,6 +37,125 @@ _LESS = 0.95
 """A topic is thinned if less than this share of its demand crosses; smaller differences do not show."""
 _FADES = 0.8
 """The part of the messages so far that still counts a second later, for the size of the average one."""
+
+
+class Throttle:
+    """Leaves messages out, so that a topic keeps to its highest rate.
+
+    Publishers may be told apart: then each has that rate to itself.
+
+    Args:
+        rate: messages a second; 0: all pass.
+    """
+
+    def __init__(self, rate: float) -> None:
+        self._due: dict[bytes, int] = {}
+        self.limit(rate)
+
+    def limit(self, rate: float) -> None:
+        """Keep to another rate from now on."""
+        self._interval = int(1e9 / rate) if rate else 0
+        self._due.clear()
+
+    def adjust(self, rate: float) -> None:
+        """As `limit`, without a new beat: no message passes for the change alone."""
+        self._interval = int(1e9 / rate) if rate else 0
+
+    def passes(self, stamp: int, publisher: bytes = b"") -> bool:
+        """Whether a message passes that was received at `stamp` (ns)."""
+        interval = self._interval
+        if not interval:
+            return True
+        due = self._due.get(publisher, 0)
+        late = stamp - due
+        # A stamp a little older than the last one is out of order; one much older comes from a clock that was set back.
+        if -2 * interval <= late < 0:
+            return False
+        if len(self._due) >= _MOST_PUBLISHERS:
+            self._due.clear()
+        # Due times keep their own beat, so that a 50 Hz topic throttled to 20 Hz gives 20, not 16.7.
+        self._due[publisher] = (due if 0 <= late < interval else stamp) + interval
+        return True
+
+    def due(self, publisher: bytes) -> int:
+        """When (ns, as stamps are) the next message of a publisher passes."""
+        return self._due.get(publisher, 0)
+
+
+class LatestLater:
+    """A throttle for a latched topic: of the messages that come too fast, the last one passes later.
+
+    A late joiner gets what was published last, so that must not be left out for good, however long nothing follows it.
+    """
+
+    def __init__(
+        self,
+        loop: asyncio.AbstractEventLoop,
+        throttle: Throttle,
+        send: Callable[[Sequence[Sample]], None],
+        paused: Callable[[], bool],
+    ) -> None:
+        """Begin.
+
+        Args:
+            loop: the I/O loop.
+            throttle: decides.
+            send: gets the messages that pass later.
+            paused: whether nothing may pass now; then `resume` lets what is due pass.
+        """
+        self._loop = loop
+        self._throttle = throttle
+        self._send = send
+        self._paused = paused
+        self._waiting: dict[bytes, tuple[int, Sample]] = {}
+        self._timers: dict[bytes, asyncio.TimerHandle] = {}
+
+    def admit(self, samples: Sequence[Sample]) -> tuple[list[Sample], int]:
+        """Take messages, oldest first. A history is never throttled: it is what late joiners get.
+
+        Returns:
+            Those that pass now, and how many are left out because a newer one of their publisher has come.
+        """
+        admitted: list[Sample] = []
+        left_out = 0
+        for sample in samples:
+            publisher, stamp = sample.header.publisher, sample.message.stamp
+            passes = sample.replayed or self._throttle.passes(stamp, publisher)
+            left_out += self._forget(publisher)
+            if passes:
+                admitted.append(sample)
+            elif len(self._waiting) < _MOST_PUBLISHERS:
+                due = self._throttle.due(publisher)
+                self._waiting[publisher] = due, sample
+                self._timers[publisher] = self._loop.call_later((due - stamp) / 1e9, self._pass, publisher)
+            else:
+                left_out += 1
+        return admitted, left_out
+
+    def resume(self) -> None:
+        """Let pass what has become due meanwhile."""
+        for publisher in self._waiting.keys() - self._timers.keys():
+            self._pass(publisher)
+
+    def clear(self) -> int:
+        """Let nothing pass any more; how many waited."""
+        return sum(self._forget(publisher) for publisher in tuple(self._waiting))
+
+    def _forget(self, publisher: bytes) -> int:
+        if self._waiting.pop(publisher, None) is None:
+            return 0
+        timer = self._timers.pop(publisher, None)
+        if timer is not None:
+            timer.cancel()
+        return 1
+
+    def _pass(self, publisher: bytes) -> None:
+        self._timers.pop(publisher, None)
+        if self._paused():
+            return
+        due, sample = self._waiting.pop(publisher)
+        self._throttle.passes(due, publisher)
+        self._send([sample])
 
 
 class Share(NamedTuple):
