@@ -252,7 +252,7 @@ def test_too_many_messages_that_are_held_are_lost_and_counted(world: World) -> N
     ledger = world.route.ledger()
     assert (ledger.offered, ledger.dropped) == (2000, {"queue full": 2000})
     world.comes(SECOND, *(40 * [bytes(1 << 20)]))
-    assert world.route._sorter.holds <= 32
+    assert world.route._loop_filter.holds <= 32
     world.route.close("link lost")
     ledger = world.route.ledger()
     assert ledger.offered == sum(ledger.dropped.values()) == 12_040
@@ -261,7 +261,7 @@ def test_too_many_messages_that_are_held_are_lost_and_counted(world: World) -> N
 def test_a_large_first_message_is_not_lost_while_its_publisher_is_looked_up(world: World) -> None:
     world.graph.nodes[SECOND] = ""
     world.comes(SECOND, bytes(8 << 20), b"small")
-    assert (world.route._sorter.holds, world.route.ledger().dropped) == (2, {})
+    assert (world.route._loop_filter.holds, world.route.ledger().dropped) == (2, {})
 
 
 def test_held_messages_do_not_outlive_a_pause(world: World) -> None:

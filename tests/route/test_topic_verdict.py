@@ -17,10 +17,10 @@ from rsb_bridge.model.verdict import EXPIRES, FINE, Cause, Verdict, about, worse
 from rsb_bridge.ros.api import Endpoint
 from rsb_bridge.route.age import Expired, expired_verdict
 from rsb_bridge.route.arming import SAID, Disarmed
-from rsb_bridge.route.both_sides import BothSides, lasting, record_of
+from rsb_bridge.route.combined_verdict import CombinedVerdict, lasting, record_of
 from rsb_bridge.route.lateness import QUEUE, WAY, Late, late_verdict
 from rsb_bridge.route.lease import Standstill
-from rsb_bridge.route.thinning import Share, Yielded
+from rsb_bridge.route.thinning import Share, ThinningShare
 from rsb_bridge.route.topic_verdict import LOWER_MTU, USE_TCP, Facts, judge, named
 from rsb_bridge.telemetry.watches import Loss
 from rsb_bridge.wire.records import VerdictRecord
@@ -71,7 +71,7 @@ def test_a_route_that_flows_is_fine() -> None:
             SENDER,
             {
                 "breaking": "Connection timed out",
-                "yielded": Yielded(Share(1e4, 4e5, 3.5e6, "/scan"), 0.1, 30.0, thins=True, since=NOW),
+                "thinned": ThinningShare(Share(1e4, 4e5, 3.5e6, "/scan"), 0.1, 30.0, thins=True, since=NOW),
             },
             State.DOWN,
             Cause.NO_PATH,
@@ -343,7 +343,7 @@ verdicts = st.builds(
 
 @given(verdicts, verdicts)
 def test_both_sides_show_the_same_and_never_less_than_either_says(one: Verdict, other: Verdict) -> None:
-    sender, receiver = BothSides(sends=True, peer_name="server"), BothSides(sends=False, peer_name="robot1")
+    sender, receiver = CombinedVerdict(sends=True, peer_name="server"), CombinedVerdict(sends=False, peer_name="robot1")
     sender.take(record_of(other), NOW)
     receiver.take(record_of(one), NOW)
     shown = [sender.shown(one), receiver.shown(other)]
@@ -386,7 +386,7 @@ def test_the_side_that_knows_why_is_heard() -> None:
 
 
 def test_who_says_it_stands_before_what_the_other_side_says_only() -> None:
-    here = BothSides(sends=False, peer_name="robot1")
+    here = CombinedVerdict(sends=False, peer_name="robot1")
     here.take(VerdictRecord("slow", "slow", "2 Hz of 20"), NOW)
     assert here.shown(FINE).verdict.text == "robot1: 2 Hz of 20"
     assert here.shown(Verdict(State.DOWN, Cause.NO_PATH, "no UDP")).verdict.text == "no UDP"
@@ -397,7 +397,7 @@ def test_who_says_it_stands_before_what_the_other_side_says_only() -> None:
 def test_how_long_it_has_lasted_counts_on_at_the_other_side() -> None:
     """It is told once, and no clock of the other side's is needed."""
     slow = Verdict(State.SLOW, Cause.SLOW, "slow, for {lasting}", NOW - 5.0)
-    here = BothSides(sends=False, peer_name="robot1")
+    here = CombinedVerdict(sends=False, peer_name="robot1")
     here.take(lasting(record_of(slow), slow, NOW), 100.0)
     assert here.shown(FINE).verdict.said(100.0) == "robot1: slow, for 5 s"
     assert here.shown(FINE).verdict.said(295.0) == "robot1: slow, for 3 min"
@@ -405,7 +405,7 @@ def test_how_long_it_has_lasted_counts_on_at_the_other_side() -> None:
 
 def test_since_when_it_is_so() -> None:
     """It counts from the beginning of the trouble, and not anew when only the words or the side that says it change."""
-    here = BothSides(sends=False, peer_name="robot1")
+    here = CombinedVerdict(sends=False, peer_name="robot1")
     assert here.since(FINE, 10.0) == here.since(FINE, 20.0) == 10.0
     slow = Verdict(State.SLOW, Cause.SLOW, "2 Hz of 20, for {lasting}", 25.0)
     assert here.since(slow, 30.0) == 25.0
@@ -417,13 +417,13 @@ def test_since_when_it_is_so() -> None:
 
 @pytest.mark.parametrize("lasts", [float("nan"), float("inf"), -1.0, 1e300])
 def test_a_time_that_cannot_be_is_not_believed(lasts: float) -> None:
-    here = BothSides(sends=False, peer_name="robot1")
+    here = CombinedVerdict(sends=False, peer_name="robot1")
     here.take(VerdictRecord("slow", "slow", "for {lasting}", lasts), NOW)
     assert here.shown(FINE).verdict.said(NOW) == "robot1: for 1 s"
 
 
 def test_what_a_newer_peer_says_is_shown_as_it_stands() -> None:
-    here = BothSides(sends=True, peer_name="server")
+    here = CombinedVerdict(sends=True, peer_name="server")
     here.take(VerdictRecord("haunted", "ghosts", "there are ghosts on the line"), NOW)
     shown = here.shown(FINE).verdict
     assert (shown.state, shown.cause, shown.text) == (State.SLOW, "ghosts", "server: there are ghosts on the line")

@@ -29,7 +29,7 @@ _GAP = 30.0
 """s without a new snapshot after which nothing is known of the time between."""
 
 
-class Axis:
+class ClockAxis:
     """Times in s since the epoch that go on evenly, as long as `advance` reports no jump.
 
     A machine without a battery for its clock starts with an old time, and is set right later. Until then, time goes on
@@ -105,7 +105,7 @@ class Recorder:
         self._clock = clock
         self._timeline = Timeline(name, role)
         self._name, self._role = name, role
-        self._axis = Axis(clock.steady(), clock.time_ns() / 1e9)
+        self._axis = ClockAxis(clock.steady(), clock.time_ns() / 1e9)
         self._seen: Snapshot | None = None
         self._observed = self._axis.now
         self._followed = 0
@@ -196,7 +196,7 @@ class Recorder:
             raise ValueError(FROM_THE_FUTURE)
         self._timeline = Timeline.restore(saved, self._name, self._role)
         self._timeline.go_on(each for each in events if each.time - wall <= KEPT_FOR)
-        self._axis = Axis(self._clock.steady(), wall, floor=self._timeline.last)
+        self._axis = ClockAxis(self._clock.steady(), wall, floor=self._timeline.last)
         self._observed = self._axis.now
         self._followed, self._seen = 0, None
 

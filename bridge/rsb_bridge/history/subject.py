@@ -199,7 +199,7 @@ class _Open:
 class Subject:
     """A link, or what it carries in one direction: a topic, a service, an action, or parameters of a node.
 
-    All times are s on the axis of `rsb_bridge.history.recorder.Axis`.
+    All times are s on the axis of `rsb_bridge.history.recorder.ClockAxis`.
 
     Args:
         link: the peer's name.

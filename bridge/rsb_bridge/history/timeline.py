@@ -123,7 +123,7 @@ class Saved(msgspec.Struct, frozen=True):
 
 
 class Timeline:
-    """Remembers outages, rates and operators' actions. All times are those of one `Axis`.
+    """Remembers outages, rates and operators' actions. All times are those of one `ClockAxis`.
 
     Args:
         name: of the session.

@@ -20,13 +20,19 @@ from rsb_bridge.ros.api import RosError
 from rsb_bridge.ros.graph import type_hint
 from rsb_bridge.route.age import EXPIRED
 from rsb_bridge.route.arming import without_history
-from rsb_bridge.route.both_sides import lasting, node_names, record_of
+from rsb_bridge.route.combined_verdict import lasting, node_names, record_of
 from rsb_bridge.route.latched import LatchedFullError, LatchedTopic
 from rsb_bridge.route.ledger import THROTTLED, reported_ledger
 from rsb_bridge.route.lifecycle import Event
 from rsb_bridge.route.message_check import ExpandsTooMuchError, MessageCheck, Unpacker, malformed_text
 from rsb_bridge.route.peeking import peeked
-from rsb_bridge.route.source_publishers import AUTO_DEPTH, Outputs, SlowSubscriberError, Subject, bounded
+from rsb_bridge.route.source_publishers import (
+    AUTO_DEPTH,
+    PublicationSpec,
+    SlowSubscriberError,
+    SourcePublishers,
+    bounded,
+)
 from rsb_bridge.route.topic_route import TopicRoute
 from rsb_bridge.route.topic_verdict import no_subscriber
 from rsb_bridge.wire.framing import HISTORY, LEASED, SOURCE_SHIFT, ZSTD, Message
@@ -88,7 +94,7 @@ class IncomingRoute(TopicRoute):
 
     def __init__(self, context: Context, peer: Owner, spec: Topic, proposal: Propose, *, proposed_here: bool) -> None:
         super().__init__(context, peer, spec, proposal, proposed_here=proposed_here)
-        self._outputs = Outputs(context, peer, self._failed_later)
+        self._outputs = SourcePublishers(context, peer, self._failed_later)
         self._unpacker = Unpacker(peer.budget.expansion, context)
         self.check = MessageCheck(context, peer.budget.checks)
         self._later: deque[Message] = deque()
@@ -140,7 +146,7 @@ class IncomingRoute(TopicRoute):
         elif first:
             self._outputs.renumber(description.sources)
         qos = without_history(description.qos) if self.arming.required else description.qos
-        subject = Subject(self.remote_topic, description.type, description.type_hash, bounded(qos))
+        subject = PublicationSpec(self.remote_topic, description.type, description.type_hash, bounded(qos))
         try:
             self._outputs.make(subject, description.sources)
         except (RosError, LatchedFullError) as error:

@@ -204,7 +204,7 @@ def _nearest_first(publication: Publication) -> tuple[bool, int, Via]:
     return via is None, len(via or ()), via or ()
 
 
-class Sorter:
+class LoopFilter:
     """One sending half's.
 
     Attributes:

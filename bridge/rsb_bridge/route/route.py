@@ -22,7 +22,7 @@ from rsb_bridge.model.snapshot import Level, RouteSnapshot, Stage
 from rsb_bridge.model.text import sanitize_text
 from rsb_bridge.route.age import MessageAge
 from rsb_bridge.route.arming import SAID, Arming, Disarmed, Settling
-from rsb_bridge.route.both_sides import BothSides
+from rsb_bridge.route.combined_verdict import CombinedVerdict
 from rsb_bridge.route.lifecycle import Event, Lifecycle
 from rsb_bridge.route.notices import ChannelLosses, Notices, timed_out
 from rsb_bridge.route.pause import PauseState
@@ -41,7 +41,7 @@ if TYPE_CHECKING:
     from rsb_bridge.model.session import Topic
     from rsb_bridge.model.verdict import Verdict
     from rsb_bridge.ros.api import Endpoint
-    from rsb_bridge.route.both_sides import Announcement
+    from rsb_bridge.route.combined_verdict import Announcement
     from rsb_bridge.telemetry.event_log import About
     from rsb_bridge.wire.framing import Message
 
@@ -147,7 +147,7 @@ class Route:
         self.endpoints: Sequence[Endpoint] = ()
         self.losses = ChannelLosses()
         self._verdict: Verdict | None = None  # None: it has to be judged
-        self.judged = BothSides(sends=self.outgoing, peer_name="server" if peer.is_client else peer.name)
+        self.judged = CombinedVerdict(sends=self.outgoing, peer_name="server" if peer.is_client else peer.name)
         self.meter = RateMeter(context.now())
         self.release_port: Callable[[], None] | None = None
 

@@ -224,7 +224,7 @@ class VolatileTopic:
         return self._budget.take(size)
 
 
-class Subject(NamedTuple):
+class PublicationSpec(NamedTuple):
     """A topic to publish.
 
     Attributes:
@@ -262,7 +262,7 @@ class _Announced:
         self._publisher.close()
 
 
-class _Output:
+class _SourcePublisher:
     """The publishers of one source.
 
     Attributes:
@@ -270,7 +270,12 @@ class _Output:
     """
 
     def __init__(
-        self, context: Context, peer: Peer, subject: Subject, origin: Origin, failed: Callable[[Exception], None]
+        self,
+        context: Context,
+        peer: Peer,
+        subject: PublicationSpec,
+        origin: Origin,
+        failed: Callable[[Exception], None],
     ) -> None:
         self._context = context
         self._peer = peer
@@ -327,7 +332,7 @@ class _Output:
         self._context.announcements.withdraw(gid)
 
 
-class Outputs:
+class SourcePublishers:
     """A route's outputs, by the numbers of their sources.
 
     Attributes:
@@ -346,13 +351,13 @@ class Outputs:
         self._peer = peer
         self._failed = failed
         self._type = TypeUse(context.ros, peer.budget.types)
-        self._outputs: list[_Output] = []
+        self._outputs: list[_SourcePublisher] = []
         self.sinks: list[VolatileTopic | LatchedTopic] = []
 
     def __len__(self) -> int:
         return len(self._outputs)
 
-    def make(self, subject: Subject, sources: Sequence[Source]) -> None:
+    def make(self, subject: PublicationSpec, sources: Sequence[Source]) -> None:
         """Have an output for each source, or for the first so many; those that are there have this subject.
 
         Raises:
@@ -387,12 +392,12 @@ class Outputs:
             count += 1
         self.close(count)
 
-    def _add(self, subject: Subject, origin: Origin) -> None:
+    def _add(self, subject: PublicationSpec, origin: Origin) -> None:
         further = len(self._outputs) > 0
         if further and not self._peer.budget.further_publishers.take(1):
             raise RosError("this link has too many publishers")
         try:
-            output = _Output(self._context, self._peer, subject, origin, self._failed)
+            output = _SourcePublisher(self._context, self._peer, subject, origin, self._failed)
         except (RosError, LatchedFullError):
             if further:
                 self._peer.budget.further_publishers.give(1)

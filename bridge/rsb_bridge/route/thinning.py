@@ -174,7 +174,7 @@ class Share(NamedTuple):
     first: str
 
 
-class Yielded(NamedTuple):
+class ThinningShare(NamedTuple):
     """What an operator is told of a topic that yields.
 
     Attributes:
@@ -209,7 +209,7 @@ class Traffic(NamedTuple):
 _IDLE = Traffic(0.0, 0.0, 0.0)
 
 
-class Yielding:
+class Thinning:
     """One sending half's.
 
     Attributes:
@@ -342,37 +342,37 @@ class Yielding:
         """The lower one of the topic's own limit and what it is thinned to, in Hz; 0: none."""
         return min(filter(None, (rate, self._rate)), default=0.0)
 
-    def shown(self) -> Yielded | None:
+    def shown(self) -> ThinningShare | None:
         """What to tell an operator; None: nothing."""
         if self.share is None or self._now - self._thinned_at > _SHOWN:
             return None
         if self._crossed.rate >= _LESS * self._wanted.rate:
             return None  # it has just recovered
-        return Yielded(self.share, self._crossed.rate, self._wanted.rate, self._thins, self._since)
+        return ThinningShare(self.share, self._crossed.rate, self._wanted.rate, self._thins, self._since)
 
 
-def verdict_of(yielded: Yielded) -> Verdict:
+def verdict_of(thinned: ThinningShare) -> Verdict:
     """What an operator is told."""
-    link = why(yielded)
-    if yielded.thins:
-        text = f"thinned to {_hertz(yielded)}: {link}"
+    link = why(thinned)
+    if thinned.thins:
+        text = f"thinned to {_hertz(thinned)}: {link}"
     else:
         text = (
-            f"held back to {_hertz(yielded)}: {link}; what its queue does not hold is "
+            f"held back to {_hertz(thinned)}: {link}; what its queue does not hold is "
             "dropped (priority: low thins it instead)"
         )
-    return Verdict(State.SLOW, Cause.THINNED, text, yielded.since)
+    return Verdict(State.SLOW, Cause.THINNED, text, thinned.since)
 
 
-def why(yielded: Yielded) -> str:
+def why(thinned: ThinningShare) -> str:
     """Why it yields."""
-    share = yielded.share
+    share = thinned.share
     return f"the link carries {rates_text(share.carried, share.asked)}, and {share.first} goes first"
 
 
-def _hertz(yielded: Yielded) -> str:
+def _hertz(thinned: ThinningShare) -> str:
     """``4 of 30 Hz``."""
-    rate, wanted = (f"{each:.0f}" if each >= 9.95 else f"{each:.2g}" for each in (yielded.rate, yielded.wanted))
+    rate, wanted = (f"{each:.0f}" if each >= 9.95 else f"{each:.2g}" for each in (thinned.rate, thinned.wanted))
     return f"{rate} of {wanted} Hz"
 
 
@@ -381,8 +381,8 @@ class _Held:
 
     batch_bytes = 1
 
-    def __init__(self, yielding: Yielding, channel: SendingChannel, now: float) -> None:
-        self._yielding = yielding
+    def __init__(self, thinning: Thinning, channel: SendingChannel, now: float) -> None:
+        self._thinning = thinning
         self._channel = channel
         self._time = now
         self.ready = channel.ready
@@ -390,10 +390,10 @@ class _Held:
 
     @property
     def congested(self) -> bool:
-        return self._channel.congested or self._yielding.wait(self._time) > 0.0
+        return self._channel.congested or self._thinning.wait(self._time) > 0.0
 
     def send(self, batch: Sequence[Message]) -> None:
-        self._yielding.sent(sum([PER_MESSAGE + len(message[0]) for message in batch]), self._time)
+        self._thinning.sent(sum([PER_MESSAGE + len(message[0]) for message in batch]), self._time)
         self._channel.send(batch)
 
     def trouble(self) -> str:

@@ -10,7 +10,7 @@ from rsb_bridge.model.verdict import EXPIRES, Cause
 from rsb_bridge.route.lateness import Late, LateWatch
 from rsb_bridge.route.peeking import PeekSlot
 from rsb_bridge.route.route import Route
-from rsb_bridge.route.thinning import Yielding
+from rsb_bridge.route.thinning import Thinning
 from rsb_bridge.route.topic_verdict import LOSS_CAUSES, Facts, judge
 from rsb_bridge.telemetry.meters import LatencyMeter, StaleWatch
 
@@ -120,7 +120,7 @@ class TopicRoute(Route):
         silence: warns of a silent topic.
         peek_slot: takes the next message for operators who look at the topic.
         lateness: watches for messages that take too long.
-        yielding: its sending half's share of the link.
+        thinning: its sending half's share of the link.
     """
 
     def __init__(self, context: Context, peer: Owner, spec: Topic, proposal: Propose, *, proposed_here: bool) -> None:
@@ -133,7 +133,7 @@ class TopicRoute(Route):
         self._full_at: float | None = None  # s, when the link was last full in this direction
         self.set_stale_after()
         self.peek_slot = PeekSlot()
-        self.yielding = Yielding(context.now())
+        self.thinning = Thinning(context.now())
         self._told_report: SentReport | ReceivedReport | None = None  # the last one of the present opening
 
     # --- what the halves do differently
@@ -285,7 +285,7 @@ class TopicRoute(Route):
             came=self.came,
             came_before=self.came_before,
             stale_since=self._stale_since(),
-            yielded=self.yielding.shown(),
+            thinned=self.thinning.shown(),
             late=self.late(),
             expired=self.age.late() if self.flowing else None,
             full=self.link_full,

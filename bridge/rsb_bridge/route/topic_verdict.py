@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from rsb_bridge.ros.api import Endpoint
     from rsb_bridge.route.age import Expired
     from rsb_bridge.route.lateness import Late
-    from rsb_bridge.route.thinning import Yielded
+    from rsb_bridge.route.thinning import ThinningShare
     from rsb_bridge.telemetry.watches import Loss
 
 LATELY = 10
@@ -90,7 +90,7 @@ class Facts(NamedTuple):
         datagrams: about how many a message takes, or 0 if its transport has none.
         limit: Hz that an operator allows, or 0 for no limit.
         limited_by: the reason for the limit, in words.
-        yielded: the share that it leaves to topics with a higher priority, or None.
+        thinned: the share that it leaves to topics with a higher priority, or None.
         late: the lateness of its messages, or None if they are on time.
         expired: the messages that were dropped lately because they were too old, or None if they are few.
         full: the rates of the link if it is full, or None.
@@ -134,7 +134,7 @@ class Facts(NamedTuple):
     datagrams: int = 0
     limit: float = 0.0
     limited_by: str = "set on purpose (max_rate)"
-    yielded: Yielded | None = None
+    thinned: ThinningShare | None = None
     late: Late | None = None
     expired: Expired | None = None
     full: Fullness | None = None
@@ -145,7 +145,7 @@ class Facts(NamedTuple):
     @property
     def crowded_out(self) -> str:
         """Why it yields to others of its link; empty: it does not."""
-        return "" if self.yielded is None else why(self.yielded)
+        return "" if self.thinned is None else why(self.thinned)
 
 
 def judge(facts: Facts) -> Verdict:
@@ -314,7 +314,7 @@ def _slow(facts: Facts) -> Verdict | None:
 
 
 def _thinned(facts: Facts) -> Verdict | None:
-    return verdict_of(facts.yielded) if facts.yielded is not None else None
+    return verdict_of(facts.thinned) if facts.thinned is not None else None
 
 
 def _remedy_for_loss(facts: Facts) -> str:

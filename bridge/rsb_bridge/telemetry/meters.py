@@ -84,7 +84,7 @@ class RateMeter:
         last: s, when the last one came; None: none yet.
         rate: Hz, over the shortest of 3, 10 and 30 s that holds at least three messages, and never above one message in
             the seconds since the last one.
-        usual_rate: Hz, that it usually has (`rsb_bridge.telemetry.usual_rate`); None: not known yet, or it has none.
+        usual_rate: Hz, that it usually has (`UsualRate`); None: not known yet, or it has none.
         history: messages in each of the last seconds, oldest first.
     """
 

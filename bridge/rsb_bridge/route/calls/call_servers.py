@@ -259,7 +259,7 @@ class Usable(NamedTuple):
             raise UnavailableError(Cause.NO_SERVER, f"waiting for {nodes} to announce where the answers come from")
 
 
-class Circles:
+class CallLoopGuard:
     """Sorts the servers of one route's services, this bridge's own offers for other links among them.
 
     Args:
@@ -319,7 +319,7 @@ def way_here(via: Via, bridges: tuple[str, ...], remote_service: str) -> Via:
     return (*via, hop(bridges[0], remote_service)) if bridges else via
 
 
-class Rivals:
+class LocalServers:
     """Finds servers on the callers' side that have what is provided over the link; nothing is offered beside them.
 
     An earlier process of this bridge that was killed is none, though it is seen for up to 40 s more. It has this one's

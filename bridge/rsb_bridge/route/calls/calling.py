@@ -11,14 +11,14 @@ from rsb_bridge.model.snapshot import Level, Stage
 from rsb_bridge.model.token_bucket import TokenBucket
 from rsb_bridge.model.verdict import Cause
 from rsb_bridge.ros.api import Request, RosError
-from rsb_bridge.route.both_sides import node_names
 from rsb_bridge.route.calls.call_endpoints import Offers, name_of, type_of
-from rsb_bridge.route.calls.call_servers import Rivals, others_called, types_clash, way_here
+from rsb_bridge.route.calls.call_servers import LocalServers, others_called, types_clash, way_here
 from rsb_bridge.route.calls.calls_ledger import Refused, refused_as
 from rsb_bridge.route.calls.calls_route import CallsRoute, frame_size
 from rsb_bridge.route.calls.calls_verdict import CallsFacts, Trouble
-from rsb_bridge.route.calls.manual_call import CallError, Hand
+from rsb_bridge.route.calls.manual_call import CallError, ManualCall
 from rsb_bridge.route.calls.pending_calls import Call, UnderWay
+from rsb_bridge.route.combined_verdict import node_names
 from rsb_bridge.route.source_publishers import SlowSubscriberError
 from rsb_bridge.route.topic_verdict import named
 from rsb_bridge.wire.headers import CallFrame, What
@@ -101,7 +101,7 @@ class CallerCall(Call):
     """A call of a caller here.
 
     Attributes:
-        server: that took it; the `Hand` of an operator's.
+        server: that took it; the `ManualCall` of an operator's.
         caller: whom it answers.
     """
 
@@ -110,7 +110,7 @@ class CallerCall(Call):
 
     def unanswered(self, reason: str) -> None:
         """It will have no answer; nobody but an operator can be told."""
-        if isinstance(self.server, Hand):
+        if isinstance(self.server, ManualCall):
             self.server.fail(reason)
 
 
@@ -127,7 +127,7 @@ class CallingRoute(CallsRoute):
         self._offers = Offers(
             context, peer, self.lanes, self._asked, self._too_late, self._offer_failed, self._lease_of_requests
         )
-        self._rivals = Rivals(context, peer, self.advance)
+        self._rivals = LocalServers(context, peer, self.advance)
         self._served_here: list[str] = []  # the nodes that serve it here, while nobody does on the other side
         self._under_way = UnderWay[CallerCall](context.loop, peer.budget.asked, self._expired, self._outbox.forget)
         self._last_number = 0
@@ -327,7 +327,7 @@ class CallingRoute(CallsRoute):
         """A call is not sent."""
         self._refuse(why)
 
-    def _begin(self, lane: int, request: Request, hand: Hand | None = None) -> None:
+    def _begin(self, lane: int, request: Request, hand: ManualCall | None = None) -> None:
         """Send a call, which has its place in the budget; `hand`: it is an operator's."""
         self._last_number += 1
         server = hand or self._offers.servers[lane]
@@ -344,7 +344,7 @@ class CallingRoute(CallsRoute):
         """Make a call as a caller here would."""
         if lane not in self._reach:
             raise CallError(self._why_not_now())
-        hand, number = Hand(self.context.loop), self._last_number + 1
+        hand, number = ManualCall(self.context.loop), self._last_number + 1
         self._asked_for(len(request))
         lease = self.arming.newest_number if self.arming.required else 0
         made = Request(request, b"", self.context.stamps.now(), lease)

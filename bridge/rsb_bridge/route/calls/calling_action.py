@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from rsb_bridge.model.session import Topic
     from rsb_bridge.model.snapshot import RouteSnapshot
     from rsb_bridge.ros.api import Request, ServiceServer
-    from rsb_bridge.route.calls.manual_call import Hand
+    from rsb_bridge.route.calls.manual_call import ManualCall
     from rsb_bridge.route.route import Owner
     from rsb_bridge.wire.messages import Propose, Provide
 
@@ -123,7 +123,7 @@ class CallingAction(CallingRoute):
         if lane == SEND_GOAL:
             self._reject(self._offers.servers[lane], request.caller, request.payload)
 
-    def _begin(self, lane: int, request: Request, hand: Hand | None = None) -> None:
+    def _begin(self, lane: int, request: Request, hand: ManualCall | None = None) -> None:
         if hand is not None:
             super()._begin(lane, request, hand)  # an operator who waits is not kept waiting over an interruption
             return

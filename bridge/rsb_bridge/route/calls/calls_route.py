@@ -31,11 +31,11 @@ from rsb_bridge.model.snapshot import Ledger, Level
 from rsb_bridge.model.stamp_clock import shifted
 from rsb_bridge.model.verdict import Cause
 from rsb_bridge.ros.api import RosError
-from rsb_bridge.route.both_sides import lasting, node_names, record_of
 from rsb_bridge.route.calls.call_endpoints import name_of, route_type_of
 from rsb_bridge.route.calls.calls_ledger import REMEDIES, CallsLedger, Refused
 from rsb_bridge.route.calls.calls_outbox import CallsOutbox
 from rsb_bridge.route.calls.calls_verdict import CallsFacts, Trouble, judge_calls
+from rsb_bridge.route.combined_verdict import lasting, node_names, record_of
 from rsb_bridge.route.message_check import ExpandsTooMuchError, MessageCheck, Unpacker, malformed_text
 from rsb_bridge.route.route import Route
 from rsb_bridge.wire.framing import LEASED, ZSTD, Message
@@ -66,7 +66,7 @@ _SAID_AGAIN_AFTER = 60.0
 _MOST_SAID = 32
 
 
-class Failures:
+class RosRetry:
     """Refusals of ROS to make the servers or clients of one half, and when they are tried again.
 
     Whoever makes endpoints asks first whether to wait.
@@ -150,7 +150,7 @@ class CallsRoute(Route):
         self._failing_since: float | None = None
         self._unavailable: Trouble | None = None
         self._warning: Trouble | None = None
-        self._failures = Failures(context, self._again_if_open)
+        self._failures = RosRetry(context, self._again_if_open)
         self._said: dict[str, float] = {}
 
     def _stamp_now(self) -> int:

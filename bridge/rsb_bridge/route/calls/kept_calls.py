@@ -113,7 +113,7 @@ class KeptCalls:
         return call
 
 
-class Do(Enum):
+class AnswerAction(Enum):
     """What to do with a call."""
 
     ASK = auto()
@@ -211,7 +211,7 @@ class KeptAnswers:
         assert answer is not None
         return answer
 
-    def take(self, question: Question, call: int, *, again: bool) -> Do:
+    def take(self, question: Question, call: int, *, again: bool) -> AnswerAction:
         """Decide on a call.
 
         Results may be asked for as often as anybody likes, as they do not change. Everything else goes to the server,
@@ -223,18 +223,20 @@ class KeptAnswers:
             again: it was under way in an earlier opening.
         """
         kept = self._kept.get(question)
+        if kept is None and again and question.lane == SEND_GOAL:
+            return AnswerAction.LOSE if self._has_forgotten else AnswerAction.REFUSE
         if kept is None:
-            return (Do.LOSE if self._has_forgotten else Do.REFUSE) if again and question.lane == SEND_GOAL else Do.ASK
+            return AnswerAction.ASK
         if not again and question.lane != GET_RESULT:
-            return Do.ASK
+            return AnswerAction.ASK
         if kept.answer is not None:
-            return Do.ANSWER
+            return AnswerAction.ANSWER
         if not kept.number and question.lane == SEND_GOAL:
-            return Do.LOSE
+            return AnswerAction.LOSE
         kept.calls.append(call)
         self._waiting[call] = question
         kept.until = None
-        return Do.WAIT
+        return AnswerAction.WAIT
 
     def asked(self, question: Question, number: int, servers: AbstractSet[bytes], *calls: int) -> None:
         """The server has been asked, under a number of the client's; these calls wait for its answer.

@@ -24,7 +24,7 @@ class CallError(Exception):
     """A call by hand has no answer; the message says why, and what to do."""
 
 
-class Hand:
+class ManualCall:
     """Stands where the server of a service stands for callers: the answer to an operator's call ends up here.
 
     Args:
@@ -69,7 +69,7 @@ async def call_directly(
     Raises:
         CallError: there is none.
     """
-    hand = Hand(context.loop)
+    hand = ManualCall(context.loop)
 
     def take(responses: Sequence[Response]) -> None:
         payload = responses[0].payload
@@ -96,7 +96,7 @@ async def call_directly(
         client.close()
 
 
-async def _answer(client: ServiceClient, hand: Hand, service: str) -> bytes:
+async def _answer(client: ServiceClient, hand: ManualCall, service: str) -> bytes:
     """What the node says, unless it goes before: nobody else tells whoever has no limit of time."""
     while not (await asyncio.wait((hand.answered,), timeout=_LEFT_LOOKED_EVERY))[0]:
         if not client.ready:

@@ -12,14 +12,14 @@ from rsb_bridge.model.snapshot import Stage
 from rsb_bridge.model.sources import MOST_HOPS
 from rsb_bridge.model.verdict import Cause
 from rsb_bridge.ros.api import RosError
-from rsb_bridge.route.both_sides import node_names
 from rsb_bridge.route.calls.call_endpoints import Clients, name_of
-from rsb_bridge.route.calls.call_servers import Circles, Provision, provision
+from rsb_bridge.route.calls.call_servers import CallLoopGuard, Provision, provision
 from rsb_bridge.route.calls.calls_ledger import REMEDIES, Refused
 from rsb_bridge.route.calls.calls_route import CallsRoute, frame_size
 from rsb_bridge.route.calls.calls_verdict import CallsFacts, Trouble
 from rsb_bridge.route.calls.manual_call import CallError, call_directly
 from rsb_bridge.route.calls.pending_calls import Call, UnderWay
+from rsb_bridge.route.combined_verdict import node_names
 from rsb_bridge.wire.headers import CallFrame, What
 from rsb_bridge.wire.messages import Provide
 from rsb_bridge.wire.protocol_error import ProtocolError
@@ -65,7 +65,7 @@ class ProvidingRoute(CallsRoute):
     def __init__(self, context: Context, peer: Owner, spec: Topic, proposal: Propose, *, proposed_here: bool) -> None:
         super().__init__(context, peer, spec, proposal, proposed_here=proposed_here)
         self._provision = Provision()
-        self._circles = Circles(context, peer)
+        self._circles = CallLoopGuard(context, peer)
         self._via: dict[str, None] = {}  # the bridges that answers cross before they come here
         self._present: set[bytes] = set()  # ids of servers; the calls made since the last look share it
         self._told: Provide | None = None  # in the present opening

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from rsb_bridge.telemetry.meters import RateMeter
 
 
-class IntakeOwner(Protocol):
+class TopicSubscriptionOwner(Protocol):
     """Who the messages are taken for.
 
     Attributes:
@@ -38,7 +38,7 @@ class IntakeOwner(Protocol):
     meter: RateMeter
 
     def admit(self, batch: Sequence[RawMessage]) -> Sequence[RawMessage]:
-        """The messages to take now; of the others, some may come later, by `Intake.take`."""
+        """The messages to take now; of the others, some may come later, by `TopicSubscription.take`."""
         ...
 
     def offer(self, batch: Sequence[RawMessage]) -> None:
@@ -58,7 +58,7 @@ class IntakeOwner(Protocol):
         ...
 
 
-class Subject(NamedTuple):
+class SubscriptionSpec(NamedTuple):
     """What is subscribed to.
 
     Attributes:
@@ -76,7 +76,7 @@ class Subject(NamedTuple):
     origin: Hashable
 
 
-class Intake:
+class TopicSubscription:
     """A route's subscription, for one opening.
 
     With ``qos: auto`` the depth on a volatile topic follows the topic's rate. On a latched topic messages come with
@@ -86,8 +86,8 @@ class Intake:
     def __init__(
         self,
         context: Context,
-        owner: IntakeOwner,
-        subject: Subject,
+        owner: TopicSubscriptionOwner,
+        subject: SubscriptionSpec,
         *,
         automatic: bool,
         expected_rate: float | None,

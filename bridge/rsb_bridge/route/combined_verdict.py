@@ -70,7 +70,7 @@ class Shown(NamedTuple):
     from_peer: bool
 
 
-class BothSides:
+class CombinedVerdict:
     """Puts both sides' verdicts together.
 
     Args:

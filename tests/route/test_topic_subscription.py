@@ -9,7 +9,7 @@ import pytest
 
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.qos import Qos, auto_depth
-from rsb_bridge.route.intake import Intake, Subject
+from rsb_bridge.route.topic_subscription import SubscriptionSpec, TopicSubscription
 from rsb_bridge.telemetry.meters import RateMeter
 
 if TYPE_CHECKING:
@@ -80,10 +80,10 @@ class Owner:
 
 def make_intake(
     context: Context, owner: Owner, qos: Qos, *, automatic: bool, expected_rate: float | None = None
-) -> Intake:
+) -> TopicSubscription:
     """An intake that is subscribed."""
-    subject = Subject("/fast", "std_msgs/msg/String", "", qos, "robot1")
-    intake = Intake(context, owner, subject, automatic=automatic, expected_rate=expected_rate, known={})
+    subject = SubscriptionSpec("/fast", "std_msgs/msg/String", "", qos, "robot1")
+    intake = TopicSubscription(context, owner, subject, automatic=automatic, expected_rate=expected_rate, known={})
     intake.subscribe()
     return intake
 
