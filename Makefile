@@ -14,7 +14,7 @@ unexport PYTHONDONTWRITEBYTECODE
 # Nothing that runs from here leaves this machine.
 export ROS_AUTOMATIC_DISCOVERY_RANGE := LOCALHOST
 
-.PHONY: demo demo-fleet test test-wire lint bench soak fuzz lock screenshots man clean system
+.PHONY: demo demo-fleet test test-wire lint bench soak fuzz lock screenshots man texts clean system
 
 demo: $(STAMP)
 	$(BIN)/rsb-console demo
@@ -102,6 +102,10 @@ $(STAMP): pyproject.toml
 # The pictures of the documentation, from the running demos.
 screenshots: $(STAMP)
 	$(BIN)/python docs/screenshots.py
+
+# Every text that operators may read, in one file.
+texts: $(STAMP)
+	$(BIN)/python docs/texts.py
 
 # The man page, from the arguments that the command takes.
 man: $(STAMP)

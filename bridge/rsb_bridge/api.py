@@ -11,10 +11,8 @@ if TYPE_CHECKING:
 
     from rsb_bridge.model.benchmark import Order, Outcome
     from rsb_bridge.model.history import HistoryReport
-    from rsb_bridge.model.peek import PeekedMessage
-    from rsb_bridge.model.reloaded import Reloaded
     from rsb_bridge.model.session import Client, Session, Topic
-    from rsb_bridge.model.snapshot import Event, Snapshot, TopicInfo
+    from rsb_bridge.model.snapshot import Event, PeekedMessage, Reloaded, Snapshot, TopicInfo
 
 
 class EngineError(Exception):

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, TypeAlias
 
 from rsb_bridge.api import ArmingApi
-from rsb_bridge.model.consoles import console
+from rsb_bridge.model.operators import console
 from rsb_bridge.route.arming import Disarmed
 
 if TYPE_CHECKING:

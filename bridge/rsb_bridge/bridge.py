@@ -31,9 +31,9 @@ from rsb_bridge.link.reloading import Step
 from rsb_bridge.link.roles import BridgeRole, ClientRole, Keys, ServerRole
 from rsb_bridge.link.topic_lists import topics_of_peer
 from rsb_bridge.model.backoff import Backoff
+from rsb_bridge.model.calls import FieldError
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.demands import Demands, sources_of
-from rsb_bridge.model.fields import FieldError
 from rsb_bridge.model.operators import is_undo, operator
 from rsb_bridge.model.snapshot import Level, LinkSnapshot, RouteSnapshot, TopicInfo
 from rsb_bridge.ros.api import RosError

@@ -11,8 +11,8 @@ from rsb_bridge.cdr.description import hash_of_text, read_description
 from rsb_bridge.config.fields_text import ITEMS, STEPS, read_fields, write_fields
 from rsb_bridge.link.errors import LinkError
 from rsb_bridge.link.peer_operators import acting_operator, called
+from rsb_bridge.model.calls import SEND_GOAL
 from rsb_bridge.model.codes import EventCode
-from rsb_bridge.model.lanes import SEND_GOAL
 from rsb_bridge.model.limits import REASON_LENGTH
 from rsb_bridge.model.text import sanitize_text
 from rsb_bridge.route.calls.calls_route import CallsRoute
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from rsb_bridge.cdr.decoder import Decoded
     from rsb_bridge.context import Context
     from rsb_bridge.link.link import Link
-    from rsb_bridge.model.peek import PeekedMessage
+    from rsb_bridge.model.snapshot import PeekedMessage
     from rsb_bridge.route.route import Route
     from rsb_bridge.topic_commands import Recorder
     from rsb_bridge.wire.records import LaneEntry

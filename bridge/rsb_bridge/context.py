@@ -9,12 +9,11 @@ from typing import TYPE_CHECKING, Unpack
 
 import msgspec
 
-from rsb_bridge.model.clock import Clock
+from rsb_bridge.model.clock import Clock, StampClock
 from rsb_bridge.model.codes import EventCode
+from rsb_bridge.model.demands import RunningDemands
 from rsb_bridge.model.operators import operator
-from rsb_bridge.model.running_demands import RunningDemands
 from rsb_bridge.model.snapshot import Level
-from rsb_bridge.model.stamp_clock import StampClock
 from rsb_bridge.ros.announcements import Announcements
 from rsb_bridge.ros.graph import SimilarTopics
 from rsb_bridge.ros.meant import Meant

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from rsb_bridge.model.calls import FieldError
 from rsb_bridge.model.codes import EventCode
-from rsb_bridge.model.fields import FieldError
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.model.snapshot import Level
 from rsb_bridge.ros.api import Endpoint, RosError

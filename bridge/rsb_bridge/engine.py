@@ -29,8 +29,7 @@ from rsb_bridge.io_loop import IoLoop
 from rsb_bridge.model.clock import Clock
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.operators import operator
-from rsb_bridge.model.reloaded import Reloaded
-from rsb_bridge.model.snapshot import Event, Level, Snapshot, TopicInfo
+from rsb_bridge.model.snapshot import Event, Level, Reloaded, Snapshot, TopicInfo
 from rsb_bridge.ros.api import RosError, RosInterface
 from rsb_bridge.ros.queue import RosToLoopQueue
 from rsb_bridge.ros.side import ros_side
@@ -46,8 +45,8 @@ if TYPE_CHECKING:
     from rsb_bridge.model.benchmark import Order, Outcome
     from rsb_bridge.model.demands import SourceKey
     from rsb_bridge.model.history import HistoryReport
-    from rsb_bridge.model.peek import PeekedMessage
     from rsb_bridge.model.session import Client, Session, Topic
+    from rsb_bridge.model.snapshot import PeekedMessage
 
 _STOP_WITHIN = 5.0
 _ROS_STOPS_WITHIN = 1.0

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 from rsb_bridge.config.fault_command import command_words, program_path, program_problem
 from rsb_bridge.model.codes import EventCode
-from rsb_bridge.model.fault_watch import ChangeKind, FaultChange, FaultWatch
+from rsb_bridge.model.faults import ChangeKind, FaultChange, FaultWatch
 from rsb_bridge.model.snapshot import Level
 from rsb_bridge.telemetry.fault_report import fault_report
 

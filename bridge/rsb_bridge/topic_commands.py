@@ -16,7 +16,7 @@ from rsb_bridge.route.pause import pause_word
 if TYPE_CHECKING:
     from rsb_bridge.link.link import Link
     from rsb_bridge.link.roles import BridgeRole
-    from rsb_bridge.model.running_demands import RunningDemands
+    from rsb_bridge.model.demands import RunningDemands
     from rsb_bridge.model.session import Topic
     from rsb_bridge.route.route import Route
 

@@ -16,8 +16,8 @@ from tests.support.waiting import eventually
 
 from rsb_bridge.api import EngineError, InvalidRequestError
 from rsb_bridge.contents import CALLS_AT_ONCE
+from rsb_bridge.model.calls import FIELDS_LENGTH
 from rsb_bridge.model.codes import EventCode
-from rsb_bridge.model.fields import FIELDS_LENGTH
 from rsb_bridge.model.session import Topic
 
 if TYPE_CHECKING:

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from tests.support.calls import CallNode
 
     from rsb_bridge.engine import Engine
-    from rsb_bridge.model.reloaded import Reloaded
+    from rsb_bridge.model.snapshot import Reloaded
 
 
 def reloaded(engine: Engine, path: Path, **changes: object) -> Reloaded:

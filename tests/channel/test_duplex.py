@@ -12,8 +12,7 @@ from typing import TYPE_CHECKING, Literal, TypeAlias
 import pytest
 
 from rsb_bridge.channel.data_keys import DataKeys
-from rsb_bridge.channel.multiplexer import CHUNK
-from rsb_bridge.channel.shared_stream import SharedStream
+from rsb_bridge.channel.multiplexer import CHUNK, SharedStream
 from rsb_bridge.channel.stream import stream_channel
 from rsb_bridge.transport.rfcomm import RfcommStream
 from rsb_bridge.transport.streams import Stream, StreamHandler

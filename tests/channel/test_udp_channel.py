@@ -13,8 +13,7 @@ import pytest
 
 from rsb_bridge.channel.data_keys import DataKeys
 from rsb_bridge.channel.datagram import DatagramSender, datagram_channel
-from rsb_bridge.channel.path_probe import PathProbe
-from rsb_bridge.channel.udp_channel import ClientUdpChannel, ServerUdpChannel, UdpChannel, UdpDemultiplexer
+from rsb_bridge.channel.udp_channel import ClientUdpChannel, PathProbe, ServerUdpChannel, UdpChannel, UdpDemultiplexer
 from rsb_bridge.transport.streams import StreamHandler
 from rsb_bridge.transport.transport import Acceptor
 from rsb_bridge.transport.udp import Udp

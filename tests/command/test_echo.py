@@ -14,8 +14,8 @@ from std_msgs.msg import String
 from tests.command.test_remote import Ran
 from tests.console.scripted import NOW, SESSION, ScriptedEngine, route
 
-from rsb_bridge.model.peek import PeekedMessage
 from rsb_bridge.model.session import Topic
+from rsb_bridge.model.snapshot import PeekedMessage
 from rsb_bridge.ros.descriptions import installed_description
 from rsb_bridge.ros.typesupport import hash_of
 

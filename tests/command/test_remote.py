@@ -20,9 +20,16 @@ from tests.support.waiting import eventually
 from rsb_bridge.config.keys import write_key
 from rsb_bridge.config.session_file import save
 from rsb_bridge.control.bridges import running_bridges
-from rsb_bridge.model.reloaded import Reloaded
 from rsb_bridge.model.session import Session, Topic
-from rsb_bridge.model.snapshot import Acknowledgement, ArmingSnapshot, Ledger, RefusedClient, RouteSnapshot, State
+from rsb_bridge.model.snapshot import (
+    Acknowledgement,
+    ArmingSnapshot,
+    Ledger,
+    RefusedClient,
+    Reloaded,
+    RouteSnapshot,
+    State,
+)
 from rsb_console.command.arguments import parser_and_commands
 from rsb_console.command.remote import COMMANDS
 

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from rsb_bridge.cdr.decoder import Decoded, Items, Message
 from rsb_bridge.config.fields_text import ITEMS, STEPS, read_fields, write_fields
-from rsb_bridge.model.fields import FIELDS_LENGTH, FieldError
+from rsb_bridge.model.calls import FIELDS_LENGTH, FieldError
 
 
 @pytest.mark.parametrize(

@@ -9,17 +9,16 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 from rsb_bridge.api import EngineError
 from rsb_bridge.model.benchmark import Order, Outcome
-from rsb_bridge.model.calls import CallsSnapshot, GoalSnapshot
+from rsb_bridge.model.calls import LANES, CallsSnapshot, GoalSnapshot
 from rsb_bridge.model.history import HistoryReport, Outage, Track
-from rsb_bridge.model.lanes import LANES
 from rsb_bridge.model.qos import Qos
-from rsb_bridge.model.reloaded import Reloaded
 from rsb_bridge.model.session import Client, Kind, Session, Topic
 from rsb_bridge.model.snapshot import (
     Event,
     Ledger,
     Level,
     LinkSnapshot,
+    Reloaded,
     RouteSnapshot,
     Snapshot,
     Stage,
@@ -28,7 +27,7 @@ from rsb_bridge.model.snapshot import (
 )
 
 if TYPE_CHECKING:
-    from rsb_bridge.model.peek import PeekedMessage
+    from rsb_bridge.model.snapshot import PeekedMessage
 
 T = TypeVar("T")
 NOW = 1_800_000_000.0

@@ -9,7 +9,7 @@ import pytest
 from tests.console.driving import on_main, put, shown, until
 from tests.console.scripted import LINK, NOW, ScriptedEngine, route
 
-from rsb_bridge.model.fault_watch import LASTS, ChangeKind, FaultChange
+from rsb_bridge.model.faults import LASTS, ChangeKind, FaultChange
 from rsb_bridge.model.snapshot import Snapshot, State
 from rsb_console.operations.bell import RINGS_EVERY, Bell, rings_for
 from rsb_console.preferences import Preferences

@@ -27,7 +27,7 @@ from textual.widgets import Button
 
 from rsb_bridge.api import EngineError
 from rsb_bridge.config.fields_text import read_fields
-from rsb_bridge.model.fields import FieldError
+from rsb_bridge.model.calls import FieldError
 from rsb_bridge.model.snapshot import State
 from rsb_console.actions.registry import BY_ID
 from rsb_console.app import ConsoleApp

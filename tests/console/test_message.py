@@ -26,9 +26,8 @@ from tests.console.tmux import Tmux
 from tests.support.control import Machine
 from textual.pilot import Pilot
 
-from rsb_bridge.model.peek import PeekedMessage
 from rsb_bridge.model.session import Topic
-from rsb_bridge.model.snapshot import State
+from rsb_bridge.model.snapshot import PeekedMessage, State
 from rsb_console.app import ConsoleApp
 from rsb_console.look.message_lines import hex_lines, message_lines, plain
 from rsb_console.session.reading import ReadMessage, read_message

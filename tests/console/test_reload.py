@@ -8,8 +8,7 @@ from tests.console.driving import drive, engine_of, scripted_app, shown
 from tests.console.scripted import NOW
 
 from rsb_bridge.model.codes import EventCode
-from rsb_bridge.model.reloaded import Reloaded
-from rsb_bridge.model.snapshot import Event, Level
+from rsb_bridge.model.snapshot import Event, Level, Reloaded
 
 if TYPE_CHECKING:
     from textual.pilot import Pilot

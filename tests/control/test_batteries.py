@@ -13,10 +13,9 @@ from tests.support.fleet import ServerEngine
 
 from rsb_bridge.api import EngineError
 from rsb_bridge.control.batteries import AT_ONCE, EVERY, Batteries
-from rsb_bridge.model.peek import PeekedMessage
 from rsb_bridge.model.robot_summary import Battery
 from rsb_bridge.model.session import Topic
-from rsb_bridge.model.snapshot import State
+from rsb_bridge.model.snapshot import PeekedMessage, State
 from rsb_bridge.ros.battery_state import BATTERY_STATE
 
 pytest.importorskip("rclpy", reason="needs ROS 2")

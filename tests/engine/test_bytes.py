@@ -16,9 +16,9 @@ from tests.support.waiting import eventually
 
 from rsb_bridge.link import roles as ends
 from rsb_bridge.model.codes import EventCode
+from rsb_bridge.model.names import SHORT_NAMES
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.model.session import Topic
-from rsb_bridge.model.type_names import SHORT_NAMES
 from rsb_bridge.ros.typesupport import installed_class
 from rsb_bridge.wire.sealing import Suite
 

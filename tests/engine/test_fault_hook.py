@@ -19,7 +19,7 @@ from rsb_bridge import fault_hook
 from rsb_bridge.fault_hook import EVERY, OUTPUT, STARTS, STARTS_WITHIN, WAITING, FaultHook, StartLimit, WaitingChanges
 from rsb_bridge.model.clock import Clock
 from rsb_bridge.model.codes import EventCode
-from rsb_bridge.model.fault_watch import LASTS, ChangeKind, FaultChange
+from rsb_bridge.model.faults import LASTS, ChangeKind, FaultChange
 from rsb_bridge.model.snapshot import Level, RouteSnapshot, Snapshot, State
 from rsb_bridge.telemetry.event_log import EventLog
 

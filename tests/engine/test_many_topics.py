@@ -20,7 +20,7 @@ from rsb_bridge.link.roles import ServerRole
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import Level
-from rsb_bridge.transport import names, tcp
+from rsb_bridge.transport import tcp
 from rsb_bridge.wire.messages import Accept, ListTopics, Ping, Pong, Propose, TopicList
 
 if TYPE_CHECKING:
@@ -71,9 +71,9 @@ def test_all_streams_are_let_in(bridge: Bridge, monkeypatch: pytest.MonkeyPatch)
 def test_streams_go_where_the_control_connection_went(bridge: Bridge, monkeypatch: pytest.MonkeyPatch) -> None:
     """The server's name is looked up once for a link, not for each stream."""
     asked: list[str] = []
-    look_up = names.look_up
+    look_up = tcp.look_up
 
-    async def counted(host: str, port: int, within: float) -> names.Found:
+    async def counted(host: str, port: int, within: float) -> tcp.Found:
         asked.append(host)
         return await look_up(host, port, within)
 
@@ -88,7 +88,7 @@ def test_streams_go_where_the_control_connection_went(bridge: Bridge, monkeypatc
 @pytest.mark.parametrize("address", ["127.0.0.1", "::1", "fe80::1%1"])
 def test_what_is_an_address_already_needs_no_thread(address: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(threading, "Thread", None)
-    ((*_, found),) = asyncio.run(names.look_up(address, 49152, 1.0))
+    ((*_, found),) = asyncio.run(tcp.look_up(address, 49152, 1.0))
     assert found[:2] == (address.partition("%")[0], 49152)
 
 

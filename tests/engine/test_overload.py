@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from tests.support.domain import Domain
 
     from rsb_bridge.engine import Engine
-    from rsb_bridge.model.fullness import Fullness
+    from rsb_bridge.model.capacity import Fullness
     from rsb_bridge.model.session import Protocol
 
 _STARTS = {Cause.PUBLISHER_SILENT, Cause.NO_MESSAGE}

@@ -21,8 +21,8 @@ from rsb_bridge.api import EngineError
 from rsb_bridge.cdr.decoder import decode
 from rsb_bridge.cdr.description import hash_of_text, read_description
 from rsb_bridge.link.type_questions import TypeQuestions
-from rsb_bridge.model.peek import PEEK_LIMIT
 from rsb_bridge.model.session import Topic
+from rsb_bridge.model.snapshot import PEEK_LIMIT
 from rsb_bridge.route import peeking
 from rsb_bridge.route.topic_route import TopicRoute
 
@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 
     from rsb_bridge.engine import Engine
     from rsb_bridge.link.link import Link
-    from rsb_bridge.model.peek import PeekedMessage
+    from rsb_bridge.model.snapshot import PeekedMessage
 
 ODOMETRY = "nav_msgs/msg/Odometry"
 

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from tests.support.domain import Domain
 
     from rsb_bridge.engine import Engine
-    from rsb_bridge.model.reloaded import Reloaded
+    from rsb_bridge.model.snapshot import Reloaded
 
 
 class Edited:

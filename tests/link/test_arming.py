@@ -13,7 +13,7 @@ from tests.route.test_unpacking import OnePublisher
 
 from rsb_bridge.link.errors import LinkError
 from rsb_bridge.link.proposals import proposal_of
-from rsb_bridge.model import lanes
+from rsb_bridge.model import calls
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.demands import Source
 from rsb_bridge.model.operators import acting
@@ -477,7 +477,7 @@ def test_what_cannot_be_armed_says_why(
 
 def test_a_peer_that_knows_no_lease_cannot_be_armed_nor_arm(pair: Pair, loop: VirtualLoop) -> None:
     robot, pc = pair
-    pc.features = robot.features = (lanes.FEATURE,)
+    pc.features = robot.features = (calls.FEATURE,)
     with pytest.raises(LinkError, match=SAID[Disarmed.PEER_TOO_OLD]):
         arm(pc, loop).result()
     robot.table.handle(Arm(route(robot).id, "an older console"))
@@ -488,7 +488,7 @@ def test_a_peer_that_knows_no_lease_cannot_be_armed_nor_arm(pair: Pair, loop: Vi
 
 def test_the_budget_of_armings_bounds_the_events_of_attempts(pair: Pair) -> None:
     robot, pc = pair
-    pc.features = robot.features = (lanes.FEATURE,)
+    pc.features = robot.features = (calls.FEATURE,)
     for _ in range(100):
         robot.table.handle(Arm(route(robot).id, "an older console"))
     found = [each.cause for each in events(robot, EventCode.ROUTE_DISARMED)]
@@ -513,7 +513,7 @@ def test_what_cannot_be_armed_says_so_before_anybody_tries(pair: Pair) -> None:
     _, pc = pair
     pc.linked = True
     assert route(pc).standing().can_be_armed
-    pc.features = (lanes.FEATURE,)
+    pc.features = (calls.FEATURE,)
     standing = route(pc).standing()
     assert (standing.can_be_armed, standing.disarmed) == (False, SAID[Disarmed.PEER_TOO_OLD])
     verdict = gated(Facts(**standing._asdict()))

@@ -26,8 +26,8 @@ if TYPE_CHECKING:
     from tests.support.domain import Domain
 
     from rsb_bridge.engine import Engine
-    from rsb_bridge.model.reloaded import Reloaded
     from rsb_bridge.model.session import Direction
+    from rsb_bridge.model.snapshot import Reloaded
     from rsb_bridge.wire.records import ReceivedReport
 
 CMD_VEL = Topic("/cmd_vel", "receive", type="std_msgs/msg/String")

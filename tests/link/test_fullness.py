@@ -9,8 +9,8 @@ import pytest
 
 from rsb_bridge.link.fullness import Asked, LinkFullness
 from rsb_bridge.link.roles import ClientRole
+from rsb_bridge.model.capacity import rates_text
 from rsb_bridge.model.codes import EventCode
-from rsb_bridge.model.fullness import rates_text
 from rsb_bridge.model.verdict import LinkCause
 from rsb_bridge.wire.messages import Duplicate
 from rsb_bridge.wire.records import FullRecord

@@ -12,10 +12,10 @@ from tests.support.waiting import eventually
 
 from rsb_bridge.api import EngineError
 from rsb_bridge.config.keys import read_key
+from rsb_bridge.model.calls import FEATURE
 from rsb_bridge.model.codes import EventCode
-from rsb_bridge.model.lanes import FEATURE
+from rsb_bridge.model.demands import ARMED
 from rsb_bridge.model.limits import LATE_AFTER_FEATURE, MAX_AGE_FEATURE
-from rsb_bridge.model.max_age import ARMED
 from rsb_bridge.model.session import Client, Kind, Topic
 from rsb_bridge.model.snapshot import State
 from rsb_bridge.wire.messages import Accept, Amend, ListTopics, Ping, Pong, Propose, Provide, Refuse, TopicList

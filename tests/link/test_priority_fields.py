@@ -9,8 +9,7 @@ import pytest
 
 from rsb_bridge.link.proposals import amended, amended_topic, amendment, proposal_of, same_route, topic_of
 from rsb_bridge.link.roles import FEATURES
-from rsb_bridge.model.priority import FEATURE, RANKS, priority_of, weight_of
-from rsb_bridge.model.session import Topic
+from rsb_bridge.model.session import PRIORITY_FEATURE, RANKS, Topic, priority_of, weight_of
 from rsb_bridge.route.rate_limit import limits_changed
 from rsb_bridge.route.route import Route
 from rsb_bridge.transport.registry import default_transports
@@ -59,4 +58,4 @@ def test_it_changes_while_the_route_is_open() -> None:
 def test_ranks_of_a_newer_side() -> None:
     assert [priority_of(rank) for rank in (-100, -1, 0, 1, 100)] == ["low", "low", "normal", "high", "high"]
     assert weight_of(-100) < weight_of(0) < weight_of(100)
-    assert FEATURE in FEATURES
+    assert PRIORITY_FEATURE in FEATURES

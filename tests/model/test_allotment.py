@@ -6,7 +6,7 @@ from random import Random
 
 import pytest
 
-from rsb_bridge.model.allotment import FLOOR, Wish, allot, fair_shares
+from rsb_bridge.model.link_budget import FLOOR, Wish, allot, fair_shares
 
 
 def test_there_is_enough_for_all() -> None:

@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from rsb_bridge.model.demands import Demand, Demands, as_armed, describe, sources_of, sources_of_entries
-from rsb_bridge.model.running_demands import RunningDemands
+from rsb_bridge.model.demands import Demand, Demands, RunningDemands, as_armed, describe, sources_of, sources_of_entries
 from rsb_bridge.model.session import DEADMAN, Armed, Client, Kind, Session, Topic
 
 if TYPE_CHECKING:

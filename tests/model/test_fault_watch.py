@@ -7,13 +7,13 @@ from typing import TYPE_CHECKING, Any
 
 from tests.console.scripted import LINK, NOW, route
 
-from rsb_bridge.model.fault_watch import LASTS, ChangeKind, FaultWatch
+from rsb_bridge.model.faults import LASTS, ChangeKind, FaultWatch
 from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import PatternSnapshot, Snapshot, State
 from rsb_bridge.model.verdict import Cause, LinkCause
 
 if TYPE_CHECKING:
-    from rsb_bridge.model.fault_watch import FaultChange
+    from rsb_bridge.model.faults import FaultChange
     from rsb_bridge.model.snapshot import LinkSnapshot, RouteSnapshot
 
 FINE = route("/scan")

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from rsb_bridge.model.clock import Clock
-from rsb_bridge.model.max_age import ARMED, effective_max_age
-from rsb_bridge.model.stamp_clock import StampClock, shifted
+from rsb_bridge.model.clock import Clock, StampClock, shifted
+from rsb_bridge.model.demands import ARMED, effective_max_age
 
 S = 1_000_000_000
 

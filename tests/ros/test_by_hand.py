@@ -18,7 +18,7 @@ from tests.support.filled import filled
 from rsb_bridge.cdr.decoder import decode
 from rsb_bridge.cdr.description import hash_of_text, read_description
 from rsb_bridge.config.fields_text import read_fields, write_fields
-from rsb_bridge.model.fields import FIELDS_LENGTH, FieldError
+from rsb_bridge.model.calls import FIELDS_LENGTH, FieldError
 from rsb_bridge.ros.api import RosError
 from rsb_bridge.ros.by_hand import serialize
 from rsb_bridge.ros.descriptions import installed_description

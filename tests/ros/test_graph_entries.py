@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from rsb_bridge.model.lanes import LANES
+from rsb_bridge.model.calls import LANES
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.ros.api import Endpoint
 from rsb_bridge.ros.graph_entries import MOST_ENTRIES, called_in

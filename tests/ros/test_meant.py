@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from rsb_bridge.model.lanes import LANES
+from rsb_bridge.model.calls import LANES
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.ros.api import Endpoint
 from rsb_bridge.ros.meant import Meant

@@ -13,8 +13,8 @@ from rclpy.serialization import deserialize_message, serialize_message
 from tests.ros.domains import DOMAIN
 from tests.support.filled import filled
 
+from rsb_bridge.model.names import SHORT_NAMES
 from rsb_bridge.model.qos import Qos
-from rsb_bridge.model.type_names import SHORT_NAMES
 from rsb_bridge.ros import anytype, typesupport
 from rsb_bridge.ros.api import RosError
 from rsb_bridge.ros.typesupport import hash_of, installed_class

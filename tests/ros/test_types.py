@@ -8,7 +8,7 @@ import sys
 
 import pytest
 
-from rsb_bridge.model.type_names import SHORT_NAMES, expand_type_name, split_type_name
+from rsb_bridge.model.names import SHORT_NAMES, expand_type_name, split_type_name
 from rsb_bridge.ros.typesupport import hash_of, installed_class
 
 COMMON_INTERFACES = [

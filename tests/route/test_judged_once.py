@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 from tests.support.offline import FakePeer
 
-from rsb_bridge.model.fullness import Fullness
+from rsb_bridge.model.capacity import Fullness
 from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.verdict import Cause, Verdict

@@ -10,7 +10,7 @@ from tests.route.test_unpacking import OnePublisher, Published, opened
 from tests.route.test_volatile import unwanted
 from tests.support.offline import FakePeer
 
-from rsb_bridge.model.lanes import SEND_GOAL
+from rsb_bridge.model.calls import SEND_GOAL
 from rsb_bridge.ros.turns import RosTurns
 from rsb_bridge.route.calls.calls_ledger import Refused
 from rsb_bridge.route.lease import LASTS, Lease

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 from tests.route.test_topic_verdict import NOW, RECEIVER, SENDER, verdict_on
 
-from rsb_bridge.model.fullness import Fullness, rates_text
+from rsb_bridge.model.capacity import Fullness, rates_text
 from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.verdict import Cause, Verdict, state_for_any, state_of
 from rsb_bridge.route.combined_verdict import CombinedVerdict, record_of

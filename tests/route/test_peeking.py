@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 import pytest
 
-from rsb_bridge.model.peek import PEEK_LIMIT
+from rsb_bridge.model.snapshot import PEEK_LIMIT
 from rsb_bridge.route import peeking
 from rsb_bridge.route.peeking import Peeking, PeekSlot, peeked
 

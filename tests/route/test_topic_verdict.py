@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rsb_bridge.model.fullness import Fullness
+from rsb_bridge.model.capacity import Fullness
 from rsb_bridge.model.limits import REASON_LENGTH
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.model.snapshot import State

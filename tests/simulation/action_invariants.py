@@ -6,7 +6,7 @@ import contextlib
 from typing import TYPE_CHECKING, Any
 from unittest.mock import patch
 
-from rsb_bridge.model.lanes import CANCEL_GOAL, GET_RESULT, SEND_GOAL
+from rsb_bridge.model.calls import CANCEL_GOAL, GET_RESULT, SEND_GOAL
 from rsb_bridge.route.calls.calling import CallingRoute
 from rsb_bridge.route.calls.calling_action import CallingAction
 from rsb_bridge.route.calls.kept_calls import INTERRUPTION

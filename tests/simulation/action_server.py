@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, NamedTuple, Protocol
 from tests.simulation.ros import Writer, hash_of
 from tests.simulation.services import Server
 
-from rsb_bridge.model.lanes import CANCEL_GOAL, FEEDBACK, GET_RESULT, LANES, SEND_GOAL, STATUS
+from rsb_bridge.model.calls import CANCEL_GOAL, FEEDBACK, GET_RESULT, LANES, SEND_GOAL, STATUS
 from rsb_bridge.route.calls.call_endpoints import name_of, type_of
 from rsb_bridge.route.calls.goals import STATES
 

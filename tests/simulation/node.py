@@ -14,7 +14,7 @@ from rsb_bridge.ros.turns import LONGEST_WAIT, RosTurns
 if TYPE_CHECKING:
     from collections.abc import Callable, Hashable, Sequence
 
-    from rsb_bridge.model.fields import Fields
+    from rsb_bridge.model.calls import Fields
     from rsb_bridge.model.qos import Qos
     from rsb_bridge.ros.api import OnFailure, RawMessage, RequestSink, ResponseSink, Sink
 

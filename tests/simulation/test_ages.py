@@ -15,8 +15,8 @@ from tests.simulation.world import Violation, World
 
 from rsb_bridge.channel.stream import StreamSender
 from rsb_bridge.link import roles
+from rsb_bridge.model.clock import StampClock
 from rsb_bridge.model.limits import MAX_AGE_FEATURE
-from rsb_bridge.model.stamp_clock import StampClock
 from rsb_bridge.route.age import MessageAge, PublisherClocks
 
 if TYPE_CHECKING:

@@ -10,7 +10,7 @@ from tests.simulation.booths import Booth
 from tests.simulation.test_calls import lived, until
 from tests.support.goals import cancel_request, goal, goal_request
 
-from rsb_bridge.model.lanes import CANCEL_GOAL, GET_RESULT, LANES, STATUS
+from rsb_bridge.model.calls import CANCEL_GOAL, GET_RESULT, LANES, STATUS
 from rsb_bridge.ros.api import RosError
 from rsb_bridge.route.calls import kept_calls
 from rsb_bridge.route.calls.calling_action import CallingAction

@@ -19,9 +19,8 @@ from tests.simulation.test_patterns import Yard, lived
 
 from rsb_bridge.api import EngineError
 from rsb_bridge.link.arming import LinkArming
-from rsb_bridge.model.demands import NO_DEMAND, Demand, Demands, Source
+from rsb_bridge.model.demands import NO_DEMAND, Demand, Demands, RunningDemands, Source
 from rsb_bridge.model.qos import Qos
-from rsb_bridge.model.running_demands import RunningDemands
 from rsb_bridge.model.session import Topic
 
 if TYPE_CHECKING:

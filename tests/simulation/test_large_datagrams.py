@@ -15,8 +15,7 @@ from tests.simulation.sockets import simulated
 
 from rsb_bridge.channel.data_keys import DataKeys
 from rsb_bridge.channel.datagram import DatagramReceiver, DatagramSender, datagram_channel
-from rsb_bridge.channel.path_probe import PathProbe
-from rsb_bridge.channel.udp_channel import ClientUdpChannel, ServerUdpChannel, UdpDemultiplexer
+from rsb_bridge.channel.udp_channel import ClientUdpChannel, PathProbe, ServerUdpChannel, UdpDemultiplexer
 from rsb_bridge.link.udp_channels import UdpChannels
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.transport.streams import StreamHandler

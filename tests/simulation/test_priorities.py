@@ -21,8 +21,7 @@ if TYPE_CHECKING:
 
     from tests.simulation.conftest import Play
 
-    from rsb_bridge.model.priority import Priority
-    from rsb_bridge.model.session import Protocol
+    from rsb_bridge.model.session import Priority, Protocol
     from rsb_bridge.model.snapshot import RouteSnapshot
 
 _BANDWIDTH = 100_000.0

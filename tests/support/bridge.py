@@ -13,8 +13,8 @@ from tests.support.waiting import eventually
 
 from rsb_bridge.config.keys import write_key
 from rsb_bridge.engine import Engine
+from rsb_bridge.model.calls import FEEDBACK
 from rsb_bridge.model.codes import EventCode
-from rsb_bridge.model.lanes import FEEDBACK
 from rsb_bridge.model.session import Session, Topic
 from rsb_bridge.route.calls.calling_action import CallingAction
 from rsb_bridge.route.incoming import IncomingRoute

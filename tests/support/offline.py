@@ -9,7 +9,7 @@ import pytest
 from tests.support.virtual_time import VirtualClock, VirtualLoop, virtual_loop
 
 from rsb_bridge.context import Context
-from rsb_bridge.model.lanes import FEATURE
+from rsb_bridge.model.calls import FEATURE
 from rsb_bridge.model.profiles import PLAIN
 from rsb_bridge.model.session import Session
 from rsb_bridge.ros.no_ros import NoRos
@@ -23,7 +23,7 @@ from rsb_bridge.wire.headers import LEASE_FEATURE
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
-    from rsb_bridge.model.fullness import Fullness
+    from rsb_bridge.model.capacity import Fullness
     from rsb_bridge.route.route import Route
     from rsb_bridge.wire.messages import ControlMessage
 

@@ -10,7 +10,7 @@ import threading
 import time
 from typing import TYPE_CHECKING, Self, TypeVar
 
-from rsb_bridge.model.lanes import FEATURE
+from rsb_bridge.model.calls import FEATURE
 from rsb_bridge.wire.connection import ClientConnection, DataConnection
 from rsb_bridge.wire.datagram import PROBE_ROUTE, DatagramWriter, Probe
 from rsb_bridge.wire.events import Accepted, Established, Received

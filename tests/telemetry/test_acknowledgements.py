@@ -10,7 +10,7 @@ from tests.console.scripted import LINK, ScriptedEngine, route
 
 from rsb_bridge.model.clock import Clock
 from rsb_bridge.model.codes import EventCode
-from rsb_bridge.model.health import link_needs_attention, route_needs_attention
+from rsb_bridge.model.faults import link_needs_attention, route_needs_attention
 from rsb_bridge.model.snapshot import LinkSnapshot, RouteSnapshot, Snapshot, State
 from rsb_bridge.telemetry.acknowledgements import Acknowledgements, find_faulty
 from rsb_bridge.telemetry.event_log import EventLog

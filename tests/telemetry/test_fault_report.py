@@ -8,7 +8,7 @@ from typing import Any
 
 from tests.console.scripted import LINK, NOW, route
 
-from rsb_bridge.model.fault_watch import ChangeKind, FaultChange
+from rsb_bridge.model.faults import ChangeKind, FaultChange
 from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import PatternSnapshot, State
 from rsb_bridge.model.verdict import Cause, LinkCause

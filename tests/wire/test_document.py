@@ -9,7 +9,7 @@ import msgspec
 import pytest
 
 import rsb_bridge
-from rsb_bridge.model.lanes import FEATURE, LANES, MOST_LANES
+from rsb_bridge.model.calls import FEATURE, LANES, MOST_LANES
 from rsb_bridge.model.limits import DEPTH, QOS_TIME, RATE, REASON_LENGTH, STALE_AFTER, TEXT_LENGTH
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.model.session import Kind

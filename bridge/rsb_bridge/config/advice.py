@@ -26,9 +26,9 @@ from rsb_bridge.model.limits import (
     dds_ports,
     discovery_domain,
 )
+from rsb_bridge.model.names import expand_type_name, split_type_name
 from rsb_bridge.model.qos import AUTO
 from rsb_bridge.model.session import Problem
-from rsb_bridge.model.type_names import expand_type_name, split_type_name
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from rsb_bridge.config.decoding import join, show
 from rsb_bridge.config.file_form import LISTS, NOUNS, key_of, locations
-from rsb_bridge.model.lanes import LANES
+from rsb_bridge.model.calls import LANES
 from rsb_bridge.model.limits import CALL_TIME, TEXT_LENGTH
 from rsb_bridge.model.names import is_topic_name
 from rsb_bridge.model.qos import AUTO

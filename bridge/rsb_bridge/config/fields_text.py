@@ -8,14 +8,14 @@ import yaml
 
 from rsb_bridge.cdr.decoder import Items
 from rsb_bridge.config.yaml_text import YamlError, compose, dump_yaml, scalar
-from rsb_bridge.model.fields import FIELDS_LENGTH, FieldError
+from rsb_bridge.model.calls import FIELDS_LENGTH, FieldError
 from rsb_bridge.model.text import escape_text, is_clean
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from rsb_bridge.cdr.decoder import Decoded, Value
-    from rsb_bridge.model.fields import Fields
+    from rsb_bridge.model.calls import Fields
 
 ITEMS = 1000
 """Elements of an array that are written."""

@@ -13,7 +13,7 @@ from rsb_bridge.config.file_form import LISTS
 from rsb_bridge.config.grants import CALL_USES, TOPIC_USES, allowing, denying, protocols_of
 from rsb_bridge.config.yaml_text import inline
 from rsb_bridge.model.benchmark import is_bench_topic
-from rsb_bridge.model.lanes import LANES
+from rsb_bridge.model.calls import LANES
 from rsb_bridge.model.names import client_topic
 from rsb_bridge.model.text import join_first
 

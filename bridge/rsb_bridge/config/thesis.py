@@ -17,8 +17,8 @@ from rsb_bridge.config.session_file import read_text
 from rsb_bridge.config.validation import build
 from rsb_bridge.config.yaml_text import SessionError, read_yaml
 from rsb_bridge.model.limits import CHANNEL
+from rsb_bridge.model.names import SHORT_NAMES
 from rsb_bridge.model.session import Direction, Problem, Role, Session, is_mac
-from rsb_bridge.model.type_names import SHORT_NAMES
 
 if TYPE_CHECKING:
     from pathlib import Path

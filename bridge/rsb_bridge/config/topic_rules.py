@@ -11,7 +11,7 @@ from rsb_bridge.config.grants import rate_problems
 from rsb_bridge.config.keys import conceal
 from rsb_bridge.config.pattern_rules import exception_problems, pattern_problems
 from rsb_bridge.model import transports
-from rsb_bridge.model.lanes import LANES
+from rsb_bridge.model.calls import LANES
 from rsb_bridge.model.limits import (
     CHANNEL,
     DEADMAN_TIME,
@@ -22,12 +22,11 @@ from rsb_bridge.model.limits import (
     TEXT_LENGTH,
     TOPIC_LENGTH,
 )
-from rsb_bridge.model.names import is_topic_name, server_topic, well_formed
+from rsb_bridge.model.names import expand_type_name, is_topic_name, server_topic, well_formed
 from rsb_bridge.model.patterns import is_pattern
 from rsb_bridge.model.qos import AUTO, PROFILES, Qos, parse_qos
 from rsb_bridge.model.session import Kind, Problem, Protocol, Session, Topic
 from rsb_bridge.model.sources import ANNOUNCEMENT_TOPIC
-from rsb_bridge.model.type_names import expand_type_name
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

@@ -15,8 +15,7 @@ if TYPE_CHECKING:
     from concurrent.futures import Future
 
     from rsb_bridge.api import EngineApi
-    from rsb_bridge.model.peek import PeekedMessage
-    from rsb_bridge.model.snapshot import RouteSnapshot, Snapshot
+    from rsb_bridge.model.snapshot import PeekedMessage, RouteSnapshot, Snapshot
 
 TOPIC: Final = "/battery_state"
 _TYPES = 16

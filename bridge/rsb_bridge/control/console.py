@@ -16,10 +16,9 @@ from rsb_bridge.control.performing import perform
 from rsb_bridge.control.protocol import ProtocolError
 from rsb_bridge.control.states import EncodedRoutes, Sender
 from rsb_bridge.model.benchmark import Outcome
-from rsb_bridge.model.consoles import on_console
 from rsb_bridge.model.history import HistoryReport
-from rsb_bridge.model.operators import acting, undoing
-from rsb_bridge.model.reloaded import Reloaded
+from rsb_bridge.model.operators import acting, on_console, undoing
+from rsb_bridge.model.snapshot import Reloaded
 from rsb_bridge.tasks import Tasks
 
 if TYPE_CHECKING:

@@ -8,9 +8,7 @@ from typing import TYPE_CHECKING, TypeAlias, TypeVar
 from rsb_bridge.control import commands
 from rsb_bridge.model.benchmark import Outcome
 from rsb_bridge.model.history import HistoryReport
-from rsb_bridge.model.peek import PeekedMessage
-from rsb_bridge.model.reloaded import Reloaded
-from rsb_bridge.model.snapshot import TopicInfo
+from rsb_bridge.model.snapshot import PeekedMessage, Reloaded, TopicInfo
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -19,10 +19,16 @@ import msgspec
 from rsb_bridge.control.commands import Command
 from rsb_bridge.model.benchmark import Outcome
 from rsb_bridge.model.history import HistoryReport
-from rsb_bridge.model.peek import PeekedMessage
-from rsb_bridge.model.reloaded import Reloaded
 from rsb_bridge.model.session import Session
-from rsb_bridge.model.snapshot import Event, LinkSnapshot, RefusedClient, RouteSnapshot, TopicInfo
+from rsb_bridge.model.snapshot import (
+    Event,
+    LinkSnapshot,
+    PeekedMessage,
+    RefusedClient,
+    Reloaded,
+    RouteSnapshot,
+    TopicInfo,
+)
 from rsb_bridge.model.verdict import state_for_any, state_of
 
 if TYPE_CHECKING:

@@ -9,8 +9,7 @@ from rsb_bridge.api import EngineError, InvalidRequestError
 from rsb_bridge.control.protocol import Failed, ProtocolError, Reply, Request, Step
 from rsb_bridge.model.benchmark import Outcome
 from rsb_bridge.model.history import HistoryReport
-from rsb_bridge.model.peek import PeekedMessage
-from rsb_bridge.model.reloaded import Reloaded
+from rsb_bridge.model.snapshot import PeekedMessage, Reloaded
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -10,8 +10,7 @@ from rsb_bridge.link.lease import LinkLease
 from rsb_bridge.link.peer_operators import acting_operator
 from rsb_bridge.model.benchmark import is_bench_topic
 from rsb_bridge.model.codes import EventCode
-from rsb_bridge.model.demands import NO_DEMAND, PEER_DEMANDS, Demands, Source
-from rsb_bridge.model.max_age import default_max_age, smallest_max_age
+from rsb_bridge.model.demands import NO_DEMAND, PEER_DEMANDS, Demands, Source, default_max_age, smallest_max_age
 from rsb_bridge.model.snapshot import Level
 from rsb_bridge.model.token_bucket import TokenBucket
 from rsb_bridge.route.arming import SAID, Disarmed
@@ -22,8 +21,7 @@ if TYPE_CHECKING:
 
     from rsb_bridge.context import Context
     from rsb_bridge.link.peer_operators import PeerOperators
-    from rsb_bridge.model.demands import Demand
-    from rsb_bridge.model.running_demands import RunningDemands
+    from rsb_bridge.model.demands import Demand, RunningDemands
     from rsb_bridge.model.session import Topic
     from rsb_bridge.route.lease import Standstill
     from rsb_bridge.route.peer import Peer

@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
     from typing import Any
 
-    from rsb_bridge.channel.metered import Meter
+    from rsb_bridge.channel.data_keys import Meter
     from rsb_bridge.link.link import Link
     from rsb_bridge.model.benchmark import Leave, Order
     from rsb_bridge.ros.synthetic import Drain, Source

@@ -2,7 +2,7 @@
 
 Once a second it looks whether more is asked for than crosses: a channel that was never idle for half a second, messages
 dropped from a full queue, or pings held up behind a queue somewhere on the way. Then what arrives now, less a tenth, is
-divided (`rsb_bridge.model.allotment`). As long as that is enough, what is divided grows again, until nobody has to
+divided (`rsb_bridge.model.link_budget`). As long as that is enough, what is divided grows again, until nobody has to
 yield. A link that carried everything before may only have stalled: it is soon given everything again, once. Where all
 topics have one priority, nothing is divided: each has its own queue, as ever.
 """
@@ -13,9 +13,9 @@ from collections import deque
 from typing import TYPE_CHECKING, NamedTuple
 
 from rsb_bridge.link.fullness import Asked
-from rsb_bridge.model.allotment import Wish, allot, highest
 from rsb_bridge.model.codes import EventCode
-from rsb_bridge.model.priority import FEATURE
+from rsb_bridge.model.link_budget import Wish, allot, highest
+from rsb_bridge.model.session import PRIORITY_FEATURE
 from rsb_bridge.model.snapshot import Level
 from rsb_bridge.route.outgoing import OutgoingRoute
 from rsb_bridge.route.thinning import Share
@@ -251,7 +251,7 @@ class Contention:
 
     def _warn(self, features: Collection[str], connection: int) -> None:
         """Say, once a connection, where the other side is too old to keep to the priorities that are asked for."""
-        if FEATURE in features or self._told == connection:
+        if PRIORITY_FEATURE in features or self._told == connection:
             return
         asked = [route for route in self._routes() if not route.outgoing and route.proposal.priority and route.accepted]
         if asked:

@@ -5,10 +5,10 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from rsb_bridge.channel.data_keys import DataKeys
-from rsb_bridge.channel.path_probe import PathProbe
+from rsb_bridge.channel.multiplexer import SharedStream
 from rsb_bridge.channel.receipts import ReceiptBook, ReceiptSender, WindowedSender
-from rsb_bridge.channel.shared_stream import SharedStream
 from rsb_bridge.channel.stream import stream_channel
+from rsb_bridge.channel.udp_channel import PathProbe
 from rsb_bridge.link.udp_channels import UdpChannels
 
 if TYPE_CHECKING:
@@ -16,8 +16,8 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
 
     from rsb_bridge.channel.channel import Carrier
-    from rsb_bridge.channel.metered import Meter
-    from rsb_bridge.channel.shared_stream import SharedStreamOwner
+    from rsb_bridge.channel.data_keys import Meter
+    from rsb_bridge.channel.multiplexer import SharedStreamOwner
     from rsb_bridge.link.control_channel import ControlChannel
     from rsb_bridge.model.codes import EventCode
     from rsb_bridge.model.snapshot import Level

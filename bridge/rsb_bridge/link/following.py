@@ -5,7 +5,7 @@ from __future__ import annotations
 from itertools import islice
 from typing import TYPE_CHECKING
 
-from rsb_bridge.model.lanes import LANES
+from rsb_bridge.model.calls import LANES
 from rsb_bridge.model.limits import TEXT_LENGTH
 from rsb_bridge.model.patterns import NAMES_FOLLOWED, Pattern, is_valid
 from rsb_bridge.wire.messages import Followed, FoundName

@@ -6,8 +6,8 @@ import math
 from collections import deque
 from typing import TYPE_CHECKING, NamedTuple
 
+from rsb_bridge.model.capacity import Fullness
 from rsb_bridge.model.codes import EventCode
-from rsb_bridge.model.fullness import Fullness
 from rsb_bridge.model.limits import TEXT_LENGTH
 from rsb_bridge.model.snapshot import Level
 from rsb_bridge.model.text import sanitize_text

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, TypeAlias
 
-from rsb_bridge.model.lanes import FEATURE
+from rsb_bridge.model.calls import FEATURE
 from rsb_bridge.route.calls.calling import CallingRoute
 from rsb_bridge.route.calls.calling_action import CallingAction
 from rsb_bridge.route.calls.node_parameters import ParametersCallingRoute, ParametersProvidingRoute

@@ -61,14 +61,14 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Coroutine, Iterable
 
     from rsb_bridge.channel.channel import Carrier
-    from rsb_bridge.channel.shared_stream import SharedStream
+    from rsb_bridge.channel.multiplexer import SharedStream
     from rsb_bridge.channel.udp_channel import UdpChannel
     from rsb_bridge.config.rights import Rights
     from rsb_bridge.context import Context
     from rsb_bridge.link.control_channel import ControlChannel
     from rsb_bridge.link.slices import Slices
+    from rsb_bridge.model.capacity import Fullness
     from rsb_bridge.model.demands import Source
-    from rsb_bridge.model.fullness import Fullness
     from rsb_bridge.model.session import Kind, Topic
     from rsb_bridge.route.route import Route
     from rsb_bridge.telemetry.event_log import About

@@ -6,7 +6,7 @@ import asyncio
 from functools import partial
 from typing import TYPE_CHECKING, NamedTuple, Protocol
 
-from rsb_bridge.model.lanes import LANES
+from rsb_bridge.model.calls import LANES
 from rsb_bridge.model.patterns import is_hidden
 from rsb_bridge.model.session import Kind
 from rsb_bridge.model.sources import OF_EVERY_NODE

@@ -12,8 +12,8 @@ from rsb_bridge.link.errors import LinkError
 from rsb_bridge.link.following import FollowedByPeer
 from rsb_bridge.link.pattern_entry import PatternEntry
 from rsb_bridge.link.pattern_snapshots import exceptions_reached, limit_reached
+from rsb_bridge.model.calls import LANES
 from rsb_bridge.model.codes import EventCode
-from rsb_bridge.model.lanes import LANES
 from rsb_bridge.model.operators import acting
 from rsb_bridge.model.patterns import (
     FEATURE,

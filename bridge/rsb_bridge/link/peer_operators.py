@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from rsb_bridge.config.difference import changes, described
+from rsb_bridge.model.calls import LANES
 from rsb_bridge.model.codes import EventCode
-from rsb_bridge.model.lanes import LANES
 from rsb_bridge.model.limits import TEXT_LENGTH
 from rsb_bridge.model.operators import operator
 from rsb_bridge.model.snapshot import Level

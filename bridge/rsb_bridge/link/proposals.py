@@ -9,13 +9,12 @@ from msgspec import UNSET
 
 from rsb_bridge import __version__
 from rsb_bridge.link.errors import LinkError
-from rsb_bridge.model import priority
-from rsb_bridge.model.lanes import LANES
+from rsb_bridge.model import session
+from rsb_bridge.model.calls import LANES
 from rsb_bridge.model.limits import LATE_AFTER_FEATURE, MAX_AGE_FEATURE
 from rsb_bridge.model.names import server_topic
-from rsb_bridge.model.priority import RANKS, priority_of
 from rsb_bridge.model.profiles import PLAIN, compression_of
-from rsb_bridge.model.session import Topic
+from rsb_bridge.model.session import RANKS, Topic, priority_of
 from rsb_bridge.wire.messages import Amend, Propose
 
 if TYPE_CHECKING:
@@ -110,7 +109,7 @@ def kind_of(proposal: Propose) -> Kind:
 
 
 _OF_AN_OPENING = {"route": 1, "paused": False, "pause_revision": 0, "who": "", "edited": False}
-_FEATURES = {"late_after": LATE_AFTER_FEATURE, "max_age": MAX_AGE_FEATURE, "priority": priority.FEATURE}
+_FEATURES = {"late_after": LATE_AFTER_FEATURE, "max_age": MAX_AGE_FEATURE, "priority": session.PRIORITY_FEATURE}
 """The features of limits; an older side ignores unknown limits."""
 _AMENDABLE = {
     "max_rate": 0.0, "expected_rate": 0.0, "stale_after": None, "late_after": None, "max_age": None, "priority": 0,

@@ -20,11 +20,12 @@ from rsb_bridge.link.errors import LinkError
 from rsb_bridge.link.listed import list_topic, listed_topics
 from rsb_bridge.link.reloading import Step, client_steps, server_steps
 from rsb_bridge.link.server import Server
-from rsb_bridge.model import benchmark, lanes, patterns, priority
+from rsb_bridge.model import benchmark, calls, patterns
 from rsb_bridge.model.backoff import Backoff
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.limits import LATE_AFTER_FEATURE, MAX_AGE_FEATURE
 from rsb_bridge.model.names import client_topic
+from rsb_bridge.model.session import PRIORITY_FEATURE
 from rsb_bridge.model.snapshot import Level
 from rsb_bridge.model.verdict import LinkCause
 from rsb_bridge.tasks import Tasks
@@ -50,7 +51,7 @@ _BOUND_AFTER, _LONGEST_BIND_PAUSE = 0.5, 5.0
 Keys = Mapping[str, tuple[Key, ...]]
 """Those that are valid, the next one last, by client's name; none: without encryption."""
 FEATURES = (
-    lanes.FEATURE, priority.FEATURE, benchmark.FEATURE, patterns.FEATURE, window.FEATURE, LATE_AFTER_FEATURE,
+    calls.FEATURE, PRIORITY_FEATURE, benchmark.FEATURE, patterns.FEATURE, window.FEATURE, LATE_AFTER_FEATURE,
     LEASE_FEATURE,
     MAX_AGE_FEATURE,
     sealing.FEATURE,

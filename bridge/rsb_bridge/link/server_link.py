@@ -25,7 +25,7 @@ from rsb_bridge.wire.preamble import DataPreamble, Refusal, RefusalCode, parse_f
 from rsb_bridge.wire.sealing import SealError
 
 if TYPE_CHECKING:
-    from rsb_bridge.channel.shared_stream import SharedStream
+    from rsb_bridge.channel.multiplexer import SharedStream
     from rsb_bridge.config.rights import Rights
     from rsb_bridge.context import Context
     from rsb_bridge.link.descriptor_share import DescriptorShare

@@ -14,7 +14,7 @@ import msgspec
 from rsb_bridge.link.errors import LinkError
 from rsb_bridge.link.questions import Questions
 from rsb_bridge.link.slices import in_slices
-from rsb_bridge.model.lanes import LANES
+from rsb_bridge.model.calls import LANES
 from rsb_bridge.model.limits import TEXT_LENGTH
 from rsb_bridge.model.snapshot import TopicInfo
 from rsb_bridge.ros.graph_entries import CALLED, graph_of

@@ -1,10 +1,12 @@
-"""What a link carries, and how that is known."""
+"""The rates of a full link."""
 
 from __future__ import annotations
 
 from enum import StrEnum
 
 import msgspec
+
+from rsb_bridge.model.text import join_first
 
 
 class CapacitySource(StrEnum):
@@ -46,3 +48,50 @@ def newer(known: Capacity | None, found: Capacity) -> Capacity:
         return found
     recent = found.at - known.at < LASTS
     return known if recent and known.bytes_per_second >= found.bytes_per_second else found
+
+
+_NAMED = 2
+
+
+class Fullness(msgspec.Struct, frozen=True, array_like=True, gc=False):
+    """One direction of a link that is full.
+
+    Attributes:
+        carried: bytes/s that arrive.
+        asked: bytes/s that its topics ask for.
+        topics: names on this side of the topics that ask for the most, the greatest first.
+    """
+
+    carried: float
+    asked: float
+    topics: tuple[str, ...] = ()
+
+    @property
+    def share(self) -> str:
+        """Text such as ``carries 25 of 48 kB/s``."""
+        return f"carries {rates_text(self.carried, self.asked)}"
+
+    def warning(self, way: str) -> str:
+        """Return the warning for an operator.
+
+        Args:
+            way: ``to`` or ``from`` and the peer.
+        """
+        most = f" (most: {join_first(self.topics, _NAMED)})" if self.topics else ""
+        return f"link full {way}: {self.share}{most}; set max_rate, compression: zstd or priority"
+
+
+def rates_text(part: float, whole: float) -> str:
+    """Format two rates: ``1.1 of 3.0 MB/s``, ``25 of 48 kB/s``."""
+    for unit, name in ((1e6, "MB/s"), (1e3, "kB/s")):
+        if whole >= unit:
+            return f"{_less_text(part / unit, whole / unit, 1 if whole < 9.95 * unit else 0)} {name}"
+    return f"{_less_text(part, whole, 0)} B/s"
+
+
+def _less_text(part: float, whole: float, digits: int) -> str:
+    """Format two figures. If `part` is less, its text is too."""
+    texts = f"{part:.{digits}f}", f"{whole:.{digits}f}"
+    if part < whole and texts[0] == texts[1]:
+        return f"{max(0.0, float(texts[1]) - 10.0**-digits):.{digits}f} of {texts[1]}"
+    return " of ".join(texts)

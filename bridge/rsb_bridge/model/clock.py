@@ -1,4 +1,4 @@
-"""The machine's clocks, as one object, so that a simulation can bring another."""
+"""The clock of all stamps by which the age of messages is measured: a wall clock that nobody sets."""
 
 from __future__ import annotations
 
@@ -15,3 +15,75 @@ class Clock:
     def steady(self) -> float:
         """Seconds on a clock that nobody sets, and that goes on while the machine sleeps."""
         return time.clock_gettime(time.CLOCK_BOOTTIME)
+
+
+_STEP, _DRIFT, _MOST = 20_000_000, 1e-4, 50_000_000
+"""ns by which the wall clock may be off since the last look, ns a ns since then, and ns at the most: beyond it, it was
+set."""
+_SAME = 1_000_000
+"""ns: a smaller change of the shift is no news."""
+_READ_WITHIN = 1_000_000
+"""ns within which both clocks have to be read."""
+_TRIES = 10
+_UNSURE_FOR = 10_000_000_000
+"""ns after the wall clock was set in which wall stamps are not trusted: older stamps may still come, if the thread that
+takes from ROS is held up."""
+
+
+class StampClock:
+    """The wall clock at the start of this process, which goes on with the time since the machine was booted.
+
+    So a wall clock that is set, on either side, changes no age. Stamps of the wall clock, as the middleware gives them,
+    are converted by adding `shift`.
+
+    Attributes:
+        shift: ns, this clock minus the wall clock.
+        steps: how often the wall clock was seen to be set.
+    """
+
+    def __init__(self, clock: Clock) -> None:
+        self._clock = clock
+        self._base = 0
+        self._base = -self._measure()[0]
+        self._looked = self.now()
+        self._stepped: int | None = None
+        self.shift = 0
+        self.steps = 0
+
+    def now(self) -> int:
+        """Return the time in ns since the epoch."""
+        return self._base + int(self._clock.steady() * 1e9)
+
+    def look(self) -> None:
+        """Compare it with the wall clock. To be called once a second, and before wall stamps are converted."""
+        shift, now = self._measure()
+        change = abs(shift - self.shift)
+        if change < _SAME:
+            self._looked = now
+            return
+        if change > min(_STEP + _DRIFT * (now - self._looked), _MOST):
+            self._stepped = now
+            self.steps += 1
+        self.shift, self._looked = shift, now
+
+    @property
+    def is_sure(self) -> bool:
+        """Whether wall stamps can be converted: the wall clock was not set a moment ago."""
+        return self._stepped is None or self.now() - self._stepped >= _UNSURE_FOR
+
+    def _measure(self) -> tuple[int, int]:
+        """Read both clocks at one moment, as well as that can be done; the shift and the time."""
+        shift = now = 0
+        for _ in range(_TRIES):
+            before = self.now()
+            wall = self._clock.time_ns()
+            now = self.now()
+            shift = now - wall
+            if now - before < _READ_WITHIN:
+                break
+        return shift, now
+
+
+def shifted(stamp: int, shift: int) -> int:
+    """Return a wall stamp (ns) by another clock. One from before that clock was set may be before its epoch: then 0."""
+    return max(0, stamp + shift)

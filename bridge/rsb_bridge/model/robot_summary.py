@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import msgspec
 
-from rsb_bridge.model.health import (
+from rsb_bridge.model.faults import (
     link_is_wrong,
     link_needs_attention,
     pattern_is_wrong,

@@ -8,16 +8,36 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any, Final, Literal
 
 import msgspec
 
 from rsb_bridge.model.benchmark import Leave
 from rsb_bridge.model.patterns import is_pattern
-from rsb_bridge.model.priority import Priority
 from rsb_bridge.model.profiles import Compression, ProfileName
 from rsb_bridge.model.qos import Qos, parse_qos
 from rsb_bridge.model.text import one_line
+
+Priority = Literal["low", "normal", "high"]
+
+RANKS: Final[dict[Priority, int]] = {"low": -1, "normal": 0, "high": 1}
+"""As a proposal has them, the higher one first, as with DDS's transport priority."""
+LOWEST, HIGHEST = -100, 100
+"""Ranks that a newer peer may use; each counts as the word that is nearest."""
+PRIORITY_FEATURE = "priority"
+"""What a side that keeps to priorities names among its features."""
+_WEIGHTS: Final[dict[Priority, int]] = {"low": 1, "normal": 4, "high": 16}
+
+
+def priority_of(rank: int) -> Priority:
+    """The word for a rank."""
+    return "low" if rank < 0 else "high" if rank > 0 else "normal"
+
+
+def weight_of(rank: int) -> int:
+    """The share of a stream that a route has beside others that want more than there is, relative to theirs."""
+    return _WEIGHTS[priority_of(rank)]
+
 
 DEADMAN = 60.0
 """s: the deadman time of a topic that names none."""
@@ -89,7 +109,7 @@ class Topic(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defaul
         stale_after: s without a message until a warning, 0 for no warning, or None for the session's.
         late_after: s that a message may take until the topic is late, 0 for no limit, or None for the session's.
         max_age: s; an older message or request is dropped instead of published, 0 for no limit, or None for
-            `rsb_bridge.model.max_age.ARMED` on what has to be armed and no limit elsewhere.
+            `rsb_bridge.model.demands.ARMED` on what has to be armed and no limit elsewhere.
         paused: the topic is set up, and carries nothing until it is resumed.
         arm: whether it carries nothing until an operator of either side arms it on a console.
         deadman: s without a key on that console after which it disarms, 0 for never, or None for `DEADMAN`.

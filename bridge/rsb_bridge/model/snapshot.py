@@ -7,12 +7,12 @@ from enum import StrEnum
 
 import msgspec
 
+from rsb_bridge.model.calls import CallsSnapshot, GoalSnapshot
+from rsb_bridge.model.capacity import Capacity, Fullness
+from rsb_bridge.model.qos import Qos
+from rsb_bridge.model.session import Kind, Topic
+
 # These types must be known where a snapshot is decoded
-from rsb_bridge.model.calls import CallsSnapshot, GoalSnapshot  # noqa: TC001
-from rsb_bridge.model.capacity import Capacity  # noqa: TC001
-from rsb_bridge.model.fullness import Fullness  # noqa: TC001
-from rsb_bridge.model.qos import Qos  # noqa: TC001
-from rsb_bridge.model.session import Kind, Topic  # noqa: TC001
 
 
 class State(StrEnum):
@@ -486,3 +486,52 @@ class TopicInfo:
     publishers: int
     subscriptions: int
     kind: Kind = "topic"
+
+
+@dataclass(frozen=True, slots=True)
+class Reloaded:
+    """How the session file differed from what ran, in words.
+
+    Attributes:
+        changed: what the bridge does differently from now on; or would do, where it was only asked.
+        left: what cannot change while the bridge runs, with the remedy.
+        failed: what could not be done, with the reason.
+    """
+
+    changed: tuple[str, ...] = ()
+    left: tuple[str, ...] = ()
+    failed: tuple[str, ...] = ()
+
+
+PEEK_LIMIT = 1 << 20
+"""Bytes of a message that are shown: a whole map, and the beginning of a large picture."""
+
+
+@dataclass(frozen=True, slots=True)
+class PeekedMessage:
+    """A message of a route, as it passed this side.
+
+    Attributes:
+        payload: the serialized message with its encapsulation header; of a longer one, the first `PEEK_LIMIT` bytes.
+        size: bytes of the whole message.
+        type_name: ``pkg/msg/Name``.
+        type_hash: ``RIHS01_...``, or empty.
+        time: s since the epoch on this machine's clock, when DDS received it (sending side), or when it came over the
+            link (receiving side).
+        outgoing: this side sends it.
+        is_kept: it is a latched topic's message of before, as a late joiner gets it; `time` is when it was asked for.
+        latency: s that it took over the link, as the clock offset says; None: it is not known, or this side sends it.
+        clock_offset: s, the peer's clock minus this machine's; None: it is not known.
+        clock_uncertainty: s.
+    """
+
+    payload: bytes
+    size: int
+    type_name: str
+    type_hash: str
+    time: float
+    outgoing: bool
+    is_kept: bool = False
+    latency: float | None = None
+    clock_offset: float | None = None
+    clock_uncertainty: float | None = None

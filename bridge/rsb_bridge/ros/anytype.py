@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, NamedTuple, Protocol, TypeVar
 
 from rclpy.utilities import get_rmw_implementation_identifier
 
-from rsb_bridge.model.type_names import split_type_name
+from rsb_bridge.model.names import split_type_name
 from rsb_bridge.ros.api import RosError
 from rsb_bridge.ros.typesupport import (
     FIND,

@@ -9,7 +9,7 @@ from collections.abc import Callable, Hashable, Sequence
 from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 if TYPE_CHECKING:
-    from rsb_bridge.model.fields import Fields
+    from rsb_bridge.model.calls import Fields
     from rsb_bridge.model.qos import Qos
     from rsb_bridge.ros.turns import RosTurns
 

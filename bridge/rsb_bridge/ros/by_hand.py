@@ -20,7 +20,7 @@ from rosidl_parser.definition import (
     NamespacedType,
 )
 
-from rsb_bridge.model.fields import FieldError
+from rsb_bridge.model.calls import FieldError
 from rsb_bridge.model.text import escape_text, plural
 from rsb_bridge.ros.anytype import remedy
 from rsb_bridge.ros.api import RosError
@@ -28,7 +28,7 @@ from rsb_bridge.ros.serialization import serialize_message
 from rsb_bridge.ros.typesupport import installed_class
 
 if TYPE_CHECKING:
-    from rsb_bridge.model.fields import Fields
+    from rsb_bridge.model.calls import Fields
 
 _INTEGERS = {
     f"{sign}int{bits}": (0, 2**bits - 1) if sign else (-(2 ** (bits - 1)), 2 ** (bits - 1) - 1)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from rsb_bridge.model.lanes import LANES
+from rsb_bridge.model.calls import LANES
 from rsb_bridge.model.patterns import is_hidden
 from rsb_bridge.ros.graph import Searches, most_similar
 from rsb_bridge.ros.graph_entries import CALLED

@@ -10,7 +10,7 @@ from rsb_bridge.ros.turns import RosTurns
 if TYPE_CHECKING:
     from collections.abc import Callable, Hashable
 
-    from rsb_bridge.model.fields import Fields
+    from rsb_bridge.model.calls import Fields
     from rsb_bridge.model.qos import Qos
     from rsb_bridge.ros.api import (
         Endpoint,

@@ -21,7 +21,7 @@ from rsb_bridge.ros.typesupport import hash_of, installed_class, installed_servi
 if TYPE_CHECKING:
     from collections.abc import Callable, Hashable
 
-    from rsb_bridge.model.fields import Fields
+    from rsb_bridge.model.calls import Fields
     from rsb_bridge.model.qos import Qos
     from rsb_bridge.ros.api import (
         Endpoint,

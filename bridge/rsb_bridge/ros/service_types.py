@@ -12,7 +12,7 @@ import ctypes
 import re
 from typing import NamedTuple
 
-from rsb_bridge.model.type_names import split_type_name
+from rsb_bridge.model.names import split_type_name
 from rsb_bridge.ros import raw_cdr
 from rsb_bridge.ros.anytype import (
     FASTRTPS,

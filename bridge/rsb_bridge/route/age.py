@@ -12,9 +12,9 @@ from __future__ import annotations
 from collections import Counter, deque
 from typing import TYPE_CHECKING, NamedTuple
 
-from rsb_bridge.model.max_age import effective_max_age
+from rsb_bridge.model.clock import shifted
+from rsb_bridge.model.demands import effective_max_age
 from rsb_bridge.model.snapshot import State
-from rsb_bridge.model.stamp_clock import shifted
 from rsb_bridge.model.verdict import Cause, Verdict
 from rsb_bridge.ros.api import RawMessage
 
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
     from rsb_bridge.context import Context
-    from rsb_bridge.model.stamp_clock import StampClock
+    from rsb_bridge.model.clock import StampClock
     from rsb_bridge.route.peer import Peer
     from rsb_bridge.wire.framing import Message
 

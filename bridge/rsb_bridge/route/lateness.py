@@ -14,7 +14,7 @@ from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.verdict import Cause, Verdict
 
 if TYPE_CHECKING:
-    from rsb_bridge.model.fullness import Fullness
+    from rsb_bridge.model.capacity import Fullness
 
 _TICKS = 2
 """Ticks that have to agree before a topic becomes late, or is no longer late."""

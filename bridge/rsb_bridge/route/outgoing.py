@@ -9,9 +9,9 @@ import msgspec
 
 from rsb_bridge.channel.datagram import DatagramSender
 from rsb_bridge.channel.receipts import WindowedSender
+from rsb_bridge.model.clock import shifted
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.snapshot import Ledger, Level, Stage
-from rsb_bridge.model.stamp_clock import shifted
 from rsb_bridge.ros.api import RawMessage, RosError
 from rsb_bridge.route.arming import without_history
 from rsb_bridge.route.combined_verdict import lasting, node_names, record_of

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, ClassVar, Protocol
 
 import msgspec
 
-from rsb_bridge.model.peek import PEEK_LIMIT, PeekedMessage
+from rsb_bridge.model.snapshot import PEEK_LIMIT, PeekedMessage
 from rsb_bridge.ros.api import RosError
 
 if TYPE_CHECKING:

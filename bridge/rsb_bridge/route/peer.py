@@ -13,7 +13,7 @@ from rsb_bridge.route.rate_limit import AllowedRates
 from rsb_bridge.wire.framing import UNFINISHED_LIMIT, Budget
 
 if TYPE_CHECKING:
-    from rsb_bridge.model.fullness import Fullness
+    from rsb_bridge.model.capacity import Fullness
     from rsb_bridge.model.profiles import LinkProfile
     from rsb_bridge.ros.api import RosInterface
     from rsb_bridge.route.pause import Revisions

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.limits import ROUTES_PER_LINK
-from rsb_bridge.model.priority import priority_of
+from rsb_bridge.model.session import priority_of
 from rsb_bridge.model.snapshot import Level
 from rsb_bridge.model.token_bucket import TokenBucket
 

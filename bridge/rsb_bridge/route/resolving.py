@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import msgspec
 
+from rsb_bridge.model.names import expand_type_name
 from rsb_bridge.model.qos import incompatible, match_publishers
 from rsb_bridge.model.text import join_first
-from rsb_bridge.model.type_names import expand_type_name
 from rsb_bridge.model.verdict import Cause
 from rsb_bridge.route.topic_verdict import no_publisher
 

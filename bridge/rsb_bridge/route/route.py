@@ -17,7 +17,7 @@ import msgspec
 from rsb_bridge.model.backoff import Backoff
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.limits import MAX_AGE_FEATURE
-from rsb_bridge.model.priority import HIGHEST, RANKS, priority_of
+from rsb_bridge.model.session import HIGHEST, RANKS, priority_of
 from rsb_bridge.model.snapshot import Level, RouteSnapshot, Stage
 from rsb_bridge.model.text import sanitize_text
 from rsb_bridge.route.age import MessageAge
@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 
     from rsb_bridge.channel.channel import DataChannel
     from rsb_bridge.context import Context
-    from rsb_bridge.model.fullness import Fullness
+    from rsb_bridge.model.capacity import Fullness
     from rsb_bridge.model.session import Topic
     from rsb_bridge.model.verdict import Verdict
     from rsb_bridge.ros.api import Endpoint

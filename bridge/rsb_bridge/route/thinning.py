@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, NamedTuple
 
-from rsb_bridge.model.fullness import rates_text
+from rsb_bridge.model.capacity import rates_text
 from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.verdict import Cause, Verdict
 from rsb_bridge.telemetry.meters import Smoothed

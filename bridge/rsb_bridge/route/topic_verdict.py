@@ -18,7 +18,7 @@ from rsb_bridge.telemetry.watches import FAST_ABOVE
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterable
 
-    from rsb_bridge.model.fullness import Fullness
+    from rsb_bridge.model.capacity import Fullness
     from rsb_bridge.model.qos import Qos
     from rsb_bridge.ros.api import Endpoint
     from rsb_bridge.route.age import Expired

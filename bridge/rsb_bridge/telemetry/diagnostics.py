@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
 
-    from rsb_bridge.model.fields import Fields
+    from rsb_bridge.model.calls import Fields
     from rsb_bridge.model.snapshot import LinkSnapshot, RouteSnapshot, Snapshot
 
 _LEVELS = ("0", "1", "2")

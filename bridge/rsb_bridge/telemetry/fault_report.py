@@ -10,7 +10,7 @@ from rsb_bridge.model.snapshot import LinkSnapshot, PatternSnapshot
 from rsb_bridge.model.text import encodable, sanitize_text
 
 if TYPE_CHECKING:
-    from rsb_bridge.model.fault_watch import FaultChange
+    from rsb_bridge.model.faults import FaultChange
 
 VERSION = 1
 """Grows when a field is removed or changes its meaning; a new field does not change it."""

@@ -8,15 +8,39 @@ import errno
 import os
 import re
 import socket
+from collections.abc import Sequence
+from typing import Any
 
 from aiohappyeyeballs import start_connection
 
 from rsb_bridge.model.transports import TcpTraits
 from rsb_bridge.transport.listening import StreamListener, bind
-from rsb_bridge.transport.names import look_up
 from rsb_bridge.transport.streams import Address, Stream, StreamHandler
+from rsb_bridge.transport.threads import in_thread
 from rsb_bridge.transport.transport import Acceptor, Listener, StreamTransport
 from rsb_bridge.wire.framing import MESSAGE_LIMIT
+
+Found = Sequence[tuple[int | socket.AddressFamily, int | socket.SocketKind, int, str, tuple[Any, ...]]]
+
+
+async def look_up(host: str, port: int, within: float) -> Found:
+    """The stream addresses of a host, as `socket.getaddrinfo` gives them.
+
+    Args:
+        host: a name or an address.
+        port: of the addresses.
+        within: s until the lookup is given up.
+
+    Raises:
+        OSError: the name is not known, or no name server answers.
+    """
+    with contextlib.suppress(socket.gaierror):
+        return socket.getaddrinfo(host, port, type=socket.SOCK_STREAM, flags=socket.AI_NUMERICHOST)
+    try:
+        return await in_thread("look-up", lambda: socket.getaddrinfo(host, port, type=socket.SOCK_STREAM), within)
+    except TimeoutError:
+        raise OSError(f"the name can't be looked up: no name server answers within {within:g} s") from None
+
 
 CONNECT_TIMEOUT = 3.0
 """s"""

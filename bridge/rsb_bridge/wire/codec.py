@@ -10,7 +10,7 @@ from msgspec import Meta, Raw
 from rsb_bridge.model.limits import ROUTES_PER_LINK
 from rsb_bridge.wire.fields import PRINTABLE, Count
 from rsb_bridge.wire.messages import ControlMessage, Hello, Report, TopicList, Welcome
-from rsb_bridge.wire.protocol_error import ProtocolError
+from rsb_bridge.wire.protocol_error import Broken, ProtocolError
 from rsb_bridge.wire.records import CallsReport, FullRecord, ReceivedReport, SentReport, TopicEntry
 
 if TYPE_CHECKING:
@@ -112,7 +112,7 @@ def decode_in_parts(data: bytes) -> ControlMessage | ReportParts | TopicListPart
 def invalid(error: Exception) -> ProtocolError:
     """Say in words why a message, or a part of one, cannot be decoded."""
     message = str(error).replace(_NOT_PRINTABLE, "without unprintable characters")
-    return ProtocolError(f"invalid control message: {message}")
+    return ProtocolError(Broken.INVALID_CONTROL_MESSAGE(problem=message))
 
 
 def decode_hello(data: bytes) -> Hello:

@@ -41,7 +41,7 @@ from rsb_bridge.wire.preamble import (
     preamble_frame,
     take_frame,
 )
-from rsb_bridge.wire.protocol_error import ForeignProtocolError, ProtocolError
+from rsb_bridge.wire.protocol_error import Broken, ForeignProtocolError, ProtocolError
 from rsb_bridge.wire.sealing import Buffer, Sealer, SealError, SessionKeys, StreamOpener, Suite
 
 if TYPE_CHECKING:
@@ -50,7 +50,6 @@ if TYPE_CHECKING:
     from rsb_bridge.wire.handshake import ReplayCache
     from rsb_bridge.wire.messages import ControlMessage, Hello, Welcome
 
-_NOT_CONFIRMED = "the client did not confirm the handshake"
 _CONTROL_HEADER = HEADER.pack(CONTROL, 0, 0, 0)
 
 
@@ -126,9 +125,7 @@ class _Control(PreambleStream):
                 return
 
     def _on_other_frame(self, frame: memoryview) -> None:
-        raise ProtocolError(
-            f"unexpected frame on the control connection, header {bytes(frame[: HEADER.size]).hex(' ')}"
-        )
+        raise ProtocolError(Broken.UNEXPECTED_ON_CONTROL(header=bytes(frame[: HEADER.size]).hex(" ")))
 
     def _on_control(self, content: bytes) -> None:
         self._events.append(Received(decode(content)) if self.decodes else Undecoded(content))
@@ -203,7 +200,7 @@ class ClientConnection(_Control):
                 self._suite = Suite.CHACHAPOLY
                 self._outbox += self.start()
             case _:
-                raise ProtocolError(f"unexpected {kind.name} frame in the preamble")
+                raise ProtocolError(Broken.UNEXPECTED_IN_PREAMBLE(kind=kind.name))
 
     def _on_control(self, content: bytes) -> None:
         self._heard = True
@@ -220,7 +217,7 @@ class ClientConnection(_Control):
 
     def _refused_by_peer(self, body: bytes) -> None:
         if parse_refuse(body)[0] is RefusalCode.SHUT_DOWN:  # anybody could have the client wait so
-            raise ProtocolError("a REFUSE says that the link is shut down, which only a Welcome can")
+            raise ProtocolError(Broken.SHUT_DOWN_IN_REFUSE())
         super()._refused_by_peer(body)
 
     def _on_accept(self, message: bytes) -> None:
@@ -311,7 +308,7 @@ class ServerConnection(_Control):
                 self._phase = Phase.HANDED_OVER
                 self._events.append(Attach(link_id, route, proof, header))
             case _:
-                raise ProtocolError(f"unexpected {kind.name} frame in the preamble")
+                raise ProtocolError(Broken.UNEXPECTED_IN_PREAMBLE(kind=kind.name))
 
     def _on_offer(self, offer: ControlPreamble) -> None:
         self.name = offer.name
@@ -334,7 +331,7 @@ class ServerConnection(_Control):
 
     def _retry(self) -> None:
         if self._retried:
-            raise ProtocolError("the client offers AES-GCM again after a RETRY with ChaCha20-Poly1305")
+            raise ProtocolError(Broken.RETRY_IGNORED())
         self._retried = True
         self._outbox += pack_frame(preamble_frame(Kind.RETRY, bytes((Suite.CHACHAPOLY,))))
 
@@ -349,9 +346,9 @@ class ServerConnection(_Control):
                 "the fingerprints of both sides' keys are equal",
             ) from None
         if key is not None and not replays.is_new(offer.message):
-            raise ProtocolError(f"the first message of {offer.name!r} came before: somebody has recorded it")
+            raise ProtocolError(Broken.HANDSHAKE_REPLAYED(name=offer.name))
         if hello.name != offer.name:
-            raise ProtocolError(f"the client's name is {offer.name!r} in the preamble and {hello.name!r} in its Hello")
+            raise ProtocolError(Broken.NAMES_DIFFER(preamble=offer.name, hello=hello.name))
         welcome = self._make_welcome(hello)
         self._outbox += pack_frame(preamble_frame(Kind.ACCEPT, handshake.write(encode(welcome))))
         keys = handshake.split()
@@ -372,7 +369,7 @@ class ServerConnection(_Control):
             try:
                 frame = take_frame(self._inbox)
             except ForeignProtocolError:
-                raise ProtocolError(_NOT_CONFIRMED) from None
+                raise ProtocolError(Broken.NOT_CONFIRMED(peer="client")) from None
             if frame is None:
                 return
             self._confirm(frame, self._unconfirmed)
@@ -383,7 +380,7 @@ class ServerConnection(_Control):
         assert self._opener is not None
         header, sealed = frame[: HEADER.size], frame[HEADER.size :]
         if header != _CONTROL_HEADER or self._opener.open(sealed, header):
-            raise ProtocolError(_NOT_CONFIRMED)
+            raise ProtocolError(Broken.NOT_CONFIRMED(peer="client"))
         self._unconfirmed = None
         if isinstance(outcome, Refused):
             self._end(outcome)
@@ -412,7 +409,7 @@ class DataConnection(PreambleStream):
             case Kind.REFUSE:
                 self._refused_by_peer(body)
             case _:
-                raise ProtocolError(f"unexpected {kind.name} frame in the preamble")
+                raise ProtocolError(Broken.UNEXPECTED_IN_PREAMBLE(kind=kind.name))
 
 
 def _handshake(suite: Suite, key: bytes | None, prologue: bytes) -> Handshake:

@@ -16,7 +16,7 @@ from rsb_bridge.wire.framing import (
     Budget,
     Message,
 )
-from rsb_bridge.wire.protocol_error import ProtocolError
+from rsb_bridge.wire.protocol_error import Broken, ProtocolError
 from rsb_bridge.wire.sealing import Buffer, DatagramOpener, Sealer, SealError
 
 MAGIC = 0xB5
@@ -68,7 +68,7 @@ class Probe(NamedTuple):
             ProtocolError: the payload is no probe.
         """
         if len(payload) != _PROBE.size:
-            raise ProtocolError(f"a probe of {len(payload)} bytes")
+            raise ProtocolError(Broken.PROBE_INVALID(length=len(payload)))
         return cls._make(_PROBE.unpack(payload))
 
 
@@ -102,7 +102,7 @@ def unpack_probe(payload: bytes) -> Probe | Receipt:
         return Probe.unpack(payload)
     kind, *fields = _RECEIPT.unpack(payload)
     if kind != _RECEIPT_KIND:
-        raise ProtocolError(f"a receipt of kind {kind}")
+        raise ProtocolError(Broken.RECEIPT_UNKNOWN(kind=kind))
     return Receipt._make(fields)
 
 

@@ -11,7 +11,7 @@ from msgspec import Meta, UnsetType
 
 from rsb_bridge.cdr.description import DESCRIPTION_LIMIT
 from rsb_bridge.model.limits import LATE_AFTER, MAX_AGE, PORT, RATE, REASON_LENGTH, STALE_AFTER, TEXT_LENGTH
-from rsb_bridge.model.priority import HIGHEST, LOWEST
+from rsb_bridge.model.session import HIGHEST, LOWEST
 from rsb_bridge.model.sources import HOP_LENGTH, MOST_BRIDGES, MOST_HOPS
 from rsb_bridge.model.text import UNPRINTABLE
 

@@ -7,7 +7,7 @@ import struct
 from typing import TYPE_CHECKING, TypeAlias
 
 from rsb_bridge.model.sources import MOST_SOURCES
-from rsb_bridge.wire.protocol_error import ProtocolError
+from rsb_bridge.wire.protocol_error import Broken, ProtocolError
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -51,7 +51,7 @@ class Assembly:
         at = self._size
         end = at + max(0, len(sealed) - self._tag)
         if end > self._limit:
-            raise ProtocolError(f"a message of more than {self._limit} bytes in chunks")
+            raise ProtocolError(Broken.TOO_LONG_IN_CHUNKS(limit=self._limit))
         if end > self.held:
             self._grow(end)
         with self._content.getbuffer() as whole, whole[at:end] as place:
@@ -93,7 +93,7 @@ def hold(budget: Budget, size: int) -> None:
         ProtocolError: it is spent.
     """
     if not budget.take(size):
-        raise ProtocolError(f"the link's incomplete messages would take more than {budget.limit:,} bytes")
+        raise ProtocolError(Broken.TOO_MUCH_INCOMPLETE(limit=budget.limit))
 
 
 class Budget:
@@ -201,7 +201,7 @@ class FrameReader:
         while end - start >= _LENGTH_SIZE:
             (length,) = unpack(view, start)
             if length > limit:
-                raise ProtocolError(f"a frame of {length} bytes; the limit is {limit}")
+                raise ProtocolError(Broken.FRAME_TOO_LONG(length=length, limit=limit))
             stop = start + _LENGTH_SIZE + length
             if stop > end:
                 break
@@ -235,7 +235,7 @@ class FrameReader:
         """Bytes that the incomplete frame will have, with its length."""
         (length,) = LENGTH.unpack_from(self._tail)
         if length > self.limit:
-            raise ProtocolError(f"a frame of {length} bytes; the limit is {self.limit}")
+            raise ProtocolError(Broken.FRAME_TOO_LONG(length=length, limit=self.limit))
         return _LENGTH_SIZE + int(length)
 
     def _keep(self, data: Buffer) -> None:
@@ -362,13 +362,11 @@ class DataReader:
             SealError: the seal is invalid.
         """
         if len(frame) < _HEADER_SIZE:
-            raise ProtocolError(f"a data frame of {len(frame)} bytes: its header alone has {_HEADER_SIZE}")
+            raise ProtocolError(Broken.DATA_FRAME_TOO_SHORT(length=len(frame), header=_HEADER_SIZE))
         header = frame[:_HEADER_SIZE]
         kind, flags, route, stamp = _unpack_header(header)
         if kind != DATA or route != self._route or flags & _UNKNOWN_FLAGS:
-            raise ProtocolError(
-                f"a frame of type {kind}, flags {flags}, route {route} on the stream of route {self._route}"
-            )
+            raise ProtocolError(Broken.FRAME_OF_ANOTHER_STREAM(kind=kind, flags=flags, route=route, stream=self._route))
         sealed = frame[_HEADER_SIZE:]
         if not (flags & MORE or self._chunks.begun):
             return self._open(sealed, header), stamp, flags

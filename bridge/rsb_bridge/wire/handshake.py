@@ -9,7 +9,7 @@ from typing import NamedTuple, Protocol
 
 from cryptography.hazmat.primitives.asymmetric.x25519 import X25519PrivateKey, X25519PublicKey
 
-from rsb_bridge.wire.protocol_error import ProtocolError
+from rsb_bridge.wire.protocol_error import Broken, ProtocolError
 from rsb_bridge.wire.sealing import KEY_LENGTH, Sealer, StreamOpener, Suite
 
 _NAMES = {
@@ -120,7 +120,7 @@ class NoiseHandshake:
             ProtocolError: the message is invalid.
         """
         if len(message) < _DH_LENGTH + self._suite.tag_length:
-            raise ProtocolError(f"a handshake message of {len(message)} bytes is too short")
+            raise ProtocolError(Broken.HANDSHAKE_TOO_SHORT(length=len(message)))
         self._remote, sealed = message[:_DH_LENGTH], message[_DH_LENGTH:]
         self._mix_hash(self._remote)
         self._mix_key(self._remote)
@@ -138,7 +138,7 @@ class NoiseHandshake:
         try:
             return self._ephemeral.exchange(X25519PublicKey.from_public_bytes(remote))
         except ValueError:  # a point of low order: the secret would be all zeros
-            raise ProtocolError("the peer's ephemeral key is invalid") from None
+            raise ProtocolError(Broken.EPHEMERAL_KEY_INVALID()) from None
 
     def _mix_hash(self, data: bytes) -> None:
         self._h = hashlib.sha256(self._h + data).digest()

@@ -8,7 +8,7 @@ from typing import Annotated, NamedTuple, TypeAlias
 
 from msgspec import Meta
 
-from rsb_bridge.wire.protocol_error import ProtocolError
+from rsb_bridge.wire.protocol_error import Broken, ProtocolError
 
 LEASE_FEATURE = "lease"
 """The feature by which a side takes part in leases."""
@@ -31,7 +31,7 @@ def split_number(payload: bytes) -> tuple[int, bytes]:
         ProtocolError: it is too short for the header.
     """
     if len(payload) < _LEASE_HEADER.size:
-        raise ProtocolError(f"a lease header of {len(payload)} bytes: it has {_LEASE_HEADER.size}")
+        raise ProtocolError(Broken.LEASE_HEADER_TOO_SHORT(length=len(payload), expected=_LEASE_HEADER.size))
     return _LEASE_HEADER.unpack_from(payload)[0], payload[_LEASE_HEADER.size :]
 
 
@@ -70,10 +70,10 @@ def split_history(payload: bytes) -> tuple[HistoryHeader, bytes]:
         ProtocolError: it is too short for a header, or a figure in it is out of its range.
     """
     if len(payload) < _HISTORY_HEADER.size:
-        raise ProtocolError(f"a history header of {len(payload)} bytes: it has {_HISTORY_HEADER.size}")
+        raise ProtocolError(Broken.HISTORY_HEADER_TOO_SHORT(length=len(payload), expected=_HISTORY_HEADER.size))
     header = HistoryHeader._make(_HISTORY_HEADER.unpack_from(payload))
     if not header.depth or header.number > _LAST_IN_HISTORY:
-        raise ProtocolError(f"a history header with message number {header.number} and a depth of {header.depth}")
+        raise ProtocolError(Broken.HISTORY_HEADER_INVALID(number=header.number, depth=header.depth))
     return header, payload[_HISTORY_HEADER.size :]
 
 
@@ -136,12 +136,12 @@ def unpack_call(payload: bytes) -> CallFrame:
             or it says how long a node took for what is no answer, or longer than `MOST_TOOK`.
     """
     if len(payload) < CALL_HEADER_LENGTH:
-        raise ProtocolError(f"a frame of calls has at least {CALL_HEADER_LENGTH} bytes, not {len(payload)}")
+        raise ProtocolError(Broken.CALL_FRAME_TOO_SHORT(length=len(payload), header=CALL_HEADER_LENGTH))
     what, lane, call, took = _CALL_HEADER.unpack_from(payload)
     if what not in _CALL_KINDS:
-        raise ProtocolError(f"a frame of calls of kind {what}")
+        raise ProtocolError(Broken.CALL_KIND_UNKNOWN(kind=what))
     if (call == 0) != (what == What.MESSAGE):
-        raise ProtocolError(f"a frame of calls of kind {what} with the number {call}")
+        raise ProtocolError(Broken.CALL_NUMBER_INVALID(kind=what, number=call))
     if took > (MOST_TOOK if what == What.ANSWER else 0):
-        raise ProtocolError(f"a frame of calls of kind {what} that took {took} ns")
+        raise ProtocolError(Broken.CALL_DURATION_INVALID(kind=what, took=took))
     return CallFrame(What(what), lane, call, took, payload[CALL_HEADER_LENGTH:])

@@ -8,7 +8,7 @@ import msgspec
 from msgspec import UNSET, Meta, UnsetType
 
 from rsb_bridge.model.benchmark import MOST_SIZE
-from rsb_bridge.model.lanes import MOST_LANES
+from rsb_bridge.model.calls import MOST_LANES
 from rsb_bridge.model.limits import DEADMAN_TIME
 from rsb_bridge.model.patterns import NAMES_FOLLOWED, PATTERNS_PER_LINK
 from rsb_bridge.model.qos import Qos
@@ -67,7 +67,7 @@ class Hello(ControlMessageBase, frozen=True):
         name: of its session; the same as in the preamble.
         instance: random, new with each start of the process.
         domain_id: its ROS domain.
-        features: what it can do beyond version 2, as `rsb_bridge.model.lanes.FEATURE`; others are a newer peer's.
+        features: what it can do beyond version 2, as `rsb_bridge.model.calls.FEATURE`; others are a newer peer's.
         host: what its machine calls itself, for operators; empty: not known.
     """
 
@@ -132,11 +132,11 @@ class Propose(ControlMessageBase, frozen=True, kw_only=True):
         deadman: s without a key after which it disarms; 0: none.
         who: the operator who has just added or edited the topic, in words; empty: none has, or it is not known.
         edited: it takes the place of the route that was removed right before.
-        kind: what it is, a key of `rsb_bridge.model.lanes.LANES`; another one is a newer peer's, and refused. Of what
+        kind: what it is, a key of `rsb_bridge.model.calls.LANES`; another one is a newer peer's, and refused. Of what
             is not a topic, the "sending side" is the callers'. Only topics are proposed to a peer whose `features` lack
-            `rsb_bridge.model.lanes.FEATURE`.
+            `rsb_bridge.model.calls.FEATURE`.
         timeout: s until a call without an answer is given up; 0: 30 s, or it is a topic.
-        priority: of a topic, `rsb_bridge.model.priority.RANKS`; an older sender ignores it.
+        priority: of a topic, `rsb_bridge.model.session.RANKS`; an older sender ignores it.
     """
 
     route: RouteId
@@ -261,7 +261,7 @@ class Provide(ControlMessageBase, frozen=True):
 
     Attributes:
         route: route id.
-        lanes: in the order of the kind (`rsb_bridge.model.lanes`); empty: nothing can be called now.
+        lanes: in the order of the kind (`rsb_bridge.model.calls`); empty: nothing can be called now.
         nodes: that provide it, some of them.
         via: of a provider that is a bridge itself, the hops between it and the node that answers (section 5).
         pause_revision: of the state of the pause that its sender had; see `Pause`.

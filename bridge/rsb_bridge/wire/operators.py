@@ -26,7 +26,7 @@ from rsb_bridge.wire.preamble import (
     preamble_frame,
     take_frame,
 )
-from rsb_bridge.wire.protocol_error import ProtocolError
+from rsb_bridge.wire.protocol_error import Broken, ProtocolError
 from rsb_bridge.wire.sealing import Sealer, SealError, StreamOpener, Suite, derive_sample_secret
 
 if TYPE_CHECKING:
@@ -93,12 +93,12 @@ def parse_operator(frame: bytes) -> OperatorPreamble:
     """
     names_at = PREFIX_LENGTH + _VERSION.size
     if len(frame) < names_at:
-        raise ProtocolError("an OPERATOR frame ends before its version does")
+        raise ProtocolError(Broken.OPERATOR_TOO_SHORT(field="version"))
     operator, engine_at = _name(frame, names_at)
     engine, at = _name(frame, engine_at)
     end = at + FINGERPRINT_LENGTH
     if len(frame) < end:
-        raise ProtocolError("an OPERATOR frame ends before its fingerprint does")
+        raise ProtocolError(Broken.OPERATOR_TOO_SHORT(field="fingerprint"))
     (version,) = _VERSION.unpack_from(frame, PREFIX_LENGTH)
     tags = bool(version & _TAGS)
     return OperatorPreamble(version & ~_TAGS, operator, engine, frame[at:end], frame[:end], frame[end:], tags)
@@ -109,13 +109,13 @@ def _name(frame: bytes, at: int) -> tuple[str, int]:
     begin = at + 1
     end = begin + frame[at] if at < len(frame) else begin
     if len(frame) < end:
-        raise ProtocolError("an OPERATOR frame ends before its names do")
+        raise ProtocolError(Broken.OPERATOR_TOO_SHORT(field="names"))
     try:
         name = frame[begin:end].decode()
     except UnicodeDecodeError:
-        raise ProtocolError("a name in an OPERATOR frame is not UTF-8") from None
+        raise ProtocolError(Broken.NAME_NOT_UTF8(frame="OPERATOR")) from None
     if not is_clean(name):
-        raise ProtocolError("a name in an OPERATOR frame has unprintable characters")
+        raise ProtocolError(Broken.NAME_UNPRINTABLE(frame="OPERATOR"))
     return name, end
 
 
@@ -165,7 +165,7 @@ class _Sealed(PreambleStream):
         for record in self._records.feed(self.leftover()):
             content = self._opener.open(record, b"")
             if not content:
-                raise ProtocolError("an empty record")
+                raise ProtocolError(Broken.EMPTY_RECORD())
             self._events.append(Opened(content))
 
 
@@ -220,7 +220,7 @@ class OperatorConsole(_Sealed):
             case Kind.REFUSE:
                 self._refused_by_peer(body)
             case _:
-                raise ProtocolError(f"unexpected {kind.name} frame in the preamble")
+                raise ProtocolError(Broken.UNEXPECTED_IN_PREAMBLE(kind=kind.name))
 
     def _on_accept(self, message: bytes) -> None:
         try:
@@ -277,7 +277,7 @@ class OperatorEngine(_Sealed):
 
     def _on_preamble(self, kind: Kind, body: bytes, frame: bytes) -> None:
         if kind is not Kind.OPERATOR:
-            raise ProtocolError(f"unexpected {kind.name} frame where operators attach, and no links")
+            raise ProtocolError(Broken.UNEXPECTED_FROM_OPERATOR(kind=kind.name))
         offer = parse_operator(frame)
         if offer.engine != self._engine:
             raise Refusal(RefusalCode.UNKNOWN_NAME, f"this is not the engine {offer.engine!r}")
@@ -294,9 +294,9 @@ class OperatorEngine(_Sealed):
                 "the fingerprints of both sides' keys are equal",
             ) from None
         if len(host) > HOST_BYTES:
-            raise ProtocolError("the console's host name is too long")
+            raise ProtocolError(Broken.HOST_NAME_TOO_LONG())
         if not replays.is_new(offer.message):
-            raise ProtocolError(f"the first message of {offer.operator!r} came before: somebody has recorded it")
+            raise ProtocolError(Broken.HANDSHAKE_REPLAYED(name=offer.operator))
         self._outbox += pack_frame(preamble_frame(Kind.ACCEPT, handshake.write(self._at.encode())))
         split = handshake.split()
         self._start_sealing(split.server, split.client)
@@ -312,7 +312,7 @@ class OperatorEngine(_Sealed):
                 return
             assert self._opener is not None
             if self._opener.open(record, b""):
-                raise ProtocolError("the console did not confirm the handshake")
+                raise ProtocolError(Broken.NOT_CONFIRMED(peer="console"))
             self._events.append(self._admitted)
             self._admitted = None
         super()._open_records()

@@ -13,7 +13,7 @@ from rsb_bridge.model.limits import NAME_BYTES
 from rsb_bridge.model.text import is_clean, sanitize_text
 from rsb_bridge.wire.events import Event, Failed, Refused
 from rsb_bridge.wire.framing import LENGTH, PREAMBLE_LIMIT, pack_frame
-from rsb_bridge.wire.protocol_error import ForeignProtocolError, ProtocolError
+from rsb_bridge.wire.protocol_error import Broken, ForeignProtocolError, ProtocolError
 from rsb_bridge.wire.sealing import SealError, Suite
 
 if TYPE_CHECKING:
@@ -238,7 +238,7 @@ def parse_preamble(frame: bytes) -> tuple[Kind, bytes]:
     try:
         return Kind(kind), frame[PREFIX_LENGTH:]
     except ValueError:
-        raise ProtocolError(f"unknown preamble kind {kind}") from None
+        raise ProtocolError(Broken.UNKNOWN_PREAMBLE(kind=kind)) from None
 
 
 def parse_control(frame: bytes) -> ControlPreamble:
@@ -249,15 +249,15 @@ def parse_control(frame: bytes) -> ControlPreamble:
     """
     body = frame[PREFIX_LENGTH:]
     if len(body) < 2 or len(body) < 2 + body[1] + FINGERPRINT_LENGTH:
-        raise ProtocolError("a CONTROL frame ends before its name or its fingerprint does")
+        raise ProtocolError(Broken.CONTROL_TOO_SHORT())
     name_end = 2 + body[1]
     end = name_end + FINGERPRINT_LENGTH
     try:
         name = body[2:name_end].decode()
     except UnicodeDecodeError:
-        raise ProtocolError("the name in a CONTROL frame is not UTF-8") from None
+        raise ProtocolError(Broken.NAME_NOT_UTF8(frame="CONTROL")) from None
     if not is_clean(name):
-        raise ProtocolError("the name in a CONTROL frame has unprintable characters")
+        raise ProtocolError(Broken.NAME_UNPRINTABLE(frame="CONTROL"))
     return ControlPreamble(parse_suite(body), name, body[name_end:end], frame[: PREFIX_LENGTH + end], body[end:])
 
 
@@ -269,7 +269,7 @@ def parse_data(frame: bytes) -> DataPreamble:
     """
     end = PREFIX_LENGTH + _DATA.size
     if len(frame) < end:
-        raise ProtocolError("a DATA frame ends before its route does")
+        raise ProtocolError(Broken.DATA_TOO_SHORT())
     link_id, route = _DATA.unpack_from(frame, PREFIX_LENGTH)
     return DataPreamble(link_id, route, frame[:end], frame[end:])
 
@@ -283,7 +283,7 @@ def parse_further(frame: bytes) -> DataPreamble:
     """
     kind, _ = parse_preamble(frame)
     if kind is not Kind.DATA:
-        raise ProtocolError(f"unexpected {kind.name} frame after the preamble")
+        raise ProtocolError(Broken.UNEXPECTED_AFTER_PREAMBLE(kind=kind.name))
     return parse_data(frame)
 
 
@@ -296,7 +296,7 @@ def parse_suite(body: bytes) -> Suite:
     try:
         return Suite(body[0])
     except (IndexError, ValueError):
-        raise ProtocolError("unknown cipher suite") from None
+        raise ProtocolError(Broken.UNKNOWN_SUITE()) from None
 
 
 def parse_refuse(body: bytes) -> tuple[RefusalCode, str]:
@@ -310,7 +310,7 @@ def parse_refuse(body: bytes) -> tuple[RefusalCode, str]:
     try:
         code = RefusalCode(body[0])
     except (IndexError, ValueError):
-        raise ProtocolError("unknown refusal code") from None
+        raise ProtocolError(Broken.UNKNOWN_REFUSAL()) from None
     return code, sanitize_text(body[1 : 1 + MESSAGE_LIMIT].decode(errors="replace"))
 
 

@@ -1,8 +1,52 @@
-"""What every reader raises when the peer breaks the format."""
+"""The errors that every reader raises when the peer breaks the format, and their texts."""
 
 from __future__ import annotations
 
 from rsb_bridge.model.text import sanitize_text
+from rsb_bridge.model.wording import Wording
+
+
+class Broken(Wording):
+    """How a peer broke the format."""
+
+    FOREIGN = "the other side is not an rsb-console"
+    FOREIGN_KNOWN = "the other side is not an rsb-console (it speaks {protocol})"
+    TOO_LONG_IN_CHUNKS = "a message of more than {limit} bytes in chunks"
+    TOO_MUCH_INCOMPLETE = "the link's incomplete messages would take more than {limit:,} bytes"
+    FRAME_TOO_LONG = "a frame of {length} bytes; the limit is {limit}"
+    DATA_FRAME_TOO_SHORT = "a data frame of {length} bytes: its header alone has {header}"
+    FRAME_OF_ANOTHER_STREAM = "a frame of type {kind}, flags {flags}, route {route} on the stream of route {stream}"
+    INVALID_CONTROL_MESSAGE = "invalid control message: {problem}"
+    UNKNOWN_PREAMBLE = "unknown preamble kind {kind}"
+    CONTROL_TOO_SHORT = "a CONTROL frame ends before its name or its fingerprint does"
+    NAME_NOT_UTF8 = "the name in a {frame} frame is not UTF-8"
+    NAME_UNPRINTABLE = "the name in a {frame} frame has unprintable characters"
+    DATA_TOO_SHORT = "a DATA frame ends before its route does"
+    UNEXPECTED_AFTER_PREAMBLE = "unexpected {kind} frame after the preamble"
+    UNKNOWN_SUITE = "unknown cipher suite"
+    UNKNOWN_REFUSAL = "unknown refusal code"
+    LEASE_HEADER_TOO_SHORT = "a lease header of {length} bytes: it has {expected}"
+    HISTORY_HEADER_TOO_SHORT = "a history header of {length} bytes: it has {expected}"
+    HISTORY_HEADER_INVALID = "a history header with message number {number} and a depth of {depth}"
+    CALL_FRAME_TOO_SHORT = "a call frame of {length} bytes: its header alone has {header}"
+    CALL_KIND_UNKNOWN = "a call frame of unknown kind {kind}"
+    CALL_NUMBER_INVALID = "a call frame of kind {kind} with the number {number}"
+    CALL_DURATION_INVALID = "a call frame of kind {kind} that took {took} ns"
+    HANDSHAKE_TOO_SHORT = "a handshake message of {length} bytes is too short"
+    EPHEMERAL_KEY_INVALID = "the peer's ephemeral key is invalid"
+    UNEXPECTED_ON_CONTROL = "unexpected frame on the control connection, header {header}"
+    UNEXPECTED_IN_PREAMBLE = "unexpected {kind} frame in the preamble"
+    SHUT_DOWN_IN_REFUSE = "a REFUSE with the code for a link that is shut down, which only a Welcome may say"
+    RETRY_IGNORED = "the client offers AES-GCM again after a RETRY with ChaCha20-Poly1305"
+    HANDSHAKE_REPLAYED = "the first message of {name!r} is a recording: it came before"
+    NAMES_DIFFER = "the client's name is {preamble!r} in the preamble and {hello!r} in its Hello"
+    NOT_CONFIRMED = "the {peer} did not confirm the handshake"
+    PROBE_INVALID = "a probe of {length} bytes"
+    RECEIPT_UNKNOWN = "a receipt of kind {kind}"
+    OPERATOR_TOO_SHORT = "an OPERATOR frame ends before its {field}"
+    EMPTY_RECORD = "an empty record"
+    UNEXPECTED_FROM_OPERATOR = "unexpected {kind} frame: operators attach here, not links"
+    HOST_NAME_TOO_LONG = "the console's host name is too long"
 
 
 class ProtocolError(Exception):
@@ -23,6 +67,5 @@ class ForeignProtocolError(ProtocolError):
     """
 
     def __init__(self, protocol: str = "") -> None:
-        spoken = f" (it speaks {protocol})" if protocol else ""
-        super().__init__(f"the other side is not an rsb-console{spoken}")
+        super().__init__(Broken.FOREIGN_KNOWN(protocol=protocol) if protocol else Broken.FOREIGN())
         self.protocol = protocol

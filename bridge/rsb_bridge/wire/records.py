@@ -130,7 +130,7 @@ class ReceivedReport(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=Tr
 
 
 class FullRecord(msgspec.Struct, frozen=True, omit_defaults=True):
-    """Rates of a full link in the direction of the report (`rsb_bridge.model.fullness.Fullness`).
+    """Rates of a full link in the direction of the report (`rsb_bridge.model.capacity.Fullness`).
 
     Attributes:
         carried: bytes/s that arrive.

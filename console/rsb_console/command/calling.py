@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from rsb_bridge.api import EngineError
 from rsb_bridge.config.fields_text import read_written
-from rsb_bridge.model.fields import FIELDS_LENGTH, FieldError
-from rsb_bridge.model.lanes import LANES
+from rsb_bridge.model.calls import FIELDS_LENGTH, LANES, FieldError
 from rsb_console.command.reports import json_line, json_value
 from rsb_console.command.shell import OK, print_error, print_line, print_lines
 from rsb_console.command.target import ANSWERED_WITHIN, UsageError, attached, chosen_route, reported

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Literal, get_args, get_origin
 from msgspec.structs import fields
 
 from rsb_bridge.config.file_form import KEYS, NAME_KEYS
-from rsb_bridge.model.lanes import LANES
+from rsb_bridge.model.calls import LANES
 from rsb_bridge.model.qos import AUTO, PROFILES
 from rsb_bridge.model.session import Topic
 from rsb_console.command.target import attached, chosen_route

@@ -30,9 +30,8 @@ if TYPE_CHECKING:
     from types import FrameType
 
     from rsb_bridge.api import EngineApi
-    from rsb_bridge.model.reloaded import Reloaded
     from rsb_bridge.model.session import Session
-    from rsb_bridge.model.snapshot import Snapshot
+    from rsb_bridge.model.snapshot import Reloaded, Snapshot
 
 STATUS_EVERY = 5.0
 _WAIT = 0.5

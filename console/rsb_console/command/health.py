@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from rsb_bridge.model.health import (
+from rsb_bridge.model.faults import (
     link_is_wrong,
     link_needs_attention,
     pattern_is_wrong,

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 from rsb_bridge.api import EngineError
 from rsb_bridge.config.fields_text import ITEMS
 from rsb_bridge.config.yaml_text import dump_yaml, inline
-from rsb_bridge.model.fields import FieldError
+from rsb_bridge.model.calls import FieldError
 from rsb_console.command.calling import data_of, response
 from rsb_console.command.reports import json_value
 from rsb_console.command.shell import FAILURE, OK, print_error, print_line, print_lines

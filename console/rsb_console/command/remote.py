@@ -11,7 +11,7 @@ from rsb_bridge.api import EngineError
 from rsb_bridge.control.bridges import running_bridges
 from rsb_bridge.control.client import RemoteEngine
 from rsb_bridge.control.folders import ControlError
-from rsb_bridge.model.health import state_counts
+from rsb_bridge.model.faults import state_counts
 from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.text import plural
 from rsb_console.command.adding import add, edit

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from rsb_bridge.model.calls import CallsSnapshot
-    from rsb_bridge.model.fullness import Fullness
+    from rsb_bridge.model.capacity import Fullness
     from rsb_bridge.model.session import Kind
     from rsb_bridge.model.snapshot import Event, LinkSnapshot, PatternSnapshot, RefusedClient, RouteSnapshot, Snapshot
 

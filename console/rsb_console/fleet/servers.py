@@ -16,10 +16,9 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from rsb_bridge.model.history import HistoryReport
-    from rsb_bridge.model.reloaded import Reloaded
     from rsb_bridge.model.robot_summary import Loss, RobotSummary
     from rsb_bridge.model.session import Topic
-    from rsb_bridge.model.snapshot import Event, Snapshot
+    from rsb_bridge.model.snapshot import Event, Reloaded, Snapshot
 
 
 class ServerFleet:

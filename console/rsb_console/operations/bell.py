@@ -5,13 +5,13 @@ from __future__ import annotations
 import time
 from typing import TYPE_CHECKING
 
-from rsb_bridge.model.fault_watch import ChangeKind, FaultWatch
+from rsb_bridge.model.faults import ChangeKind, FaultWatch
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
     from rsb_bridge.api import EngineApi
-    from rsb_bridge.model.fault_watch import FaultChange
+    from rsb_bridge.model.faults import FaultChange
     from rsb_bridge.model.snapshot import Snapshot
 
 RINGS_EVERY = 10.0

@@ -15,7 +15,7 @@ from textual.widgets import Button, Static
 
 from rsb_bridge.api import EngineError
 from rsb_bridge.config.fields_text import read_fields
-from rsb_bridge.model.fields import FieldError
+from rsb_bridge.model.calls import FieldError
 from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.text import join_first, sanitize_text
 from rsb_console.look import formats

@@ -27,8 +27,7 @@ if TYPE_CHECKING:
     from textual.app import ComposeResult
 
     from rsb_bridge.cdr.decoder import Decoded
-    from rsb_bridge.model.peek import PeekedMessage
-    from rsb_bridge.model.snapshot import RouteSnapshot
+    from rsb_bridge.model.snapshot import PeekedMessage, RouteSnapshot
     from rsb_console.console import Console
     from rsb_console.session.reading import ReadMessage
     from rsb_console.widgets.lines import Line

@@ -9,7 +9,7 @@ import yaml
 
 from rsb_bridge.config.fields_text import read_fields
 from rsb_bridge.config.yaml_text import YamlError, compose, dump_yaml
-from rsb_bridge.model.fields import FieldError
+from rsb_bridge.model.calls import FieldError
 
 
 class Kind(NamedTuple):

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from rsb_bridge.cdr.decoder import Message, Value
-    from rsb_bridge.model.peek import PeekedMessage
+    from rsb_bridge.model.snapshot import PeekedMessage
 
 _SURE = 1e-3
 """s by which a stamp may be ahead of the clock for other reasons than clocks that differ."""

@@ -7,7 +7,7 @@ from collections import deque
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from rsb_bridge.model import health
+from rsb_bridge.model import faults
 from rsb_bridge.model.snapshot import State
 from rsb_console.look import formats, kinds
 from rsb_console.look.glyphs import ACK_WORD, ARMED, ARMED_WORD, STATE_SIGN, STATE_WORD, sparkline
@@ -123,7 +123,7 @@ def state_counts(
         states: to count, in this order.
         words: name each state.
     """
-    counts = health.state_counts(things)
+    counts = faults.state_counts(things)
     return tuple(
         (f"  {STATE_SIGN[s]} {counts[s]} {STATE_WORD[s].lower()}" if words else f" {STATE_SIGN[s]}{counts[s]}", s.value)
         for s in states

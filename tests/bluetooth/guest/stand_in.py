@@ -32,7 +32,7 @@ from rsb_bridge.ros.turns import RosTurns
 if TYPE_CHECKING:
     from collections.abc import Callable, Hashable
 
-    from rsb_bridge.model.fields import Fields
+    from rsb_bridge.model.calls import Fields
 
 TYPE, HASH = "std_msgs/msg/String", "RIHS01_" + 64 * "0"
 SERVICE_TYPE, SERVICE_HASH = "std_srvs/srv/Trigger", f"{HASH}+{HASH}"

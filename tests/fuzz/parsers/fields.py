@@ -10,11 +10,11 @@ from tests.fuzz.parsers.descriptions import DESCRIPTION, MESSAGE
 
 from rsb_bridge.cdr.decoder import decode
 from rsb_bridge.config.fields_text import read_fields, write_fields
-from rsb_bridge.model.fields import FieldError
+from rsb_bridge.model.calls import FieldError
 from rsb_bridge.model.text import is_clean
 
 if TYPE_CHECKING:
-    from rsb_bridge.model.fields import Fields
+    from rsb_bridge.model.calls import Fields
 
 _DEPTH = 20
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import pytest
 import zstandard
 
-from rsb_bridge.model.lanes import FEEDBACK, LANES, SEND_GOAL, STATUS
+from rsb_bridge.model.calls import FEEDBACK, LANES, SEND_GOAL, STATUS
 from rsb_bridge.route.calls import calls_outbox as module
 from rsb_bridge.route.calls.calls_outbox import CallsOutbox
 from rsb_bridge.transport.registry import default_transports

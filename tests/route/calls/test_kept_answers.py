@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 from tests.support.goals import cancel_request, cancel_response, goal, goal_request, goal_response, result_response
 
-from rsb_bridge.model.lanes import CANCEL_GOAL, FEEDBACK, GET_RESULT, SEND_GOAL
+from rsb_bridge.model.calls import CANCEL_GOAL, FEEDBACK, GET_RESULT, SEND_GOAL
 from rsb_bridge.route.calls import kept_calls
 from rsb_bridge.route.calls.kept_calls import (
     INTERRUPTION,

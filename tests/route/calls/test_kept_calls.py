@@ -6,7 +6,7 @@ import itertools
 
 from tests.support.goals import cancel_request, goal, goal_request
 
-from rsb_bridge.model.lanes import CANCEL_GOAL, GET_RESULT, SEND_GOAL
+from rsb_bridge.model.calls import CANCEL_GOAL, GET_RESULT, SEND_GOAL
 from rsb_bridge.route.calls.kept_calls import INTERRUPTION, MOST_BYTES, MOST_CALLS, KeptCall, KeptCalls
 
 TIMEOUT = 30.0

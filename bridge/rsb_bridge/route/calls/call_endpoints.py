@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Sequence
 
     from rsb_bridge.context import Context
-    from rsb_bridge.model.lanes import Lane
+    from rsb_bridge.model.calls import Lane
     from rsb_bridge.model.sources import Via
     from rsb_bridge.ros.api import OnFailure, RawMessage, Request, Response, RosError, ServiceClient, ServiceServer
     from rsb_bridge.route.lease import Lease

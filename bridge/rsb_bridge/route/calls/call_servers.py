@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping, Sequence
 
     from rsb_bridge.context import Context
-    from rsb_bridge.model.lanes import Lane
+    from rsb_bridge.model.calls import Lane
     from rsb_bridge.ros.api import Endpoint, RosInterface
     from rsb_bridge.route.peer import Peer
 

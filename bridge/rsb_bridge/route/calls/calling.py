@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
     from rsb_bridge.context import Context
-    from rsb_bridge.model.lanes import Lane
+    from rsb_bridge.model.calls import Lane
     from rsb_bridge.model.session import Topic
     from rsb_bridge.ros.api import ServiceServer
     from rsb_bridge.route.lease import Lease

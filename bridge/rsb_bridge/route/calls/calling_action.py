@@ -12,7 +12,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
-from rsb_bridge.model.lanes import CANCEL_GOAL, FEEDBACK, GET_RESULT, SEND_GOAL, STATUS
+from rsb_bridge.model.calls import CANCEL_GOAL, FEEDBACK, GET_RESULT, SEND_GOAL, STATUS
 from rsb_bridge.ros.api import RosError
 from rsb_bridge.route.calls.calling import CallerCall, CallingRoute
 from rsb_bridge.route.calls.calls_ledger import Refused

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
     from rsb_bridge.channel.channel import SendingChannel
-    from rsb_bridge.model.lanes import Lane
+    from rsb_bridge.model.calls import Lane
     from rsb_bridge.transport.transport import Transport
     from rsb_bridge.wire.framing import Message
     from rsb_bridge.wire.messages import Propose

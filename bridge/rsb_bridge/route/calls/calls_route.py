@@ -1,6 +1,6 @@
 """What both halves of a route of calls share.
 
-Such a route consists of *lanes* (`rsb_bridge.model.lanes`): services, and topics that go from the providing side to the
+Such a route consists of *lanes* (`rsb_bridge.model.calls`): services, and topics that go from the providing side to the
 callers'. All that crosses is a frame of a lane (`rsb_bridge.wire.headers`), on one channel, which sends both ways.
 
 Where a lane's frames pass, for kinds that do more than carry them:
@@ -24,11 +24,11 @@ import zstandard
 
 from rsb_bridge.cdr.checker import MalformedError, TooComplexError
 from rsb_bridge.model.backoff import Backoff
+from rsb_bridge.model.calls import LANES
+from rsb_bridge.model.clock import shifted
 from rsb_bridge.model.codes import EventCode
-from rsb_bridge.model.lanes import LANES
 from rsb_bridge.model.session import CALL_TIMEOUT
 from rsb_bridge.model.snapshot import Ledger, Level
-from rsb_bridge.model.stamp_clock import shifted
 from rsb_bridge.model.verdict import Cause
 from rsb_bridge.ros.api import RosError
 from rsb_bridge.route.calls.call_endpoints import name_of, route_type_of

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 from enum import Enum, auto
 from typing import TYPE_CHECKING, NamedTuple
 
-from rsb_bridge.model.lanes import CANCEL_GOAL, GET_RESULT, SEND_GOAL
+from rsb_bridge.model.calls import CANCEL_GOAL, GET_RESULT, SEND_GOAL
 from rsb_bridge.route.calls.goals import STATES, cancel_of, goal_of, state_of
 
 if TYPE_CHECKING:

@@ -9,7 +9,7 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import TYPE_CHECKING, ClassVar
 
-from rsb_bridge.model.lanes import FEEDBACK, GET_RESULT, SEND_GOAL, STATUS
+from rsb_bridge.model.calls import FEEDBACK, GET_RESULT, SEND_GOAL, STATUS
 from rsb_bridge.ros.api import RosError
 from rsb_bridge.route.calls.calls_ledger import Refused
 from rsb_bridge.route.calls.calls_route import frame_size

@@ -40,7 +40,7 @@ _SLOW_FOR = 30.0
 class Outbox:
     """Sends samples; those of one rank in order. Used on the loop.
 
-    Ranks are those of `LINK_RANK` and, from 1 on, of `rsb_bridge.model.priority`, highest first.
+    Ranks are those of `LINK_RANK` and, from 1 on, of `rsb_bridge.model.session`, highest first.
     """
 
     def __init__(self, session: zenoh.Session, loop: asyncio.AbstractEventLoop) -> None:

@@ -1,0 +1,59 @@
+"""The file of all texts that operators may read, which `make texts` writes."""
+
+from __future__ import annotations
+
+import importlib.util
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import pytest
+from tests.support.wording import says
+
+from rsb_bridge.model.wording import Wording
+
+if TYPE_CHECKING:
+    from types import ModuleType
+
+_DOCS = Path(__file__).parents[2] / "docs"
+
+
+@pytest.fixture
+def texts() -> ModuleType:
+    spec = importlib.util.spec_from_file_location("texts", _DOCS / "texts.py")
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def test_the_file_is_up_to_date(texts: ModuleType) -> None:
+    assert texts.TEXTS.read_text(encoding="utf-8") == texts.page(), "make texts"
+
+
+def test_it_has_texts_of_several_words_and_no_docstrings(texts: ModuleType) -> None:
+    found = texts.TEXTS.read_text(encoding="utf-8").splitlines()
+    assert "# bridge/rsb_bridge/wire/protocol_error.py" in found
+    assert not any(line.startswith("Attributes:") for line in found)
+
+
+class Sample(Wording):
+    LONG = "{name!r} has {length:,} bytes; at most {limit}"
+    PLAIN = "100% of (all)"
+
+
+def test_a_code_is_found_by_its_words_whatever_its_parameters() -> None:
+    text = Sample.LONG(name="a", length=4096, limit=8)
+    assert text == "'a' has 4,096 bytes; at most 8"
+    assert says(f"error:\n  {text}.", Sample.LONG)
+    assert says(text, Sample.LONG, length=4096)
+    assert not says(text, Sample.LONG, length=4097)
+    assert not says(text, Sample.PLAIN)
+    assert says(Sample.PLAIN(), Sample.PLAIN)
+    with pytest.raises(TypeError):
+        says(text, Sample.LONG, width=1)
+
+
+def test_no_two_codes_of_a_table_have_one_text() -> None:
+    for table in Wording.__subclasses__():
+        assert [*table.__members__] == [member.name for member in table], "an Enum's members with equal values are one"

@@ -1,0 +1,38 @@
+"""Which of the program's texts a text is, without quoting it."""
+
+from __future__ import annotations
+
+import re
+from string import Formatter
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from rsb_bridge.model.wording import Wording
+
+
+def says(text: object, wording: Wording, **parameters: object) -> bool:
+    """Whether a text contains what a table has under a code, with the given parameters and any others.
+
+    White space counts as one space, since terminals wrap lines.
+    """
+    return re.search(pattern(wording, **parameters), " ".join(str(text).split())) is not None
+
+
+def pattern(wording: Wording, **parameters: object) -> str:
+    """Return a regular expression, for `pytest.raises(match=...)`."""
+    parts = []
+    for literal, field, spec, conversion in Formatter().parse(" ".join(wording.value.split())):
+        parts.append(re.escape(literal))
+        if field is None:
+            continue
+        name = re.split(r"[.\[]", field)[0]
+        if name in parameters:
+            filled = f"{{{field}{f'!{conversion}' if conversion else ''}{f':{spec}' if spec else ''}}}"
+            parts.append(re.escape(" ".join(filled.format(**parameters).split())))
+        else:
+            parts.append(".*")
+    if unknown := parameters.keys() - {
+        re.split(r"[.\[]", field)[0] for _, field, _, _ in Formatter().parse(wording.value) if field
+    }:
+        raise TypeError(f"{wording} has no {', '.join(unknown)}")
+    return "".join(parts)
