@@ -11,7 +11,7 @@ import tracemalloc
 from dataclasses import replace
 from pathlib import Path
 
-from rsb_bridge.history import history_file
+from rsb_bridge.history import history_files
 from rsb_bridge.history.timeline import Timeline
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.history import KEPT_FOR
@@ -64,10 +64,10 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "bench.history"
         began = time.perf_counter()
-        history_file.write(path, timeline.save(now))
+        history_files.write_history(path, timeline.save(now))
         saved = time.perf_counter() - began
         began = time.perf_counter()
-        Timeline.restore(history_file.read(path), "bench", "server")
+        Timeline.restore(history_files.read_history(path), "bench", "server")
         restored = time.perf_counter() - began
         print(
             f"the file: {path.stat().st_size / _MB:.1f} MB, {saved * 1e3:.0f} ms to write, {restored * 1e3:.0f} to read"

@@ -20,7 +20,7 @@ from rsb_bridge.ros.meant import Meant
 from rsb_bridge.ros.parameter_events import ParameterEvents
 from rsb_bridge.ros.type_checkers import TypeCheckers
 from rsb_bridge.ros.type_descriptions import TypeDescriptions
-from rsb_bridge.telemetry.event_limit import RateLimitedEventLog
+from rsb_bridge.telemetry.event_log import RateLimitedEventLog
 from rsb_bridge.transport.registry import Transports, default_transports
 
 if TYPE_CHECKING:

@@ -199,7 +199,7 @@ class ConsoleApp(TerminalApp[None]):
 
     def _new_engine(self, session: Session, base: Path) -> EngineApi:
         from rsb_bridge.engine import Engine  # noqa: PLC0415 -- the first picture comes before the engine's imports
-        from rsb_bridge.history.folders import state_folder  # noqa: PLC0415 -- likewise
+        from rsb_bridge.history.state_folder import state_folder  # noqa: PLC0415 -- likewise
 
         return Engine(session, base=base, state=None if self.temporary else state_folder(os.environ))
 

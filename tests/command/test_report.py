@@ -14,7 +14,7 @@ from tests.command.test_remote import Ran
 from tests.console.scripted import LINK, NOW, REMEMBERED, ScriptedEngine
 from tests.history.world import World
 
-from rsb_bridge.history import event_file, history_file
+from rsb_bridge.history import history_files
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.history import Gap, Track
 from rsb_bridge.model.snapshot import Event, Level, State
@@ -33,7 +33,7 @@ def state(machine: Machine, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> 
     monkeypatch.setenv("XDG_RUNTIME_DIR", machine.environ["XDG_RUNTIME_DIR"])
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
     monkeypatch.setenv("TZ", "UTC")
-    monkeypatch.setattr("rsb_bridge.history.folders.SERVICES", tmp_path / "none")
+    monkeypatch.setattr("rsb_bridge.history.state_folder.SERVICES", tmp_path / "none")
     (tmp_path / "state" / "rsb-console").mkdir(parents=True)
     return tmp_path / "state" / "rsb-console"
 
@@ -100,7 +100,7 @@ def test_of_a_bridge_that_does_not_run_it_comes_from_its_files(
     world.put("/scan", State.DOWN, "no publisher of /scan")
     world.go(60)
     world.recorder._timeline.cut()
-    history_file.write(state / "robot1.history", world.recorder.save())
+    history_files.write_history(state / "robot1.history", world.recorder.save())
     monkeypatch.setattr("time.time", lambda: world.clock.wall + 600)
     report = ran("report", "robot1")
     assert report.code == 0
@@ -185,10 +185,10 @@ def test_files_from_the_future_say_so_and_one_event_from_the_future_moves_nothin
 ) -> None:
     world = World("/scan")
     world.go(60)
-    history_file.write(state / "robot1.history", world.recorder.save())
+    history_files.write_history(state / "robot1.history", world.recorder.save())
     monkeypatch.setattr("time.time", lambda: world.clock.wall + 600)
     event = Event(1, world.clock.wall + 1e8, Level.INFO, EventCode.ROUTE_PAUSED, "paused by anna", who="anna")
-    (state / "robot1.jsonl").write_bytes(event_file.encode(event))
+    (state / "robot1.jsonl").write_bytes(history_files.encode_event(event))
     report = ran("report", "robot1", "--last", "1h")
     assert report.code == 0
     assert "The bridge ran for 1 min of it (1.7 %)" in report.out

@@ -15,7 +15,7 @@ from tests.console.scripted import ROUTES, route
 
 from rsb_bridge.config.files import new_file, replace_file, write_whole
 from rsb_bridge.config.keys import write_key
-from rsb_bridge.history.event_file import EventFile
+from rsb_bridge.history.history_files import EventFile
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.history import HistoryReport
 from rsb_bridge.model.snapshot import Event, Level

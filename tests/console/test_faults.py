@@ -10,7 +10,7 @@ from textual.pilot import Pilot
 
 from rsb_bridge.model.snapshot import LinkSnapshot, RefusedClient, RouteSnapshot, Snapshot, State
 from rsb_bridge.model.verdict import Cause, Verdict
-from rsb_bridge.route.verdict import no_publisher
+from rsb_bridge.route.topic_verdict import no_publisher
 from rsb_console.widgets.faults import Heights, MoreKeys, fault_lines, faults_of, link_fault
 
 QOS = "/camera offers best effort, but this topic asks for reliable: its messages are not received; set qos: auto"

@@ -17,7 +17,7 @@ from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import Snapshot, State
 from rsb_bridge.ros.node import RosNode
 from rsb_bridge.telemetry.event_log import EventLog
-from rsb_bridge.telemetry.snapshots import SnapshotPublisher
+from rsb_bridge.telemetry.snapshot_publisher import SnapshotPublisher
 
 if TYPE_CHECKING:
     from collections.abc import Callable

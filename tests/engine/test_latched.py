@@ -64,7 +64,7 @@ def test_two_bridges_in_a_row(
     bridge: Bridge, robot: Domain, pc: Domain, third: Domain, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The first one is restarted: the far end forgets what the old process brought, and keeps what the new one does."""
-    monkeypatch.setattr("rsb_bridge.route.sources.EXPLAINED_WITHIN", 60.0)
+    monkeypatch.setattr("rsb_bridge.route.loop_filter.EXPLAINED_WITHIN", 60.0)
     out = robot.publisher("/map", qos=latched(1))
     publish(out, "map", range(1))
 

@@ -38,7 +38,7 @@ _names = (f"robot{number}" for number in itertools.count(1))
 def patience(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
     """Bridges have as long as a slow machine takes to say where messages come from; strangers never say it."""
     if request.function is not test_a_stranger_may_announce_what_it_likes:
-        monkeypatch.setattr("rsb_bridge.route.sources.EXPLAINED_WITHIN", 30.0)
+        monkeypatch.setattr("rsb_bridge.route.loop_filter.EXPLAINED_WITHIN", 30.0)
 
 
 @pytest.fixture

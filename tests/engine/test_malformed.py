@@ -27,7 +27,7 @@ from rsb_bridge.model.qos import Qos
 from rsb_bridge.model.session import Topic
 from rsb_bridge.ros.node import RosNode
 from rsb_bridge.ros.typesupport import hash_of, installed_class
-from rsb_bridge.route.calls.goal_messages import accepted_by
+from rsb_bridge.route.calls.goals import accepted_by
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence

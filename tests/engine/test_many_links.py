@@ -16,7 +16,7 @@ from rsb_bridge.model.session import Client
 from rsb_bridge.model.snapshot import Snapshot
 from rsb_bridge.tasks import SLICE
 from rsb_bridge.telemetry.event_log import EventLog
-from rsb_bridge.telemetry.snapshots import SnapshotPublisher
+from rsb_bridge.telemetry.snapshot_publisher import SnapshotPublisher
 from rsb_bridge.transport import descriptors
 
 if TYPE_CHECKING:

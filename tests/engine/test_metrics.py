@@ -22,7 +22,7 @@ from rsb_bridge.engine import exporters
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import Level
-from rsb_bridge.telemetry.metrics_server import MetricsServer
+from rsb_bridge.telemetry.metrics import MetricsServer
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator

@@ -19,7 +19,7 @@ from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.verdict import Cause
 from rsb_bridge.route.topic_route import TopicRoute
-from rsb_bridge.route.verdict import LOWER_MTU, USE_TCP
+from rsb_bridge.route.topic_verdict import LOWER_MTU, USE_TCP
 
 if TYPE_CHECKING:
     from collections.abc import Callable

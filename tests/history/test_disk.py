@@ -18,11 +18,10 @@ import zstandard
 from tests.history.world import World, brief
 from tests.support.waiting import eventually
 
-from rsb_bridge.history import event_file, history_file, offline
+from rsb_bridge.history import history_files
 from rsb_bridge.history.disk import Disk
-from rsb_bridge.history.event_file import EventFile
-from rsb_bridge.history.folders import Claim, Files, kept_bridges, searched_folders, state_folder
-from rsb_bridge.history.history_file import HistoryFileError
+from rsb_bridge.history.history_files import EventFile, HistoryFileError
+from rsb_bridge.history.state_folder import Claim, Files, kept_bridges, searched_folders, state_folder
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.snapshot import Event, Level, State
 
@@ -70,19 +69,19 @@ def test_a_fault_says_its_cause(tmp_path: Path) -> None:
     fault = Event(0, 1.0, Level.WARNING, "route.fault", "/scan: slow", "robot1", "/scan", cause="slow")
     file.write([fault])
     file.close()
-    assert list(event_file.read(tmp_path / "robot1.jsonl", 0.0)) == [fault]
+    assert list(history_files.read_events(tmp_path / "robot1.jsonl", 0.0)) == [fault]
 
 
 def test_each_field_of_an_event_is_kept(tmp_path: Path) -> None:
     values: dict[str, Any] = {f.name: f"some {f.name}" for f in dataclasses.fields(Event) if f.type == "str"}
     event = Event(number=0, time=1.0, level=Level.ERROR, since=0.5, from_peer=True, **values)
-    (tmp_path / "robot1.jsonl").write_bytes(event_file.encode(event))
-    assert list(event_file.read(tmp_path / "robot1.jsonl", 0.0)) == [event]
+    (tmp_path / "robot1.jsonl").write_bytes(history_files.encode_event(event))
+    assert list(history_files.read_events(tmp_path / "robot1.jsonl", 0.0)) == [event]
 
 
 def test_a_peers_text_is_clean_and_bounded(tmp_path: Path) -> None:
     event = Event(1, 1.0, Level.INFO, "link.lost", "a\nb\x1b[31m\u202ec\u200fd" + "x" * 10_000, link="\x07evil")
-    line = event_file.encode(event)
+    line = history_files.encode_event(event)
     assert len(line) < 2500
     decoded = json.loads(line)
     assert decoded["text"].startswith("a�b�[31m�c�d")
@@ -99,7 +98,7 @@ def test_a_path_that_is_no_utf_8_ends_nothing(tmp_path: Path) -> None:
 
 
 def test_the_files_have_a_bound(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(event_file, "FILE_BYTES", 2000)
+    monkeypatch.setattr(history_files, "FILE_BYTES", 2000)
     file = EventFile(tmp_path / "robot1.jsonl")
     for number in range(1000):
         file.write([Event(number, float(number), Level.INFO, "x.y", f"event {number}")])
@@ -107,26 +106,26 @@ def test_the_files_have_a_bound(tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
     files = sorted(path.name for path in tmp_path.iterdir())
     assert files == ["robot1.1.jsonl", "robot1.2.jsonl", "robot1.3.jsonl", "robot1.4.jsonl", "robot1.jsonl"]
     assert all(path.stat().st_size <= 2000 for path in tmp_path.iterdir())
-    found = [event.text for event in event_file.read(tmp_path / "robot1.jsonl", 0.0)]
+    found = [event.text for event in history_files.read_events(tmp_path / "robot1.jsonl", 0.0)]
     assert found == [f"event {number}" for number in range(1000 - len(found), 1000)]
     assert len(found) > 80
 
 
 def test_a_torn_line_costs_no_other(tmp_path: Path) -> None:
     path = tmp_path / "robot1.jsonl"
-    path.write_bytes(event_file.encode(Event(1, 1.0, Level.INFO, "x.y", "whole")) + b'{"time": 2.0, "lev')
+    path.write_bytes(history_files.encode_event(Event(1, 1.0, Level.INFO, "x.y", "whole")) + b'{"time": 2.0, "lev')
     file = EventFile(path)
     file.write([Event(2, 3.0, Level.INFO, "x.y", "after")])
     file.close()
-    assert [event.text for event in event_file.read(path, 0.0)] == ["whole", "after"]
+    assert [event.text for event in history_files.read_events(path, 0.0)] == ["whole", "after"]
 
 
 @pytest.mark.parametrize("damage", [b'{"text": "\xa6"}', b'{"a":' + b"[" * 100_000, b"[]", b"\0"], ids=range(4))
 def test_a_damaged_line_costs_no_other(tmp_path: Path, damage: bytes) -> None:
     path = tmp_path / "robot1.jsonl"
-    before, after = (event_file.encode(Event(1, 1.0, Level.INFO, "x.y", text)) for text in ("before", "after"))
+    before, after = (history_files.encode_event(Event(1, 1.0, Level.INFO, "x.y", text)) for text in ("before", "after"))
     path.write_bytes(before + damage + b"\n" + after)
-    assert [event.text for event in event_file.read(path, 0.0)] == ["before", "after"]
+    assert [event.text for event in history_files.read_events(path, 0.0)] == ["before", "after"]
 
 
 def test_a_file_that_is_moved_away_is_begun_anew(tmp_path: Path) -> None:
@@ -270,7 +269,7 @@ def test_the_last_events_of_a_killed_process_are_not_forgotten(tmp_path: Path) -
     world.go(4)
     say(world, "paused by anna", who="anna")
     disk.turn()
-    assert history_file.read(tmp_path / "robot1.history").actions == (), "not saved yet"
+    assert history_files.read_history(tmp_path / "robot1.history").actions == (), "not saved yet"
     assert disk._claim is not None
     disk._claim.close()
     world.clock.go(60)
@@ -320,22 +319,22 @@ def test_a_bad_file_is_set_aside_with_a_warning(tmp_path: Path, content: bytes, 
     assert str(path) in warning.text
     assert why in warning.text
     assert (tmp_path / "robot1.history.bad").read_bytes() == content
-    assert history_file.read(path).name == "robot1", "a new one is there already"
+    assert history_files.read_history(path).name == "robot1", "a new one is there already"
 
 
 def test_a_torn_file_is_noticed(tmp_path: Path) -> None:
     world = World("/scan")
     world.go(3000)
     path = tmp_path / "robot1.history"
-    history_file.write(path, world.recorder.save())
+    history_files.write_history(path, world.recorder.save())
     whole = path.read_bytes()
     path.write_bytes(whole[: len(whole) // 2])
     with pytest.raises(HistoryFileError, match="damaged"):
-        history_file.read(path)
+        history_files.read_history(path)
     middle = len(whole) // 2
     path.write_bytes(whole[:middle] + bytes([whole[middle] ^ 1]) + whole[middle + 1 :])
     with pytest.raises(HistoryFileError, match="damaged"):
-        history_file.read(path)
+        history_files.read_history(path)
 
 
 def test_a_file_that_cannot_be_replaced_is_read_all_the_same(tmp_path: Path) -> None:
@@ -343,7 +342,7 @@ def test_a_file_that_cannot_be_replaced_is_read_all_the_same(tmp_path: Path) -> 
     world.go(60)
     world.put("/scan", State.DOWN, "no publisher")
     world.go(60)
-    history_file.write(tmp_path / "robot1.history", world.recorder.save())
+    history_files.write_history(tmp_path / "robot1.history", world.recorder.save())
     (tmp_path / "robot1.lock").symlink_to("/dev/full")  # as a read-only disk: no file can be opened for writing
     again = World("/scan", clock=world.clock)
     disk_of(again, tmp_path).turn()
@@ -418,10 +417,10 @@ def test_killed_and_started_again(tmp_path: Path) -> None:
             eventually(lambda: all(path.exists() and path.stat().st_size for path in kept), what="something is written")
             process.send_signal(signal.SIGKILL)
     files = Files(tmp_path, "robot1")
-    saved = history_file.read(files.history)
+    saved = history_files.read_history(files.history)
     # Its clock goes 0.1 s with each event, so that it may be a long time from what was saved to the last of them.
-    died = max(saved.time, *(event.time for event in event_file.read(files.events, 0.0)))
-    report = offline.report(files, died + 100, 86400.0)
+    died = max(saved.time, *(event.time for event in history_files.read_events(files.events, 0.0)))
+    report = history_files.report(files, died + 100, 86400.0)
     assert not report.running
     assert report.outages
     assert "anna" in {each.who for each in report.actions}
@@ -432,6 +431,6 @@ def test_killed_and_started_again(tmp_path: Path) -> None:
 def test_what_is_kept_is_found(tmp_path: Path) -> None:
     world = World("/scan")
     (tmp_path / "rsb-console").mkdir()
-    history_file.write(tmp_path / "rsb-console" / "robot1.history", world.recorder.save())
+    history_files.write_history(tmp_path / "rsb-console" / "robot1.history", world.recorder.save())
     found = kept_bridges({"XDG_STATE_HOME": str(tmp_path)})
     assert [files.stem for files in found if files.folder == tmp_path / "rsb-console"] == ["robot1"]

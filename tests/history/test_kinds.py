@@ -13,7 +13,7 @@ import zstandard
 from tests.console.scripted import route
 from tests.history.world import World
 
-from rsb_bridge.history import history_file
+from rsb_bridge.history import history_files
 from rsb_bridge.history.timeline import Timeline
 from rsb_bridge.model.calls import CallsSnapshot
 from rsb_bridge.model.session import Kind, Topic
@@ -67,8 +67,12 @@ def test_they_are_told_apart_after_a_restart(tmp_path: Path) -> None:
     world = lived()
     world.recorder._timeline.cut()
     path = tmp_path / "robot1.history"
-    history_file.write(path, world.recorder.save())
-    check(Timeline.restore(history_file.read(path), "robot1", "client").report(world.clock.wall, 3600.0, running=False))
+    history_files.write_history(path, world.recorder.save())
+    check(
+        Timeline.restore(history_files.read_history(path), "robot1", "client").report(
+            world.clock.wall, 3600.0, running=False
+        )
+    )
 
 
 def test_a_file_from_when_only_topics_crossed_still_opens(tmp_path: Path) -> None:
@@ -80,7 +84,7 @@ def test_a_file_from_when_only_topics_crossed_still_opens(tmp_path: Path) -> Non
     older = {**saved, "subjects": [subject[:-1] for subject in saved["subjects"]]}
     path = tmp_path / "robot1.history"
     path.write_bytes(zstandard.ZstdCompressor().compress(msgspec.msgpack.encode(older)))
-    world.recorder.restore(history_file.read(path))
+    world.recorder.restore(history_files.read_history(path))
     world.recorder.look()
     world.go(100)
     report = world.report()

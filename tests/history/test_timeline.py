@@ -10,7 +10,7 @@ import pytest
 from tests.history.clocks import EPOCH, HandClock
 from tests.history.world import World, brief
 
-from rsb_bridge.history import subject, subjects, timeline
+from rsb_bridge.history import subject, timeline
 from rsb_bridge.history.timeline import Timeline
 from rsb_bridge.model.calls import CallsSnapshot
 from rsb_bridge.model.codes import EventCode
@@ -266,7 +266,7 @@ def test_a_flapping_topic_displaces_nobodys_outages(monkeypatch: pytest.MonkeyPa
 
 
 def test_what_a_peer_can_name_is_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(subjects, "SUBJECTS", 20)
+    monkeypatch.setattr(timeline, "SUBJECTS", 20)
     world = World()
     for number in range(100):
         world.routes = World(f"/t{number}", clock=world.clock).routes
@@ -279,7 +279,7 @@ def test_what_a_peer_can_name_is_bounded(monkeypatch: pytest.MonkeyPatch) -> Non
 
 def test_one_link_that_makes_up_names_displaces_nobody_elses(monkeypatch: pytest.MonkeyPatch) -> None:
     """What a robot's topic did stays known, and its next topic is recorded, whatever another client is called for."""
-    monkeypatch.setattr(subjects, "SUBJECTS", 20)
+    monkeypatch.setattr(timeline, "SUBJECTS", 20)
     world = World("/scan", "/gone")
     world.go(1)
     robot = {"/scan": world.routes["/scan"]}
@@ -296,14 +296,14 @@ def test_one_link_that_makes_up_names_displaces_nobody_elses(monkeypatch: pytest
 
 def test_what_finds_no_room_costs_one_walk_a_look(monkeypatch: pytest.MonkeyPatch) -> None:
     """All of them together: there may be thousands of topics beyond those that are kept."""
-    monkeypatch.setattr(subjects, "SUBJECTS", 20)
+    monkeypatch.setattr(timeline, "SUBJECTS", 20)
     walks = []
 
-    def items(self: subjects.Subjects) -> object:
+    def items(self: timeline.Subjects) -> object:
         walks.append(len(self))
         return dict.items(self)
 
-    monkeypatch.setattr(subjects.Subjects, "items", items)
+    monkeypatch.setattr(timeline.Subjects, "items", items)
     world = World(*(f"/t{number}" for number in range(100)))
     world.go(1)
     walks.clear()

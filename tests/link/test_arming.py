@@ -23,10 +23,9 @@ from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.verdict import Cause
 from rsb_bridge.route.arming import CONSOLE_SILENT_AFTER, PEER_GRACE, SAID, Disarmed
-from rsb_bridge.route.gates import gated
-from rsb_bridge.route.judging import standing_of
+from rsb_bridge.route.blocking_rules import gated
 from rsb_bridge.route.lease import LASTS, SLOW
-from rsb_bridge.route.verdict import Facts
+from rsb_bridge.route.topic_verdict import Facts
 from rsb_bridge.wire.messages import Arm, Armed, Close, Describe, Disarm, Lease, Pause, Propose, Provide
 from rsb_bridge.wire.records import LaneEntry
 from rsb_bridge.wire.records import Source as Origin
@@ -513,9 +512,9 @@ def test_both_sides_know_which_operator_disarmed_it(by: int, pair: Pair, loop: V
 def test_what_cannot_be_armed_says_so_before_anybody_tries(pair: Pair) -> None:
     _, pc = pair
     pc.linked = True
-    assert standing_of(route(pc)).can_be_armed
+    assert route(pc).standing().can_be_armed
     pc.features = (calls.FEATURE,)
-    standing = standing_of(route(pc))
+    standing = route(pc).standing()
     assert (standing.can_be_armed, standing.disarmed) == (False, SAID[Disarmed.PEER_TOO_OLD])
     verdict = gated(Facts(**standing._asdict()))
     assert verdict is not None

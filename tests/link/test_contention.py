@@ -15,15 +15,15 @@ from rsb_bridge.model.session import Topic
 from rsb_bridge.ros.api import RawMessage
 from rsb_bridge.route.ledger import RouteLedger
 from rsb_bridge.route.sending import Sending
-from rsb_bridge.route.yielding import Share, Traffic, Yielding
+from rsb_bridge.route.thinning import Share, Thinning, Traffic
 from rsb_bridge.transport.registry import default_transports
 
 if TYPE_CHECKING:
     from rsb_bridge.context import Context
+    from rsb_bridge.route.loop_filter import LoopFilter
     from rsb_bridge.route.outgoing import OutgoingRoute
     from rsb_bridge.route.route import Route
     from rsb_bridge.route.sending import SendingRoute
-    from rsb_bridge.route.sorter import Sorter
 
 ASKED = 100_000.0
 """Bytes/s, by each topic."""
@@ -45,7 +45,7 @@ class Sends:
         self.rank = rank
         self.topic = f"/{rank}"
         self.qos = Qos(reliability="best_effort")
-        self.yielding = Yielding(1000.0)
+        self.thinning = Thinning(1000.0)
 
 
 class Link:
@@ -63,7 +63,7 @@ class Link:
             _Asking(cast("OutgoingRoute", route), Traffic(ASKED, 1_000.0, 1.0)) for route in (self.first, self.last)
         ]
         self.contention._divide(asking, crossed, self.clock.time, full=full, held_up=False)
-        share = self.last.yielding.share
+        share = self.last.thinning.share
         return None if share is None else share.bytes_per_second
 
 
@@ -91,7 +91,7 @@ def test_the_next_connection_begins_anew(monkeypatch: pytest.MonkeyPatch) -> Non
         link.contention.sending.look(1e5, second, second, full=True)
     link.contention._routes = lambda: cast("list[Route]", [link.first, link.last])
     link.contention.disconnected()
-    assert link.last.yielding.share is None
+    assert link.last.thinning.share is None
     link.contention._routes = list
     assert link.second(50_000.0, full=False) is None
     link.contention.sending.look(1e5, 1000.0, 1000.0, full=True)
@@ -100,15 +100,15 @@ def test_the_next_connection_begins_anew(monkeypatch: pytest.MonkeyPatch) -> Non
 
 def test_a_message_that_was_held_back_goes_once_there_is_room_for_it() -> None:
     """However little there was when the one before it went."""
-    yielding, reliable = Yielding(0.0), Qos()
+    thinning, reliable = Thinning(0.0), Qos()
     for share in (0.0, 1e5):
-        yielding.told(Share(share, 1e5, 2e5, "/first"), low=False, qos=reliable, now=10.0)
+        thinning.told(Share(share, 1e5, 2e5, "/first"), low=False, qos=reliable, now=10.0)
         if not share:
-            yielding.sent(1_000_000, 10.0)
-    assert yielding.wait(10.0) == pytest.approx(10.0)
-    yielding.told(None, low=False, qos=reliable, now=10.0)
-    yielding.told(Share(1e5, 1e5, 2e5, "/first"), low=False, qos=reliable, now=11.0)
-    assert yielding.wait(11.0) == 0.0
+            thinning.sent(1_000_000, 10.0)
+    assert thinning.wait(10.0) == pytest.approx(10.0)
+    thinning.told(None, low=False, qos=reliable, now=10.0)
+    thinning.told(Share(1e5, 1e5, 2e5, "/first"), low=False, qos=reliable, now=11.0)
+    assert thinning.wait(11.0) == 0.0
 
 
 def test_what_is_held_back_is_looked_at_again_as_often_as_shares_change() -> None:
@@ -116,8 +116,8 @@ def test_what_is_held_back_is_looked_at_again_as_often_as_shares_change() -> Non
     delays: list[float] = []
     clock = SimpleNamespace(call_later=lambda delay, _: delays.append(delay), now=lambda: 1000.0)
     clock.loop = clock
-    yielding = Yielding(1000.0)
-    yielding.told(Share(0.0, 1e5, 2e5, "/first"), low=False, qos=Qos(), now=1000.0)
+    thinning = Thinning(1000.0)
+    thinning.told(Share(0.0, 1e5, 2e5, "/first"), low=False, qos=Qos(), now=1000.0)
     transport = default_transports()["tcp"]
     proposal = proposal_of(Topic("/map", "transmit"), transport, client_name="robot1", use_name=False)
     route = SimpleNamespace(
@@ -127,15 +127,17 @@ def test_what_is_held_back_is_looked_at_again_as_often_as_shares_change() -> Non
         qos=Qos(),
         notices=SimpleNamespace(message_error=pytest.fail),
         peek_slot=SimpleNamespace(wanted=False),
-        yielding=yielding,
+        thinning=thinning,
         arming=SimpleNamespace(required=False),
         age=SimpleNamespace(is_on=False, is_young=lambda _: True),
         peer=SimpleNamespace(profile=PLAIN),
         connected=True,
         count=lambda *_: None,
     )
-    sorter = SimpleNamespace(table=SimpleNamespace(flags={b"": 0}))
-    sending = Sending(cast("Context", clock), cast("SendingRoute", route), RouteLedger(), cast("Sorter", sorter))
+    loop_filter = SimpleNamespace(table=SimpleNamespace(flags={b"": 0}))
+    sending = Sending(
+        cast("Context", clock), cast("SendingRoute", route), RouteLedger(), cast("LoopFilter", loop_filter)
+    )
     sending.offer([RawMessage(bytes(100_000), 1, b"", number) for number in (1, 2)])
-    assert yielding.wait(1000.0) > 3600.0
+    assert thinning.wait(1000.0) > 3600.0
     assert delays == [1.0]

@@ -10,7 +10,7 @@ import pytest
 from rsb_bridge.link.proposals import amended, amended_topic, amendment, proposal_of, same_route, topic_of
 from rsb_bridge.link.roles import FEATURES
 from rsb_bridge.model.session import PRIORITY_FEATURE, RANKS, Topic, priority_of, weight_of
-from rsb_bridge.route.limits import limits_changed
+from rsb_bridge.route.rate_limit import limits_changed
 from rsb_bridge.route.route import Route
 from rsb_bridge.transport.registry import default_transports
 from rsb_bridge.wire.messages import Amend, Propose

@@ -13,7 +13,7 @@ from rsb_bridge.model.link_budget import PER_MESSAGE, TYPICAL, Load, LoadSource,
 from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import RouteSnapshot, Snapshot, State
 from rsb_bridge.model.verdict import Cause
-from rsb_bridge.telemetry.throughput import Throughput
+from rsb_bridge.telemetry.meters import Throughput
 
 _SCAN = "sensor_msgs/msg/LaserScan"
 _IMAGE = "sensor_msgs/msg/Image"

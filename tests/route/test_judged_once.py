@@ -12,9 +12,8 @@ from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.verdict import Cause, Verdict
 from rsb_bridge.route import topic_route as module
 from rsb_bridge.route.incoming import IncomingRoute
-from rsb_bridge.route.judging import standing_of
 from rsb_bridge.route.outgoing import OutgoingRoute
-from rsb_bridge.route.verdict import judge
+from rsb_bridge.route.topic_verdict import judge
 from rsb_bridge.wire.messages import Propose
 from rsb_bridge.wire.records import SentReport
 
@@ -24,7 +23,7 @@ if TYPE_CHECKING:
     import pytest
 
     from rsb_bridge.context import Context
-    from rsb_bridge.route.verdict import Facts
+    from rsb_bridge.route.topic_verdict import Facts
 
 
 def test_snapshots_take_the_last_tick_s_verdict_until_somebody_changes_the_route(
@@ -82,10 +81,10 @@ def test_a_receiver_claims_to_wait_for_nothing_that_only_the_sender_knows(make_c
     for number in (1, 3):
         receiver.close("opened anew")
         receiver.open(number)
-        assert standing_of(receiver).waits_for == "peer accepted"
+        assert receiver.standing().waits_for == "peer accepted"
         receiver.on_accepted()
         claims = {stage.name for stage in receiver.stages()}
-        assert standing_of(receiver).waits_for not in claims
+        assert receiver.standing().waits_for not in claims
         assert {stage.name for stage in receiver.stages() if stage.done is False} == set()
         before = receiver.verdict()
         assert (before.state, before.cause) == (State.WAITING, Cause.NO_MESSAGE)

@@ -12,9 +12,9 @@ from tests.support.offline import FakePeer
 
 from rsb_bridge.model.calls import SEND_GOAL
 from rsb_bridge.ros.turns import RosTurns
-from rsb_bridge.route.calls.refusals import Refused
+from rsb_bridge.route.calls.calls_ledger import Refused
 from rsb_bridge.route.lease import LASTS, Lease
-from rsb_bridge.route.volatile import FREE, VolatileTopic
+from rsb_bridge.route.source_publishers import FREE, VolatileTopic
 from rsb_bridge.wire.framing import LEASED, Budget
 from rsb_bridge.wire.headers import CallFrame, What, with_number
 from rsb_bridge.wire.messages import Provide

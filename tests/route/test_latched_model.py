@@ -17,8 +17,8 @@ from rsb_bridge.model.qos import Qos
 from rsb_bridge.model.session import Session
 from rsb_bridge.ros.api import RawMessage
 from rsb_bridge.ros.queue import RosToLoopQueue
-from rsb_bridge.route.intake import Intake, Subject
 from rsb_bridge.route.latched import PUBLISHER_COST, LatchedFullError, LatchedTopic
+from rsb_bridge.route.topic_subscription import SubscriptionSpec, TopicSubscription
 from rsb_bridge.telemetry.event_log import EventLog
 from rsb_bridge.telemetry.meters import RateMeter
 from rsb_bridge.transport.registry import default_transports
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from rsb_bridge.ros.api import Sink
-    from rsb_bridge.route.histories import Sample
+    from rsb_bridge.route.history_depth import Sample
 
 LATCHED = Qos(durability="transient_local", depth=0)
 
@@ -178,10 +178,12 @@ class Route:
     def make_topic(self) -> LatchedTopic:
         return LatchedTopic(self.context.loop, self.far.advertise, self.budget, 1, unexpected)
 
-    def make_intake(self) -> Intake:
-        subject = Subject("/latched", "std_msgs/msg/String", "", LATCHED, "robot1")
+    def make_intake(self) -> TopicSubscription:
+        subject = SubscriptionSpec("/latched", "std_msgs/msg/String", "", LATCHED, "robot1")
         self.topic.opened()
-        intake = Intake(self.context, self, subject, automatic=True, expected_rate=None, known=self.topic.newest())
+        intake = TopicSubscription(
+            self.context, self, subject, automatic=True, expected_rate=None, known=self.topic.newest()
+        )
         intake.subscribe()
         return intake
 

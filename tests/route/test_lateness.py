@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import pytest
-from tests.route.test_verdict import NOW, RECEIVER, SENDER, verdict_on
+from tests.route.test_topic_verdict import NOW, RECEIVER, SENDER, verdict_on
 
 from rsb_bridge.model.capacity import Fullness, rates_text
 from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.verdict import Cause, Verdict, state_for_any, state_of
-from rsb_bridge.route.both_sides import BothSides, record_of
-from rsb_bridge.route.channel_losses import ChannelLosses
+from rsb_bridge.route.combined_verdict import CombinedVerdict, record_of
 from rsb_bridge.route.lateness import QUEUE, WAY, Late, LateWatch, Unreported, delay_of_sender, seconds_text
+from rsb_bridge.route.notices import ChannelLosses
 from rsb_bridge.telemetry.meters import LatencyMeter
 from rsb_bridge.telemetry.watches import Loss
 from rsb_bridge.wire.records import VerdictRecord
@@ -152,7 +152,7 @@ def test_an_older_side_understands_it() -> None:
     late = Verdict(State.LATE, Cause.LATE, "12 s late")
     record = record_of(late)
     assert record == VerdictRecord("slow", "late", "12 s late")
-    here = BothSides(sends=False, peer_name="robot1")
+    here = CombinedVerdict(sends=False, peer_name="robot1")
     here.take(record, NOW)
     assert (here.peer.state, here.peer.cause) == (State.LATE, Cause.LATE)
     for state in State:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import pytest
-from tests.route.test_sorter import FIRST, SCAN, Graph, Peer, World
+from tests.route.test_loop_filter import FIRST, SCAN, Graph, Peer, World
 
 from rsb_bridge.link.proposals import proposal_of
 from rsb_bridge.model.codes import EventCode

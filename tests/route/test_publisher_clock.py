@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from rsb_bridge.route.publisher_clock import PublisherClocks
+from rsb_bridge.route.age import PublisherClocks
 
 S = 1_000_000_000
 NOW = 1_800_000_000 * S

@@ -9,7 +9,7 @@ import pytest
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.session import Session, Topic
 from rsb_bridge.model.verdict import Cause
-from rsb_bridge.route.silence import Silence
+from rsb_bridge.route.topic_route import Silence
 
 if TYPE_CHECKING:
     from rsb_bridge.model.snapshot import Level

@@ -17,12 +17,12 @@ from rsb_bridge.model.qos import Qos
 from rsb_bridge.model.sources import hop
 from rsb_bridge.ros.api import Endpoint, RawMessage
 from rsb_bridge.ros.own_announcement import Origin
-from rsb_bridge.route.sorter import Sorter
+from rsb_bridge.route.loop_filter import LoopFilter
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from rsb_bridge.route.sources import SourceTable
+    from rsb_bridge.route.loop_filter import SourceTable
     from rsb_bridge.wire.records import Source
 
 
@@ -97,7 +97,7 @@ class Route:
     def __init__(self, link: Link, topic: str, remote_topic: str) -> None:
         context: Any = SimpleNamespace(announcements=link.near, ros=link.near, now=lambda: 0.0, loop=NoTimers())
         self.link, self.topic, self.remote_topic = link, topic, remote_topic
-        self.sorter = Sorter(context, link, lambda: None)  # type: ignore[arg-type]
+        self.loop_filter = LoopFilter(context, link, lambda: None)  # type: ignore[arg-type]
         self.described: tuple[Source, ...] = ()
         self.waiting: deque[RawMessage] = deque()
         self.control: deque[tuple[Source, ...]] = deque()
@@ -123,11 +123,11 @@ class Route:
     @property
     def table(self) -> SourceTable:
         """Its decisions."""
-        return self.sorter.table
+        return self.loop_filter.table
 
     def advance(self) -> None:
         """What `OutgoingRoute.advance` does about sources."""
-        self.sorter.look(self.topic, self.remote_topic)
+        self.loop_filter.look(self.topic, self.remote_topic)
         sources = self.table.sources if self.table.closes_loop else self.table.to_describe()
         if sources and sources != self.described:
             self.described = sources
@@ -188,13 +188,13 @@ class World:
         """The sending half takes what waits."""
         batch = tuple(route.waiting)
         route.waiting.clear()
-        messages = route.sorter.release()
-        admitted, unseen = route.sorter.admit(batch)
+        messages = route.loop_filter.release()
+        admitted, unseen = route.loop_filter.admit(batch)
         messages += admitted
         if unseen:
             route.advance()
             messages = [each for each in messages if each.gid in route.table.flags]  # what is known of these may change
-        messages += route.sorter.release()
+        messages += route.loop_filter.release()
         crossed = hop(route.link.near.node_name, route.topic)
         for origin, number, gid, *_ in messages:
             trail = self.trails[number]
@@ -220,7 +220,7 @@ class World:
                 yield lambda route=route: self.describe(route)
             if route.answers:
                 yield lambda route=route: route.table.answered(route.answers.popleft())
-            if route.waiting or route.sorter.holds:
+            if route.waiting or route.loop_filter.holds:
                 yield lambda route=route: self.take(route)
             if route.wire:
                 yield lambda route=route: self.arrive(route)
@@ -253,7 +253,7 @@ class World:
                 (r.described, r.table.echoes, tuple(r.control), tuple(r.answers), r.table.closes_loop)
                 for r in self.routes
             ],
-            [(len(route.waiting), len(route.wire), route.sorter.holds) for route in self.routes],
+            [(len(route.waiting), len(route.wire), route.loop_filter.holds) for route in self.routes],
             [(each.own.copy(), each.heard.copy(), each.bridges) for each in self.bridges],
             [link.bridges for link in self.links.values()],
         )
@@ -267,7 +267,7 @@ class World:
             for step in steps:
                 step()
             if self.state() == before:
-                assert not any(route.waiting or route.wire or route.sorter.holds for route in self.routes)
+                assert not any(route.waiting or route.wire or route.loop_filter.holds for route in self.routes)
                 return
         pytest.fail("the world does not settle")
 

@@ -13,7 +13,7 @@ from rsb_bridge.model.qos import Qos
 from rsb_bridge.model.session import Topic
 from rsb_bridge.ros.no_ros import NoRos
 from rsb_bridge.route.incoming import IncomingRoute
-from rsb_bridge.route.unpacking import EXPANSION_A_TURN, EXPANSION_AT_ONCE
+from rsb_bridge.route.message_check import EXPANSION_A_TURN, EXPANSION_AT_ONCE
 from rsb_bridge.wire.framing import ZSTD
 from rsb_bridge.wire.messages import Describe, Propose
 from rsb_bridge.wire.records import Source

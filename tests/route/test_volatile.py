@@ -9,7 +9,7 @@ from random import Random
 import pytest
 
 from rsb_bridge.ros.api import RosError
-from rsb_bridge.route.volatile import BURST_DEPTH, FREE, SlowSubscriberError, VolatileTopic
+from rsb_bridge.route.source_publishers import BURST_DEPTH, FREE, SlowSubscriberError, VolatileTopic
 from rsb_bridge.wire.framing import Budget
 
 LIMIT = 40_000_000

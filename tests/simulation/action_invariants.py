@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from tests.simulation.world import World
 
     from rsb_bridge.link.link import Link
-    from rsb_bridge.route.calls.route import CallsRoute
+    from rsb_bridge.route.calls.calls_route import CallsRoute
     from rsb_bridge.wire.headers import CallFrame
 
 REACHED_WITHIN = 15.0

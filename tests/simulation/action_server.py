@@ -14,8 +14,8 @@ from tests.simulation.ros import Writer, hash_of
 from tests.simulation.services import Server
 
 from rsb_bridge.model.calls import CANCEL_GOAL, FEEDBACK, GET_RESULT, LANES, SEND_GOAL, STATUS
-from rsb_bridge.route.calls.goal_messages import STATES
-from rsb_bridge.route.calls.names import name_of, type_of
+from rsb_bridge.route.calls.call_endpoints import name_of, type_of
+from rsb_bridge.route.calls.goals import STATES
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence

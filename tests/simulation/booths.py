@@ -13,7 +13,7 @@ from tests.simulation.services import Client, Server
 from tests.simulation.world import World
 
 from rsb_bridge.model.session import Topic
-from rsb_bridge.route.calls.route import CallsRoute
+from rsb_bridge.route.calls.calls_route import CallsRoute
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence

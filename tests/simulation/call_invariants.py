@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from tests.simulation.action_invariants import in_flight, left_of_ended_calls
 
 from rsb_bridge.route.calls.calling import CallingRoute
-from rsb_bridge.route.calls.route import CallsRoute
+from rsb_bridge.route.calls.calls_route import CallsRoute
 from rsb_bridge.wire.headers import CALL_HEADER_LENGTH
 
 if TYPE_CHECKING:
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from tests.simulation.world import Robot, World
 
     from rsb_bridge.link.link import Link
-    from rsb_bridge.route.peer_budget import PeerBudget
+    from rsb_bridge.route.peer import PeerBudget
 
 WITHDRAWN_WITHIN = 1.5
 """s from when a link is down until a service is offered no more: the second that it may take, and one look at it."""

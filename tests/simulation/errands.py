@@ -13,7 +13,7 @@ from tests.simulation.ros import Reader
 from tests.simulation.services import Client
 
 from rsb_bridge.model.calls import CANCEL_GOAL, FEEDBACK, GET_RESULT, LANES, SEND_GOAL, STATUS
-from rsb_bridge.route.calls.goal_messages import STATES
+from rsb_bridge.route.calls.goals import STATES
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence

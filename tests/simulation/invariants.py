@@ -17,7 +17,7 @@ from tests.simulation.tables import tables
 
 from rsb_bridge.model.snapshot import State
 from rsb_bridge.route.calls.goals import MOST_GOALS
-from rsb_bridge.route.calls.kept_answers import MOST_KEPT
+from rsb_bridge.route.calls.kept_calls import MOST_KEPT
 from rsb_bridge.transport.transport import DatagramTransport
 
 if TYPE_CHECKING:

@@ -30,17 +30,16 @@ from rsb_bridge.link.keepalive import Keepalive
 from rsb_bridge.link.route_table import RouteTable
 from rsb_bridge.model.backoff import Backoff
 from rsb_bridge.model.calls import CANCEL_GOAL, GET_RESULT, SEND_GOAL
-from rsb_bridge.route.both_sides import BothSides
 from rsb_bridge.route.calls import kept_calls
 from rsb_bridge.route.calls.calling import CallingRoute
 from rsb_bridge.route.calls.calling_action import CallingAction
-from rsb_bridge.route.calls.kept_answers import Do, KeptAnswers
-from rsb_bridge.route.calls.kept_calls import KeptCalls
-from rsb_bridge.route.calls.under_way import UnderWay
+from rsb_bridge.route.calls.kept_calls import AnswerAction, KeptAnswers, KeptCalls
+from rsb_bridge.route.calls.pending_calls import UnderWay
+from rsb_bridge.route.combined_verdict import CombinedVerdict
 from rsb_bridge.route.incoming import IncomingRoute
 from rsb_bridge.route.lateness import LateWatch
 from rsb_bridge.route.ledger import RouteLedger
-from rsb_bridge.route.send_queue import SendQueue
+from rsb_bridge.route.topic_outbox import SendQueue
 from rsb_bridge.tasks import Tasks
 
 if TYPE_CHECKING:
@@ -144,7 +143,7 @@ def _end_for_nothing(self: Any, number: int) -> Any:
 
 def _ask_again_anyway(self: Any, question: Any, call: int, *, again: bool) -> Any:
     """As `KeptAnswers.take`, but whatever is asked again goes to the server again."""
-    return Do.ASK if again and question.lane == SEND_GOAL else _take(self, question, call, again=again)
+    return AnswerAction.ASK if again and question.lane == SEND_GOAL else _take(self, question, call, again=again)
 
 
 def _answer_oldest(self: Any, lane: int, number: int, *rest: Any, **linked: Any) -> Any:
@@ -275,7 +274,7 @@ MUTATIONS = (
     ),
     Mutation(
         "what the other side makes of a topic is not taken in",
-        ((BothSides, "take", _nothing),),
+        ((CombinedVerdict, "take", _nothing),),
         "do not agree on", _SILENT, 1, 0.5,
     ),
     Mutation(

@@ -18,7 +18,7 @@ from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.snapshot import Snapshot
 from rsb_bridge.ros.queue import Receiver, RosToLoopQueue
 from rsb_bridge.telemetry.event_log import EventLog
-from rsb_bridge.telemetry.snapshots import ShownBridge, SnapshotPublisher
+from rsb_bridge.telemetry.snapshot_publisher import ShownBridge, SnapshotPublisher
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Coroutine, Sequence

@@ -18,7 +18,7 @@ from tests.simulation.services import Server
 from tests.simulation.world import World
 
 from rsb_bridge.model.session import Topic
-from rsb_bridge.route.calls import calling_action, kept_answers, kept_calls, providing_action
+from rsb_bridge.route.calls import calling_action, kept_calls, providing_action
 from rsb_bridge.route.lease import Lease
 
 if TYPE_CHECKING:
@@ -99,7 +99,7 @@ async def until(condition: Callable[[], object], within: float) -> None:
 def short_interruptions() -> Iterator[None]:
     """What outlives an interruption does so for minutes instead of an hour."""
     with contextlib.ExitStack() as stack:
-        for module in (kept_calls, calling_action, kept_answers, providing_action):
+        for module in (kept_calls, calling_action, providing_action):
             stack.enter_context(patch.object(module, "INTERRUPTION", _HOUR))
         stack.enter_context(patch.object(action_invariants, "_MUCH_LATER", 0.9 * _HOUR))
         yield
@@ -114,7 +114,7 @@ def lived(play: Play, court: Court, life: Coroutine[None, None, None], seconds: 
         await life
         court.errand.rest()
         await until(lambda: not court.errand.goes_on, 250.0)
-        await asyncio.sleep(_HOUR + kept_answers.SENT_KEPT + 10.0)
+        await asyncio.sleep(_HOUR + kept_calls.SENT_KEPT + 10.0)
         halves = halves_of(court.world, court.errand)
         assert len(halves) == 2
         for half in halves:
@@ -232,7 +232,7 @@ def test_a_server_that_does_not_answer_leaves_nothing_behind(play: Play) -> None
         await asyncio.sleep(5.0)
         expired = [half.calls.expired for half in halves_of(court.world, court.errand)]
         assert expired == [5, 5]
-        await asyncio.sleep(kept_answers.SENT_KEPT + 5.0)
+        await asyncio.sleep(kept_calls.SENT_KEPT + 5.0)
         await court.goal(runs=1.0)  # the server says that it has no other goals
 
     lived(play, court, live())

@@ -17,8 +17,7 @@ from rsb_bridge.channel.stream import StreamSender
 from rsb_bridge.link import roles
 from rsb_bridge.model.clock import StampClock
 from rsb_bridge.model.limits import MAX_AGE_FEATURE
-from rsb_bridge.route.age import MessageAge
-from rsb_bridge.route.publisher_clock import PublisherClocks
+from rsb_bridge.route.age import MessageAge, PublisherClocks
 
 if TYPE_CHECKING:
     from tests.simulation.conftest import Play

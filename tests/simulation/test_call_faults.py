@@ -12,10 +12,10 @@ from tests.support.goals import cancel_request, goal, goal_request
 
 from rsb_bridge.model.calls import CANCEL_GOAL, GET_RESULT, LANES, STATUS
 from rsb_bridge.ros.api import RosError
-from rsb_bridge.route.calls import kept_answers
+from rsb_bridge.route.calls import kept_calls
 from rsb_bridge.route.calls.calling_action import CallingAction
+from rsb_bridge.route.calls.calls_ledger import Refused
 from rsb_bridge.route.calls.providing_action import ProvidingAction
-from rsb_bridge.route.calls.refusals import Refused
 from rsb_bridge.wire.headers import CallFrame, What
 
 if TYPE_CHECKING:
@@ -141,7 +141,7 @@ def test_calls_that_expire_while_nothing_gets_through_hold_nothing(play: Play, m
 
 
 def test_more_goals_run_than_answers_are_kept(play: Play, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(kept_answers, "MOST_KEPT", 8)
+    monkeypatch.setattr(kept_calls, "MOST_KEPT", 8)
     booth = Booth(kind="action")
 
     async def live() -> None:

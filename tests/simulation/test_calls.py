@@ -18,7 +18,6 @@ from rsb_bridge.link.link_arming import LinkArming
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.verdict import Cause
-from rsb_bridge.route.calls import budget
 from rsb_bridge.route.lease import Lease
 from rsb_bridge.transport.tcp import Tcp
 
@@ -27,8 +26,8 @@ if TYPE_CHECKING:
 
     from tests.simulation.conftest import Play
 
-    from rsb_bridge.route.calls.route import CallsRoute
-    from rsb_bridge.route.calls.under_way import Call
+    from rsb_bridge.route.calls.calls_route import CallsRoute
+    from rsb_bridge.route.calls.pending_calls import Call
 
 _WITHDRAWN_WITHIN = 1.0
 
@@ -460,7 +459,7 @@ def test_a_server_on_the_callers_side_is_named_and_nothing_is_offered_beside_it(
 @contextmanager
 def bounds(**limits: Any) -> Iterator[None]:
     """Other bounds than the usual ones."""
-    with patch.multiple(budget, **limits):
+    with patch.multiple("rsb_bridge.route.calls.pending_calls", **limits):
         yield
 
 

@@ -24,8 +24,8 @@ from rsb_bridge.api import EngineError
 from rsb_bridge.link.link_arming import LinkLease
 from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import State
+from rsb_bridge.route.arming import Settling
 from rsb_bridge.route.lease import GIVEN_UP_AFTER, LASTS, Lease, Marker, Standstill
-from rsb_bridge.route.settling import Settling
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Coroutine, Iterator

@@ -15,7 +15,7 @@ from rsb_bridge.model.session import Session
 from rsb_bridge.ros.no_ros import NoRos
 from rsb_bridge.ros.queue import RosToLoopQueue
 from rsb_bridge.route.pause import Revisions
-from rsb_bridge.route.peer_budget import PeerBudget
+from rsb_bridge.route.peer import PeerBudget
 from rsb_bridge.telemetry.event_log import EventLog
 from rsb_bridge.transport.registry import Transports, default_transports
 from rsb_bridge.wire.headers import LEASE_FEATURE

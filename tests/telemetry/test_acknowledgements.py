@@ -14,7 +14,7 @@ from rsb_bridge.model.faults import link_needs_attention, route_needs_attention
 from rsb_bridge.model.snapshot import LinkSnapshot, RouteSnapshot, Snapshot, State
 from rsb_bridge.telemetry.acknowledgements import Acknowledgements, find_faulty
 from rsb_bridge.telemetry.event_log import EventLog
-from rsb_bridge.telemetry.snapshots import SnapshotPublisher
+from rsb_bridge.telemetry.snapshot_publisher import SnapshotPublisher
 
 NOW = 1_700_000_000.0
 

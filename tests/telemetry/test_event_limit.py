@@ -17,7 +17,7 @@ from rsb_bridge.config.keys import read_key
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.model.session import Client, Topic
-from rsb_bridge.telemetry.event_limit import A_SECOND, AT_ONCE
+from rsb_bridge.telemetry.event_log import A_SECOND, AT_ONCE
 from rsb_bridge.wire.messages import Close, Pause, Ping, Pong, Propose
 
 if TYPE_CHECKING:

@@ -23,7 +23,7 @@ from rsb_bridge.model.clock import Clock
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import Ledger, Level, Snapshot, State
-from rsb_bridge.route.calls.refusals import Refused
+from rsb_bridge.route.calls.calls_ledger import Refused
 from rsb_bridge.telemetry.event_log import KEPT, EventLog
 from rsb_bridge.telemetry.metrics import DROPPED, FAMILIES, OTHER, REFUSED, SnapshotCollector
 

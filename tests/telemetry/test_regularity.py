@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, NamedTuple
 import pytest
 
 from rsb_bridge.model.snapshot import Ledger
-from rsb_bridge.route.health import Flow, Health
-from rsb_bridge.route.verdict import Facts
+from rsb_bridge.route.outgoing import Flow, Health
+from rsb_bridge.route.topic_verdict import Facts
 from rsb_bridge.telemetry.meters import RateMeter
 
 if TYPE_CHECKING:

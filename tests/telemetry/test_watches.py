@@ -11,9 +11,8 @@ from hypothesis import strategies as st
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.verdict import FINE, Cause, Verdict
-from rsb_bridge.route.announcing import Announcer
-from rsb_bridge.telemetry.meters import RateMeter
-from rsb_bridge.telemetry.usual_rate import UsualRate
+from rsb_bridge.route.combined_verdict import Announcer
+from rsb_bridge.telemetry.meters import RateMeter, UsualRate
 from rsb_bridge.telemetry.watches import LossWatch, SlowWatch, StopWatch
 
 if TYPE_CHECKING:

@@ -13,7 +13,7 @@ from rsb_bridge.model.calls import FEATURE, LANES, MOST_LANES
 from rsb_bridge.model.limits import DEPTH, QOS_TIME, RATE, REASON_LENGTH, STALE_AFTER, TEXT_LENGTH
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.model.session import Kind
-from rsb_bridge.route.calls.refusals import Refused
+from rsb_bridge.route.calls.calls_ledger import Refused
 from rsb_bridge.wire import headers, messages, preamble, records
 from rsb_bridge.wire.fields import RefuseCode
 

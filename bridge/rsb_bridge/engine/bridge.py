@@ -58,7 +58,7 @@ if TYPE_CHECKING:
     from rsb_bridge.model.snapshot import RefusedClient
     from rsb_bridge.ros.lasting_subscription import LastingSubscription
     from rsb_bridge.route.route import Route
-    from rsb_bridge.telemetry.snapshots import SnapshotPublisher
+    from rsb_bridge.telemetry.snapshot_publisher import SnapshotPublisher
 
 _ERROR_LOGGED_EVERY = 10.0
 _TICK, _LONGEST_PAUSE = 1.0, 10.0

@@ -33,7 +33,7 @@ from rsb_bridge.ros.api import RosError, RosInterface
 from rsb_bridge.ros.queue import RosToLoopQueue
 from rsb_bridge.ros.side import ros_side
 from rsb_bridge.telemetry.event_log import EventLog
-from rsb_bridge.telemetry.snapshots import SnapshotPublisher
+from rsb_bridge.telemetry.snapshot_publisher import SnapshotPublisher
 from rsb_bridge.transport.registry import Transports, transports_of
 
 if TYPE_CHECKING:

@@ -139,8 +139,7 @@ class _Service:
             self._before = None
         try:
             # Here, since they take a while to load, and only bridges with this key need them.
-            from rsb_bridge.telemetry.metrics import application  # noqa: PLC0415
-            from rsb_bridge.telemetry.metrics_server import MetricsServer  # noqa: PLC0415
+            from rsb_bridge.telemetry.metrics import MetricsServer, application  # noqa: PLC0415
         except ModuleNotFoundError as error:
             if error.name != "prometheus_client":
                 raise

@@ -15,8 +15,8 @@ from rsb_bridge.model.calls import SEND_GOAL
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.limits import REASON_LENGTH
 from rsb_bridge.model.text import sanitize_text
-from rsb_bridge.route.calls.by_hand import CallError
-from rsb_bridge.route.calls.route import CallsRoute
+from rsb_bridge.route.calls.calls_route import CallsRoute
+from rsb_bridge.route.calls.manual_call import CallError
 from rsb_bridge.route.peeking import PeekError, Peeking
 from rsb_bridge.route.topic_route import TopicRoute
 from rsb_bridge.wire.messages import ByHand

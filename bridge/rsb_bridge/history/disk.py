@@ -6,10 +6,9 @@ import contextlib
 import threading
 from typing import TYPE_CHECKING
 
-from rsb_bridge.history import event_file, history_file
-from rsb_bridge.history.event_file import EventFile
-from rsb_bridge.history.folders import Claim, Files
-from rsb_bridge.history.history_file import HistoryFileError
+from rsb_bridge.history import history_files
+from rsb_bridge.history.history_files import EventFile, HistoryFileError
+from rsb_bridge.history.state_folder import Claim, Files
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.names import file_stem
 from rsb_bridge.model.shortage import why_not_written
@@ -134,8 +133,8 @@ class Disk:
             return
         path = self._files.history
         try:
-            saved = history_file.read(path)
-            events = tuple(event_file.read(self._files.events, saved.time))
+            saved = history_files.read_history(path)
+            events = tuple(history_files.read_events(self._files.events, saved.time))
             self._recorder.ask(lambda: self._recorder.restore(saved, events)).result(_ANSWERED_WITHIN)
         except TimeoutError:
             return
@@ -169,7 +168,7 @@ class Disk:
         self._saved_changes = self._recorder.changes
         with contextlib.suppress(TimeoutError):
             saved = self._recorder.ask(self._recorder.save).result(_ANSWERED_WITHIN)
-            history_file.write(self._files.history, saved)
+            history_files.write_history(self._files.history, saved)
             self._saved_at = now
 
     # --- what is told

@@ -7,7 +7,6 @@ import threading
 from concurrent.futures import Future
 from typing import TYPE_CHECKING, TypeVar
 
-from rsb_bridge.history.axis import Axis
 from rsb_bridge.history.timeline import FROM_THE_FUTURE, Timeline
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.history import KEPT_FOR
@@ -22,10 +21,67 @@ if TYPE_CHECKING:
     from rsb_bridge.model.snapshot import Event, Snapshot
     from rsb_bridge.telemetry.event_log import EventLog
 
+_SET_BY = 2.0
+"""s by which the wall clock must jump to count as set."""
 T = TypeVar("T")
 _EVERY = 1.0
 _GAP = 30.0
 """s without a new snapshot after which nothing is known of the time between."""
+
+
+class ClockAxis:
+    """Times in s since the epoch that go on evenly, as long as `advance` reports no jump.
+
+    A machine without a battery for its clock starts with an old time, and is set right later. Until then, time goes on
+    from `floor`, so that nothing seems to happen before what happened earlier.
+
+    Args:
+        steady: s on a clock that nobody sets and that goes on while the machine sleeps.
+        wall: s since the epoch.
+        floor: the time of what is remembered last.
+
+    Attributes:
+        now: the time.
+        jump: s by which the clock was set, as noticed by the last `advance`; 0: it was not.
+    """
+
+    def __init__(self, steady: float, wall: float, floor: float = 0.0) -> None:
+        self.now = max(wall, floor)
+        self.jump = 0.0
+        self._steady = steady
+        self._offset = wall - steady
+
+    def advance(self, steady: float, wall: float) -> float:
+        """Move on to the present time.
+
+        Args:
+            steady: as in the constructor, likewise the other.
+            wall: likewise.
+
+        Returns:
+            s that have passed.
+        """
+        passed = steady - self._steady
+        self._steady = steady
+        self.now += passed
+        offset = wall - steady
+        self.jump = offset - self._offset if abs(offset - self._offset) > _SET_BY else 0.0
+        if self.jump:
+            self._offset = offset
+        return passed
+
+    def set(self, wall: float, earliest: float) -> float:
+        """After a jump: go on from the wall clock's time, but from no earlier one.
+
+        Returns:
+            s by which the axis moved.
+        """
+        before, self.now = self.now, max(wall, earliest)
+        return self.now - before
+
+    def of_wall(self, moment: float) -> float:
+        """A recent time of the wall clock, on this axis."""
+        return moment + self.now - (self._steady + self._offset)
 
 
 class Recorder:
@@ -49,7 +105,7 @@ class Recorder:
         self._clock = clock
         self._timeline = Timeline(name, role)
         self._name, self._role = name, role
-        self._axis = Axis(clock.steady(), clock.time_ns() / 1e9)
+        self._axis = ClockAxis(clock.steady(), clock.time_ns() / 1e9)
         self._seen: Snapshot | None = None
         self._observed = self._axis.now
         self._followed = 0
@@ -140,7 +196,7 @@ class Recorder:
             raise ValueError(FROM_THE_FUTURE)
         self._timeline = Timeline.restore(saved, self._name, self._role)
         self._timeline.go_on(each for each in events if each.time - wall <= KEPT_FOR)
-        self._axis = Axis(self._clock.steady(), wall, floor=self._timeline.last)
+        self._axis = ClockAxis(self._clock.steady(), wall, floor=self._timeline.last)
         self._observed = self._axis.now
         self._followed, self._seen = 0, None
 

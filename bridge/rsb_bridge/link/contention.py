@@ -21,8 +21,8 @@ from rsb_bridge.model.session import PRIORITY_FEATURE
 from rsb_bridge.model.snapshot import Level
 from rsb_bridge.model.text import sanitize_text
 from rsb_bridge.route.outgoing import OutgoingRoute
-from rsb_bridge.route.yielding import Share
-from rsb_bridge.telemetry.throughput import Throughput
+from rsb_bridge.route.thinning import Share
+from rsb_bridge.telemetry.meters import Throughput
 from rsb_bridge.wire.records import FullRecord
 
 if TYPE_CHECKING:
@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from rsb_bridge.context import Context
     from rsb_bridge.link.keepalive import Keepalive
     from rsb_bridge.route.route import Route
-    from rsb_bridge.route.yielding import Traffic
+    from rsb_bridge.route.thinning import Traffic
 
 _BEGINS, _ENDS = 4, 4
 """Ticks that have to agree before a link counts as full, or as no longer full."""
@@ -284,7 +284,7 @@ class Contention:
         self._warn(features, connection)
         now, at = self._context.now(), self._context.wall()
         asking = [
-            _Asking(route, route.yielding.look(now))
+            _Asking(route, route.thinning.look(now))
             for route in self._routes()
             if isinstance(route, OutgoingRoute) and route.connected
         ]
@@ -317,7 +317,7 @@ class Contention:
         self.receiving.disconnected()
         for route in self._routes():
             if isinstance(route, OutgoingRoute):
-                route.yielding.told(None, low=False, qos=route.qos, now=self._context.now())
+                route.thinning.told(None, low=False, qos=route.qos, now=self._context.now())
 
     def _looked(self, asking: Collection[_Asking]) -> tuple[float, float, bool]:
         """Count what has arrived since the last look.
@@ -332,7 +332,7 @@ class Contention:
             if not traffic.bytes_per_second:
                 continue
             ledger = route.ledger()
-            held = route.yielding.holds
+            held = route.thinning.holds
             counts = self._counts[route] = _Counts(ledger.delivered, ledger.dropped.get("queue full", 0))
             last = before.get(route, counts)
             whole = max(0, counts.delivered - last.delivered)
@@ -402,7 +402,7 @@ class Contention:
             share = None
             if first is not None and route in shares and wishes[route].rank < top:
                 share = Share(shares[route], min(self._carried, asked), asked, first.topic)
-            route.yielding.told(share, low=route.rank < 0, qos=route.qos, now=now)
+            route.thinning.told(share, low=route.rank < 0, qos=route.qos, now=now)
 
     def _warn(self, features: Collection[str], connection: int) -> None:
         """Say, once a connection, where the other side is too old to keep to the priorities that are asked for."""

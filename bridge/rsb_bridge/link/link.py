@@ -27,7 +27,7 @@ from rsb_bridge.model.limits import MAX_AGE_FEATURE
 from rsb_bridge.model.snapshot import Level, LinkSnapshot, State
 from rsb_bridge.model.verdict import LinkCause
 from rsb_bridge.route.pause import Revisions
-from rsb_bridge.route.peer_budget import PeerBudget
+from rsb_bridge.route.peer import PeerBudget
 from rsb_bridge.tasks import Tasks
 from rsb_bridge.telemetry.meters import ClockOffset
 from rsb_bridge.transport.streams import CLOSED_BY_PEER

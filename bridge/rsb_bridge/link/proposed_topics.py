@@ -10,7 +10,7 @@ from rsb_bridge.link.errors import LinkError
 from rsb_bridge.link.proposals import proposal_of, same_route
 from rsb_bridge.model.benchmark import is_bench_topic
 from rsb_bridge.model.profiles import PLAIN
-from rsb_bridge.route.keys import route_key
+from rsb_bridge.route.route import route_key
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from rsb_bridge.link.control_channel import in_slices
-from rsb_bridge.route.calls.route import CallsRoute
+from rsb_bridge.route.calls.calls_route import CallsRoute
 from rsb_bridge.route.incoming import IncomingRoute
 from rsb_bridge.route.outgoing import OutgoingRoute
 from rsb_bridge.wire.codec import report_entries

@@ -32,13 +32,12 @@ from rsb_bridge.model.text import sanitize_text
 from rsb_bridge.route.arming import Disarmed
 from rsb_bridge.route.calls.calling import CallingRoute
 from rsb_bridge.route.calls.calling_action import CallingAction
-from rsb_bridge.route.calls.parameters import ParametersCallingRoute, ParametersProvidingRoute
+from rsb_bridge.route.calls.node_parameters import ParametersCallingRoute, ParametersProvidingRoute
 from rsb_bridge.route.calls.providing import ProvidingRoute
 from rsb_bridge.route.calls.providing_action import ProvidingAction
 from rsb_bridge.route.incoming import IncomingRoute
-from rsb_bridge.route.keys import route_key
 from rsb_bridge.route.outgoing import OutgoingRoute
-from rsb_bridge.route.peer import Owner
+from rsb_bridge.route.route import Owner, route_key
 from rsb_bridge.tasks import in_slices
 from rsb_bridge.transport.transport import ListenError
 from rsb_bridge.wire.messages import (

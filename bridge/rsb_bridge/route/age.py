@@ -17,7 +17,6 @@ from rsb_bridge.model.demands import effective_max_age
 from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.verdict import Cause, Verdict
 from rsb_bridge.ros.api import RawMessage
-from rsb_bridge.route.publisher_clock import PublisherClocks
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -27,6 +26,11 @@ if TYPE_CHECKING:
     from rsb_bridge.route.peer import Peer
     from rsb_bridge.wire.framing import Message
 
+_SANE = 50_000_000
+"""ns by which a right clock may seem to be wrong."""
+_DRIFT = 5e-4
+"""ns a ns by which a publisher's clock may run slower or faster, while it is being corrected, too."""
+_MOST_PUBLISHERS = 1024
 EXPIRED = "expired"
 """The cause under which the receiver reports messages that were too old."""
 _LATELY = 10
@@ -35,6 +39,61 @@ _MANY = 0.05
 """Share of expired messages above which a topic is late."""
 _AHEAD = 0.05
 """s, beyond the uncertainty, by which a message may seem to come from the future."""
+_REMEDIES = {
+    Cause.LINK_SLOW: "the link is too slow: set max_rate or priority",
+    Cause.CLOCK_UNKNOWN: "age unknown (clock set or slow link): wait 10 s",
+    Cause.PUBLISHER_STAMPS_OLD: "stamps are old: check the publisher's clock",
+}
+
+
+class PublisherClocks:
+    """The clocks of one topic's publishers, or of one service's callers. All times are in ns.
+
+    Attributes:
+        since: when the subscription began, or None if messages from before it may come.
+    """
+
+    def __init__(self) -> None:
+        self.since: int | None = None
+        self._wrong: dict[bytes, tuple[int, int]] = {}  # the shortest time that a message took, and when that was
+
+    def __len__(self) -> int:
+        return len(self._wrong)
+
+    def born(self, source: int, taken: int, publisher: bytes) -> int:
+        """Return the time from which a message's age counts; it is not later than `taken`.
+
+        Args:
+            source: when it was published, by its publisher's clock, or 0 if that is unknown.
+            taken: when it came here.
+            publisher: an id.
+        """
+        if not source:
+            return taken
+        took = taken - source
+        known = self._wrong.get(publisher)
+        if known is None:
+            if took >= -_SANE and (self.since is None or source >= self.since - _SANE):
+                return min(source, taken)
+            if len(self._wrong) >= _MOST_PUBLISHERS:
+                del self._wrong[next(iter(self._wrong))]
+            self._wrong[publisher] = took, taken
+            return taken
+        shortest, at = known
+        shortest = min(took, shortest + int(_DRIFT * max(0, taken - at)))
+        if abs(shortest) <= _SANE:
+            del self._wrong[publisher]  # its clock has been set
+            return min(source, taken)
+        self._wrong[publisher] = shortest, taken
+        return source + shortest
+
+    def forget(self) -> None:
+        """Forget all measurements, because this side's clock was set.
+
+        From then on, a stamp from before the subscription may come from the old clock, and proves nothing.
+        """
+        self._wrong.clear()
+        self.since = None
 
 
 class Expired(NamedTuple):
@@ -214,13 +273,6 @@ class MessageAge:
             return None
         ((cause, _),) = by_cause.most_common(1)
         return Expired(cause, lost, of, self._limit, self._since)
-
-
-_REMEDIES = {
-    Cause.LINK_SLOW: "the link is too slow: set max_rate or priority",
-    Cause.CLOCK_UNKNOWN: "age unknown (clock set or slow link): wait 10 s",
-    Cause.PUBLISHER_STAMPS_OLD: "stamps are old: check the publisher's clock",
-}
 
 
 def expired_verdict(expired: Expired) -> Verdict:

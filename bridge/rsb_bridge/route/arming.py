@@ -7,8 +7,11 @@ keys, so that no message of an earlier arming can be published, wherever it wait
 
 from __future__ import annotations
 
+import asyncio
 from enum import Enum, StrEnum, auto
 from typing import TYPE_CHECKING
+
+import msgspec
 
 from rsb_bridge.model.demands import NO_DEMAND, Demand
 from rsb_bridge.model.snapshot import ArmingSnapshot
@@ -19,6 +22,7 @@ from rsb_bridge.wire.headers import split_number, with_number
 if TYPE_CHECKING:
     from collections.abc import Callable, Hashable
 
+    from rsb_bridge.model.qos import Qos
     from rsb_bridge.route.lease import Lease
     from rsb_bridge.wire.framing import Message
 
@@ -299,3 +303,68 @@ class Arming:
         if self.console is not None and now - self._seen_at > CONSOLE_SILENT_AFTER:
             return Disarmed.CONSOLE_GONE
         return None
+
+
+def without_history(qos: Qos) -> Qos:
+    """A QoS without what late joiners get: a command that is older than the arming is nobody's."""
+    return msgspec.structs.replace(qos, durability="volatile") if qos.latched else qos
+
+
+class Settling:
+    """The moment between a disarm and its effect on the other side; it outlives the opening that was disarmed.
+
+    A sending half stops at once, but the other side may still publish earlier messages. That ends when the other side
+    answers that it has disarmed, too, and at the latest when the lease of the last message has run out.
+
+    Args:
+        loop: the I/O loop.
+        changed: called when it begins and ends.
+    """
+
+    def __init__(self, loop: asyncio.AbstractEventLoop, changed: Callable[[], None]) -> None:
+        self._loop = loop
+        self._changed = changed
+        self._route_id = 0
+        self._timer: asyncio.TimerHandle | None = None
+        self._then: list[Callable[[], None]] = []
+
+    @property
+    def under_way(self) -> bool:
+        """Whether something that was sent may still be published."""
+        return self._timer is not None
+
+    def begin(self, route_id: int, seconds: float) -> None:
+        """Begin for an opening, for so many seconds at most."""
+        if seconds <= 0:
+            return
+        if self._timer is not None:
+            self._timer.cancel()
+        self._route_id = route_id
+        self._timer = self._loop.call_later(seconds, self._end)
+        self._changed()
+
+    def answered(self, route_id: int) -> None:
+        """Note that the other side publishes nothing more of an opening."""
+        if self._timer is not None and route_id == self._route_id:
+            self._timer.cancel()
+            self._end()
+
+    def then(self, work: Callable[[], None]) -> None:
+        """Do something once nothing can be published any more, which may be now."""
+        if self._timer is None:
+            work()
+        else:
+            self._then.append(work)
+
+    async def wait(self) -> None:
+        """Return once nothing can be published any more."""
+        over = asyncio.Event()
+        self.then(over.set)
+        await over.wait()
+
+    def _end(self) -> None:
+        self._timer = None
+        then, self._then = self._then, []
+        self._changed()
+        for work in then:
+            work()

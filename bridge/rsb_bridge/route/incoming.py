@@ -19,20 +19,22 @@ from rsb_bridge.model.verdict import Cause
 from rsb_bridge.ros.api import RosError
 from rsb_bridge.ros.graph import type_hint
 from rsb_bridge.route.age import EXPIRED
-from rsb_bridge.route.both_sides import lasting, node_names, record_of
-from rsb_bridge.route.judging import facts_of
+from rsb_bridge.route.arming import without_history
+from rsb_bridge.route.combined_verdict import lasting, node_names, record_of
 from rsb_bridge.route.latched import LatchedFullError, LatchedTopic
 from rsb_bridge.route.ledger import THROTTLED, reported_ledger
 from rsb_bridge.route.lifecycle import Event
-from rsb_bridge.route.message_check import MessageCheck, malformed_text
-from rsb_bridge.route.outputs import Outputs, Subject
+from rsb_bridge.route.message_check import ExpandsTooMuchError, MessageCheck, Unpacker, malformed_text
 from rsb_bridge.route.peeking import peeked
-from rsb_bridge.route.publisher_qos import AUTO_DEPTH, bounded, without_history
-from rsb_bridge.route.stages import accepted_stage, link_stage
+from rsb_bridge.route.source_publishers import (
+    AUTO_DEPTH,
+    PublicationSpec,
+    SlowSubscriberError,
+    SourcePublishers,
+    bounded,
+)
 from rsb_bridge.route.topic_route import TopicRoute
-from rsb_bridge.route.unpacking import ExpandsTooMuchError, Unpacker
-from rsb_bridge.route.verdict import no_subscriber
-from rsb_bridge.route.volatile import SlowSubscriberError
+from rsb_bridge.route.topic_verdict import no_subscriber
 from rsb_bridge.wire.framing import HISTORY, LEASED, SOURCE_SHIFT, ZSTD, Message
 from rsb_bridge.wire.headers import PUBLISHER_ID_LENGTH, HistoryHeader, split_history
 from rsb_bridge.wire.messages import Describe, Propose, Ready, Refuse
@@ -47,8 +49,8 @@ if TYPE_CHECKING:
     from rsb_bridge.model.qos import Qos
     from rsb_bridge.model.session import Topic
     from rsb_bridge.route.arming import Disarmed
-    from rsb_bridge.route.peer import Owner
-    from rsb_bridge.route.verdict import Facts
+    from rsb_bridge.route.route import Owner
+    from rsb_bridge.route.topic_verdict import Facts
 
 _INCOMPLETE_IN_A_ROW = 3
 _ASKED_EVERY = 0.9
@@ -58,8 +60,6 @@ _REPORTS_AFTER = 100
 unreported messages arrived."""
 _NO_HISTORY = HistoryHeader(bytes(PUBLISHER_ID_LENGTH), number=0, depth=AUTO_DEPTH)
 """Of messages whose sender does not say whose they are: they count as one publisher's."""
-
-
 _LATENCIES = ("latency", "latency_p50", "latency_p99")
 
 
@@ -94,7 +94,7 @@ class IncomingRoute(TopicRoute):
 
     def __init__(self, context: Context, peer: Owner, spec: Topic, proposal: Propose, *, proposed_here: bool) -> None:
         super().__init__(context, peer, spec, proposal, proposed_here=proposed_here)
-        self._outputs = Outputs(context, peer, self._failed_later)
+        self._outputs = SourcePublishers(context, peer, self._failed_later)
         self._unpacker = Unpacker(peer.budget.expansion, context)
         self.check = MessageCheck(context, peer.budget.checks)
         self._later: deque[Message] = deque()
@@ -146,7 +146,7 @@ class IncomingRoute(TopicRoute):
         elif first:
             self._outputs.renumber(description.sources)
         qos = without_history(description.qos) if self.arming.required else description.qos
-        subject = Subject(self.remote_topic, description.type, description.type_hash, bounded(qos))
+        subject = PublicationSpec(self.remote_topic, description.type, description.type_hash, bounded(qos))
         try:
             self._outputs.make(subject, description.sources)
         except (RosError, LatchedFullError) as error:
@@ -477,7 +477,7 @@ class IncomingRoute(TopicRoute):
         )
 
     def facts(self) -> Facts:
-        return facts_of(self)._replace(matched=self._subscribers)
+        return super().facts()._replace(matched=self._subscribers)
 
     @property
     def has_kept(self) -> bool:
@@ -524,8 +524,8 @@ class IncomingRoute(TopicRoute):
                 False if self.notices.loop or self._failure else (report is not None and report.subscribed) or None,
                 self.notices.loop or self._failure,
             ),
-            link_stage(self),
-            accepted_stage(self),
+            self._link_stage(),
+            self._accepted_stage(),
             Stage("sent", (report is not None and report.offered > 0) or self.has_kept or None),
             Stage(
                 "received",

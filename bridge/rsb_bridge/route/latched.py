@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 
 from rsb_bridge.model.limits import LATCHED_DEPTH
 from rsb_bridge.ros.api import RosError
-from rsb_bridge.route.peer_budget import KEPT_LIMIT
+from rsb_bridge.route.peer import KEPT_LIMIT
 
 if TYPE_CHECKING:
     import asyncio

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, ClassVar
+from collections import deque
+from typing import TYPE_CHECKING, ClassVar, NamedTuple
 
 import msgspec
 
@@ -12,21 +13,19 @@ from rsb_bridge.model.clock import shifted
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.snapshot import Ledger, Level, Stage
 from rsb_bridge.ros.api import RawMessage, RosError
-from rsb_bridge.route.both_sides import lasting, node_names, record_of
-from rsb_bridge.route.health import Flow, Health
-from rsb_bridge.route.intake import Intake, Subject
-from rsb_bridge.route.judging import facts_of
+from rsb_bridge.route.arming import without_history
+from rsb_bridge.route.combined_verdict import lasting, node_names, record_of
 from rsb_bridge.route.lateness import QUEUE, WAY, Unreported, delay_of_sender
 from rsb_bridge.route.ledger import RouteLedger, reported_drops
 from rsb_bridge.route.lifecycle import Event
-from rsb_bridge.route.publisher_qos import without_history
+from rsb_bridge.route.loop_filter import LoopFilter
+from rsb_bridge.route.peer import TypeUse
 from rsb_bridge.route.resolving import MessageType, Resolver, qos_clash
 from rsb_bridge.route.sending import Sending
-from rsb_bridge.route.sorter import Sorter
-from rsb_bridge.route.stages import accepted_stage, link_stage
 from rsb_bridge.route.topic_route import MEASURED_FOR, TopicRoute
-from rsb_bridge.route.type_budget import TypeUse
-from rsb_bridge.route.verdict import no_subscriber
+from rsb_bridge.route.topic_subscription import SubscriptionSpec, TopicSubscription
+from rsb_bridge.route.topic_verdict import LATELY, no_subscriber
+from rsb_bridge.telemetry.watches import LossWatch, SlowWatch, StopWatch
 from rsb_bridge.transport.transport import DatagramTransport
 from rsb_bridge.wire.fields import MOST_PUBLISHERS
 from rsb_bridge.wire.headers import publisher_id
@@ -41,9 +40,9 @@ if TYPE_CHECKING:
     from rsb_bridge.model.qos import Qos
     from rsb_bridge.model.session import Topic
     from rsb_bridge.route.arming import Disarmed
-    from rsb_bridge.route.histories import Sample
-    from rsb_bridge.route.peer import Owner
-    from rsb_bridge.route.verdict import Facts
+    from rsb_bridge.route.history_depth import Sample
+    from rsb_bridge.route.route import Owner
+    from rsb_bridge.route.topic_verdict import Facts
 
 _REPORTED_LATELY = 2.5
 """s for which a delay that the receiver has reported counts."""
@@ -54,6 +53,75 @@ _LONGEST_UNDER_WAY = 60.0
 _JITTERS = 2.0
 """Times the jitter: that a message takes so much longer says nothing."""
 _LIMITED = "they are limited to what was sent"
+
+
+class Flow(NamedTuple):
+    """A route's messages, as far as they are watched.
+
+    Attributes:
+        flowing: messages could cross now.
+        last: s, when the last one was sent, or since when they could cross.
+        rate: Hz.
+        given_rate: Hz, that an operator expects; 0: none.
+        usual_rate: Hz, learned; None: not known.
+        limit: Hz that an operator allows; 0: all.
+        publishers: which there are.
+        ledger: where the messages went.
+    """
+
+    flowing: bool
+    last: float
+    rate: float
+    given_rate: float
+    usual_rate: float | None
+    limit: float
+    publishers: frozenset[bytes]
+    ledger: Ledger
+
+
+class Health:
+    """How well a sending half's messages flow, watched once a second.
+
+    Attributes:
+        expected_rate: Hz, that the route is judged by; None: it is not known, or messages come at random.
+    """
+
+    def __init__(self) -> None:
+        self.expected_rate: float | None = None
+        self._slow = SlowWatch()
+        self._stop = StopWatch()
+        self._loss = LossWatch()
+        self._lost_in_dds: deque[int] = deque(maxlen=LATELY)
+
+    def tick(self, flow: Flow, now: float) -> None:
+        """Once a second, at `now` (s)."""
+        ledger = flow.ledger
+        self._lost_in_dds.append(ledger.lost_in_dds)
+        self._loss.tick(ledger.delivered, ledger.dropped, now)
+        expected = flow.given_rate or flow.usual_rate
+        if expected and flow.limit:
+            expected = min(expected, flow.limit)
+        self.expected_rate = expected
+        if expected is None or not flow.flowing:
+            self._stop.reset()
+            self._slow.reset()
+            return
+        self._stop.tick(flow.last, expected, now, flow.publishers, promised=bool(flow.given_rate))
+        if self._stop.since is not None:
+            self._slow.reset()
+        elif not self._stop.quiet:  # a pause is not slow
+            self._slow.tick(flow.rate, expected, now)
+
+    def added_to(self, facts: Facts) -> Facts:
+        """The facts of a route with what the watches say."""
+        lost = self._lost_in_dds
+        return facts._replace(
+            expected_rate=self.expected_rate,
+            stopped_since=self._stop.since,
+            slow_since=self._slow.since,
+            loss=self._loss.loss,
+            lost_in_dds=max(0, lost[-1] - lost[0]) if lost else 0,
+        )
 
 
 class OutgoingRoute(TopicRoute):
@@ -69,15 +137,15 @@ class OutgoingRoute(TopicRoute):
 
     def __init__(self, context: Context, peer: Owner, spec: Topic, proposal: Propose, *, proposed_here: bool) -> None:
         super().__init__(context, peer, spec, proposal, proposed_here=proposed_here)
-        self._intake: Intake | None = None
+        self._intake: TopicSubscription | None = None
         self._type = TypeUse(context.ros, peer.budget.types)
         self._present: frozenset[bytes] | None = None  # the publishers that the peer was told of
         self._ledger = RouteLedger(numbered=isinstance(self.transport, DatagramTransport))
         self._report: ReceivedReport | None = None  # of the present opening
         self._kept_there: Collection[bytes] = ()  # publishers of a latched topic whose messages the peer keeps
         self._described: Describe | None = None
-        self._sorter = Sorter(context, peer, self.advance)
-        self._sending = Sending(context, self, self._ledger, self._sorter)
+        self._loop_filter = LoopFilter(context, peer, self.advance)
+        self._sending = Sending(context, self, self._ledger, self._loop_filter)
         self.limit.apply = self._sending.limit
         self._resolver = Resolver(context, proposal)
         self._health = Health()
@@ -95,16 +163,16 @@ class OutgoingRoute(TopicRoute):
             return
         if not self._ledger.settle(ready.before, self.peer.instance):
             self.notices.doubt(self.peer.instance, _LIMITED)
-        self._sorter.table.answered(ready.sources)
+        self._loop_filter.table.answered(ready.sources)
         described = self._described
         if described is not None and not again:
             self._end_intake()
             self._kept_there = ready.newest.keys()
             self.age.publishers.since = None if described.qos.latched else self.context.stamps.now()
-            self._intake = Intake(
+            self._intake = TopicSubscription(
                 self.context,
                 self,
-                Subject(self.topic, described.type, described.type_hash, described.qos, self.peer.name),
+                SubscriptionSpec(self.topic, described.type, described.type_hash, described.qos, self.peer.name),
                 automatic=self.proposal.qos is None,
                 expected_rate=self.spec.expected_rate,
                 known=ready.newest,
@@ -115,23 +183,23 @@ class OutgoingRoute(TopicRoute):
     def advance(self) -> None:
         """See who publishes; resolve type and QoS, describe them, make the path, subscribe: whatever is next."""
         self._advance()
-        if self._intake is not None and (released := self._sorter.release()):
+        if self._intake is not None and (released := self._loop_filter.release()):
             self._intake.take(released)
 
     def _advance(self) -> None:
         if not self.accepted or self.paused:
             self._unsubscribe()
-            self._lose("paused", self._sorter.forget())  # nobody wants them when it is resumed
+            self._lose("paused", self._loop_filter.forget())  # nobody wants them when it is resumed
             return
         self._sending.resume()
-        self.endpoints = self._sorter.look(self.topic, self.remote_topic)
+        self.endpoints = self._loop_filter.look(self.topic, self.remote_topic)
         self._resolver.look(self.endpoints)
-        if self._described is not None and self._described.sources != self._sorter.table.sources:
-            self._describe(msgspec.structs.replace(self._described, sources=self._sorter.table.sources))
-        if self._described is not None and self._sorter.outdated(self.qos):
+        if self._described is not None and self._described.sources != self._loop_filter.table.sources:
+            self._describe(msgspec.structs.replace(self._described, sources=self._loop_filter.table.sources))
+        if self._described is not None and self._loop_filter.outdated(self.qos):
             self.request_reopen(EventCode.ROUTE_SOURCES_CHANGED, "other bridges than before bring its messages")
             return
-        self.notices.set_loop(self._sorter.loop(self.topic))
+        self.notices.set_loop(self._loop_filter.loop(self.topic))
         if self.notices.loop:
             self._unsubscribe()
             return
@@ -164,13 +232,13 @@ class OutgoingRoute(TopicRoute):
         self._described = described
         self.type_name, self.type_hash, self.qos = described.type, described.type_hash, described.qos
         self.settle_age()
-        self._sorter.table.told()
+        self._loop_filter.table.told()
         self._present = None  # the peer may have new outputs
         self.peer.send(described)
 
     def _resolve(self) -> Describe | None:
         """What is sent; None: not known yet."""
-        resolved = self._resolver.resolve(MessageType(self.type_name, self.type_hash), self._sorter)
+        resolved = self._resolver.resolve(MessageType(self.type_name, self.type_hash), self._loop_filter)
         self.notices.set_warning(resolved.warning if resolved else "")
         if resolved is None:
             unresolved = self._resolver.unresolved
@@ -178,7 +246,7 @@ class OutgoingRoute(TopicRoute):
                 # Nothing that is published now could be sent. Once the publishers are right, it opens with their type.
                 self.request_reopen(EventCode.ROUTE_TYPE_CHANGED, str(unresolved))
             return None
-        sources, qos = self._sorter.table.sources, resolved.qos
+        sources, qos = self._loop_filter.table.sources, resolved.qos
         if self.arming.required:
             qos = without_history(qos)
         return Describe(route=self.id, type=resolved.type, type_hash=resolved.type_hash, qos=qos, sources=sources)
@@ -234,7 +302,7 @@ class OutgoingRoute(TopicRoute):
     def disarm(self, why: Disarmed, reason: str = "") -> None:
         """Drop what waits, here and on the way."""
         self._unsubscribe()
-        self._lose("disarmed", self._sorter.forget())
+        self._lose("disarmed", self._loop_filter.forget())
         self._ledger.drop("disarmed", self._sending.clear())
         self._ledger.disarmed()
         super().disarm(why, reason)
@@ -245,7 +313,7 @@ class OutgoingRoute(TopicRoute):
         self._unreported = Unreported()
         self._reported_delay = self._shortest = None
         self.delay = self.longer = 0.0
-        self._sorter.clear()
+        self._loop_filter.clear()
         self._ledger.opened(route_id, self.peer.instance)
 
     def close(self, reason: str) -> None:
@@ -255,9 +323,9 @@ class OutgoingRoute(TopicRoute):
         self._end_intake()
         self._described = None
         self._kept_there = ()
-        self._lose("link lost", self._sorter.forget())
+        self._lose("link lost", self._loop_filter.forget())
         self._ledger.drop("link lost", self._sending.clear())
-        self._sorter.clear()
+        self._loop_filter.clear()
         self._ledger.closed()
         self._report = None
         super().close(reason)
@@ -274,7 +342,7 @@ class OutgoingRoute(TopicRoute):
                 self.meter.rate,
                 self.spec.expected_rate or 0.0,
                 None if latched else self.meter.usual_rate,
-                self.yielding.limit(self.limit.rate),
+                self.thinning.limit(self.limit.rate),
                 frozenset([each.gid for each in self.endpoints]),
                 self.ledger(),
             ),
@@ -313,7 +381,7 @@ class OutgoingRoute(TopicRoute):
         if (
             self._reported_delay is not None
             and now - self._reported_delay[1] <= _REPORTED_LATELY
-            and not self.yielding.holds
+            and not self.thinning.holds
         ):
             measured = self._reported_delay[0]
         else:
@@ -341,16 +409,16 @@ class OutgoingRoute(TopicRoute):
             return ()
         if self.age.is_on or self.peer.stamp_shift:
             batch = self._stamped(batch)
-        if self._sorter.carries(batch):
+        if self._loop_filter.carries(batch):
             return batch
-        admitted, unseen = self._sorter.admit(batch)
+        admitted, unseen = self._loop_filter.admit(batch)
         if unseen:
             self.advance()  # see whose they are
-            flags = self._sorter.table.flags
+            flags = self._loop_filter.table.flags
             sent = [message for message in admitted if message.gid in flags]  # what is known of these may have changed
             self._lose("would loop" if self.id else "link lost", len(admitted) - len(sent))
             admitted = sent
-        self._lose("queue full", self._sorter.give_up())
+        self._lose("queue full", self._loop_filter.give_up())
         return admitted
 
     def _stamped(self, batch: Sequence[RawMessage]) -> Sequence[RawMessage]:
@@ -469,7 +537,8 @@ class OutgoingRoute(TopicRoute):
 
     def facts(self) -> Facts:
         unresolved = self._resolver.unresolved
-        facts = facts_of(self)._replace(
+        facts = super().facts()
+        facts = facts._replace(
             similar=self._resolver.similar,
             breaking="" if self.peer.full_out is not None or self.peer.fullness_undecided else self.losses.repeated,
             subscribe_failed=self._failure,
@@ -525,7 +594,7 @@ class OutgoingRoute(TopicRoute):
             Stage(
                 "publisher seen",
                 publishers > 0 or (False if looks else None),
-                f"{publishers}{self._sorter.left_out()}" if publishers else self._resolver.no_publisher(),
+                f"{publishers}{self._loop_filter.left_out()}" if publishers else self._resolver.no_publisher(),
             ),
             Stage(
                 "type known",
@@ -534,8 +603,8 @@ class OutgoingRoute(TopicRoute):
             ),
             Stage("QoS compatible", not clash if known else None, clash),
             Stage("subscribed", False if failure else self._subscribed or None, failure),
-            link_stage(self),
-            accepted_stage(self),
+            self._link_stage(),
+            self._accepted_stage(),
             Stage("sent", self._ledger.sent_now > 0 or self.has_kept or None),
             Stage("received", self._ledger.received_now > 0 or self.has_kept or None),
             Stage("published", self._ledger.delivered_now > 0 or self.has_kept or None),

@@ -26,8 +26,6 @@ BYTES_A_SECOND = 16 << 20
 """For all lookers together; who would exceed it waits."""
 WAITS_AT_MOST = 10.0
 """s: who wants to look on asks again, so that whoever has gone holds no place for longer."""
-
-
 _LATE_JOINER = ("late joiner",)
 """Differs from the names of all links."""
 

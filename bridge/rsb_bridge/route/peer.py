@@ -1,16 +1,31 @@
-"""The other side of a link, as far as a route and its parts know it."""
+"""The other side of a link, as far as a route and its parts know it, and what it may make this side hold."""
 
 from __future__ import annotations
 
+from collections import Counter
 from typing import TYPE_CHECKING, Protocol
+
+from rsb_bridge.model.token_bucket import TokenBucket
+from rsb_bridge.ros.api import RosError
+from rsb_bridge.route.calls.pending_calls import PEERS_SHARE, CallBudget
+from rsb_bridge.route.message_check import CHECKED_A_SECOND, CHECKED_AT_ONCE, ExpansionBudget
+from rsb_bridge.route.rate_limit import AllowedRates
+from rsb_bridge.wire.framing import UNFINISHED_LIMIT, Budget
 
 if TYPE_CHECKING:
     from rsb_bridge.model.capacity import Fullness
     from rsb_bridge.model.profiles import LinkProfile
+    from rsb_bridge.ros.api import RosInterface
     from rsb_bridge.route.pause import Revisions
-    from rsb_bridge.route.peer_budget import PeerBudget
-    from rsb_bridge.route.route import Route
     from rsb_bridge.wire.messages import ControlMessage
+
+TYPES_PER_LINK = 256
+"""Each takes about 8 kB while an endpoint has it; a robot with all of ROS's common packages has some 200."""
+KEPT_LIMIT = 1 << 30
+"""Bytes of messages that all publishers of a link keep together."""
+UNACKNOWLEDGED_LIMIT = 512 << 20
+"""Bytes of messages that all publishers of a link hold together for subscribers that are slow."""
+_FURTHER_PUBLISHERS = 256
 
 
 class Peer(Protocol):
@@ -119,13 +134,105 @@ class Peer(Protocol):
         ...
 
 
-class Owner(Peer, Protocol):
-    """The link that a route belongs to."""
+class TypeBudget:
+    """Types that are not installed here: how many the topics of one link may have at a time.
 
-    def report_soon(self, route: Route) -> None:
-        """Send a route's counts before the next regular report. May be called for every batch."""
-        ...
+    Attributes:
+        limit: types.
+    """
 
-    def open_channel(self, route: Route) -> None:
-        """Begin to open `route.channel`. For streams, a server waits for the client's instead."""
-        ...
+    def __init__(self) -> None:
+        self.limit = TYPES_PER_LINK
+        self._users: Counter[tuple[str, str]] = Counter()
+
+    @property
+    def used(self) -> int:
+        """How many types topics have now."""
+        return len(self._users)
+
+    def take(self, key: tuple[str, str]) -> None:
+        """One more topic has a type.
+
+        Raises:
+            RosError: there are too many; the message says what to do.
+        """
+        if key not in self._users and len(self._users) >= self.limit:
+            package = key[0].partition("/")[0]
+            raise RosError(
+                f"this link's topics have {self.limit} types that are not installed on this side, which is the limit: "
+                f"install ros-jazzy-{package.replace('_', '-')} here, or remove topics"
+            )
+        self._users[key] += 1
+
+    def give(self, key: tuple[str, str]) -> None:
+        """A topic has a type no longer."""
+        self._users[key] -= 1
+        if not self._users[key]:
+            del self._users[key]
+
+
+class TypeUse:
+    """The type that one topic's endpoints have."""
+
+    def __init__(self, ros: RosInterface, budget: TypeBudget) -> None:
+        """It has none yet.
+
+        Args:
+            ros: knows which types are installed.
+            budget: of the topic's link.
+        """
+        self._ros = ros
+        self._budget = budget
+        self._key: tuple[str, str] | None = None
+
+    def begin(self, type_name: str, type_hash: str, *, is_service: bool = False) -> None:
+        """Endpoints of a type are about to be made.
+
+        Args:
+            type_name: its name.
+            type_hash: which version of it.
+            is_service: it is a service's type.
+
+        Raises:
+            RosError: the link's topics have too many types.
+        """
+        self.end()
+        installed = self._ros.installed_service_hash if is_service else self._ros.installed_hash
+        if installed(type_name) is None:
+            self._budget.take((type_name, type_hash))
+            self._key = (type_name, type_hash)
+
+    def end(self) -> None:
+        """There are no endpoints any more. May be called twice."""
+        if self._key is not None:
+            self._budget.give(self._key)
+            self._key = None
+
+
+class PeerBudget:
+    """What one peer can make this side hold and do, over its whole link and for as long as its routes live.
+
+    Attributes:
+        unfinished: bytes of messages that are not whole yet.
+        kept: bytes of messages that publishers here keep for late joiners.
+        unacknowledged: bytes of messages that publishers here hold for slow subscribers.
+        expansion: bytes by which compressed messages may grow here, over time and at once.
+        further_publishers: how many the peer may have here beyond one a topic.
+        types: that are not installed here.
+        rates: of what the peer publishes here, by topic.
+        asked: calls of this side's callers.
+        provided: calls of the peer's callers.
+        checks: lengths that are read to check the peer's messages.
+    """
+
+    def __init__(self, now: float) -> None:
+        self.unfinished = Budget(UNFINISHED_LIMIT)
+        self.kept = Budget(KEPT_LIMIT)
+        self.unacknowledged = Budget(UNACKNOWLEDGED_LIMIT)
+        self.expansion = ExpansionBudget(now)
+        self.further_publishers = Budget(_FURTHER_PUBLISHERS)
+        self.types = TypeBudget()
+        self.rates = AllowedRates()
+        self.asked = CallBudget(now)
+        self.provided = CallBudget(now, PEERS_SHARE)
+        self.checks = TokenBucket(CHECKED_AT_ONCE, CHECKED_A_SECOND, now)

@@ -1,4 +1,4 @@
-"""How many messages a second of a topic cross at most, and who says so."""
+"""How many messages a second of a topic cross at most, who says so, and what an operator reads of changed limits."""
 
 from __future__ import annotations
 
@@ -6,11 +6,14 @@ from typing import TYPE_CHECKING
 
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.limits import ROUTES_PER_LINK
+from rsb_bridge.model.session import priority_of
 from rsb_bridge.model.snapshot import Level
 from rsb_bridge.model.token_bucket import TokenBucket
 
 if TYPE_CHECKING:
     from collections.abc import Callable
+
+    from rsb_bridge.wire.messages import Propose
 
 _AT_ONCE = 1.0
 """s of the rate that may come at once, after a link has stalled."""
@@ -144,3 +147,25 @@ def _lowest(*rates: float) -> float:
 
 def _figure(rate: float) -> str:
     return f"at most {rate:g} Hz" if rate else "any rate"
+
+
+def limits_changed(old: Propose, new: Propose) -> str:
+    """What differs between the limits of two proposals, for an operator."""
+    limits = (
+        ("max_rate", old.max_rate or None, new.max_rate or None, " Hz"),
+        ("expected_rate", old.expected_rate or None, new.expected_rate or None, " Hz"),
+        ("stale_after", old.stale_after, new.stale_after, " s"),
+        ("late_after", old.late_after, new.late_after, " s"),
+        ("max_age", old.max_age, new.max_age, " s"),
+    )
+    changed = [
+        f"{name} {_limit_text(before, unit)} → {_limit_text(after, unit)}"
+        for name, before, after, unit in limits
+        if before != after
+    ]
+    before, after = priority_of(old.priority), priority_of(new.priority)
+    return ", ".join(changed + ([f"priority {before} → {after}"] if before != after else []))
+
+
+def _limit_text(value: float | None, unit: str) -> str:
+    return "none" if value is None else f"{value:g}{unit}"

@@ -14,7 +14,7 @@ from rsb_bridge.model.names import expand_type_name
 from rsb_bridge.model.qos import incompatible, match_publishers
 from rsb_bridge.model.text import join_first
 from rsb_bridge.model.verdict import Cause
-from rsb_bridge.route.verdict import no_publisher
+from rsb_bridge.route.topic_verdict import no_publisher
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Sequence
@@ -22,10 +22,8 @@ if TYPE_CHECKING:
     from rsb_bridge.context import Context
     from rsb_bridge.model.qos import Qos
     from rsb_bridge.ros.api import Endpoint, RosInterface
-    from rsb_bridge.route.sorter import Sorter
+    from rsb_bridge.route.loop_filter import LoopFilter
     from rsb_bridge.wire.messages import Propose
-
-
 _MOST_NODES = 3  # named of each type
 _MOST_TYPES = 4  # named in one sentence
 
@@ -101,18 +99,18 @@ class Resolver:
         self._had_publishers |= bool(publishers)
         self.publisher_qos = match_publishers([each.qos for each in publishers]) if publishers else None
 
-    def resolve(self, used: MessageType, sorter: Sorter) -> Resolved | None:
+    def resolve(self, used: MessageType, loop_filter: LoopFilter) -> Resolved | None:
         """What is sent; None: not known yet, and `unresolved` says why.
 
         Args:
             used: the type that the route has sent so far.
-            sorter: knows by which bridges the messages came.
+            loop_filter: knows by which bridges the messages came.
         """
         self.unresolved = None
         try:
             resolved = resolve(self._proposal, self._publishers, self.publisher_qos, used, self.hint, self._context.ros)
-            if not sorter.table.to_describe():
-                raise UnresolvedError("publisher seen", sorter.unexplained(), cause=Cause.NO_MESSAGE)
+            if not loop_filter.table.to_describe():
+                raise UnresolvedError("publisher seen", loop_filter.unexplained(), cause=Cause.NO_MESSAGE)
         except UnresolvedError as error:
             self.unresolved = error
             return None

@@ -9,7 +9,8 @@ ready.
 from __future__ import annotations
 
 from collections import deque
-from typing import TYPE_CHECKING, ClassVar, Unpack
+from functools import partial
+from typing import TYPE_CHECKING, ClassVar, NamedTuple, Protocol, Unpack
 
 import msgspec
 
@@ -20,18 +21,15 @@ from rsb_bridge.model.session import HIGHEST, RANKS, priority_of
 from rsb_bridge.model.snapshot import Level, RouteSnapshot, Stage
 from rsb_bridge.model.text import sanitize_text
 from rsb_bridge.route.age import MessageAge
-from rsb_bridge.route.arming import SAID, Arming, Disarmed
-from rsb_bridge.route.both_sides import BothSides
-from rsb_bridge.route.channel_losses import ChannelLosses, timed_out
-from rsb_bridge.route.keys import route_key
+from rsb_bridge.route.arming import SAID, Arming, Disarmed, Settling
+from rsb_bridge.route.combined_verdict import CombinedVerdict
 from rsb_bridge.route.lifecycle import Event, Lifecycle
-from rsb_bridge.route.limits import limits_changed
-from rsb_bridge.route.notices import Notices
+from rsb_bridge.route.notices import ChannelLosses, Notices, timed_out
 from rsb_bridge.route.pause import PauseState
-from rsb_bridge.route.rate_limit import RateLimit
-from rsb_bridge.route.settling import Settling
-from rsb_bridge.route.stages import LINK_STAGE
+from rsb_bridge.route.peer import Peer
+from rsb_bridge.route.rate_limit import RateLimit, limits_changed
 from rsb_bridge.telemetry.meters import RateMeter
+from rsb_bridge.wire.headers import LEASE_FEATURE
 from rsb_bridge.wire.messages import Close, Propose
 
 if TYPE_CHECKING:
@@ -43,15 +41,47 @@ if TYPE_CHECKING:
     from rsb_bridge.model.session import Topic
     from rsb_bridge.model.verdict import Verdict
     from rsb_bridge.ros.api import Endpoint
-    from rsb_bridge.route.announcing import Announcement
-    from rsb_bridge.route.peer import Owner
+    from rsb_bridge.route.combined_verdict import Announcement
     from rsb_bridge.telemetry.event_log import About
     from rsb_bridge.wire.framing import Message
 
+_LINK_STAGE = "link up"
 _FIRST_PAUSE, _LONGEST_PAUSE = 1.0, 10.0
 _PROPOSED_WITHIN = 3.0
 _REFUSED_WITHIN = 5.0
 """s after which a retried route is no longer likely to be refused again."""
+
+
+class Owner(Peer, Protocol):
+    """The link that a route belongs to."""
+
+    def report_soon(self, route: Route) -> None:
+        """Send a route's counts before the next regular report. May be called for every batch."""
+        ...
+
+    def open_channel(self, route: Route) -> None:
+        """Begin to open `route.channel`. For streams, a server waits for the client's instead."""
+        ...
+
+
+class Standing(NamedTuple):
+    """How a route stands, whatever it carries: what `Facts` of topics and of calls have in common, named as there."""
+
+    sends: bool
+    topic: str
+    domain_id: int
+    link_down: str
+    refusal: str
+    loop: str
+    paused: bool
+    paused_by: str
+    disarmed: str
+    disarming: bool
+    can_be_armed: bool
+    no_path: str
+    waits_for: str
+    limit: float
+    limited_by: str
 
 
 class Route:
@@ -117,7 +147,7 @@ class Route:
         self.endpoints: Sequence[Endpoint] = ()
         self.losses = ChannelLosses()
         self._verdict: Verdict | None = None  # None: it has to be judged
-        self.judged = BothSides(sends=self.outgoing, peer_name="server" if peer.is_client else peer.name)
+        self.judged = CombinedVerdict(sends=self.outgoing, peer_name="server" if peer.is_client else peer.name)
         self.meter = RateMeter(context.now())
         self.release_port: Callable[[], None] | None = None
 
@@ -168,7 +198,16 @@ class Route:
         steps = self._stages()
         if self.peer.linked:
             return steps
-        return tuple(step if step.name == LINK_STAGE else Stage(step.name, None) for step in steps)
+        return tuple(step if step.name == _LINK_STAGE else Stage(step.name, None) for step in steps)
+
+    def _link_stage(self) -> Stage:
+        """Whether the peer is there, and what carries the route gets through."""
+        trouble = self.trouble()
+        return Stage(_LINK_STAGE, self.peer.linked and not trouble, trouble or self.peer.down_reason)
+
+    def _accepted_stage(self) -> Stage:
+        """Whether both sides want the route."""
+        return Stage("peer accepted", False if self.refusal else self.accepted or None, self.refusal)
 
     @property
     def rank(self) -> int:
@@ -421,11 +460,95 @@ class Route:
 
     # --- what is made of it
 
+    def standing(self) -> Standing:
+        """What any half knows."""
+        now = self.context.now()
+        stands, overdue = self.arming.stands(now), self.arming.overdue(now)
+        why_not = self._why_not_armable()
+        return Standing(
+            sends=self.outgoing,
+            topic=self.local_topic,
+            domain_id=self.context.domain_id,
+            link_down="" if self.peer.linked else self.peer.down_reason or "the link is down",
+            refusal=self.standing_refusal,
+            loop=self.notices.loop,
+            paused=self.paused,
+            paused_by=self.pausing.who,
+            disarmed="" if stands else SAID[why_not] if why_not else SAID[overdue] if overdue else self.arming.reason,
+            disarming=self.settling.under_way
+            or (self.outgoing and self.arming.armed and overdue is not None and not stands),
+            can_be_armed=why_not is None,
+            no_path=self._path_trouble(),
+            waits_for="" if self.flowing else self._first_missing(),
+            limit=self.limit.rate,
+            limited_by=self.limit.why,
+        )
+
+    def _why_not_armable(self) -> Disarmed | None:
+        """Return the reason why no operator can arm it now, whoever tries, or None."""
+        if LEASE_FEATURE not in self.peer.features:
+            return Disarmed.PEER_TOO_OLD
+        return Disarmed.LINK_SLOW if self.arming.why is Disarmed.LINK_SLOW else None
+
+    def _path_trouble(self) -> str:
+        """Return the reason why its channel does not get through; a stream that waits on a full link is none."""
+        return "" if self.link_full is not None and self.transport.reliable else self.trouble()
+
+    def _first_missing(self) -> str:
+        """What has to come before anything can cross; a step that has failed before one that is open."""
+        missing = [stage for stage in self.stages() if not stage.done]
+        first = next((stage for stage in missing if stage.done is False), None)
+        if first is None and self.awaits_report:
+            return "the other side's report" if self.accepted else self._accepted_stage().name
+        first = first or next(iter(missing), None)
+        return (first.detail or first.name) if first else ""
+
     def verdict(self) -> Verdict:
         """What this side made of the route at the last tick, or when an operator or the peer has changed it since."""
         if self._verdict is None or self.arming.overdue(self.context.now()):
             self._verdict = self._judge()
         return self._verdict
+
+    def common_snapshot(self) -> partial[RouteSnapshot]:
+        """The route as it is now, but for what depends on what it carries."""
+        now = self.context.now()
+        verdict, from_peer = self.judged.shown(self.verdict())
+        return partial(
+            RouteSnapshot,
+            key=self.key,
+            link=self.peer.name,
+            topic=self.local_topic,
+            remote_topic=self.far_topic,
+            outgoing=self.outgoing,
+            spec=self.spec,
+            state=verdict.state,
+            reason=verdict.said(now),
+            type_name=self.type_name,
+            type_hash=self.type_hash,
+            transport=self.transport.name,
+            port=self.proposal.port or self.peer.shared_port(),
+            stages=self.stages(),
+            rate=self.meter.rate,
+            expected_rate=self._expected_rate(),
+            bytes_per_second=self.meter.bytes_per_second,
+            bytes_total=self.meter.bytes,
+            latency_uncertainty=self.peer.clock_uncertainty,
+            age=None if self.meter.last is None else now - self.meter.last,
+            history=tuple(self.meter.history),
+            last_error=self.notices.last_error,
+            cause=verdict.cause,
+            from_peer=from_peer,
+            since=self.context.wall() - (now - self.judged.since(verdict, now)),
+            arming=self.arming.snapshot(now),
+            allowed_rate=self.limit.allowed or None,
+            pattern=self.pattern,
+            messages_total=self.meter.count,
+            max_age=self.age.max_age,
+        )
+
+    def _expected_rate(self) -> float | None:
+        rate, limit = self.spec.expected_rate or self.meter.usual_rate, self.limit.rate
+        return min(rate, limit) if rate and limit else rate
 
     def judge_again(self) -> None:
         """Make a new verdict when the next one is asked for."""
@@ -441,3 +564,15 @@ class Route:
         """Add an event about this route."""
         about["link"], about["topic"] = self.peer.name, self.local_topic
         self.context.log(level, code, f"{self.local_topic}: {text}", **about)
+
+
+def route_key(link: str, proposal: Propose) -> str:
+    """What identifies a route on this side: the link, the direction and the topic's name on the sending side.
+
+    Of what is not a topic, its kind, too: a service may have a topic's name.
+
+    Where the server adds a prefix that the client did not propose, the two sides' keys of a route that the server sends
+    on differ. Keys do not cross the link: each side's commands and snapshots use its own.
+    """
+    kind = "" if proposal.kind == "topic" else f"{proposal.kind} "
+    return f"{link} {'→' if proposal.from_client else '←'} {kind}{proposal.topic}"

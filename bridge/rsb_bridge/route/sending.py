@@ -7,10 +7,9 @@ from typing import TYPE_CHECKING, Protocol
 
 from rsb_bridge.channel.receipts import Pace, pace_of
 from rsb_bridge.model.verdict import Cause
-from rsb_bridge.route.outbox import Outbox
 from rsb_bridge.route.peeking import Peekable, peeked
-from rsb_bridge.route.throttle import LatestLater, Throttle
-from rsb_bridge.route.yielding import THINNED, Yielding
+from rsb_bridge.route.thinning import THINNED, LatestLater, Thinning, Throttle
+from rsb_bridge.route.topic_outbox import Outbox
 from rsb_bridge.wire.framing import HISTORY, Message
 
 if TYPE_CHECKING:
@@ -23,12 +22,12 @@ if TYPE_CHECKING:
     from rsb_bridge.ros.api import RawMessage
     from rsb_bridge.route.age import MessageAge
     from rsb_bridge.route.arming import Arming
-    from rsb_bridge.route.histories import Sample
+    from rsb_bridge.route.history_depth import Sample
     from rsb_bridge.route.ledger import RouteLedger
+    from rsb_bridge.route.loop_filter import LoopFilter
     from rsb_bridge.route.notices import Notices
     from rsb_bridge.route.peeking import PeekSlot
     from rsb_bridge.route.peer import Peer
-    from rsb_bridge.route.sorter import Sorter
     from rsb_bridge.transport.transport import Transport
     from rsb_bridge.wire.messages import Propose
 
@@ -46,7 +45,7 @@ class SendingRoute(Peekable, Protocol):
         qos: of the topic; None: not known yet.
         notices: what an operator is told.
         peek_slot: takes the next message for whoever looks at the topic.
-        yielding: what it leaves to others of the link.
+        thinning: what it leaves to others of the link.
         arming: says whether its messages have to carry a number of the lease.
         age: how old its messages may be.
     """
@@ -57,7 +56,7 @@ class SendingRoute(Peekable, Protocol):
     qos: Qos | None
     notices: Notices
     peek_slot: PeekSlot
-    yielding: Yielding
+    thinning: Thinning
     age: MessageAge
     arming: Arming
 
@@ -88,14 +87,14 @@ class Sending:
         context: what every part of the engine shares.
         route: whose messages they are.
         ledger: the route's.
-        sorter: the route's; gives each publisher's messages the number of their source.
+        loop_filter: the route's; gives each publisher's messages the number of their source.
     """
 
-    def __init__(self, context: Context, route: SendingRoute, ledger: RouteLedger, sorter: Sorter) -> None:
+    def __init__(self, context: Context, route: SendingRoute, ledger: RouteLedger, loop_filter: LoopFilter) -> None:
         self._context = context
         self._route = route
         self._ledger = ledger
-        self._sorter = sorter
+        self._loop_filter = loop_filter
         self._max_rate = route.proposal.max_rate
         self._throttle = Throttle(self._max_rate)
         self._latest_later = LatestLater(context.loop, self._throttle, self._send_latched, lambda: route.paused)
@@ -121,22 +120,22 @@ class Sending:
         if self._later is not None:
             self._later.cancel()
             self._later = None
-        self._route.yielding.busy(False, self._context.now())
+        self._route.thinning.busy(False, self._context.now())
         return self._outbox.clear()
 
     def waits(self, now: float) -> float:
         """Return how long (s) messages have waited for the channel at `now` (s); messages held back do not count."""
-        return 0.0 if self._route.yielding.holds else self._outbox.waits(now)
+        return 0.0 if self._route.thinning.holds else self._outbox.waits(now)
 
     def offer(self, batch: Sequence[RawMessage]) -> None:
         """Take messages from ROS, oldest first."""
         if self._route.peek_slot.wanted:
             self._show(batch[-1])
         self._ledger.offered += len(batch)
-        passes, pack, flags = self._throttle.passes, self._outbox.pack, self._sorter.table.flags
+        passes, pack, flags = self._throttle.passes, self._outbox.pack, self._loop_filter.table.flags
         passed = [each for each in batch if passes(each.stamp)]
         self._ledger.throttled += len(batch) - len(passed)
-        kept = self._route.yielding.keep(passed, self._context.now())
+        kept = self._route.thinning.keep(passed, self._context.now())
         self._ledger.drop(THINNED, len(passed) - len(kept))
         messages = [pack(each.payload, each.stamp, flags[each.gid]) for each in kept]
         if (arming := self._route.arming).required:
@@ -150,7 +149,7 @@ class Sending:
         self._ledger.offered += new
         admitted, left_out = self._latest_later.admit(samples)
         self._ledger.throttled += left_out
-        self._route.yielding.latched(len(admitted))
+        self._route.thinning.latched(len(admitted))
         self._send_latched(admitted)
 
     def _show(self, message: RawMessage) -> None:
@@ -167,7 +166,7 @@ class Sending:
                     self._route.age.expired(Cause.PUBLISHER_STAMPS_OLD if replayed else Cause.LINK_SLOW, 1)
                     self._ledger.expired += 1
                     continue
-                flags = self._sorter.table.flags.get(gid)
+                flags = self._loop_filter.table.flags.get(gid)
                 if flags is None:  # it has turned out, while the message waited, that it would go in a loop
                     self._ledger.drop("would loop", 1)
                     continue
@@ -180,20 +179,20 @@ class Sending:
         if not self._route.connected:
             self._ledger.drop("link lost", len(messages))
             return
-        channel, yielding = self._route.channel, self._route.yielding
+        channel, thinning = self._route.channel, self._route.thinning
         if messages and channel is not None:
             size = sum([len(message[0]) for message in messages])
             self._route.count(len(messages), size)
             fitting = self._outbox.fitting(messages, size)
             if len(fitting) < len(messages):
-                yielding.left_out(len(messages) - len(fitting))
+                thinning.left_out(len(messages) - len(fitting))
                 messages, size = fitting, sum([len(message[0]) for message in fitting])
             if not messages:
                 return
-            yielding.packed(len(messages), size)
-            holds, now = yielding.holds, self._context.now()
+            thinning.packed(len(messages), size)
+            holds, now = thinning.holds, self._context.now()
             if not holds and self._outbox.pass_on(messages, size, channel):
-                yielding.busy(channel.congested, now)
+                thinning.busy(channel.congested, now)
                 return
             pace, profile = Pace.STOPPED if holds else pace_of(channel), self._route.peer.profile
             limits = self._outbox.limits(self._route.qos, depth, pace, now, profile)
@@ -202,13 +201,13 @@ class Sending:
 
     def flush(self) -> None:
         """Send what waits while the path takes it."""
-        channel, yielding = self._route.channel, self._route.yielding
+        channel, thinning = self._route.channel, self._route.thinning
         if channel is None:
             return
         now = self._context.now()
-        self._outbox.flush(yielding.over(channel, now))
-        held = yielding.wait(now)
-        yielding.busy(channel.congested or (not held and bool(self._outbox)), now)
+        self._outbox.flush(thinning.over(channel, now))
+        held = thinning.wait(now)
+        thinning.busy(channel.congested or (not held and bool(self._outbox)), now)
         if held and self._outbox and self._later is None:
             self._later = self._context.loop.call_later(min(held, _SHARED_ANEW), self._flush_later)
 

@@ -4,27 +4,44 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from rsb_bridge.model.snapshot import State
+from rsb_bridge.model.codes import EventCode
+from rsb_bridge.model.snapshot import Level, State
 from rsb_bridge.model.verdict import EXPIRES, Cause
 from rsb_bridge.route.lateness import Late, LateWatch
 from rsb_bridge.route.peeking import PeekSlot
 from rsb_bridge.route.route import Route
-from rsb_bridge.route.silence import Silence
-from rsb_bridge.route.snapshots import snapshot_of_topic
-from rsb_bridge.route.verdict import LOSS_CAUSES, Facts, judge
-from rsb_bridge.route.yielding import Yielding
-from rsb_bridge.telemetry.meters import LatencyMeter
+from rsb_bridge.route.thinning import Thinning
+from rsb_bridge.route.topic_verdict import LOSS_CAUSES, Facts, judge
+from rsb_bridge.telemetry.meters import LatencyMeter, StaleWatch
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from rsb_bridge.context import Context
     from rsb_bridge.model.qos import Qos
-    from rsb_bridge.model.session import Topic
+    from rsb_bridge.model.session import Session, Topic
     from rsb_bridge.model.snapshot import Ledger, RouteSnapshot
     from rsb_bridge.model.verdict import Verdict
-    from rsb_bridge.route.peer import Owner
+    from rsb_bridge.route.route import Owner
     from rsb_bridge.wire.messages import Propose
     from rsb_bridge.wire.records import ReceivedReport, SentReport
 
+_EXPLAINS = frozenset(
+    {
+        Cause.NO_PATH,
+        Cause.SUBSCRIBE_FAILED,
+        Cause.QOS_INCOMPATIBLE,
+        Cause.TYPE_CONFLICT,
+        Cause.TYPE_UNKNOWN,
+        Cause.NO_PUBLISHER,
+        Cause.SIMILAR_NAME,
+        Cause.PUBLISHER_GONE,
+        Cause.TOO_LARGE,
+        Cause.NOT_PUBLISHED,
+        Cause.LOSSY,
+    }
+)
+"""Causes of silence. Others are silence itself, in other words, or go with messages."""
 _LATENCY_TICKS = 10
 """Seconds of messages that the shown latency is of."""
 MEASURED_FOR = 6.0
@@ -32,6 +49,66 @@ MEASURED_FOR = 6.0
 _DRAINS_FOR = 60.0
 """s for which messages may be late or lost because their link was full."""
 _UNUSUAL = frozenset({Cause.LATE, Cause.THINNED, *LOSS_CAUSES, *EXPIRES})
+
+
+class Silence:
+    """Warns of a route's silence after the time that its topic's entry or the session says.
+
+    Args:
+        log: adds an event about the route.
+        now: s.
+
+    Attributes:
+        own: the topic's entry says after how long it is stale.
+    """
+
+    def __init__(self, log: Callable[[Level, EventCode, str], None], now: float) -> None:
+        self.own = False
+        self._log = log
+        self._watch = StaleWatch(0.0, 0, now)
+        self._warned = False  # in the log, since a message came
+
+    def configure(self, topic: Topic, session: Session) -> None:
+        """Watch as the topic's entry and the session say now."""
+        self.own = topic.stale_after is not None
+        self._watch.after = session.stale_after if topic.stale_after is None else topic.stale_after
+        self._watch.times = session.stale_warnings
+
+    def rearm(self, now: float) -> None:
+        """Begin anew: no message was due before `now` (s)."""
+        self._watch.rearm(now)
+        self._warned = False
+
+    def tick(self, now: float, *, due: bool, cause: str) -> None:
+        """Warn if nothing has come for too long although messages are due. Called once a second.
+
+        Args:
+            now: s.
+            due: whether messages are due.
+            cause: of the route's state. A cause that explains the silence is logged already, and not repeated.
+        """
+        if due and (number := self._watch.check(now)) and cause not in _EXPLAINS:
+            self._warned = True
+            text = f"nothing for {self._watch.after * number:g} s (warning {number} of {self._watch.times})"
+            if number == self._watch.times:
+                text += "; no more will be said until data returns"
+            self._log(Level.WARNING, EventCode.ROUTE_STALE, text)
+
+    def seen(self, now: float) -> None:
+        """A message came at `now` (s)."""
+        quiet = self._watch.seen(now)
+        if quiet is not None and self._warned:
+            self._log(Level.INFO, EventCode.ROUTE_DATA_AGAIN, f"reinitialized: data again after {quiet:.0f} s")
+        self._warned = False
+
+    @property
+    def quiet_since(self) -> float:
+        """s, when the last message came, or when counting began anew."""
+        return self._watch.quiet_since
+
+    def stale_since(self, now: float) -> float | None:
+        """`quiet_since` if that is too long ago at `now` (s), else None."""
+        return self._watch.quiet_since if self._watch.stale(now) else None
 
 
 class TopicRoute(Route):
@@ -43,7 +120,7 @@ class TopicRoute(Route):
         silence: warns of a silent topic.
         peek_slot: takes the next message for operators who look at the topic.
         lateness: watches for messages that take too long.
-        yielding: its sending half's share of the link.
+        thinning: its sending half's share of the link.
     """
 
     def __init__(self, context: Context, peer: Owner, spec: Topic, proposal: Propose, *, proposed_here: bool) -> None:
@@ -56,7 +133,7 @@ class TopicRoute(Route):
         self._full_at: float | None = None  # s, when the link was last full in this direction
         self.set_stale_after()
         self.peek_slot = PeekSlot()
-        self.yielding = Yielding(context.now())
+        self.thinning = Thinning(context.now())
         self._told_report: SentReport | ReceivedReport | None = None  # the last one of the present opening
 
     # --- what the halves do differently
@@ -71,10 +148,6 @@ class TopicRoute(Route):
 
     def end_nodes(self) -> tuple[tuple[str, ...], tuple[str, ...]]:
         """The nodes that publish the topic at the beginning, and those that subscribe to it at the end."""
-        raise NotImplementedError
-
-    def facts(self) -> Facts:
-        """What this half knows."""
         raise NotImplementedError
 
     # --- what is the same for both
@@ -200,9 +273,45 @@ class TopicRoute(Route):
         """
         return self.silence.own or (self.meter.regular and not self.is_latched)
 
+    def facts(self) -> Facts:
+        """What this half knows; each adds its own."""
+        known = self.life.described
+        return Facts(
+            **self.standing()._asdict(),
+            endpoints=self.endpoints,
+            type_name=self.type_name if known else "",
+            qos=self.qos if known else None,
+            flowing=self.flowing,
+            came=self.came,
+            came_before=self.came_before,
+            stale_since=self._stale_since(),
+            thinned=self.thinning.shown(),
+            late=self.late(),
+            expired=self.age.late() if self.flowing else None,
+            full=self.link_full,
+            shown_cause=self.judged.shown_cause,
+        )
+
+    def _stale_since(self) -> float | None:
+        if not self.flowing or not self.silence_counts:
+            return None
+        return self.silence.stale_since(self.context.now())
+
     def _judge(self) -> Verdict:
         return judge(self.facts())
 
     def snapshot(self) -> RouteSnapshot:
         """The route as it is now."""
-        return snapshot_of_topic(self)
+        publisher_qos, subscriber_qos = self.end_qos()
+        publishers, subscribers = self.end_nodes()
+        return self.common_snapshot()(
+            qos=self.qos,
+            publisher_qos=publisher_qos,
+            subscriber_qos=subscriber_qos,
+            ledger=self.ledger(),
+            latency_p50=self.latency.p50,
+            latency_p99=self.latency.p99,
+            jitter=self.latency.jitter,
+            publishers=publishers,
+            subscribers=subscribers,
+        )

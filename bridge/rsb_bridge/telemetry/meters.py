@@ -1,10 +1,11 @@
-"""Rates, latencies and clock offsets. Nothing here reads a clock: the caller passes the time in."""
+"""Rates, usual rates, throughput, latencies and clock offsets. Nothing here reads a clock: callers pass the time in."""
 
 from __future__ import annotations
 
 from collections import deque
+from math import sqrt
 
-from rsb_bridge.telemetry.usual_rate import UsualRate
+from rsb_bridge.model.capacity import Capacity, CapacitySource, newer
 
 HISTORY = 120
 """Seconds of history a route keeps: what the console plots."""
@@ -21,10 +22,28 @@ _DRIFT_RATE = 1e-4
 """s a second by which two clocks drift apart, at 100 ppm."""
 _DRIFT = 2e-3
 """s: how far two clocks drift apart over as many pings, at 100 ppm."""
-
-
 _LEAST = 1e-3
 """Per second; a smaller smoothed rate is 0, which halving alone would never reach."""
+_SAMPLES, _ENOUGH = 20, 15
+"""Samples that are judged: at the most, and at the least."""
+_JUDGED_OVER = 3.0
+"""Messages, and s: a rate is judged over the longer of both (`RateMeter`, `rsb_bridge.telemetry.watches`)."""
+_RHYTHM_SAMPLES, _RHYTHM_STEADY = 5, 0.1
+"""Samples that show a rhythm before its rate can be learned, and how steady they have to be."""
+_STEADY = 0.15
+"""Standard deviation, as a share of the rate, that the rate over so long may have; watches call less than 0.7 slow."""
+_LONGEST_GAP = 60.0
+"""s; a topic with longer ones has no usual rate."""
+_QUIET_PERIODS, _QUIET = 5.0, 3.0
+"""Periods and s without a message after which an outage has begun."""
+_CHANGED = 0.15
+"""A change of the rate beyond this share of it is not noise."""
+_LOWER_FOR = 600.0
+"""s that a lower rate must last until it is the usual one."""
+_WINDOW = 4
+"""Looks that a throughput is taken over, about 1 s each."""
+_ENOUGH_ARRIVALS = 3
+"""Looks that say what a link carries."""
 
 
 class Smoothed:
@@ -65,7 +84,7 @@ class RateMeter:
         last: s, when the last one came; None: none yet.
         rate: Hz, over the shortest of 3, 10 and 30 s that holds at least three messages, and never above one message in
             the seconds since the last one.
-        usual_rate: Hz, that it usually has (`rsb_bridge.telemetry.usual_rate`); None: not known yet, or it has none.
+        usual_rate: Hz, that it usually has (`UsualRate`); None: not known yet, or it has none.
         history: messages in each of the last seconds, oldest first.
     """
 
@@ -333,3 +352,146 @@ class StaleWatch:
     def stale(self, now: float) -> bool:
         """Whether it has been quiet for too long."""
         return bool(self.after) and now - self._quiet_since >= self.after
+
+
+class UsualRate:
+    """Learns a rate from messages that come regularly. An outage teaches nothing.
+
+    A sample is what came in one tick: how many messages, and how long they and the gaps before them took. From their
+    spread follows the coefficient of variation of a single gap, and from that how steady the rate is over the time that
+    it is judged by. Messages that come at random or in bursts have no usual rate: their silence means nothing.
+
+    A higher rate is learned within seconds. A lower one counts as slow first, and is learned after ten minutes.
+
+    Attributes:
+        rate: Hz, or None if it is not known yet or there is none.
+        regular: whether messages came at a rhythm, even if its rate is not known yet.
+    """
+
+    __slots__ = ("_irregular", "_last", "_lower_for", "_samples", "_ticked", "rate", "regular")
+
+    def __init__(self) -> None:
+        self.rate: float | None = None
+        self.regular = False
+        self._samples: deque[tuple[int, float]] = deque(maxlen=_SAMPLES)  # gaps, and the s they took together
+        self._last: float | None = None
+        self._ticked = 0.0
+        self._irregular = 0
+        self._lower_for = 0.0
+
+    def add(self, messages: int, last: float | None, now: float) -> None:
+        """Take how many messages came since the last call.
+
+        Args:
+            messages: how many.
+            last: s, when the last one came; None: none ever did.
+            now: s.
+        """
+        began, self._ticked = self._ticked, now
+        if not messages or last is None:
+            return
+        previous, self._last = self._last, last
+        if previous is None or began - previous > self._longest_gap():
+            return  # the first messages, or the first after an outage
+        gaps, seconds = messages, last - previous
+        quiet = began - previous
+        if gaps > 1 and quiet > 1.0:  # a long gap, and short ones after it
+            self._samples.append((1, quiet))
+            gaps, seconds = gaps - 1, seconds - quiet
+        self._samples.append((gaps, seconds))
+        self._learn(last - previous)
+        self.regular = self.rate is not None or self._regular_rate(_RHYTHM_SAMPLES, _RHYTHM_STEADY) is not None
+
+    def skip(self, now: float) -> None:
+        """Learn nothing from what came since the last call, at `now` (s), and keep the rate.
+
+        The samples before are dropped: trouble begins a little before it is noticed.
+        """
+        self._ticked = now
+        self._last = None
+        self._samples.clear()
+        self._lower_for = 0.0
+
+    def _longest_gap(self) -> float:
+        return _LONGEST_GAP if self.rate is None else max(_QUIET, _QUIET_PERIODS / self.rate)
+
+    def _learn(self, seconds: float) -> None:
+        rate = self._regular_rate(_ENOUGH, _STEADY)
+        if rate is None:
+            self._irregular += 1
+            if self._irregular > _SAMPLES:  # and not for one outlier among the samples
+                self.rate = None
+            return
+        self._irregular = 0
+        if self.rate is None or rate > self.rate * (1 + _CHANGED):
+            self.rate = rate
+        elif rate >= self.rate * (1 - _CHANGED):
+            self.rate += 0.1 * (rate - self.rate)
+        else:
+            self._lower_for += seconds
+            if self._lower_for >= _LOWER_FOR:
+                self.rate = rate
+            else:
+                return
+        self._lower_for = 0.0
+
+    def _regular_rate(self, enough: int, steady: float) -> float | None:
+        """Return the rate of the last samples, or None if they are fewer than `enough` or not as `steady`."""
+        if len(self._samples) < enough:
+            return None
+        gaps = sum([gaps for gaps, _ in self._samples])
+        period = sum([seconds for _, seconds in self._samples]) / gaps
+        if period <= 0.0:
+            return None
+        variance = sum([(seconds - gaps * period) ** 2 / gaps for gaps, seconds in self._samples])
+        variation = sqrt(variance / (len(self._samples) - 1)) / period  # of a single gap
+        spread = variation / sqrt(max(_JUDGED_OVER, _JUDGED_OVER / period))
+        return 1 / period if spread <= steady else None
+
+
+class Throughput:
+    """How much a link carries in one direction, by what has arrived.
+
+    Attributes:
+        capacity: what it is known to carry; None: nothing yet.
+    """
+
+    def __init__(self) -> None:
+        self.capacity: Capacity | None = None
+        self._looked: float | None = None
+        self._full = False
+        self._window: deque[tuple[float, float]] = deque(maxlen=_WINDOW)
+
+    def look(self, arrived: float, now: float, at: float, *, full: bool) -> float:
+        """Take what has arrived since the last look, about a second ago.
+
+        Args:
+            arrived: bytes.
+            now: s.
+            at: s since the epoch, now.
+            full: more waited to be sent all the time.
+
+        Returns:
+            Bytes/s, over the last seconds for which that is as it is now.
+        """
+        began, self._looked = self._looked, now
+        if began is None or now <= began:
+            return 0.0
+        if full != self._full:
+            self._full = full
+            self._window.clear()
+        self._window.append((max(0.0, arrived), now - began))
+        rate = sum(size for size, _ in self._window) / sum(seconds for _, seconds in self._window)
+        if len(self._window) >= _ENOUGH_ARRIVALS and rate:
+            source = CapacitySource.FULL if full else CapacitySource.SEEN
+            self.capacity = newer(self.capacity, Capacity(rate, source, at))
+        return rate
+
+    def disconnected(self) -> None:
+        """What arrives from now on comes by another connection."""
+        self._looked, self._full = None, False
+        self._window.clear()
+
+    def measured(self, capacity: Capacity) -> None:
+        """A bench says what it carries."""
+        self.capacity = newer(self.capacity, capacity)

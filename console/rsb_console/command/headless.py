@@ -16,7 +16,7 @@ from rsb_bridge.api import EngineError
 from rsb_bridge.control.bridges import AlreadyRunningError, serve
 from rsb_bridge.control.folders import ControlError
 from rsb_bridge.engine import Engine
-from rsb_bridge.history.folders import state_folder
+from rsb_bridge.history.state_folder import state_folder
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.operators import acting
 from rsb_bridge.model.snapshot import Event, Level

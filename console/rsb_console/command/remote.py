@@ -505,9 +505,9 @@ def _report_of(arguments: Namespace, seconds: float) -> HistoryReport:
         NoBridgeError: none runs, and none has left files.
         UsageError: several do, and the arguments do not say which.
     """
-    from rsb_bridge.history import offline  # noqa: PLC0415 (only here)
-    from rsb_bridge.history.folders import EVENTS, Files, kept_bridges  # noqa: PLC0415 (only here)
-    from rsb_bridge.history.history_file import HistoryFileError  # noqa: PLC0415 (only here)
+    from rsb_bridge.history import history_files  # noqa: PLC0415 (only here)
+    from rsb_bridge.history.history_files import HistoryFileError  # noqa: PLC0415
+    from rsb_bridge.history.state_folder import EVENTS, Files, kept_bridges  # noqa: PLC0415
 
     name = arguments.bridge
     named = arguments.control is not None or arguments.fleet is not None
@@ -525,7 +525,7 @@ def _report_of(arguments: Namespace, seconds: float) -> HistoryReport:
         found = "".join(f"\n  {files.stem}: {files.history}" for files in kept)
         raise UsageError(f"no bridge runs here, and several have left their files; say which:{found}")
     try:
-        return offline.report(kept[0], time.time(), seconds)
+        return history_files.report(kept[0], time.time(), seconds)
     except HistoryFileError as error:
         raise NoBridgeError(str(error)) from None
 

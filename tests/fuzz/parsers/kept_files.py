@@ -14,9 +14,9 @@ from tests.fuzz.scratch import scratch_folder
 from tests.history.clocks import EPOCH
 from tests.history.world import World
 
-from rsb_bridge.history import event_file, history_file, offline
-from rsb_bridge.history.folders import Files
-from rsb_bridge.history.history_file import HistoryFileError
+from rsb_bridge.history import history_files
+from rsb_bridge.history.history_files import HistoryFileError
+from rsb_bridge.history.state_folder import Files
 from rsb_bridge.history.timeline import Timeline
 from rsb_bridge.model.history import HistoryReport
 from rsb_bridge.model.snapshot import Event, Level, State
@@ -45,9 +45,9 @@ def _read_history(pack: Callable[[bytes], bytes], data: bytes) -> None:
     files.history.write_bytes(pack(data))
     files.events.unlink(missing_ok=True)
     with contextlib.suppress(HistoryFileError):
-        _check_report(offline.report(files, _NOW, 3600.0))
+        _check_report(history_files.report(files, _NOW, 3600.0))
     try:
-        saved = history_file.read(files.history)
+        saved = history_files.read_history(files.history)
         timeline = Timeline.restore(saved, "robot1", "client")
     except (HistoryFileError, ValueError):
         return
@@ -60,7 +60,7 @@ def _read_history(pack: Callable[[bytes], bytes], data: bytes) -> None:
 def _read_events(data: bytes) -> None:
     files = _files()
     files.events.write_bytes(data)
-    events = list(event_file.read(files.events, _NOW))
+    events = list(history_files.read_events(files.events, _NOW))
     assert len(events) <= data.count(b"\n") + 1
     timeline = Timeline("robot1", "client")
     timeline.go_on(events)
@@ -68,10 +68,10 @@ def _read_events(data: bytes) -> None:
     for event in events:
         if not (event.code and event.text and is_clean(event.code)):
             continue  # this program writes none
-        line = event_file.encode(event)
+        line = history_files.encode_event(event)
         files.events.write_bytes(line)
-        (again,) = event_file.read(files.events, _NOW)
-        assert event_file.encode(again) == line
+        (again,) = history_files.read_events(files.events, _NOW)
+        assert history_files.encode_event(again) == line
 
 
 def _saved() -> bytes:
@@ -95,7 +95,7 @@ PARSERS = (
     Parser(
         "event_file",
         _read_events,
-        (b"".join(map(event_file.encode, _EVENTS)),),
+        (b"".join(map(history_files.encode_event, _EVENTS)),),
         edit_json_lines,
     ),
 )

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import pytest
 
-from rsb_bridge.route.calls import budget as module
-from rsb_bridge.route.calls.budget import CallBudget
-from rsb_bridge.route.calls.refusals import Refused
+from rsb_bridge.route.calls import pending_calls as module
+from rsb_bridge.route.calls.calls_ledger import Refused
+from rsb_bridge.route.calls.pending_calls import CallBudget
 
 
 @pytest.fixture

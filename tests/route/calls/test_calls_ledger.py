@@ -5,7 +5,7 @@ from __future__ import annotations
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rsb_bridge.route.calls.ledger import CallsLedger
+from rsb_bridge.route.calls.calls_ledger import CallsLedger
 from rsb_bridge.wire.headers import MOST_TOOK
 
 CALLS = st.tuples(st.integers(0, MOST_TOOK) | st.integers(0, 10**10), st.floats(0.0, 3600.0))

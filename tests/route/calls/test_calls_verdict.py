@@ -6,9 +6,9 @@ import pytest
 
 from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.verdict import Cause
-from rsb_bridge.route.both_sides import BothSides, record_of
-from rsb_bridge.route.calls.refusals import Refused
-from rsb_bridge.route.calls.verdict import CallsFacts, Trouble, judge_calls
+from rsb_bridge.route.calls.calls_ledger import Refused
+from rsb_bridge.route.calls.calls_verdict import CallsFacts, Trouble, judge_calls
+from rsb_bridge.route.combined_verdict import CombinedVerdict, record_of
 
 FINE = CallsFacts(sends=True, topic="/go", offered=True, came=True, timeout=5.0, providers="/teller")
 NOBODY = Trouble(Cause.NO_SERVER, "no server of /go in domain 2")
@@ -61,7 +61,7 @@ def test_both_sides_show_the_same(sends: bool, trouble: Trouble, state: State) -
     near = judge_calls(FINE._replace(offered=False, came=False, waits_for="server seen"))
     far = judge_calls(CallsFacts(sends=False, topic="/go", unavailable=trouble))
     own, others = (near, far) if sends else (far, near)
-    both = BothSides(sends=sends, peer_name="the other")
+    both = CombinedVerdict(sends=sends, peer_name="the other")
     both.take(record_of(others), 0.0)
     shown, from_peer = both.shown(own)
     assert (shown.state, shown.cause) == (state, trouble.cause)

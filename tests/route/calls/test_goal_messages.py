@@ -15,29 +15,29 @@ from tests.support.goals import (
     statuses,
 )
 
-from rsb_bridge.route.calls import goal_messages
+from rsb_bridge.route.calls import goals
 
 ORDERS = pytest.mark.parametrize("order", "<>")
 READERS = (
-    goal_messages.goal_of,
-    goal_messages.cancel_of,
-    goal_messages.accepted_by,
-    goal_messages.state_of,
-    goal_messages.statuses_of,
+    goals.goal_of,
+    goals.cancel_of,
+    goals.accepted_by,
+    goals.state_of,
+    goals.statuses_of,
 )
 IDS = st.binary(min_size=16, max_size=16)
 
 
 @ORDERS
 def test_the_goal_of_a_request(order: str) -> None:
-    assert goal_messages.goal_of(goal_request(goal(7), order, b"fields of the goal")) == goal(7)
-    assert goal_messages.goal_of(goal_request(goal(7), order)[:-1]) is None
+    assert goals.goal_of(goal_request(goal(7), order, b"fields of the goal")) == goal(7)
+    assert goals.goal_of(goal_request(goal(7), order)[:-1]) is None
 
 
 @ORDERS
 def test_what_a_cancel_is_about(order: str) -> None:
     one, upto, everything = (
-        goal_messages.cancel_of(each)
+        goals.cancel_of(each)
         for each in (
             cancel_request(goal(7), order=order),
             cancel_request(goal(7), 1700000000, order=order),
@@ -49,38 +49,38 @@ def test_what_a_cancel_is_about(order: str) -> None:
     assert everything is not None
     assert (one.goal, upto.goal, everything.goal) == (goal(7), None, None)
     assert len({one.request, upto.request, everything.request}) == 3
-    assert goal_messages.cancel_of(cancel_request(goal(7), order=order)[:-1]) is None
+    assert goals.cancel_of(cancel_request(goal(7), order=order)[:-1]) is None
 
 
 @ORDERS
 def test_answers(order: str) -> None:
-    assert goal_messages.accepted_by(goal_response(True, order)) is True
-    assert goal_messages.accepted_by(goal_response(False, order)) is False
+    assert goals.accepted_by(goal_response(True, order)) is True
+    assert goals.accepted_by(goal_response(False, order)) is False
     for state in STATES:
-        assert goal_messages.state_of(result_response(state, b"a result", order)) == state
-    assert goal_messages.state_of(result_response("unknown", order=order)[:4] + b"\7") is None
+        assert goals.state_of(result_response(state, b"a result", order)) == state
+    assert goals.state_of(result_response("unknown", order=order)[:4] + b"\7") is None
 
 
 @ORDERS
-@given(goals=st.dictionaries(IDS, st.sampled_from(sorted(STATES)), max_size=5))
-def test_statuses(order: str, goals: dict[bytes, str]) -> None:
-    message = statuses(*goals.items(), order=order)
-    assert goal_messages.statuses_of(message) == list(goals.items())
+@given(known=st.dictionaries(IDS, st.sampled_from(sorted(STATES)), max_size=5))
+def test_statuses(order: str, known: dict[bytes, str]) -> None:
+    message = statuses(*known.items(), order=order)
+    assert goals.statuses_of(message) == list(known.items())
     padded = message + bytes(3)  # DDS pads payloads between processes
-    assert goal_messages.statuses_of(padded) == list(goals.items())
-    if goals:
-        assert goal_messages.statuses_of(message[:-1]) is None
+    assert goals.statuses_of(padded) == list(known.items())
+    if known:
+        assert goals.statuses_of(message[:-1]) is None
 
 
 def test_a_state_of_a_later_ros_is_unknown() -> None:
     message = bytearray(statuses((goal(1), "aborted")))
     message[-1] = 99
-    assert goal_messages.statuses_of(bytes(message)) == [(goal(1), "unknown")]
+    assert goals.statuses_of(bytes(message)) == [(goal(1), "unknown")]
 
 
 def test_a_count_is_not_believed() -> None:
     message = statuses((goal(1), "aborted"))
-    assert goal_messages.statuses_of(message[:4] + b"\xff\xff\xff\xff" + message[8:]) is None
+    assert goals.statuses_of(message[:4] + b"\xff\xff\xff\xff" + message[8:]) is None
 
 
 @given(st.binary(max_size=64))
@@ -107,11 +107,11 @@ def test_as_rclpy_writes_them() -> None:
         impl.GetResultService.Request(goal_id=goal_id),
         impl.FeedbackMessage(goal_id=goal_id),
     ):
-        assert goal_messages.goal_of(serialize_message(message)) == goal(7)
-    cancel = goal_messages.cancel_of(serialize_message(CancelGoal.Request(goal_info=info)))
+        assert goals.goal_of(serialize_message(message)) == goal(7)
+    cancel = goals.cancel_of(serialize_message(CancelGoal.Request(goal_info=info)))
     assert cancel is not None
     assert cancel.goal == goal(7)
-    assert goal_messages.accepted_by(serialize_message(impl.SendGoalService.Response(accepted=True))) is True
-    assert goal_messages.state_of(serialize_message(impl.GetResultService.Response(status=4))) == "succeeded"
+    assert goals.accepted_by(serialize_message(impl.SendGoalService.Response(accepted=True))) is True
+    assert goals.state_of(serialize_message(impl.GetResultService.Response(status=4))) == "succeeded"
     array = GoalStatusArray(status_list=[GoalStatus(goal_info=info, status=each) for each in (2, 6)])
-    assert goal_messages.statuses_of(serialize_message(array)) == [(goal(7), "executing"), (goal(7), "aborted")]
+    assert goals.statuses_of(serialize_message(array)) == [(goal(7), "executing"), (goal(7), "aborted")]

@@ -6,8 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from tests.support.goals import goal
 
-from rsb_bridge.route.calls.goal_messages import STATES, GoalStatus
-from rsb_bridge.route.calls.goals import MOST_GOALS, OVER, Goals
+from rsb_bridge.route.calls.goals import MOST_GOALS, OVER, STATES, Goals, GoalStatus
 
 
 class Wall:

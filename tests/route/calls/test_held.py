@@ -12,12 +12,12 @@ from rsb_bridge.link.proposals import proposal_of
 from rsb_bridge.model.calls import CANCEL_GOAL, GET_RESULT, SEND_GOAL
 from rsb_bridge.model.session import Topic
 from rsb_bridge.ros.turns import RosTurns
-from rsb_bridge.route.calls.by_hand import CallError
 from rsb_bridge.route.calls.calling_action import CallingAction
-from rsb_bridge.route.calls.goal_messages import accepted_by
+from rsb_bridge.route.calls.calls_ledger import REMEDIES, Refused
+from rsb_bridge.route.calls.goals import accepted_by
 from rsb_bridge.route.calls.kept_calls import KeptCall
+from rsb_bridge.route.calls.manual_call import CallError
 from rsb_bridge.route.calls.providing_action import ProvidingAction
-from rsb_bridge.route.calls.refusals import REMEDIES, Refused
 from rsb_bridge.route.lease import BEAT, LASTS, Lease
 from rsb_bridge.wire.headers import CallFrame, What
 from rsb_bridge.wire.messages import Provide

@@ -11,31 +11,30 @@ from rsb_bridge.model.snapshot import Level, Stage
 from rsb_bridge.model.token_bucket import TokenBucket
 from rsb_bridge.model.verdict import Cause
 from rsb_bridge.ros.api import Request, RosError
-from rsb_bridge.route.both_sides import node_names
-from rsb_bridge.route.calls.by_hand import CallError, Hand
-from rsb_bridge.route.calls.circles import way_here
-from rsb_bridge.route.calls.graph import others_called, types_clash
-from rsb_bridge.route.calls.lane_messages import LaneMessages
-from rsb_bridge.route.calls.names import name_of, type_of
-from rsb_bridge.route.calls.offers import Offers
-from rsb_bridge.route.calls.refusals import Refused, refused_as
-from rsb_bridge.route.calls.rivals import Rivals
-from rsb_bridge.route.calls.route import CallsRoute, frame_size
-from rsb_bridge.route.calls.under_way import Call, UnderWay
-from rsb_bridge.route.calls.verdict import CallsFacts, Trouble
-from rsb_bridge.route.stages import accepted_stage, link_stage
-from rsb_bridge.route.verdict import named
+from rsb_bridge.route.calls.call_endpoints import Offers, name_of, type_of
+from rsb_bridge.route.calls.call_servers import LocalServers, others_called, types_clash, way_here
+from rsb_bridge.route.calls.calls_ledger import Refused, refused_as
+from rsb_bridge.route.calls.calls_route import CallsRoute, frame_size
+from rsb_bridge.route.calls.calls_verdict import CallsFacts, Trouble
+from rsb_bridge.route.calls.manual_call import CallError, ManualCall
+from rsb_bridge.route.calls.pending_calls import Call, UnderWay
+from rsb_bridge.route.combined_verdict import node_names
+from rsb_bridge.route.source_publishers import SlowSubscriberError
+from rsb_bridge.route.topic_verdict import named
 from rsb_bridge.wire.headers import CallFrame, What
 from rsb_bridge.wire.protocol_error import ProtocolError
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterable, Sequence
 
     from rsb_bridge.context import Context
+    from rsb_bridge.model.calls import Lane
     from rsb_bridge.model.session import Topic
     from rsb_bridge.ros.api import ServiceServer
     from rsb_bridge.route.lease import Lease
-    from rsb_bridge.route.peer import Owner
+    from rsb_bridge.route.notices import Notices
+    from rsb_bridge.route.route import Owner
+    from rsb_bridge.wire.framing import Budget
     from rsb_bridge.wire.messages import Propose, Provide
     from rsb_bridge.wire.records import CallsReport, LaneEntry
 
@@ -45,12 +44,64 @@ _AT_ONCE = 1.0
 """s of `max_rate` that may come at once."""
 
 
+class LaneMessages:
+    """Publishes the messages of lanes that are topics while they are offered, and keeps those of latched lanes.
+
+    Args:
+        lanes: of the route.
+        offers: have the publishers.
+        budget: bytes that may be kept on the link.
+        notices: told of messages that cannot be published.
+    """
+
+    def __init__(self, lanes: Sequence[Lane], offers: Offers, budget: Budget, notices: Notices) -> None:
+        self._lanes = lanes
+        self._offers = offers
+        self._budget = budget
+        self._notices = notices
+        self._kept: dict[int, bytes] = {}  # by lane
+
+    def take(self, lane: int, content: bytes) -> None:
+        """Publish a message that came."""
+        qos = self._lanes[lane].qos
+        if qos is not None and qos.latched:
+            self._keep(lane, content)
+        self._publish(lane, content)
+
+    def offered(self, lanes: Iterable[int]) -> None:
+        """Publish what is kept on lanes that are offered from now on."""
+        for lane in lanes:
+            if lane in self._kept:
+                self._publish(lane, self._kept[lane])
+
+    def clear(self) -> None:
+        """Keep nothing."""
+        for lane in tuple(self._kept):
+            self._keep(lane, b"")
+
+    def _keep(self, lane: int, content: bytes) -> None:
+        self._budget.give(len(self._kept.pop(lane, b"")))
+        if content and self._budget.take(len(content)):
+            self._kept[lane] = content
+
+    def _publish(self, lane: int, content: bytes) -> None:
+        publisher = self._offers.publishers.get(lane)
+        if publisher is None:
+            return
+        try:
+            publisher.publish(content)
+        except RosError as error:
+            self._notices.message_error(EventCode.ROUTE_PUBLISH_FAILED, str(error))
+        except SlowSubscriberError as error:
+            self._notices.message_error(EventCode.ROUTE_SLOW_SUBSCRIBER, str(error))
+
+
 @dataclass(slots=True)
 class CallerCall(Call):
     """A call of a caller here.
 
     Attributes:
-        server: that took it; the `Hand` of an operator's.
+        server: that took it; the `ManualCall` of an operator's.
         caller: whom it answers.
     """
 
@@ -59,7 +110,7 @@ class CallerCall(Call):
 
     def unanswered(self, reason: str) -> None:
         """It will have no answer; nobody but an operator can be told."""
-        if isinstance(self.server, Hand):
+        if isinstance(self.server, ManualCall):
             self.server.fail(reason)
 
 
@@ -76,7 +127,7 @@ class CallingRoute(CallsRoute):
         self._offers = Offers(
             context, peer, self.lanes, self._asked, self._too_late, self._offer_failed, self._lease_of_requests
         )
-        self._rivals = Rivals(context, peer, self.advance)
+        self._rivals = LocalServers(context, peer, self.advance)
         self._served_here: list[str] = []  # the nodes that serve it here, while nobody does on the other side
         self._under_way = UnderWay[CallerCall](context.loop, peer.budget.asked, self._expired, self._outbox.forget)
         self._last_number = 0
@@ -276,7 +327,7 @@ class CallingRoute(CallsRoute):
         """A call is not sent."""
         self._refuse(why)
 
-    def _begin(self, lane: int, request: Request, hand: Hand | None = None) -> None:
+    def _begin(self, lane: int, request: Request, hand: ManualCall | None = None) -> None:
         """Send a call, which has its place in the budget; `hand`: it is an operator's."""
         self._last_number += 1
         server = hand or self._offers.servers[lane]
@@ -293,7 +344,7 @@ class CallingRoute(CallsRoute):
         """Make a call as a caller here would."""
         if lane not in self._reach:
             raise CallError(self._why_not_now())
-        hand, number = Hand(self.context.loop), self._last_number + 1
+        hand, number = ManualCall(self.context.loop), self._last_number + 1
         self._asked_for(len(request))
         lease = self.arming.newest_number if self.arming.required else 0
         made = Request(request, b"", self.context.stamps.now(), lease)
@@ -432,8 +483,8 @@ class CallingRoute(CallsRoute):
         return (
             Stage("server seen", seen, ", ".join(self.provider_nodes) if seen else nobody if seen is False else ""),
             Stage("type known", bool(self.type_name) or None, self.type_name),
-            link_stage(self),
-            accepted_stage(self),
+            self._link_stage(),
+            self._accepted_stage(),
             Stage("offered", False if failure else self.offered or None, failure),
             Stage("called", self.calls.asked > 0 or None),
             Stage("answered", self.calls.answered > 0 or None, "" if self.calls.answered else self.calls.last_failure),

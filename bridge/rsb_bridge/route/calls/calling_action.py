@@ -15,17 +15,17 @@ from typing import TYPE_CHECKING
 from rsb_bridge.model.calls import CANCEL_GOAL, FEEDBACK, GET_RESULT, SEND_GOAL, STATUS
 from rsb_bridge.ros.api import RosError
 from rsb_bridge.route.calls.calling import CallerCall, CallingRoute
-from rsb_bridge.route.calls.goal_messages import (
+from rsb_bridge.route.calls.calls_ledger import Refused
+from rsb_bridge.route.calls.calls_route import frame_size
+from rsb_bridge.route.calls.goals import (
+    Goals,
     accepted_by,
     goal_of,
     rejection_of,
     state_of,
     statuses_of,
 )
-from rsb_bridge.route.calls.goals import Goals
 from rsb_bridge.route.calls.kept_calls import INTERRUPTION, KeptCall, KeptCalls
-from rsb_bridge.route.calls.refusals import Refused
-from rsb_bridge.route.calls.route import frame_size
 from rsb_bridge.wire.headers import CallFrame, What
 
 if TYPE_CHECKING:
@@ -35,8 +35,8 @@ if TYPE_CHECKING:
     from rsb_bridge.model.session import Topic
     from rsb_bridge.model.snapshot import RouteSnapshot
     from rsb_bridge.ros.api import Request, ServiceServer
-    from rsb_bridge.route.calls.by_hand import Hand
-    from rsb_bridge.route.peer import Owner
+    from rsb_bridge.route.calls.manual_call import ManualCall
+    from rsb_bridge.route.route import Owner
     from rsb_bridge.wire.messages import Propose, Provide
 
 _OUTLIVING = (CANCEL_GOAL, GET_RESULT)
@@ -123,7 +123,7 @@ class CallingAction(CallingRoute):
         if lane == SEND_GOAL:
             self._reject(self._offers.servers[lane], request.caller, request.payload)
 
-    def _begin(self, lane: int, request: Request, hand: Hand | None = None) -> None:
+    def _begin(self, lane: int, request: Request, hand: ManualCall | None = None) -> None:
         if hand is not None:
             super()._begin(lane, request, hand)  # an operator who waits is not kept waiting over an interruption
             return

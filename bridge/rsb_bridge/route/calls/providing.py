@@ -12,17 +12,14 @@ from rsb_bridge.model.snapshot import Stage
 from rsb_bridge.model.sources import MOST_HOPS
 from rsb_bridge.model.verdict import Cause
 from rsb_bridge.ros.api import RosError
-from rsb_bridge.route.both_sides import node_names
-from rsb_bridge.route.calls.by_hand import CallError, call_directly
-from rsb_bridge.route.calls.circles import Circles
-from rsb_bridge.route.calls.clients import Clients
-from rsb_bridge.route.calls.graph import Provision, provision
-from rsb_bridge.route.calls.names import name_of
-from rsb_bridge.route.calls.refusals import REMEDIES, Refused
-from rsb_bridge.route.calls.route import CallsRoute, frame_size
-from rsb_bridge.route.calls.under_way import Call, UnderWay
-from rsb_bridge.route.calls.verdict import CallsFacts, Trouble
-from rsb_bridge.route.stages import accepted_stage, link_stage
+from rsb_bridge.route.calls.call_endpoints import Clients, name_of
+from rsb_bridge.route.calls.call_servers import CallLoopGuard, Provision, provision
+from rsb_bridge.route.calls.calls_ledger import REMEDIES, Refused
+from rsb_bridge.route.calls.calls_route import CallsRoute, frame_size
+from rsb_bridge.route.calls.calls_verdict import CallsFacts, Trouble
+from rsb_bridge.route.calls.manual_call import CallError, call_directly
+from rsb_bridge.route.calls.pending_calls import Call, UnderWay
+from rsb_bridge.route.combined_verdict import node_names
 from rsb_bridge.wire.headers import CallFrame, What
 from rsb_bridge.wire.messages import Provide
 from rsb_bridge.wire.protocol_error import ProtocolError
@@ -34,7 +31,7 @@ if TYPE_CHECKING:
     from rsb_bridge.context import Context
     from rsb_bridge.model.session import Topic
     from rsb_bridge.ros.api import Endpoint, RawMessage, Response
-    from rsb_bridge.route.peer import Owner
+    from rsb_bridge.route.route import Owner
     from rsb_bridge.wire.messages import Propose
     from rsb_bridge.wire.records import LaneEntry
 
@@ -68,7 +65,7 @@ class ProvidingRoute(CallsRoute):
     def __init__(self, context: Context, peer: Owner, spec: Topic, proposal: Propose, *, proposed_here: bool) -> None:
         super().__init__(context, peer, spec, proposal, proposed_here=proposed_here)
         self._provision = Provision()
-        self._circles = Circles(context, peer)
+        self._circles = CallLoopGuard(context, peer)
         self._via: dict[str, None] = {}  # the bridges that answers cross before they come here
         self._present: set[bytes] = set()  # ids of servers; the calls made since the last look share it
         self._told: Provide | None = None  # in the present opening
@@ -402,8 +399,8 @@ class ProvidingRoute(CallsRoute):
                 known or (False if seen else None),
                 self.type_name if known else trouble.text if seen and trouble else "",
             ),
-            link_stage(self),
-            accepted_stage(self),
+            self._link_stage(),
+            self._accepted_stage(),
             Stage("offered", False if failed else self.offered or None, "" if self.offered else failed or why_not),
             Stage("called", self.calls.asked > 0 or None),
             Stage("answered", self.calls.answered > 0 or None, "" if self.calls.answered else self.calls.last_failure),

@@ -11,13 +11,18 @@ from typing import TYPE_CHECKING, ClassVar
 
 from rsb_bridge.model.calls import FEEDBACK, GET_RESULT, SEND_GOAL, STATUS
 from rsb_bridge.ros.api import RosError
-from rsb_bridge.route.calls.goal_messages import accepted_by, goal_of, state_of, statuses_of
-from rsb_bridge.route.calls.goals import Goals
-from rsb_bridge.route.calls.kept_answers import Do, KeptAnswers, Question, question_of, result_request
-from rsb_bridge.route.calls.kept_calls import INTERRUPTION
+from rsb_bridge.route.calls.calls_ledger import Refused
+from rsb_bridge.route.calls.calls_route import frame_size
+from rsb_bridge.route.calls.goals import Goals, accepted_by, goal_of, state_of, statuses_of
+from rsb_bridge.route.calls.kept_calls import (
+    INTERRUPTION,
+    AnswerAction,
+    KeptAnswers,
+    Question,
+    question_of,
+    result_request,
+)
 from rsb_bridge.route.calls.providing import PeersCall, ProvidingRoute
-from rsb_bridge.route.calls.refusals import Refused
-from rsb_bridge.route.calls.route import frame_size
 from rsb_bridge.wire.headers import CallFrame, What
 
 if TYPE_CHECKING:
@@ -27,10 +32,10 @@ if TYPE_CHECKING:
     from rsb_bridge.model.session import Topic
     from rsb_bridge.model.snapshot import RouteSnapshot
     from rsb_bridge.ros.api import RawMessage, Response
-    from rsb_bridge.route.peer import Owner
+    from rsb_bridge.route.route import Owner
     from rsb_bridge.wire.messages import Propose
 
-_REFUSALS = {Do.REFUSE: Refused.NOT_ARRIVED, Do.LOSE: Refused.LOST}
+_REFUSALS = {AnswerAction.REFUSE: Refused.NOT_ARRIVED, AnswerAction.LOSE: Refused.LOST}
 
 
 class ProvidingAction(ProvidingRoute):
@@ -117,10 +122,10 @@ class ProvidingAction(ProvidingRoute):
             super()._take_call(frame)
             return
         do = self._answers.take(question, frame.call, again=again)
-        if do is Do.ASK and frame.lane == GET_RESULT:
+        if do is AnswerAction.ASK and frame.lane == GET_RESULT:
             self._wait(frame)
             self._ask_result(question, frame.call)
-        elif do is Do.ASK:
+        elif do is AnswerAction.ASK:
             super()._take_call(frame)
             if (call := self._under_way.get(frame.call)) is not None:
                 self._answers.asked(question, call.number, frozenset(self._present))
@@ -130,7 +135,7 @@ class ProvidingAction(ProvidingRoute):
             self._refuse_peer(frame, _REFUSALS[do])
         else:
             self._wait(frame)
-            if do is Do.ANSWER:
+            if do is AnswerAction.ANSWER:
                 self._answer_peer(frame.call, self._answers.answer(question))
 
     def _wait(self, frame: CallFrame) -> None:

@@ -1,0 +1,121 @@
+"""The folder in which a bridge keeps its events and its time line, and the claim to its files there."""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import fcntl
+import os
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from rsb_bridge.model.names import file_stem
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+SERVICES = Path("/var/lib/rsb-console")
+"""The folder of bridges that systemd runs, `StateDirectory=` of their unit."""
+EVENTS, HISTORY, _LOCK = ".jsonl", ".history", ".lock"
+_BRIDGES_OF_A_NAME = 9
+_ROLE_LENGTH = 20
+
+
+def state_folder(environ: Mapping[str, str]) -> Path:
+    """The folder that this process writes to.
+
+    systemd's own for a service (``$STATE_DIRECTORY``), else ``$XDG_STATE_HOME/rsb-console``, else
+    ``~/.local/state/rsb-console``.
+    """
+    if service := environ.get("STATE_DIRECTORY", "").partition(":")[0]:
+        return Path(service)
+    base = environ.get("XDG_STATE_HOME")
+    return (Path(base) if base else Path(os.path.expanduser("~/.local/state"))) / "rsb-console"  # noqa: PTH111 -- never fails
+
+
+def searched_folders(environ: Mapping[str, str]) -> list[Path]:
+    """The folders in which this user may find what bridges have kept."""
+    return list(dict.fromkeys((state_folder(environ), SERVICES)))
+
+
+class Files:
+    """The files of one bridge. Of several with one name, the second has ``NAME-2`` and so on.
+
+    Args:
+        folder: that they are in; need not exist.
+        stem: their name without suffix.
+    """
+
+    def __init__(self, folder: Path, stem: str) -> None:
+        self.folder = folder
+        self.stem = stem
+
+    @property
+    def events(self) -> Path:
+        """The newest file of events."""
+        return self.folder / f"{self.stem}{EVENTS}"
+
+    @property
+    def history(self) -> Path:
+        """The file of the time line."""
+        return self.folder / f"{self.stem}{HISTORY}"
+
+
+class Claim:
+    """The files of one bridge that no other process has, until `close`.
+
+    Both sides of a link may run on one machine under one name: a file that belongs to a session of the other role is
+    left to it.
+
+    Args:
+        folder: made if it is missing, mode 0700.
+        name: of the session.
+        role: ``client`` or ``server``.
+
+    Raises:
+        OSError: the folder cannot be written to.
+    """
+
+    def __init__(self, folder: Path, name: str, role: str) -> None:
+        folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+        for number in range(1, _BRIDGES_OF_A_NAME + 1):
+            stem = file_stem(name, number)
+            lock = os.open(folder / f"{stem}{_LOCK}", os.O_RDWR | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW, 0o600)
+            try:
+                if _take(lock, role):
+                    self._lock = lock
+                    self.files = Files(folder, stem)
+                    return
+            except BaseException:
+                os.close(lock)
+                raise
+            os.close(lock)
+        raise OSError(
+            errno.EBUSY, f"{_BRIDGES_OF_A_NAME} other bridges named {name} keep their files here", str(folder)
+        )
+
+    def close(self) -> None:
+        """Let another process have them."""
+        os.close(self._lock)
+
+
+def _take(lock: int, role: str) -> bool:
+    """Lock a file, if it is of this role or nobody's."""
+    try:
+        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return False
+    owner = os.read(lock, _ROLE_LENGTH).decode(errors="replace").strip()
+    if not owner:
+        os.pwrite(lock, role.encode(), 0)
+    return owner in ("", role)
+
+
+def kept_bridges(environ: Mapping[str, str]) -> list[Files]:
+    """All bridges that have left files which this user may read."""
+    found: list[Files] = []
+    for folder in searched_folders(environ):
+        with contextlib.suppress(OSError):
+            stems = {path.name.removesuffix(HISTORY) for path in folder.iterdir() if path.suffix == HISTORY}
+            found += [Files(folder, stem) for stem in sorted(stems)]
+    return found

@@ -1,0 +1,376 @@
+"""The endpoints of a route of calls in ROS, by lane: clients and subscriptions, or services and publishers."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Generic, NamedTuple, Protocol, TypeVar
+
+from rsb_bridge.ros.drain import BATCH
+from rsb_bridge.route.lease import Marker
+from rsb_bridge.route.peer import TypeUse
+from rsb_bridge.route.source_publishers import VolatileTopic
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Collection, Sequence
+
+    from rsb_bridge.context import Context
+    from rsb_bridge.model.calls import Lane
+    from rsb_bridge.model.sources import Via
+    from rsb_bridge.ros.api import OnFailure, RawMessage, Request, Response, RosError, ServiceClient, ServiceServer
+    from rsb_bridge.route.lease import Lease
+    from rsb_bridge.route.peer import Peer
+    from rsb_bridge.wire.records import LaneEntry
+
+T = TypeVar("T")
+
+
+def name_of(lane: Lane, route_name: str) -> str:
+    """A lane's service or topic: ``/navigate/_action/send_goal``."""
+    return lane.absolute or route_name + lane.suffix
+
+
+def type_of(lane: Lane, route_type: str) -> str:
+    """A lane's type: ``pkg/action/Navigate_SendGoal``; empty: it depends on the route's, which is not known."""
+    return lane.type_name or (route_type + lane.type_suffix if route_type else "")
+
+
+def route_type_of(lane: Lane, lane_type: str) -> str:
+    """The route's type, by the type of one of its lanes; empty: that says nothing about it."""
+    if lane.type_name or not lane_type.endswith(lane.type_suffix):
+        return ""
+    return lane_type.removesuffix(lane.type_suffix)
+
+
+class LaneType(NamedTuple):
+    """What a lane's endpoints are made of.
+
+    Attributes:
+        type_name: ``pkg/srv/Name`` and the like.
+        type_hash: ``RIHS01_...``.
+    """
+
+    type_name: str
+    type_hash: str
+
+
+class Closable(Protocol):
+    """An endpoint."""
+
+    def close(self) -> None:
+        """Free it. May be called twice."""
+        ...
+
+
+class LaneSink(Generic[T]):
+    """Takes what comes for one lane from the ROS thread to the I/O loop.
+
+    Args:
+        context: what every part of the engine shares.
+        lane: its place among the route's lanes.
+        taken: gets what comes, on the I/O loop, as long as the sink is open.
+        late: gets what comes after that; None: nobody does.
+    """
+
+    def __init__(
+        self,
+        context: Context,
+        lane: int,
+        taken: Callable[[int, Sequence[T]], None],
+        late: Callable[[int, Sequence[T]], None] | None = None,
+    ) -> None:
+        self.open = True
+        self._context = context
+        self._lane = lane
+        self._taken = taken
+        self._late = late
+
+    def put(self, batch: Sequence[T]) -> None:
+        """On the ROS thread: hand over what came."""
+        self._context.ros_queue.put(self, batch)
+
+    def offer(self, batch: Sequence[T]) -> None:
+        """On the I/O loop: take it."""
+        if self.open:
+            self._taken(self._lane, batch)
+        elif self._late is not None:
+            self._late(self._lane, batch)
+
+
+class LaneEnds:
+    """The endpoints of one route's lanes on this side.
+
+    Services are opened and closed together; a lane that is a topic is opened once its type is known.
+
+    Args:
+        context: what every part of the engine shares.
+        peer: the other side of the link.
+        lanes: of the route.
+        failed: told, on the I/O loop, of an endpoint that has failed and closed itself.
+
+    Attributes:
+        types: of the services that are open, by lane; empty: nothing is.
+    """
+
+    def __init__(
+        self,
+        context: Context,
+        peer: Peer,
+        lanes: Sequence[Lane],
+        failed: Callable[[RosError], None],
+    ) -> None:
+        self.types: dict[int, LaneType] = {}
+        self._context = context
+        self._peer = peer
+        self._lanes = lanes
+        self._failed = failed
+        self._names: Sequence[str] = ()
+        self._ends: dict[int, Closable] = {}
+        self._sinks: dict[int, LaneSink[object]] = {}
+        self._uses: dict[int, TypeUse] = {}
+
+    def __bool__(self) -> bool:
+        """Whether all services are open."""
+        return len(self.types) == sum(not lane.is_topic for lane in self._lanes)
+
+    # --- what the sides do differently
+
+    def _open_service(self, lane: int, name: str, kind: LaneType) -> Closable:
+        """Make the endpoint of a lane that is a service."""
+        raise NotImplementedError
+
+    def _open_topic(self, lane: int, name: str, kind: LaneType) -> Closable:
+        """Make the endpoint of a lane that is a topic."""
+        raise NotImplementedError
+
+    # --- what is the same
+
+    def services_of(self, entries: Sequence[LaneEntry]) -> dict[int, LaneType]:
+        """What `types` are for that, if all services are open."""
+        return {
+            number: LaneType(entry.type, entry.type_hash)
+            for number, (lane, entry) in enumerate(zip(self._lanes, entries, strict=True))
+            if not lane.is_topic
+        }
+
+    def open(self, entries: Sequence[LaneEntry], names: Sequence[str], lanes: Collection[int] | None = None) -> None:
+        """Have the services' endpoints; those that are open already stay, where their type does, and so do topics.
+
+        Args:
+            entries: what they are made of, by lane.
+            names: of the lanes' services and topics on this side.
+            lanes: the lanes to have, and no others; None: all.
+
+        Raises:
+            RosError: it cannot be; nothing is left open.
+        """
+        services = self.services_of(entries)
+        wanted = {lane: kind for lane, kind in services.items() if lanes is None or lane in lanes}
+        if any(services[lane] != kind for lane, kind in self.types.items()):
+            self.close(keep=[lane for lane, kind in self.types.items() if wanted.get(lane) == kind])
+        else:
+            self.close(keep=[lane for lane in self._uses if lane in wanted or self._lanes[lane].is_topic])
+        self._names = names
+        opened = False
+        try:
+            for lane, kind in wanted.items():
+                if lane not in self._ends:
+                    self._use(lane, kind, is_service=True)
+                    self._ends[lane] = self._open_service(lane, names[lane], kind)
+                    self.types[lane] = kind
+            opened = True
+        finally:
+            if not opened:
+                self.close()
+
+    def open_topics(self, entries: Sequence[LaneEntry]) -> list[int]:
+        """Have the endpoints of the lanes that are topics and whose types are known by now, beside the services'.
+
+        Returns:
+            The lanes that are new.
+
+        Raises:
+            RosError: one cannot be.
+        """
+        new = []
+        for number, (lane, entry) in enumerate(zip(self._lanes, entries, strict=True)):
+            if lane.is_topic and number not in self._ends and entry.type_hash:
+                kind = LaneType(entry.type, entry.type_hash)
+                self._use(number, kind, is_service=False)
+                self._ends[number] = self._open_topic(number, self._names[number], kind)
+                new.append(number)
+        return new
+
+    def _use(self, lane: int, kind: LaneType, *, is_service: bool) -> None:
+        self._uses[lane] = use = TypeUse(self._context.ros, self._peer.budget.types)
+        use.begin(kind.type_name, kind.type_hash, is_service=is_service)
+
+    def _sink(
+        self,
+        lane: int,
+        taken: Callable[[int, Sequence[T]], None],
+        late: Callable[[int, Sequence[T]], None] | None = None,
+    ) -> tuple[LaneSink[T], OnFailure]:
+        """Where a lane's endpoint hands over what comes, and tells that it has failed."""
+        context, sink = self._context, LaneSink(self._context, lane, taken, late)
+        self._sinks[lane] = sink  # type: ignore[assignment]  # they are only closed
+
+        def failed(error: RosError) -> None:
+            context.call(lambda: self._end_failed(lane, error) if sink.open else None)
+
+        return sink, failed
+
+    def _end_failed(self, lane: int, error: RosError) -> None:
+        """One has closed itself. Others may be kept over the interruption that this makes, it may not."""
+        self._failed(error)
+        self.close(keep=[each for each in self._uses if each != lane])
+
+    def close(self, keep: Collection[int] = ()) -> None:
+        """Have nothing any more, but the lanes to keep."""
+        for lane in [each for each in self._uses if each not in keep]:
+            if (sink := self._sinks.pop(lane, None)) is not None:
+                sink.open = False
+            if (end := self._ends.pop(lane, None)) is not None:
+                end.close()
+            self._uses.pop(lane).end()
+            self.types.pop(lane, None)
+
+
+class Clients(LaneEnds):
+    """Clients of services, and subscriptions to topics, of one providing half, while there is somebody to call.
+
+    Args:
+        context: what every part of the engine shares.
+        peer: whose callers ask.
+        lanes: of the route.
+        responded: gets a lane's responses.
+        published: gets a lane's messages.
+        failed: told of a client or a subscription that has failed and closed itself.
+
+    Attributes:
+        clients: by lane.
+    """
+
+    def __init__(
+        self,
+        context: Context,
+        peer: Peer,
+        lanes: Sequence[Lane],
+        responded: Callable[[int, Sequence[Response]], None],
+        published: Callable[[int, Sequence[RawMessage]], None],
+        failed: Callable[[RosError], None],
+    ) -> None:
+        super().__init__(context, peer, lanes, failed)
+        self.clients: dict[int, ServiceClient] = {}
+        self._responded = responded
+        self._published = published
+
+    @property
+    def ready(self) -> bool:
+        """Whether a call of any lane reaches a server."""
+        return bool(self.clients) and all(client.ready for client in self.clients.values())
+
+    def _open_service(self, lane: int, name: str, kind: LaneType) -> ServiceClient:
+        sink, failed = self._sink(lane, self._responded)
+        client = self._context.ros.call_service(name, kind.type_name, kind.type_hash, sink.put, failed)
+        self.clients[lane] = client
+        return client
+
+    def _open_topic(self, lane: int, name: str, kind: LaneType) -> Closable:
+        qos = self._lanes[lane].qos
+        assert qos is not None
+        sink, failed = self._sink(lane, self._published)
+        ros = self._context.ros
+        return ros.subscribe(name, kind.type_name, kind.type_hash, qos, sink.put, self._peer.name, failed)
+
+    def close(self, keep: Collection[int] = ()) -> None:
+        """Call nobody any more, but the lanes to keep."""
+        super().close(keep)
+        self.clients = {lane: client for lane, client in self.clients.items() if lane in keep}
+
+
+class Offers(LaneEnds):
+    """Services that others can call, and publishers, of one callers' half, while it is offered.
+
+    Args:
+        context: what every part of the engine shares.
+        peer: whose providers answer.
+        lanes: of the route.
+        asked: gets a lane's requests.
+        too_late: gets those that came when it was offered no more.
+        failed: told of a server that has failed and closed itself.
+        marks: gives the lease that requests are marked with, or None if they need not be.
+
+    Attributes:
+        servers: by lane.
+        publishers: by lane; what DDS holds for their subscribers is bounded, of those that keep one message, too.
+    """
+
+    def __init__(
+        self,
+        context: Context,
+        peer: Peer,
+        lanes: Sequence[Lane],
+        asked: Callable[[int, Sequence[Request]], None],
+        too_late: Callable[[int, Sequence[Request]], None],
+        failed: Callable[[RosError], None],
+        marks: Callable[[], Lease | None] = lambda: None,
+    ) -> None:
+        super().__init__(context, peer, lanes, failed)
+        self._marks = marks
+        self.servers: dict[int, ServiceServer] = {}
+        self.publishers: dict[int, VolatileTopic] = {}
+        self._ways: list[Via] = []
+        self._announced: dict[int, bytes] = {}
+        self._asked = asked
+        self._too_late = too_late
+
+    def announce(self, ways: list[Via]) -> None:
+        """Say by which bridges the answers come, of what is offered and will be.
+
+        Args:
+            ways: by lane.
+
+        Raises:
+            RosError: there are too many.
+        """
+        if ways != self._ways:
+            self._ways = ways
+            for lane, kind in self.types.items():
+                self._announce(lane, kind)
+
+    def _announce(self, lane: int, kind: LaneType) -> None:
+        announcements = self._context.announcements
+        if lane in self._announced:
+            announcements.withdraw(self._announced.pop(lane))
+        self._announced[lane] = announcements.offer(
+            self._names[lane], self._peer.name, kind.type_name, kind.type_hash, self._ways[lane]
+        )
+
+    def _open_service(self, lane: int, name: str, kind: LaneType) -> ServiceServer:
+        self._announce(lane, kind)  # first: others must not take it for a node's
+        sink, failed = self._sink(lane, self._asked, self._too_late)
+        put = sink.put
+        if (lease := self._marks()) is not None:
+            marker = Marker(lease, self._context.ros.turns, BATCH)
+
+            def put(batch: Sequence[Request]) -> None:
+                sink.put(marker.marked(batch))
+
+        server = self._context.ros.serve(name, kind.type_name, kind.type_hash, put, failed)
+        self.servers[lane] = server
+        return server
+
+    def _open_topic(self, lane: int, name: str, kind: LaneType) -> VolatileTopic:
+        qos = self._lanes[lane].qos
+        assert qos is not None
+        context, budget = self._context, self._peer.budget.unacknowledged
+        publisher = context.ros.advertise(name, kind.type_name, kind.type_hash, qos, self._peer.name)
+        self.publishers[lane] = bounded = VolatileTopic(publisher, qos.depth, budget, context.now)
+        return bounded
+
+    def close(self, keep: Collection[int] = ()) -> None:
+        """Offer nothing any more, but the lanes to keep."""
+        super().close(keep)
+        for lane in [each for each in self._announced if each not in keep]:
+            self._context.announcements.withdraw(self._announced.pop(lane))
+        self.servers = {lane: server for lane, server in self.servers.items() if lane in keep}
+        self.publishers = {lane: publisher for lane, publisher in self.publishers.items() if lane in keep}

@@ -1,0 +1,173 @@
+"""What became of a route's calls, as one side counts them, and why those were refused that had no answer."""
+
+from __future__ import annotations
+
+from collections import Counter, deque
+from enum import StrEnum
+
+from rsb_bridge.model.calls import CallsSnapshot
+from rsb_bridge.telemetry.meters import LatencyMeter
+from rsb_bridge.wire.records import CallsReport, VerdictRecord
+
+LATELY = 10
+"""s: what verdicts look back on."""
+
+
+class Refused(StrEnum):
+    """Why a call was refused, or given up on the other side. Counts are kept by these words, so they are stable."""
+
+    CALLS_UNDER_WAY = "calls under way"
+    """The link has as many as it may."""
+    BYTES_UNDER_WAY = "bytes under way"
+    """Likewise, of what calls and answers hold."""
+    CALLS_A_SECOND = "calls a second"
+    """More come than the link, the entry or the rights allow."""
+    PAUSED = "paused"
+    DISARMED = "disarmed"
+    UNHEARD = "link silent"
+    """It is armed, and the two sides have not heard each other for a second; an older peer reads `OTHER`."""
+    PROVIDER_GONE = "provider gone"
+    """Nobody serves it any more; the call reached nobody."""
+    TOO_LARGE = "too large"
+    """The request or the response is longer than a message may be."""
+    MALFORMED = "malformed"
+    """The request or the response is not one of its type; ROS did not get it."""
+    TOO_COMPLEX = "too complex"
+    """The request or the response has too many strings and sequences to check, or the link's calls have."""
+    NOT_SENT = "not sent"
+    """The middleware refused the request."""
+    NOT_ARRIVED = "not arrived"
+    """A goal was under way when the link went, never arrived, and does not begin late."""
+    TOO_OLD = "too old"
+    """The request was older than `max_age` when it would have been handed on; the call reached nobody."""
+    LOST = "lost"
+    """It was under way when its provider went. Counted as lost, not as refused."""
+    OTHER = "other"
+    """A newer peer's reason."""
+
+
+REMEDIES = {
+    Refused.CALLS_UNDER_WAY: "too many calls are under way on this link: make fewer at once, or shorten the timeout",
+    Refused.BYTES_UNDER_WAY: "the calls under way on this link hold too many bytes: make fewer at once",
+    Refused.CALLS_A_SECOND: "more calls a second are made than are allowed: call less often, or raise max_rate",
+    Refused.PAUSED: "it is paused: resume it",
+    Refused.DISARMED: "it was not armed when the request was made: ask again once it is armed",
+    Refused.UNHEARD: "it is armed, but the two sides do not hear each other: ask again, or check the link",
+    Refused.PROVIDER_GONE: "nobody serves it any more: start its node",
+    Refused.TOO_LARGE: "the request or the response is longer than a message may be",
+    Refused.MALFORMED: "the request or the response is malformed; the log of the side that got it says where",
+    Refused.TOO_COMPLEX: "the link's calls have more strings and sequences than are checked: send less",
+    Refused.NOT_SENT: "the middleware refused the request; the log of the providing side says why",
+    Refused.NOT_ARRIVED: "the link dropped before the goal arrived, so it was not started: send it again",
+    Refused.TOO_OLD: "the request was older than max_age: find what delays it, and ask again",
+    Refused.LOST: "its server went while the call was under way, and may have acted on it",
+    Refused.OTHER: "the other side gives a reason that this version does not know: update this side",
+}
+"""In words, for an operator."""
+
+
+def refused_as(content: bytes) -> Refused:
+    """What a peer's refusal says."""
+    try:
+        return Refused(content.decode())
+    except ValueError:  # a UnicodeDecodeError is one, too
+        return Refused.OTHER
+
+
+class CallsLedger:
+    """Counts of one half, since the route was made: asked = answered + expired + refused + lost + in flight.
+
+    Attributes:
+        asked: calls that came.
+        answered: whose answers went back.
+        expired: given up after their timeout.
+        refused: by why.
+        lost: given up because the link or the provider went.
+        late: answers whose call had been given up; no part of `asked`.
+        node: s that the providing node took.
+        way: s that the way there and back took.
+        last_failure: the last call without an answer, in words; empty: there was none.
+        unanswered: a call has expired, and none was answered in that second or since.
+    """
+
+    def __init__(self) -> None:
+        self.asked = 0
+        self.answered = 0
+        self.expired = 0
+        self.refused: Counter[Refused] = Counter()
+        self.lost = 0
+        self.late = 0
+        self.node = LatencyMeter()
+        self.way = LatencyMeter()
+        self.last_failure = ""
+        self.unanswered = False
+        self._before = 0, 0  # answered and expired, a second ago
+        self._lately: deque[tuple[int, Counter[Refused]]] = deque(maxlen=LATELY + 1)
+
+    @property
+    def in_flight(self) -> int:
+        """Calls under way."""
+        return self.asked - self.answered - self.expired - self.refused.total() - self.lost
+
+    def tick(self) -> None:
+        """Once a second."""
+        self.node.tick()
+        self.way.tick()
+        answered, expired = self._before
+        if self.answered > answered:
+            self.unanswered = False
+        elif self.expired > expired:
+            self.unanswered = True
+        self._before = self.answered, self.expired
+        self._lately.append((self.expired, self.refused.copy()))
+
+    def expired_lately(self) -> int:
+        """Calls that expired in the last `LATELY` s."""
+        return self.expired - self._lately[0][0] if self._lately else 0
+
+    def refused_lately(self) -> Counter[Refused]:
+        """Calls refused in the last `LATELY` s, by why."""
+        return self.refused - self._lately[0][1] if self._lately else Counter()
+
+    def forget_lately(self) -> None:
+        """What has been is over: the route was paused, or opened anew, or its server has gone."""
+        self.unanswered = False
+        self._before = self.answered, self.expired
+        self._lately.clear()
+
+    def timed(self, took: float, total: float) -> None:
+        """An answer came after `total` s, of which the node took `took` as the peer says: it cannot be more."""
+        took = min(took, total)
+        self.node.add(took)
+        self.way.add(total - took)
+
+    def snapshot(self) -> CallsSnapshot:
+        """As user interfaces show it."""
+        return CallsSnapshot(
+            asked=self.asked,
+            answered=self.answered,
+            expired=self.expired,
+            refused={str(why): count for why, count in self.refused.items()},
+            lost=self.lost,
+            in_flight=self.in_flight,
+            late=self.late,
+            node_p50=self.node.p50,
+            node_p99=self.node.p99,
+            way_p50=self.way.p50,
+            way_p99=self.way.p99,
+            last_failure=self.last_failure,
+        )
+
+    def report(self, route_id: int, verdict: VerdictRecord | None, nodes: tuple[str, ...]) -> CallsReport:
+        """As the other side is told."""
+        return CallsReport(
+            route=route_id,
+            asked=self.asked,
+            answered=self.answered,
+            expired=self.expired,
+            refused={str(why): count for why, count in self.refused.items()},
+            lost=self.lost,
+            in_flight=self.in_flight,
+            verdict=verdict,
+            nodes=nodes,
+        )

@@ -1,0 +1,114 @@
+"""Calls that operators make by hand, on either side of a route."""
+
+from __future__ import annotations
+
+import asyncio
+from typing import TYPE_CHECKING
+
+from rsb_bridge.ros.api import RosError
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from rsb_bridge.context import Context
+    from rsb_bridge.ros.api import Response, ServiceClient
+    from rsb_bridge.wire.records import LaneEntry
+
+_MATCHED_WITHIN = 5.0
+"""s for DDS to match a new client with the server that the graph shows."""
+_LOOKED_EVERY = 0.05  # s: nothing tells of it
+_LEFT_LOOKED_EVERY = 1.0  # s, likewise
+
+
+class CallError(Exception):
+    """A call by hand has no answer; the message says why, and what to do."""
+
+
+class ManualCall:
+    """Stands where the server of a service stands for callers: the answer to an operator's call ends up here.
+
+    Args:
+        loop: that the operator waits on.
+
+    Attributes:
+        answered: the serialized response, or the `CallError`.
+    """
+
+    def __init__(self, loop: asyncio.AbstractEventLoop) -> None:
+        self.answered: asyncio.Future[bytes] = loop.create_future()
+
+    def answer(self, caller: bytes, payload: bytes) -> None:
+        """Take the response; `caller` is of no use here."""
+        if not self.answered.done():
+            self.answered.set_result(payload)
+
+    def fail(self, reason: str) -> None:
+        """There will be none."""
+        if not self.answered.done():
+            self.answered.set_exception(CallError(reason))
+
+    def close(self) -> None:
+        """It holds nothing."""
+
+
+async def call_directly(
+    context: Context, service: str, entry: LaneEntry, request: bytes, within: float | None
+) -> bytes:
+    """Call a service of this side's domain, whatever becomes of the link.
+
+    Args:
+        context: what every part of the engine shares.
+        service: its name.
+        entry: its type and hash.
+        request: serialized.
+        within: s; None: as long as it takes, or until whoever waits has gone.
+
+    Returns:
+        The serialized response.
+
+    Raises:
+        CallError: there is none.
+    """
+    hand = ManualCall(context.loop)
+
+    def take(responses: Sequence[Response]) -> None:
+        payload = responses[0].payload
+        context.call(lambda: hand.answer(b"", payload))
+
+    def failed(error: RosError) -> None:
+        reason = str(error)
+        context.call(lambda: hand.fail(reason))
+
+    try:
+        client = context.ros.call_service(service, entry.type, entry.type_hash, take, failed)
+    except RosError as error:
+        raise CallError(str(error)) from None
+    try:
+        await _until_ready(context, client, service)
+        client.call(request)
+        async with asyncio.timeout(within):
+            return await _answer(client, hand, service)
+    except RosError as error:
+        raise CallError(str(error)) from None
+    except TimeoutError:
+        raise CallError(f"{service} gave no answer within {within:g} s") from None
+    finally:
+        client.close()
+
+
+async def _answer(client: ServiceClient, hand: ManualCall, service: str) -> bytes:
+    """What the node says, unless it goes before: nobody else tells whoever has no limit of time."""
+    while not (await asyncio.wait((hand.answered,), timeout=_LEFT_LOOKED_EVERY))[0]:
+        if not client.ready:
+            raise CallError(f"{service} gave no answer: its server has gone")
+    return hand.answered.result()
+
+
+async def _until_ready(context: Context, client: ServiceClient, service: str) -> None:
+    deadline = context.now() + _MATCHED_WITHIN
+    while not client.ready:
+        if context.now() > deadline:
+            raise CallError(
+                f"the server of {service} is in the graph, and cannot be reached: see whether it still runs"
+            )
+        await asyncio.sleep(_LOOKED_EVERY)

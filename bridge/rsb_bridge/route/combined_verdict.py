@@ -1,0 +1,225 @@
+"""What counts of what the two sides make of a route, on the screens and in the logs of both."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING, NamedTuple
+
+import msgspec
+
+from rsb_bridge.model.codes import EventCode
+from rsb_bridge.model.snapshot import Level, State
+from rsb_bridge.model.text import sanitize_text
+from rsb_bridge.model.verdict import FINE, Cause, Verdict, state_for_any, state_of, worse
+from rsb_bridge.wire.records import VerdictRecord
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+    from rsb_bridge.ros.api import Endpoint
+
+_SAME_ON_BOTH = frozenset({Cause.LINK_DOWN, Cause.REFUSED, Cause.PAUSED, Cause.DISARMED})
+"""Causes that each side knows for itself."""
+_ENOUGH_SAID_HERE = frozenset(
+    {Cause.NONE, Cause.NO_MESSAGE, Cause.SILENT, Cause.THROTTLED, Cause.NO_CALL, Cause.UNANSWERED, Cause.CALLS_REFUSED}
+)
+"""Causes of which the other side knows no more, if it has the same."""
+_TEXT_LENGTH = 300
+"""Characters of a text that is sent: a report has room for a thousand routes."""
+
+_LONGEST = 1e9  # s
+_JITTER = 2.0
+"""s by which two reports on the same fault may be apart."""
+_NODES, _NODE_LENGTH = 4, 64
+"""Nodes that the other side is told of, and characters of their names."""
+_LASTS = 3.0
+"""s that a verdict must last."""
+_LOSS_LASTS = 7.0
+"""s that a loss on the way must last: before that, its remedy is not known (`MEASURED_FOR`)."""
+_WAITS = 10.0
+"""s that a route must wait for the same: nodes that start beside the bridge have come by then."""
+_MENDABLE: dict[str, Level] = {
+    Cause.NO_PUBLISHER: Level.INFO,
+    Cause.NO_SERVER: Level.INFO,
+    Cause.SIMILAR_NAME: Level.WARNING,
+    Cause.TYPE_UNKNOWN: Level.WARNING,
+}
+"""What a route may wait for that a person can mend: a name or a type that is typed wrong, a type to install."""
+_AGAIN_AFTER = 60.0
+"""s until the same is said again."""
+_MOST_SAID = 32
+_SAID_ELSEWHERE = frozenset(
+    {
+        Cause.LINK_DOWN, Cause.REFUSED, Cause.LOOP, Cause.PAUSED, Cause.DISARMED, Cause.DISARMING,
+        Cause.SUBSCRIBE_FAILED, Cause.SILENT, Cause.NO_MESSAGE,
+    }
+)  # fmt: skip
+"""Causes that have events of their own, on both sides."""
+_TOLD = frozenset({State.DOWN, State.STALE, State.STOPPED, State.LATE, State.SLOW, State.UNHEARD})
+
+
+class Shown(NamedTuple):
+    """What operators of this side are shown.
+
+    Attributes:
+        verdict: the worse of both; its text names the other side where that says so.
+        from_peer: the other side says so.
+    """
+
+    verdict: Verdict
+    from_peer: bool
+
+
+class CombinedVerdict:
+    """Puts both sides' verdicts together.
+
+    Args:
+        sends: this is the sending side.
+        peer_name: what the other side is called.
+
+    Attributes:
+        peer: the other side's verdict.
+    """
+
+    def __init__(self, *, sends: bool, peer_name: str) -> None:
+        self.peer = FINE
+        self._sends = sends
+        self._peer_name = peer_name
+        self._announcer = Announcer()
+        self._shows: tuple[State, str] | None = None
+        self._since = 0.0
+
+    def take(self, record: VerdictRecord | None, now: float) -> None:
+        """The other side tells its verdict, at `now` (s)."""
+        if record is None:
+            self.peer = FINE
+            return
+        state = state_of(record.state, record.cause)
+        since, before = _since(record.lasting, now), self.peer
+        same = (before.state, before.cause) == (state, record.cause)
+        # Reports take different times to arrive.
+        if same and before.since is not None and abs(since - before.since) < _JITTER:
+            since = before.since
+        self.peer = Verdict(state, record.cause, record.text, since)
+
+    def shown(self, own: Verdict) -> Shown:
+        """What counts, given this side's verdict."""
+        same = (own.state, own.cause) == (self.peer.state, self.peer.cause)
+        if own.cause in _SAME_ON_BOTH or (same and own.cause in _ENOUGH_SAID_HERE):
+            return Shown(own, from_peer=False)
+        verdict, from_sender = worse(*((own, self.peer) if self._sends else (self.peer, own)))
+        if from_sender == self._sends:
+            return Shown(verdict, from_peer=False)
+        text = f"{self._peer_name}: {verdict.text}" if verdict.text else ""
+        return Shown(replace(verdict, text=text), from_peer=True)
+
+    @property
+    def shown_cause(self) -> str:
+        """The cause that was shown last, or an empty string."""
+        return "" if self._shows is None else self._shows[1]
+
+    def announce(self, own: Verdict, now: float) -> Announcement | None:
+        """Once a second: what to log, if anything."""
+        verdict = self.shown(own).verdict
+        self.since(verdict, now)
+        return self._announcer.tick(verdict, now)
+
+    def since(self, verdict: Verdict, now: float) -> float:
+        """Since when (s) the state and the cause are those of `verdict`, which is shown at `now` (s).
+
+        That is the beginning of the trouble where the verdict says it, else the moment when it was first shown.
+        """
+        shows = (verdict.state, verdict.cause)
+        if shows != self._shows:
+            self._shows = shows
+            self._since = now if verdict.since is None else verdict.since
+        return self._since
+
+
+def record_of(verdict: Verdict) -> VerdictRecord | None:
+    """A verdict as the other side is told, but for how long it has lasted; None: it is fine."""
+    if verdict == FINE:
+        return None
+    return VerdictRecord(state_for_any(verdict.state), verdict.cause, sanitize_text(verdict.text, _TEXT_LENGTH))
+
+
+def lasting(record: VerdictRecord | None, verdict: Verdict, now: float) -> VerdictRecord | None:
+    """The record of a verdict, and how long it has lasted at `now` (s)."""
+    if record is None or verdict.since is None:
+        return record
+    return msgspec.structs.replace(record, lasting=now - verdict.since)
+
+
+def _since(seconds: float, now: float) -> float:
+    """Since when something lasts, if it can have lasted as long as the other side says."""
+    return now - seconds if 0.0 <= seconds <= _LONGEST else now
+
+
+def node_names(endpoints: Iterable[Endpoint]) -> tuple[str, ...]:
+    """The names of the nodes that have endpoints, as far as they are told to the other side."""
+    names = sorted({each.node for each in endpoints if each.node})
+    return tuple([sanitize_text(name, _NODE_LENGTH) for name in names[:_NODES]])
+
+
+class Announcement(NamedTuple):
+    """An event."""
+
+    level: Level
+    code: EventCode
+    text: str
+    cause: str
+
+
+class Announcer:
+    """Decides what the log says of a route's verdicts: each turn for the worse that lasts, and when it is over.
+
+    Called once a second.
+    """
+
+    def __init__(self) -> None:
+        self._candidate = FINE
+        self._since = float("-inf")
+        self._said = FINE
+        self._said_as: tuple[EventCode, str] | None = None
+        self._said_at: dict[tuple[EventCode, str], float] = {}
+        self._heard = False
+
+    def tick(self, verdict: Verdict, now: float) -> Announcement | None:
+        """Take the present verdict at `now` (s); what to say about it, if anything."""
+        if (verdict.state, verdict.cause) != (self._candidate.state, self._candidate.cause):
+            self._since = now
+        self._candidate = verdict
+        if now - self._since < (_LOSS_LASTS if verdict.cause == Cause.LOSSY else _LASTS):
+            return None
+        if verdict.state is State.OK:
+            self._heard = True
+            return self._over()
+        if verdict.state is State.WAITING:
+            return self._waiting(verdict, now)
+        if verdict.state not in _TOLD or verdict.cause in _SAID_ELSEWHERE:
+            return None
+        if verdict.cause == Cause.NO_SUBSCRIBER and not self._heard:
+            return None  # nobody has been there yet, which the screen shows
+        return self._say(Level.WARNING, EventCode.ROUTE_FAULT, verdict, now)
+
+    def _waiting(self, verdict: Verdict, now: float) -> Announcement | None:
+        level = _MENDABLE.get(verdict.cause)
+        if level is None or now - self._since < _WAITS:
+            return None
+        return self._say(level, EventCode.ROUTE_WAITING, verdict, now)
+
+    def _say(self, level: Level, code: EventCode, verdict: Verdict, now: float) -> Announcement | None:
+        what = code, verdict.cause
+        if what == self._said_as or now - self._said_at.get(what, float("-inf")) < _AGAIN_AFTER:
+            return None
+        self._said, self._said_as = verdict, what
+        if len(self._said_at) >= _MOST_SAID:  # a peer may make up causes
+            self._said_at.clear()
+        self._said_at[what] = now
+        return Announcement(level, code, f"{verdict.state.upper()}: {verdict.said(now)}", verdict.cause)
+
+    def _over(self) -> Announcement | None:
+        said, self._said, self._said_as = self._said, FINE, None
+        if said.state is State.OK:
+            return None
+        return Announcement(Level.INFO, EventCode.ROUTE_RECOVERED, f"no longer {said.state}", said.cause)

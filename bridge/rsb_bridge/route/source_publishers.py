@@ -1,0 +1,449 @@
+"""What a receiving half publishes with: publishers for the messages of each source (`rsb_bridge.route.loop_filter`)."""
+
+from __future__ import annotations
+
+from collections import deque
+from typing import TYPE_CHECKING, NamedTuple
+
+import msgspec
+
+from rsb_bridge.model.limits import KEPT_DEPTH, LATCHED_DEPTH
+from rsb_bridge.ros.api import Endpoint, RosError
+from rsb_bridge.ros.own_announcement import Origin
+from rsb_bridge.route.latched import LatchedFullError, LatchedTopic
+from rsb_bridge.route.peer import TypeUse
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Collection, Sequence
+
+    from rsb_bridge.context import Context
+    from rsb_bridge.model.qos import Qos
+    from rsb_bridge.ros.api import Publisher
+    from rsb_bridge.route.peer import Peer
+    from rsb_bridge.wire.framing import Budget
+    from rsb_bridge.wire.records import Source
+
+AUTO_DEPTH = 10
+"""Messages, where the QoS names no number."""
+FREE = 1 << 16
+"""Bytes that each publisher may hold uncounted, so that topics of small messages go on whatever the others hold."""
+BURST_DEPTH = 2000
+"""Messages that a publisher keeps at first if nobody has chosen a depth."""
+_BURST_BYTES = 1 << 20
+"""Bytes kept for a burst from which on DDS is asked more often for acknowledgements."""
+_BURST_TIME = 2.0
+"""Seconds for which more bytes may be kept before a publisher that keeps few messages replaces this one."""
+_MATCHED_WITHIN = 2.0
+"""Seconds that subscriptions have to find the new publisher before it takes over: what is published before is lost to
+them."""
+_MESSAGE_COST = 256  # bytes
+_ASKS_AGAIN_AFTER = 0.01
+"""s, while subscribers take nothing: to ask DDS takes 100 µs then."""
+
+
+def bounded(qos: Qos) -> Qos:
+    """Return a QoS with what a publisher here keeps at most for late joiners and slow readers."""
+    if not qos.latched:
+        return msgspec.structs.replace(qos, depth=min(qos.depth, KEPT_DEPTH))
+    depth = LATCHED_DEPTH if qos.history == "keep_all" else min(max(qos.depth, 1), LATCHED_DEPTH)
+    return msgspec.structs.replace(qos, history="keep_last", depth=depth)
+
+
+class SlowSubscriberError(Exception):
+    """DDS would hold too much for subscribers that do not take their messages."""
+
+    def __init__(self, limit: int) -> None:
+        super().__init__(
+            "a subscriber does not take its messages, and this topic would hold more memory for it than is left for "
+            f"the link's others, of {limit:,} bytes: restart the subscriber, or have it ask for best_effort or a "
+            "smaller depth"
+        )
+
+
+class VolatileTopic:
+    """A publisher whose memory counts against its link's budget. It belongs to the I/O loop.
+
+    DDS keeps each message until every reliable subscription has acknowledged it, up to the publisher's depth. A program
+    that is stopped acknowledges nothing until DDS gives it up, 20 s later. The memory of a message is used again for
+    others of the same publisher, and never shrinks; it is freed with the publisher.
+
+    After a process was frozen, its messages come in a burst, faster than subscriptions acknowledge them. A publisher
+    that keeps few messages overwrites some that a reliable subscription has missed and requests again. So without a
+    chosen depth it keeps many messages, unless a subscription leaves them unacknowledged for long.
+
+    Args:
+        publisher: of a volatile topic.
+        depth: messages that it keeps at most.
+        budget: of the publisher's link; one topic takes no more of it than it leaves to the others.
+        now: the clock that all timers use, in s.
+        renew: replaces this publisher by one of another depth, or None.
+        lasting_depth: messages that it keeps once a subscriber is slow, or None if always `depth`.
+    """
+
+    def __init__(
+        self,
+        publisher: Publisher,
+        depth: int,
+        budget: Budget,
+        now: Callable[[], float],
+        renew: Callable[[int], Publisher] | None = None,
+        *,
+        lasting_depth: int | None = None,
+    ) -> None:
+        self._publisher = publisher
+        self._depth = depth
+        self._budget = budget
+        self._now = now
+        self._renew = renew
+        self._lasting_depth = depth if lasting_depth is None else lasting_depth
+        self._unacknowledged_since: float | None = None
+        self._successor: Publisher | None = None
+        self._successor_since = 0.0
+        self._waiting: deque[int] = deque()  # sizes of the memory of messages that may not be acknowledged yet
+        self._free: list[int] = []  # of memory that DDS uses next
+        self._held = self._charged = self._held_when_asked = 0
+        self._asks_at = float("-inf")
+
+    @property
+    def subscriber_count(self) -> int:
+        """Subscriptions of other nodes that match now."""
+        return self._publisher.subscriber_count
+
+    def publish(self, content: bytes, look: Callable[[], None] | None = None) -> None:
+        """Publish a message.
+
+        Args:
+            content: of the message.
+            look: called right before DDS gets the message, which it does not get if this raises anything; or None.
+
+        Raises:
+            RosError: the middleware refused it.
+            SlowSubscriberError: it would take too much memory.
+        """
+        size = len(content) + _MESSAGE_COST
+        growth, deep = size - self._memory(), self._depth > self._lasting_depth
+        full = deep and growth > 0 and self._held + growth > max(_BURST_BYTES, self._lasting_depth * size)
+        if full or self._held + growth > self._held_when_asked + FREE:
+            self._recycle()
+        since = self._unacknowledged_since
+        if self._successor is not None:
+            self._look_at_successor()
+        elif full and since is not None and self._renew is not None and self._now() - since >= _BURST_TIME:
+            self._successor, self._successor_since = self._renew(self._lasting_depth), self._now()
+        try:
+            self._take(size, self._memory())
+        except SlowSubscriberError:
+            if self._renew is None or (not deep and (self._waiting or not self._free)):
+                raise
+            self._begin_anew(self._renew)
+            self._take(size, 0)
+        if look is not None:
+            try:
+                look()
+            except Exception:
+                self._free.append(self._waiting.pop())  # for the next message
+                raise
+        self._publisher.publish(content)
+
+    def close(self) -> None:
+        """Close the publisher, which frees its memory. May be called twice."""
+        self._publisher.close()
+        self._drop_successor()
+        self._forget_memory()
+
+    def _look_at_successor(self) -> None:
+        """Replace the publisher once the subscriptions have found the new one, unless they have caught up."""
+        assert self._successor is not None
+        self._recycle()
+        if self._unacknowledged_since is None:
+            self._drop_successor()
+        elif (
+            self._successor.subscriber_count >= self._publisher.subscriber_count
+            or self._now() - self._successor_since >= _MATCHED_WITHIN
+        ):
+            assert self._renew is not None
+            self._begin_anew(self._renew)
+
+    def _drop_successor(self) -> None:
+        if self._successor is not None:
+            self._successor.close()
+            self._successor = None
+
+    def _begin_anew(self, renew: Callable[[int], Publisher]) -> None:
+        """Replace the publisher to free its memory, which is in pieces too small, or kept for a slow subscriber."""
+        successor, self._successor = self._successor, None
+        former, self._publisher = self._publisher, successor or renew(self._lasting_depth)
+        self._depth, self._unacknowledged_since = self._lasting_depth, None
+        former.close()
+        self._forget_memory()
+
+    def _forget_memory(self) -> None:
+        self._budget.give(self._charged)
+        self._held = self._charged = self._held_when_asked = 0
+        self._waiting.clear()
+        self._free.clear()
+
+    def _memory(self) -> int:
+        """Size of the memory that DDS uses for the next message, as far as it is large enough."""
+        if len(self._waiting) >= self._depth:
+            return self._waiting[0]
+        return self._free[-1] if self._free else 0
+
+    def _recycle(self) -> None:
+        """Take note of it where everything has been acknowledged."""
+        now = self._now()
+        if now < self._asks_at:
+            return
+        if self._publisher.acknowledged:
+            self._free.extend(self._waiting)
+            self._waiting.clear()
+            self._held_when_asked = self._held
+            self._unacknowledged_since = None
+        else:
+            if self._unacknowledged_since is None:
+                self._unacknowledged_since = now
+            self._asks_at = now + _ASKS_AGAIN_AFTER
+
+    def _take(self, size: int, memory: int) -> None:
+        growth = max(0, size - memory)
+        charge = max(0, self._held + growth - FREE) - self._charged
+        if charge > 0 and not self._charge(charge):
+            raise SlowSubscriberError(self._budget.limit)
+        self._waiting.append(memory + growth)
+        if len(self._waiting) > self._depth:
+            self._waiting.popleft()
+        elif self._free:
+            self._free.pop()
+        self._held += growth
+
+    def _charge(self, size: int) -> bool:
+        """Count more memory; False: the link's others would not be left as much as this topic has."""
+        if self._charged + size > self._budget.limit - self._budget.held - size:
+            return False
+        self._charged += size
+        return self._budget.take(size)
+
+
+class PublicationSpec(NamedTuple):
+    """A topic to publish.
+
+    Attributes:
+        topic: its name here.
+        type_name: of its type.
+        type_hash: of its type.
+        qos: of the publishers; of a volatile topic, a depth of 0 means that nobody has chosen one.
+    """
+
+    topic: str
+    type_name: str
+    type_hash: str
+    qos: Qos
+
+
+class _Announced:
+    """A DDS publisher that the other bridges of the domain are told of, for as long as it is open."""
+
+    def __init__(self, publisher: Publisher, closed: Callable[[bytes], None]) -> None:
+        self.gid = publisher.gid
+        self.publish = publisher.publish
+        self._publisher = publisher
+        self._closed = closed
+
+    @property
+    def subscriber_count(self) -> int:
+        return self._publisher.subscriber_count
+
+    @property
+    def acknowledged(self) -> bool:
+        return self._publisher.acknowledged
+
+    def close(self) -> None:
+        self._closed(self.gid)
+        self._publisher.close()
+
+
+class _SourcePublisher:
+    """The publishers of one source.
+
+    Attributes:
+        sink: what messages are given to.
+    """
+
+    def __init__(
+        self,
+        context: Context,
+        peer: Peer,
+        subject: PublicationSpec,
+        origin: Origin,
+        failed: Callable[[Exception], None],
+    ) -> None:
+        self._context = context
+        self._peer = peer
+        self._subject = subject
+        self._origin = origin
+        self._gids: set[bytes] = set()
+        self.came_by = origin.via[:-1]  # without the sender, which may be another process by now
+        self.sink: VolatileTopic | LatchedTopic
+        depth = subject.qos.depth
+        if subject.qos.latched:
+            self.sink = LatchedTopic(context.loop, self._advertise, peer.budget.kept, depth, failed)
+        else:
+            keeps_all = subject.qos.history == "keep_all"
+            burst = depth == 0 and not keeps_all and subject.qos.reliability == "reliable"
+            lasting = depth or AUTO_DEPTH
+            first = BURST_DEPTH if burst else lasting
+            self.sink = VolatileTopic(
+                self._advertise(first),
+                KEPT_DEPTH if keeps_all else first,
+                peer.budget.unacknowledged,
+                context.now,
+                self._advertise,
+                lasting_depth=lasting if burst else None,
+            )
+
+    def set_origin(self, origin: Origin) -> None:
+        """Its messages come from elsewhere now, or none come any more; may raise RosError."""
+        if origin != self._origin:
+            self._origin = origin
+            for gid in tuple(self._gids):
+                self._announce(gid)
+
+    def _advertise(self, depth: int) -> Publisher:
+        topic, type_name, type_hash, qos = self._subject
+        publisher = self._context.ros.advertise(
+            topic, type_name, type_hash, msgspec.structs.replace(qos, depth=depth), origin=self._peer.name
+        )
+        self._gids.add(publisher.gid)
+        try:
+            self._announce(publisher.gid)
+        except RosError:
+            self._closed(publisher.gid)
+            publisher.close()
+            raise
+        return _Announced(publisher, self._closed)
+
+    def _announce(self, gid: bytes) -> None:
+        topic, type_name, type_hash, qos = self._subject
+        endpoint = Endpoint(f"/{self._context.ros.node_name}", type_name, type_hash, qos, gid)
+        self._context.announcements.announce(topic, self._peer.name, endpoint, self._origin)
+
+    def _closed(self, gid: bytes) -> None:
+        self._gids.discard(gid)
+        self._context.announcements.withdraw(gid)
+
+
+class SourcePublishers:
+    """A route's outputs, by the numbers of their sources.
+
+    Attributes:
+        sinks: what messages are given to, likewise.
+    """
+
+    def __init__(self, context: Context, peer: Peer, failed: Callable[[Exception], None]) -> None:
+        """There are none yet.
+
+        Args:
+            context: what every part of the engine shares.
+            peer: whose messages are published.
+            failed: told of what goes wrong with a message later than it is published.
+        """
+        self._context = context
+        self._peer = peer
+        self._failed = failed
+        self._type = TypeUse(context.ros, peer.budget.types)
+        self._outputs: list[_SourcePublisher] = []
+        self.sinks: list[VolatileTopic | LatchedTopic] = []
+
+    def __len__(self) -> int:
+        return len(self._outputs)
+
+    def make(self, subject: PublicationSpec, sources: Sequence[Source]) -> None:
+        """Have an output for each source, or for the first so many; those that are there have this subject.
+
+        Raises:
+            RosError: not even the first can be, or the link has too many types.
+            LatchedFullError: likewise.
+        """
+        if not self._outputs:
+            self._type.begin(subject.type_name, subject.type_hash)
+        for number, source in enumerate(sources):
+            origin = Origin(source.via, source.live)
+            try:
+                if number < len(self._outputs):
+                    self._outputs[number].set_origin(origin)
+                else:
+                    self._add(subject, origin)
+            except (RosError, LatchedFullError):
+                self.close(number)  # messages of what cannot be announced could go round
+                if number == 0:
+                    raise
+                return
+
+    def renumber(self, sources: Sequence[Source]) -> None:
+        """A new opening numbers sources anew: outputs go on with the one whose messages they keep, or are closed."""
+        count = 0
+        for source in sources:
+            rest = range(count, len(self._outputs))
+            at = next((each for each in rest if self._outputs[each].came_by == source.via[:-1]), None)
+            if at is None:
+                break
+            self._outputs.insert(count, self._outputs.pop(at))
+            self.sinks.insert(count, self.sinks.pop(at))
+            count += 1
+        self.close(count)
+
+    def _add(self, subject: PublicationSpec, origin: Origin) -> None:
+        further = len(self._outputs) > 0
+        if further and not self._peer.budget.further_publishers.take(1):
+            raise RosError("this link has too many publishers")
+        try:
+            output = _SourcePublisher(self._context, self._peer, subject, origin, self._failed)
+        except (RosError, LatchedFullError):
+            if further:
+                self._peer.budget.further_publishers.give(1)
+            raise
+        self._outputs.append(output)
+        self.sinks.append(output.sink)
+
+    @property
+    def subscriber_count(self) -> int:
+        """How many subscriptions of other nodes there are."""
+        return max((sink.subscriber_count for sink in self.sinks), default=0)
+
+    def close(self, first: int = 0) -> None:
+        """Close the outputs from that number on."""
+        while len(self._outputs) > first:
+            self.sinks.pop()
+            self._outputs.pop().sink.close()
+            if self._outputs:
+                self._peer.budget.further_publishers.give(1)
+        if not first:
+            self._type.end()
+
+    # --- of latched topics
+
+    def _latched(self) -> list[LatchedTopic]:
+        return [sink for sink in self.sinks if isinstance(sink, LatchedTopic)]
+
+    def opened(self) -> dict[bytes, int]:
+        """A new opening begins; the number of the newest message of each publisher of the sending side."""
+        newest: dict[bytes, int] = {}
+        for topic in self._latched():
+            topic.opened()
+            newest |= topic.newest()
+        return newest
+
+    @property
+    def has_kept(self) -> bool:
+        """Whether messages of the sending side are kept."""
+        return any(topic.has_kept for topic in self._latched())
+
+    def present(self, publishers: Collection[bytes]) -> None:
+        """The sending side tells which of its publishers are there."""
+        for topic in self._latched():
+            topic.present(publishers)
+
+    def tick(self) -> None:
+        """Once a second."""
+        for topic in self._latched():
+            topic.tick()

@@ -1,0 +1,403 @@
+"""What a topic leaves to others of its link with a higher priority, while the link carries less than is asked for.
+
+A best-effort topic is thinned: messages are left out evenly before they are packed, so that those that cross are fresh.
+So is one whose entry says ``priority: low``, whatever its QoS: somebody wants it to go first. Any other reliable or
+latched topic is held back: its messages wait in its queue, in order, and what that does not hold is dropped as ever.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, NamedTuple
+
+from rsb_bridge.model.capacity import rates_text
+from rsb_bridge.model.snapshot import State
+from rsb_bridge.model.verdict import Cause, Verdict
+from rsb_bridge.telemetry.meters import Smoothed
+
+if TYPE_CHECKING:
+    import asyncio
+    from collections.abc import Callable, Sequence
+
+    from rsb_bridge.channel.channel import SendingChannel
+    from rsb_bridge.model.qos import Qos
+    from rsb_bridge.ros.api import RawMessage
+    from rsb_bridge.route.history_depth import Sample
+    from rsb_bridge.wire.framing import Message
+
+_MOST_PUBLISHERS = 4096
+THINNED = "thinned"
+"""The ledger's cause."""
+SLOWEST = 0.1
+"""Hz: a topic is never thinned below that, so that it does not seem to have stopped."""
+PER_MESSAGE = 60
+"""Bytes that a message takes on the wire beside its content, about: header, seal and its part of the packets'."""
+_SHOWN = 5.0
+"""s that a topic counts as thinned after the last message that was left out."""
+_LESS = 0.95
+"""A topic is thinned if less than this share of its demand crosses; smaller differences do not show."""
+_FADES = 0.8
+"""The part of the messages so far that still counts a second later, for the size of the average one."""
+
+
+class Throttle:
+    """Leaves messages out, so that a topic keeps to its highest rate.
+
+    Publishers may be told apart: then each has that rate to itself.
+
+    Args:
+        rate: messages a second; 0: all pass.
+    """
+
+    def __init__(self, rate: float) -> None:
+        self._due: dict[bytes, int] = {}
+        self.limit(rate)
+
+    def limit(self, rate: float) -> None:
+        """Keep to another rate from now on."""
+        self._interval = int(1e9 / rate) if rate else 0
+        self._due.clear()
+
+    def adjust(self, rate: float) -> None:
+        """As `limit`, without a new beat: no message passes for the change alone."""
+        self._interval = int(1e9 / rate) if rate else 0
+
+    def passes(self, stamp: int, publisher: bytes = b"") -> bool:
+        """Whether a message passes that was received at `stamp` (ns)."""
+        interval = self._interval
+        if not interval:
+            return True
+        due = self._due.get(publisher, 0)
+        late = stamp - due
+        # A stamp a little older than the last one is out of order; one much older comes from a clock that was set back.
+        if -2 * interval <= late < 0:
+            return False
+        if len(self._due) >= _MOST_PUBLISHERS:
+            self._due.clear()
+        # Due times keep their own beat, so that a 50 Hz topic throttled to 20 Hz gives 20, not 16.7.
+        self._due[publisher] = (due if 0 <= late < interval else stamp) + interval
+        return True
+
+    def due(self, publisher: bytes) -> int:
+        """When (ns, as stamps are) the next message of a publisher passes."""
+        return self._due.get(publisher, 0)
+
+
+class LatestLater:
+    """A throttle for a latched topic: of the messages that come too fast, the last one passes later.
+
+    A late joiner gets what was published last, so that must not be left out for good, however long nothing follows it.
+    """
+
+    def __init__(
+        self,
+        loop: asyncio.AbstractEventLoop,
+        throttle: Throttle,
+        send: Callable[[Sequence[Sample]], None],
+        paused: Callable[[], bool],
+    ) -> None:
+        """Begin.
+
+        Args:
+            loop: the I/O loop.
+            throttle: decides.
+            send: gets the messages that pass later.
+            paused: whether nothing may pass now; then `resume` lets what is due pass.
+        """
+        self._loop = loop
+        self._throttle = throttle
+        self._send = send
+        self._paused = paused
+        self._waiting: dict[bytes, tuple[int, Sample]] = {}
+        self._timers: dict[bytes, asyncio.TimerHandle] = {}
+
+    def admit(self, samples: Sequence[Sample]) -> tuple[list[Sample], int]:
+        """Take messages, oldest first. A history is never throttled: it is what late joiners get.
+
+        Returns:
+            Those that pass now, and how many are left out because a newer one of their publisher has come.
+        """
+        admitted: list[Sample] = []
+        left_out = 0
+        for sample in samples:
+            publisher, stamp = sample.header.publisher, sample.message.stamp
+            passes = sample.replayed or self._throttle.passes(stamp, publisher)
+            left_out += self._forget(publisher)
+            if passes:
+                admitted.append(sample)
+            elif len(self._waiting) < _MOST_PUBLISHERS:
+                due = self._throttle.due(publisher)
+                self._waiting[publisher] = due, sample
+                self._timers[publisher] = self._loop.call_later((due - stamp) / 1e9, self._pass, publisher)
+            else:
+                left_out += 1
+        return admitted, left_out
+
+    def resume(self) -> None:
+        """Let pass what has become due meanwhile."""
+        for publisher in self._waiting.keys() - self._timers.keys():
+            self._pass(publisher)
+
+    def clear(self) -> int:
+        """Let nothing pass any more; how many waited."""
+        return sum(self._forget(publisher) for publisher in tuple(self._waiting))
+
+    def _forget(self, publisher: bytes) -> int:
+        if self._waiting.pop(publisher, None) is None:
+            return 0
+        timer = self._timers.pop(publisher, None)
+        if timer is not None:
+            timer.cancel()
+        return 1
+
+    def _pass(self, publisher: bytes) -> None:
+        self._timers.pop(publisher, None)
+        if self._paused():
+            return
+        due, sample = self._waiting.pop(publisher)
+        self._throttle.passes(due, publisher)
+        self._send([sample])
+
+
+class Share(NamedTuple):
+    """What a topic has of its link for now.
+
+    Attributes:
+        bytes_per_second: its part.
+        carried: what the link carries, in bytes/s.
+        asked: what all its topics want together, likewise.
+        first: a topic that goes first.
+    """
+
+    bytes_per_second: float
+    carried: float
+    asked: float
+    first: str
+
+
+class ThinningShare(NamedTuple):
+    """What an operator is told of a topic that yields.
+
+    Attributes:
+        share: what it has.
+        rate: Hz that cross.
+        wanted: Hz that are published, within the topic's own limit.
+        thins: messages are left out; False: they wait.
+        since: s, when it began.
+    """
+
+    share: Share
+    rate: float
+    wanted: float
+    thins: bool
+    since: float
+
+
+class Traffic(NamedTuple):
+    """What one topic has sent since the last look.
+
+    Attributes:
+        bytes_per_second: that it wants to send.
+        size: bytes of its messages, on average.
+        busy: s for which its channel has not been idle; 0: it is.
+    """
+
+    bytes_per_second: float
+    size: float
+    busy: float
+
+
+_IDLE = Traffic(0.0, 0.0, 0.0)
+
+
+class Thinning:
+    """One sending half's.
+
+    Attributes:
+        share: what it has of its link; None: as much as it likes.
+    """
+
+    def __init__(self, now: float) -> None:
+        self.share: Share | None = None
+        self._thins = True
+        self._throttle = Throttle(0.0)
+        self._rate = 0.0
+        self._offered = 0
+        self._messages, self._bytes, self._before = 0.0, 0.0, 0.0  # packed lately, and until the last look
+        self._gone = 0  # messages that were sent while the topic is held back, since the last look
+        self._size = 0.0
+        self._wanted = Smoothed(now)
+        self._crossed = Smoothed(now)
+        self._busy_since: float | None = None
+        self._next_at = 0.0
+        self._thinned_at = self._since = float("-inf")
+        self._now = now
+
+    # --- what the link says
+
+    def told(self, share: Share | None, *, low: bool, qos: Qos | None, now: float) -> None:
+        """Take a share, at `now` (s); None: there is enough for all.
+
+        Args:
+            share: of the link.
+            low: the topic's entry says that it goes first.
+            qos: of the topic.
+            now: s.
+        """
+        if share is None and self.share is None:
+            return
+        before, self.share = self.share, share
+        if share is None:
+            self._rate = self._next_at = 0.0
+            self._throttle.adjust(0.0)
+            return
+        if before is not None:  # the last message takes as long as it would have with this share
+            left = self.wait(now) * max(1.0, before.bytes_per_second)
+            self._next_at = now + left / max(1.0, share.bytes_per_second)
+        latched = qos is not None and qos.latched
+        self._thins = not latched and (low or qos is None or qos.reliability == "best_effort")
+        rate = max(SLOWEST, share.bytes_per_second / max(1.0, self._size)) if self._thins else 0.0
+        self._rate = rate
+        self._throttle.adjust(rate)
+        if not self._thins and share.bytes_per_second < self._wanted.rate * self._size:
+            self._mark(now)
+
+    def look(self, now: float) -> Traffic:
+        """Once a second: what it wants."""
+        if not self._offered and self._wanted.idle(now) and self._crossed.idle(now):
+            return _IDLE
+        if self._messages:
+            self._size = PER_MESSAGE + self._bytes / self._messages
+        self._wanted.add(self._offered, now)
+        self._crossed.add(self._gone if self.holds else self._messages - self._before, now)
+        self._messages *= _FADES
+        self._bytes *= _FADES
+        self._before = self._messages
+        self._offered = self._gone = 0
+        self._now = now
+        busy = 0.0 if self._busy_since is None else now - self._busy_since
+        return Traffic(self._wanted.rate * self._size, self._size, busy)
+
+    # --- messages
+
+    def keep(self, batch: Sequence[RawMessage], now: float) -> Sequence[RawMessage]:
+        """Those of some messages of a volatile topic that go, oldest first, at `now` (s)."""
+        self._offered += len(batch)
+        if not self._rate or not self._thins:
+            return batch
+        passes = self._throttle.passes
+        kept = [message for message in batch if passes(message.stamp)]
+        if len(kept) < len(batch):
+            self._mark(now)
+        return kept
+
+    def latched(self, messages: int) -> None:
+        """So many messages of a latched topic go, which never are thinned."""
+        self._offered += messages
+
+    def left_out(self, messages: int) -> None:
+        """Count so many messages less: the transport does not carry them."""
+        self._offered -= messages
+
+    def packed(self, messages: int, size: int) -> None:
+        """So many messages go, of so many bytes together."""
+        self._messages += messages
+        self._bytes += size
+
+    def _mark(self, now: float) -> None:
+        if now - self._thinned_at > _SHOWN:
+            self._since = now
+        self._thinned_at = now
+
+    # --- being held back
+
+    @property
+    def holds(self) -> bool:
+        """Whether messages have to wait for their part of the link."""
+        return self.share is not None and not self._thins
+
+    def wait(self, now: float) -> float:
+        """S until the next message may go, at `now` (s); 0: at once."""
+        return max(0.0, self._next_at - now) if self.holds else 0.0
+
+    def over(self, channel: SendingChannel, now: float) -> SendingChannel:
+        """The channel, which takes no more than the share while messages are held back."""
+        return _Held(self, channel, now) if self.holds else channel
+
+    def sent(self, size: int, now: float) -> None:
+        """Bytes of a topic that is held back go, at `now` (s)."""
+        assert self.share is not None
+        self._gone += 1
+        self._next_at = max(self._next_at, now) + size / max(1.0, self.share.bytes_per_second)
+
+    def busy(self, busy: bool, now: float) -> None:
+        """Note whether the channel has more to send than it takes, at `now` (s)."""
+        if not busy:
+            self._busy_since = None
+        elif self._busy_since is None:
+            self._busy_since = now
+
+    # --- what is made of it
+
+    def limit(self, rate: float) -> float:
+        """The lower one of the topic's own limit and what it is thinned to, in Hz; 0: none."""
+        return min(filter(None, (rate, self._rate)), default=0.0)
+
+    def shown(self) -> ThinningShare | None:
+        """What to tell an operator; None: nothing."""
+        if self.share is None or self._now - self._thinned_at > _SHOWN:
+            return None
+        if self._crossed.rate >= _LESS * self._wanted.rate:
+            return None  # it has just recovered
+        return ThinningShare(self.share, self._crossed.rate, self._wanted.rate, self._thins, self._since)
+
+
+def verdict_of(thinned: ThinningShare) -> Verdict:
+    """What an operator is told."""
+    link = why(thinned)
+    if thinned.thins:
+        text = f"thinned to {_hertz(thinned)}: {link}"
+    else:
+        text = (
+            f"held back to {_hertz(thinned)}: {link}; what its queue does not hold is "
+            "dropped (priority: low thins it instead)"
+        )
+    return Verdict(State.SLOW, Cause.THINNED, text, thinned.since)
+
+
+def why(thinned: ThinningShare) -> str:
+    """Why it yields."""
+    share = thinned.share
+    return f"the link carries {rates_text(share.carried, share.asked)}, and {share.first} goes first"
+
+
+def _hertz(thinned: ThinningShare) -> str:
+    """``4 of 30 Hz``."""
+    rate, wanted = (f"{each:.0f}" if each >= 9.95 else f"{each:.2g}" for each in (thinned.rate, thinned.wanted))
+    return f"{rate} of {wanted} Hz"
+
+
+class _Held:
+    """A channel that takes one message at a time, and the next one when the share allows it."""
+
+    batch_bytes = 1
+
+    def __init__(self, thinning: Thinning, channel: SendingChannel, now: float) -> None:
+        self._thinning = thinning
+        self._channel = channel
+        self._time = now
+        self.ready = channel.ready
+        self.carrier = channel.carrier
+
+    @property
+    def congested(self) -> bool:
+        return self._channel.congested or self._thinning.wait(self._time) > 0.0
+
+    def send(self, batch: Sequence[Message]) -> None:
+        self._thinning.sent(sum([PER_MESSAGE + len(message[0]) for message in batch]), self._time)
+        self._channel.send(batch)
+
+    def trouble(self) -> str:
+        return self._channel.trouble()
+
+    def close(self, reason: str) -> None:
+        self._channel.close(reason)

@@ -1,0 +1,408 @@
+"""What one half of a route makes of it: rules over what it knows. They use no clock and change nothing."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING, NamedTuple
+
+from rsb_bridge.model.qos import clashes
+from rsb_bridge.model.snapshot import State
+from rsb_bridge.model.text import join_first
+from rsb_bridge.model.verdict import FINE, LASTING, Cause, Verdict
+from rsb_bridge.route.age import expired_verdict
+from rsb_bridge.route.blocking_rules import gated, no_path, rank, throttled
+from rsb_bridge.route.lateness import late_verdict
+from rsb_bridge.route.thinning import verdict_of, why
+from rsb_bridge.telemetry.watches import FAST_ABOVE
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Collection, Iterable
+
+    from rsb_bridge.model.capacity import Fullness
+    from rsb_bridge.model.qos import Qos
+    from rsb_bridge.ros.api import Endpoint
+    from rsb_bridge.route.age import Expired
+    from rsb_bridge.route.lateness import Late
+    from rsb_bridge.route.thinning import ThinningShare
+    from rsb_bridge.telemetry.watches import Loss
+
+LATELY = 10
+USE_TCP, LOWER_MTU = "use protocol: tcp", "lower the MTU"
+"""Remedies for messages that are lost on the way."""
+_NAMED = 3
+"""Nodes that a sentence names."""
+
+_SILENCE = frozenset({Cause.PUBLISHER_SILENT, Cause.NO_MESSAGE})
+_EXPLAINS_SILENCE = frozenset({Cause.QOS_INCOMPATIBLE, Cause.TYPE_CONFLICT})
+"""Where a publisher's messages are not taken, it is not silent."""
+_LOSSES: dict[str, tuple[Cause, str]] = {
+    "queue full": (
+        Cause.QUEUE_FULL,
+        "more is published than the link carries: set max_rate, compression: zstd or priority",
+    ),
+    "too large": (Cause.TOO_LARGE, "they are larger than its transport carries: use protocol: tcp"),
+    "publish failed": (Cause.NOT_PUBLISHED, "the receiving side cannot publish them; its log says why"),
+    "latched full": (Cause.NOT_PUBLISHED, "the receiving side keeps no more latched messages for this link"),
+    "slow subscriber": (Cause.NOT_PUBLISHED, "a subscriber there does not take its messages: restart it"),
+    "malformed": (Cause.NOT_PUBLISHED, "they are malformed: see what publishes them"),
+    "too complex": (Cause.NOT_PUBLISHED, "they have more strings and sequences than are checked there: send less"),
+    "expands too much": (Cause.NOT_PUBLISHED, "they expand too much there: send less, or without compression"),
+}
+LOSS_CAUSES = frozenset({Cause.LOSSY, *(cause for cause, _ in _LOSSES.values())})
+
+
+class Facts(NamedTuple):
+    """One half's knowledge of its route.
+
+    Attributes:
+        sends: whether it is the sending half.
+        topic: its name on this side.
+        domain_id: of this side.
+        endpoints: the topic's publishers on the sending side, its subscriptions on the receiving side.
+        matched: subscriptions on the receiving side that DDS has matched, which may be known before their nodes are.
+        similar: a topic of the sending side with publishers and a similar name, where this one never had any; or empty.
+        link_down: the reason why the link is down, or empty.
+        refusal: the reason why the route is refused, or empty.
+        loop: the reason why its messages would loop, or empty.
+        paused: whether an operator has paused it.
+        paused_by: the operator, or empty if unknown.
+        disarmed: the reason why it is not armed although it must be, or empty.
+        disarming: what was sent before it was disarmed may still be published.
+        can_be_armed: whether an operator may arm it; else `disarmed` says what to do first.
+        no_path: the reason why its transport does not get through, or empty.
+        breaking: the reason why its channel breaks before a message arrives, or empty.
+        subscribe_failed: the reason why its subscription failed, or empty.
+        left_out: the publishers with another type, which are not bridged, or empty.
+        unresolved: cause and reason if its type or QoS is unknown, or None.
+        waits_for: the step that has to come before messages can cross.
+        type_name: of its messages, or empty if unknown yet.
+        qos: of its subscription and publishers, or None if unknown yet.
+        flowing: whether messages could cross now.
+        came: whether messages have crossed since it was opened, or the receiving side keeps some of a latched topic.
+        came_before: whether messages crossed in an earlier opening, but none in this one.
+        stale_since: s, of the last message if silence counts and has lasted `stale_after`, or None.
+        stopped_since: s, of the last message if its publishers have stopped, or None.
+        slow_since: s, when it became slow, or None.
+        rate: Hz, of the messages that are sent.
+        expected_rate: Hz, to judge the rate by, or None.
+        lost_in_dds: messages that DDS lost in the last `LATELY` s before they could be taken.
+        loss: between the two sides, or None if it is negligible.
+        datagrams: about how many a message takes, or 0 if its transport has none.
+        limit: Hz that an operator allows, or 0 for no limit.
+        limited_by: the reason for the limit, in words.
+        thinned: the share that it leaves to topics with a higher priority, or None.
+        late: the lateness of its messages, or None if they are on time.
+        expired: the messages that were dropped lately because they were too old, or None if they are few.
+        full: the rates of the link if it is full, or None.
+        loss_unexplained: whether it is not known yet if `loss` is due to a full link.
+        loss_of_full_link: whether the link was full since `loss` began, and has room now.
+        shown_cause: the cause that was shown last, or empty.
+    """
+
+    sends: bool
+    topic: str
+    domain_id: int = 0
+    endpoints: Collection[Endpoint] = ()
+    matched: int = 0
+    similar: str = ""
+    link_down: str = ""
+    refusal: str = ""
+    loop: str = ""
+    paused: bool = False
+    disarmed: str = ""
+    disarming: bool = False
+    can_be_armed: bool = True
+    paused_by: str = ""
+    no_path: str = ""
+    breaking: str = ""
+    subscribe_failed: str = ""
+    left_out: str = ""
+    unresolved: tuple[Cause, str] | None = None
+    waits_for: str = ""
+    type_name: str = ""
+    qos: Qos | None = None
+    flowing: bool = False
+    came: bool = False
+    came_before: bool = False
+    stale_since: float | None = None
+    stopped_since: float | None = None
+    slow_since: float | None = None
+    rate: float = 0.0
+    expected_rate: float | None = None
+    lost_in_dds: int = 0
+    loss: Loss | None = None
+    datagrams: int = 0
+    limit: float = 0.0
+    limited_by: str = "set on purpose (max_rate)"
+    thinned: ThinningShare | None = None
+    late: Late | None = None
+    expired: Expired | None = None
+    full: Fullness | None = None
+    loss_unexplained: bool = False
+    loss_of_full_link: bool = False
+    shown_cause: str = ""
+
+    @property
+    def crowded_out(self) -> str:
+        """Why it yields to others of its link; empty: it does not."""
+        return "" if self.thinned is None else why(self.thinned)
+
+
+def judge(facts: Facts) -> Verdict:
+    """What counts: what keeps everything else from being known, else the worst of `_RULES`, of equals the first."""
+    if (verdict := gated(facts)) is not None:
+        return verdict
+    found = [verdict for rule in _RULES if (verdict := rule(facts)) is not None]
+    worst = min(found, key=rank, default=FINE)
+    if worst.cause in _SILENCE:
+        explained = next((each for each in found if each.cause in _EXPLAINS_SILENCE), None)
+        return worst if explained is None else replace(explained, state=worst.state)
+    return worst
+
+
+def no_publisher(topic: str, domain_id: int, similar: str = "") -> str:
+    """Says that nobody publishes a topic."""
+    hint = f"; did you mean {similar}?" if similar else ""
+    return f"no publisher of {topic} in domain {domain_id}{hint}"
+
+
+def no_subscriber(topic: str, where: str, present: Collection[object] = ()) -> str:
+    """Says that nobody hears a topic, whether somebody subscribes to it or not."""
+    return f"the subscribers of {topic} {where} receive nothing" if present else f"nobody subscribes to {topic} {where}"
+
+
+def named(nodes: Iterable[str]) -> str:
+    """``/a``, ``/a and /b``, ``/a, /b, /c and 2 more``."""
+    return join_first(sorted({node or "a node that is not known yet" for node in nodes}), _NAMED) or "nobody"
+
+
+def types_and_nodes(endpoints: Iterable[Endpoint]) -> str:
+    """``/a has pkg/msg/A and /b has pkg/msg/B``."""
+    nodes: dict[str, list[str]] = {}
+    for endpoint in endpoints:
+        nodes.setdefault(endpoint.type_name, []).append(endpoint.node)
+    return join_first([f"{named(who)} has {type_name}" for type_name, who in sorted(nodes.items())], _NAMED)
+
+
+# --- either side
+
+
+def _stale(facts: Facts) -> Verdict | None:
+    if (since := facts.stale_since) is None or _stopped(facts) is not None:
+        return None
+    text = f"nothing for {LASTING}"
+    if not facts.sends:
+        return Verdict(State.STALE, Cause.SILENT, text, since)
+    cause, why = _why_silent(facts)
+    return Verdict(State.STALE, cause, f"{text}: {why}", since)
+
+
+def _why_silent(facts: Facts) -> tuple[Cause, str]:
+    """Explain the silence. DDS lists a publisher for up to 40 s after its death, so it may not run any more."""
+    ever = facts.came or facts.came_before
+    if facts.endpoints:
+        silent = ("has stopped publishing, or died", "have stopped publishing, or died")
+        if not ever:
+            silent = ("has published nothing yet", "have published nothing yet")
+        return Cause.PUBLISHER_SILENT, _plural(facts.endpoints, *silent)
+    if ever:
+        return Cause.PUBLISHER_GONE, f"{no_publisher(facts.topic, facts.domain_id)} any more"
+    return _nobody(facts), no_publisher(facts.topic, facts.domain_id, facts.similar)
+
+
+def _nobody(facts: Facts) -> Cause:
+    return Cause.SIMILAR_NAME if facts.similar else Cause.NO_PUBLISHER
+
+
+def _waiting(facts: Facts) -> Verdict | None:
+    if facts.came and facts.flowing:
+        return None
+    if facts.sends and facts.flowing and not facts.endpoints:
+        text = no_publisher(facts.topic, facts.domain_id, facts.similar)
+        return Verdict(State.WAITING, _nobody(facts), text)
+    if facts.sends and facts.flowing:
+        nothing = "published nothing since it was opened again" if facts.came_before else "published nothing yet"
+        text = _plural(facts.endpoints, f"has {nothing}", f"have {nothing}")
+        return Verdict(State.WAITING, Cause.PUBLISHER_SILENT, text)
+    text = "no message yet" if facts.flowing or not facts.waits_for else f"waiting: {facts.waits_for}"
+    return Verdict(State.WAITING, Cause.NO_MESSAGE, text)
+
+
+def _late(facts: Facts) -> Verdict | None:
+    return late_verdict(facts.late) if facts.late is not None else None
+
+
+def _expired(facts: Facts) -> Verdict | None:
+    return expired_verdict(facts.expired) if facts.expired is not None else None
+
+
+# --- the sending side
+
+
+def _subscription(facts: Facts) -> Verdict | None:
+    if not facts.subscribe_failed:
+        return None
+    return Verdict(State.DOWN, Cause.SUBSCRIBE_FAILED, facts.subscribe_failed)
+
+
+def _publishers_qos(facts: Facts) -> Verdict | None:
+    if not facts.sends or facts.qos is None:
+        return None
+    ours = [each for each in facts.endpoints if each.type_name == facts.type_name]
+    others = [each for each in ours if clashes(each.qos, facts.qos)]
+    if not others:
+        return None
+    offer, asked = zip(*clashes(others[0].qos, facts.qos), strict=True)
+    whose = "its" if len({each.node for each in others}) == 1 else "their"
+    text = (
+        f"{_plural(others, 'offers', 'offer')} {', '.join(offer)}, but this topic asks for {', '.join(asked)}: "
+        f"{whose} messages are not received; set qos: auto for this topic"
+    )
+    all_of_them = len(others) == len(ours)
+    return Verdict(State.DOWN if all_of_them else State.UNHEARD, Cause.QOS_INCOMPATIBLE, text)
+
+
+def _publishers_types(facts: Facts) -> Verdict | None:
+    return Verdict(State.UNHEARD, Cause.TYPE_CONFLICT, facts.left_out) if facts.left_out else None
+
+
+def _unresolved(facts: Facts) -> Verdict | None:
+    if facts.unresolved is None or facts.flowing:
+        return None
+    cause, text = facts.unresolved
+    if cause is Cause.NO_PUBLISHER:
+        cause = _nobody(facts)
+    return Verdict(State.DOWN if cause is Cause.TYPE_CONFLICT else State.WAITING, cause, text)
+
+
+def _stopped(facts: Facts) -> Verdict | None:
+    since = facts.stopped_since
+    if since is None or facts.expected_rate is None:
+        return None
+    cause, why = _why_silent(facts)
+    text = f"nothing for {LASTING}, {facts.expected_rate:.3g} Hz expected: {why}"
+    return Verdict(State.STOPPED, cause, text, since)
+
+
+def _departed(facts: Facts) -> Verdict | None:
+    """Judge a topic whose publisher has left while no message was due."""
+    if not facts.sends or not facts.flowing or not facts.came or facts.endpoints:
+        return None
+    text = f"{no_publisher(facts.topic, facts.domain_id)} any more"
+    return Verdict(State.OK, Cause.PUBLISHER_GONE, text)
+
+
+def _steady_figure(rate: float) -> str:
+    """Format a rate that changes each second with as many digits as before: ``2.00``, ``20.3``."""
+    return f"{rate:#.3g}".rstrip(".")
+
+
+def _slow(facts: Facts) -> Verdict | None:
+    if facts.slow_since is None or facts.expected_rate is None:
+        return None
+    rates = f"{_steady_figure(facts.rate)} Hz of {facts.expected_rate:.3g} expected"
+    if facts.rate >= FAST_ABOVE * facts.expected_rate:  # the watch waits before it ends the fault
+        if facts.shown_cause != Cause.SLOW:
+            return None  # a fault that nobody was shown needs no end
+        return Verdict(State.SLOW, Cause.SLOW, f"recovering after {LASTING}: {rates}", facts.slow_since)
+    text = f"{rates}, for {LASTING}"
+    if facts.lost_in_dds > (facts.expected_rate - facts.rate) * LATELY / 2:  # it is the greater part of what is missing
+        reason = f"DDS lost {facts.lost_in_dds:,} messages before they could be taken"
+    else:
+        reason = f"that is all that {_plural(facts.endpoints, 'publishes', 'publish')}"
+    return Verdict(State.SLOW, Cause.SLOW, f"{text}: {reason}", facts.slow_since)
+
+
+def _thinned(facts: Facts) -> Verdict | None:
+    return verdict_of(facts.thinned) if facts.thinned is not None else None
+
+
+def _remedy_for_loss(facts: Facts) -> str:
+    """Return what to do about lost datagrams, or nothing while the link may be full: then both remedies do harm."""
+    if facts.loss_unexplained:
+        return ""
+    if facts.datagrams > 1:
+        return (
+            f"; each takes {facts.datagrams} datagrams, and is lost if one of them is: {USE_TCP} or smaller messages; "
+            f"if none arrives, {LOWER_MTU} on both sides"
+        )
+    return f"; {USE_TCP}"
+
+
+def _lossy(facts: Facts) -> Verdict | None:
+    loss = facts.loss
+    if loss is None or (facts.expired is not None and facts.expired.lost > loss.lost):
+        return None  # most of what did not come was too old, which `_expired` tells
+    cause, why = _LOSSES.get(loss.cause, (Cause.LOSSY, f"lost on the way{_remedy_for_loss(facts)}"))
+    if facts.full is not None and cause in (Cause.LOSSY, Cause.QUEUE_FULL):
+        why = f"the link is full ({facts.full.share}): set max_rate, compression: zstd or priority"
+        cause = Cause.QUEUE_FULL
+    elif facts.loss_of_full_link and cause is Cause.LOSSY:
+        cause, why = Cause.QUEUE_FULL, "the link was full"
+    if loss.recovering:
+        if facts.shown_cause not in LOSS_CAUSES:
+            return None  # a fault that nobody was shown needs no end
+        return Verdict(State.SLOW, cause, f"recovering after {LASTING}: most messages arrive again", loss.since)
+    if loss.lost >= loss.of:
+        text = f"none of the last {loss.of:,} messages arrived"
+        return Verdict(State.DOWN, cause, f"{text}, for {LASTING}: {why}", loss.since)
+    text = f"{loss.lost:,} of the last {loss.of:,} messages ({loss.share:.0%}) did not arrive"
+    return Verdict(State.SLOW, cause, f"{text}, for {LASTING}: {why}", loss.since)
+
+
+# --- the receiving side
+
+
+def _subscribers(facts: Facts) -> Verdict | None:
+    if facts.sends or facts.qos is None or not facts.type_name:
+        return None
+    if others := [each for each in facts.endpoints if each.type_name != facts.type_name]:
+        text = f"{types_and_nodes(others)}, but {facts.topic} carries {facts.type_name}: correct the subscription"
+        return Verdict(State.UNHEARD, Cause.TYPE_CONFLICT, text)
+    for each in facts.endpoints:
+        if found := clashes(facts.qos, each.qos):
+            alike = [other for other in facts.endpoints if clashes(facts.qos, other.qos) == found]
+            offer, asked = zip(*found, strict=True)
+            who = _plural(alike, "asks", "ask", "subscriptions")
+            text = (
+                f"{who} for {', '.join(asked)}, but {facts.topic} is published with "
+                f"{', '.join(offer)}: change the QoS of the subscription, or of the publishers and this topic"
+            )
+            return Verdict(State.UNHEARD, Cause.QOS_INCOMPATIBLE, text)
+    if not facts.endpoints and not facts.matched and facts.came:
+        return Verdict(State.UNHEARD, Cause.NO_SUBSCRIBER, no_subscriber(facts.topic, f"in domain {facts.domain_id}"))
+    return None
+
+
+def _plural(endpoints: Collection[Endpoint], one: str, several: str, what: str = "publishers") -> str:
+    """Name the nodes, with a verb for their number; count the endpoints if some nodes have several.
+
+    Args:
+        endpoints: the nodes' endpoints.
+        one: the verb for one node.
+        several: the verb for several nodes.
+        what: the plural of the endpoints' kind.
+    """
+    nodes = {each.node for each in endpoints}
+    count = "" if len(endpoints) == len(nodes) else f" ({len(endpoints)} {what})"
+    return f"{named(nodes)}{count} {one if len(nodes) == 1 else several}"
+
+
+_RULES: tuple[Callable[[Facts], Verdict | None], ...] = (
+    no_path,
+    _subscription,
+    _publishers_qos,
+    _publishers_types,
+    _unresolved,
+    _thinned,
+    _lossy,
+    _stale,
+    _stopped,
+    _expired,
+    _late,
+    _slow,
+    _subscribers,
+    _waiting,
+    _departed,
+    throttled,
+)

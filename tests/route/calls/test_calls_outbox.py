@@ -1,0 +1,160 @@
+"""Frames that wait for a channel: in order, bounded, and none that is wanted no more."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import pytest
+import zstandard
+
+from rsb_bridge.model.calls import FEEDBACK, LANES, SEND_GOAL, STATUS
+from rsb_bridge.route.calls import calls_outbox as module
+from rsb_bridge.route.calls.calls_outbox import CallsOutbox
+from rsb_bridge.transport.registry import default_transports
+from rsb_bridge.wire.framing import ZSTD
+from rsb_bridge.wire.headers import CallFrame, What, unpack_call
+from rsb_bridge.wire.messages import Propose
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from rsb_bridge.wire.framing import Message
+
+
+class FakeChannel:
+    """Takes so many messages before it is congested."""
+
+    batch_bytes = 1 << 16
+
+    def __init__(self, takes: int = 1000) -> None:
+        self.takes = takes
+        self.sent: list[Message] = []
+
+    @property
+    def congested(self) -> bool:
+        return len(self.sent) >= self.takes
+
+    def send(self, batch: Sequence[Message]) -> None:
+        self.sent.extend(batch)
+
+    def frames(self) -> list[CallFrame]:
+        return [unpack_call(payload) for payload, _, _ in self.sent]
+
+
+@pytest.fixture
+def ended() -> set[int]:
+    return set()
+
+
+@pytest.fixture
+def outbox(ended: set[int]) -> CallsOutbox:
+    return make(ended)
+
+
+def make(ended: set[int], **proposed: Any) -> CallsOutbox:
+    proposal = Propose(route=1, topic="/go", remote_topic="/go", from_client=True, kind="action", **proposed)
+    transport = default_transports()["tcp"]
+    return CallsOutbox(transport, proposal, LANES["action"], lambda frame: frame.call not in ended, lambda: 7)
+
+
+def call(number: int) -> CallFrame:
+    return CallFrame(What.CALL, SEND_GOAL, number, 0, b"request %d" % number)
+
+
+def message(lane: int, content: bytes) -> CallFrame:
+    return CallFrame(What.MESSAGE, lane, 0, 0, content)
+
+
+def test_frames_leave_in_order_and_calls_that_are_over_do_not(outbox: CallsOutbox, ended: set[int]) -> None:
+    frames = [call(1), message(FEEDBACK, b"one"), call(2), call(3), CallFrame(What.REFUSED, SEND_GOAL, 9, 0, b"paused")]
+    for frame in frames:
+        outbox.put(frame)
+    ended.add(2)
+    channel = FakeChannel()
+    outbox.flush(channel)  # type: ignore[arg-type]
+    assert channel.frames() == [frames[0], frames[1], frames[3], frames[4]]
+
+
+def test_what_is_over_while_it_waits_is_not_sent(outbox: CallsOutbox, ended: set[int]) -> None:
+    outbox.put(call(1))
+    outbox.flush(FakeChannel(takes=0))  # type: ignore[arg-type]
+    ended.add(1)
+    channel = FakeChannel()
+    outbox.flush(channel)  # type: ignore[arg-type]
+    assert not channel.sent
+
+
+def test_nothing_waits_of_a_call_that_is_over(outbox: CallsOutbox) -> None:
+    """A peer that reads nothing makes calls expire, which give back their places in the budget."""
+    for number in range(1, 4):
+        outbox.put(call(number))
+        outbox.put(message(FEEDBACK, b"%d" % number))
+    for number in (1, 3, 9):
+        outbox.forget(number)
+    assert len(outbox._frames) == 4
+    channel = FakeChannel()
+    outbox.flush(channel)  # type: ignore[arg-type]
+    assert [each.content for each in channel.frames()] == [b"1", b"request 2", b"2", b"3"]
+
+
+def test_a_lane_keeps_as_many_messages_as_its_depth_and_the_oldest_go(outbox: CallsOutbox) -> None:
+    for number in range(25):
+        outbox.put(message(FEEDBACK, b"%d" % number))
+        outbox.put(message(STATUS, b"status %d" % number))
+    channel = FakeChannel()
+    outbox.flush(channel)  # type: ignore[arg-type]
+    contents = [frame.content for frame in channel.frames()]
+    assert [each for each in contents if b"status" not in each] == [b"%d" % number for number in range(15, 25)]
+    assert [each for each in contents if b"status" in each] == [b"status 24"]
+
+
+def test_messages_that_wait_are_bounded_in_bytes(outbox: CallsOutbox, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(module, "_MESSAGE_BYTES", 100)
+    for _ in range(10):
+        outbox.put(message(FEEDBACK, bytes(40)))
+    channel = FakeChannel()
+    outbox.flush(channel)  # type: ignore[arg-type]
+    assert len(channel.sent) == 2
+
+
+def test_a_large_message_has_as_many_go_as_it_takes(outbox: CallsOutbox, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(module, "_MESSAGE_BYTES", 100)
+    for size in (10, 10, 10, 90):
+        outbox.put(message(FEEDBACK, bytes(size)))
+    channel = FakeChannel()
+    outbox.flush(channel)  # type: ignore[arg-type]
+    assert [len(each.content) for each in channel.frames()] == [10, 90]
+
+
+def test_refusals_that_wait_are_bounded(outbox: CallsOutbox, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(module, "_MOST_REFUSALS", 5)
+    for number in range(1, 20):
+        outbox.put(CallFrame(What.REFUSED, SEND_GOAL, number, 0, b"paused"))
+    channel = FakeChannel()
+    outbox.flush(channel)  # type: ignore[arg-type]
+    assert [frame.call for frame in channel.frames()] == [1, 2, 3, 4, 5]
+    outbox.put(CallFrame(What.REFUSED, SEND_GOAL, 20, 0, b"paused"))
+    outbox.flush(channel)  # type: ignore[arg-type]
+    assert channel.frames()[-1].call == 20
+
+
+def test_a_new_opening_begins_with_nothing(outbox: CallsOutbox) -> None:
+    outbox.put(call(1))
+    outbox.put(message(FEEDBACK, b"one"))
+    outbox.clear()
+    channel = FakeChannel()
+    outbox.flush(channel)  # type: ignore[arg-type]
+    assert not channel.sent
+
+
+def test_contents_are_compressed_and_headers_are_not() -> None:
+    outbox, channel = make(set(), compression="zstd"), FakeChannel()
+    large = call(1)._replace(content=bytes(100_000))
+    outbox.put(large)
+    outbox.put(call(2))
+    outbox.flush(channel)  # type: ignore[arg-type]
+    (packed, _, flags), (plain, _, no_flags) = channel.sent
+    assert (flags, no_flags) == (ZSTD, 0)
+    frame = unpack_call(packed)
+    assert frame._replace(content=zstandard.decompress(frame.content)) == large
+    assert unpack_call(plain) == call(2)

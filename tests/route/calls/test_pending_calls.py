@@ -1,0 +1,95 @@
+"""Calls that wait for their answers, and are given up in time."""
+
+from __future__ import annotations
+
+import asyncio
+from random import Random
+from typing import TYPE_CHECKING
+
+import pytest
+
+from rsb_bridge.route.calls.pending_calls import Call, CallBudget, UnderWay
+
+if TYPE_CHECKING:
+    from tests.support.virtual_time import VirtualLoop
+
+
+class Held:
+    """Calls under way, and those that were given up."""
+
+    def __init__(self, loop: VirtualLoop) -> None:
+        self.loop = loop
+        self.budget = CallBudget(0.0)
+        self.expired: list[tuple[int, float]] = []
+        self.ended: list[int] = []
+        self.calls: UnderWay[Call] = UnderWay(loop, self.budget, self._expired, self.ended.append)
+
+    def begin(self, number: int, timeout: float | None, size: int = 10) -> None:
+        assert self.budget.take(size, self.loop.time()) is None
+        self.calls.add(number, Call(0, size, self.loop.time()), timeout)
+
+    def pass_time(self, seconds: float) -> None:
+        self.loop.run_until_complete(asyncio.sleep(seconds))
+
+    def _expired(self, number: int, call: Call) -> None:
+        assert number not in self.calls
+        self.expired.append((number, self.loop.time()))
+
+
+@pytest.fixture
+def held(loop: VirtualLoop) -> Held:
+    return Held(loop)
+
+
+def test_each_is_given_up_after_its_own_time(held: Held) -> None:
+    held.begin(1, 5.0)
+    held.begin(2, 2.0)
+    held.begin(3, None)
+    held.begin(4, 3.0)
+    assert held.calls.end(4) is not None
+    held.pass_time(10.0)
+    assert [(number, round(at, 3)) for number, at in held.expired] == [(2, 2.0), (1, 5.0)]
+    assert held.calls.numbers() == (3,)
+    assert held.ended == [4, 2, 1], "each is told of once"
+    assert held.budget.held == (1, 10)
+
+
+def test_a_call_ends_once(held: Held) -> None:
+    held.begin(1, 5.0)
+    assert held.calls.end(1) is not None
+    assert held.calls.end(1) is None
+    held.pass_time(10.0)
+    assert not held.expired
+    assert held.budget.held == (0, 0)
+
+
+def test_no_timer_is_left(held: Held) -> None:
+    held.begin(1, 1000.0)
+    held.calls.end(1)
+    assert held.calls._timer is None
+    assert not held.calls._deadlines
+
+
+def test_an_answer_may_hold_more_than_its_request(held: Held) -> None:
+    held.begin(1, 5.0, size=10)
+    call = held.calls.get(1)
+    assert call is not None
+    assert held.calls.resize(call, 500)
+    assert held.budget.held == (1, 500)
+    assert not held.calls.resize(call, 1 << 40)
+    held.calls.end(1)
+    assert held.budget.held == (0, 0)
+
+
+def test_what_is_kept_of_ended_calls_does_not_grow(held: Held) -> None:
+    """However long the timeout is, and however many calls are over before it."""
+    random = Random(1)
+    waiting: list[int] = []
+    for number in range(1, 20_001):
+        held.begin(number, 3600.0)
+        waiting.append(number)
+        if len(waiting) > 100:
+            held.calls.end(waiting.pop(random.randrange(len(waiting))))
+        held.pass_time(0.001)
+    assert len(held.calls) == 100
+    assert len(held.calls._deadlines) <= 2 * 101 + 64

@@ -1,0 +1,324 @@
+"""Messages of publishers that are not known yet are held, and nothing asks again and again whose they are."""
+
+from __future__ import annotations
+
+import asyncio
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import pytest
+from tests.support.offline import FakePeer
+
+from rsb_bridge.link.proposals import proposal_of
+from rsb_bridge.model.codes import EventCode
+from rsb_bridge.model.qos import Qos
+from rsb_bridge.model.session import Topic
+from rsb_bridge.model.snapshot import State
+from rsb_bridge.model.sources import hop
+from rsb_bridge.model.verdict import Cause
+from rsb_bridge.ros.api import Endpoint, RawMessage
+from rsb_bridge.ros.no_ros import NoRos
+from rsb_bridge.ros.own_announcement import Origin
+from rsb_bridge.route.outgoing import OutgoingRoute
+from rsb_bridge.wire.framing import SOURCE_SHIFT, Message
+from rsb_bridge.wire.messages import Describe, Ready
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    from tests.support.virtual_time import VirtualLoop
+
+    from rsb_bridge.context import Context
+
+SCAN = "/scan"
+TYPE = "std_msgs/msg/String"
+TYPE_HASH = "RIHS01_" + 64 * "0"
+FIRST, SECOND = b"first", b"second"
+
+
+class Graph(NoRos):
+    """A graph that a test changes.
+
+    Attributes:
+        nodes: the nodes of the topic's publishers, by their ids; an empty name: not known yet.
+        asked: how often it was asked for them.
+    """
+
+    def __init__(self) -> None:
+        self.nodes = {FIRST: "/talker"}
+        self.asked = 0
+
+    def publishers(self, topic: str) -> list[Endpoint]:
+        if topic != SCAN:
+            return []
+        self.asked += 1
+        return [Endpoint(node, TYPE, TYPE_HASH, Qos(), gid) for gid, node in self.nodes.items()]
+
+    def installed_description(self, type_name: str) -> str | None:
+        return None
+
+    def ask_description(self, *_: object) -> str | None:
+        return None
+
+    def installed_hash(self, type_name: str) -> str | None:
+        return TYPE_HASH
+
+    def subscribe(self, *_: object, **__: object) -> Any:
+        class Subscription:
+            lost = 0
+
+            def close(self) -> None:
+                pass
+
+        return Subscription()
+
+
+class Channel:
+    """Takes everything.
+
+    Attributes:
+        sent: the payloads and flags so far.
+    """
+
+    ready = True
+    congested = False
+    batch_bytes = 1 << 20
+
+    def __init__(self) -> None:
+        self.sent: list[tuple[bytes, int]] = []
+
+    def send(self, batch: Sequence[Message]) -> None:
+        self.sent += [(payload, flags) for payload, _, flags in batch]
+
+    def close(self, reason: str) -> None:
+        pass
+
+    def trouble(self) -> str:
+        return ""
+
+
+class Peer(FakePeer):
+    """Has a publisher for everything, and gives routes a channel.
+
+    Attributes:
+        channel: what it gives.
+    """
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.channel = Channel()
+
+    def open_channel(self, route: Any) -> None:
+        route.channel = self.channel
+
+    def answer(self, route: OutgoingRoute) -> None:
+        """Answer the newest description."""
+        described = [each for each in self.sent if isinstance(each, Describe)][-1]
+        route.peer_ready(Ready(route=described.route, sources=len(described.sources)))
+
+
+class World(NamedTuple):
+    """A route that sends, and what is around it."""
+
+    route: OutgoingRoute
+    graph: Graph
+    peer: Peer
+    context: Context
+    loop: VirtualLoop
+
+    def comes(self, gid: bytes, *payloads: bytes) -> None:
+        """The subscription takes messages."""
+        intake = self.route._intake
+        assert intake is not None
+        intake.offer([RawMessage(each, 0, gid) for each in payloads])
+
+    def wait(self, seconds: float) -> None:
+        """Let time pass."""
+        self.loop.run_until_complete(asyncio.sleep(seconds))
+
+    @property
+    def sent(self) -> list[bytes]:
+        """What was sent."""
+        return [payload for payload, _ in self.peer.channel.sent]
+
+
+@pytest.fixture
+def world(loop: VirtualLoop, make_context: Callable[..., Context]) -> World:
+    graph, peer, topic = Graph(), Peer(), Topic(SCAN, "transmit")
+    context = make_context(graph)
+    proposal = proposal_of(topic, context.transports["tcp"], client_name="robot1", use_name=False)
+    route = OutgoingRoute(context, peer, topic, proposal, proposed_here=True)
+    route.open(1)
+    route.on_accepted()
+    peer.answer(route)
+    return World(route, graph, peer, context, loop)
+
+
+def test_the_messages_of_a_known_publisher_pass_and_the_graph_is_not_asked(world: World) -> None:
+    asked = world.graph.asked
+    world.comes(FIRST, b"1", b"2")
+    world.comes(FIRST, b"3")
+    assert world.peer.channel.sent == [(b"1", 0), (b"2", 0), (b"3", 0)]
+    assert world.graph.asked == asked
+
+
+def test_a_publisher_that_is_new_is_looked_up_with_its_first_message(world: World) -> None:
+    world.graph.nodes[SECOND] = "/other"
+    asked = world.graph.asked
+    world.comes(SECOND, b"1")
+    world.comes(SECOND, b"2")
+    assert world.sent == [b"1", b"2"]
+    assert world.graph.asked == asked + 1
+
+
+def test_the_messages_of_a_publisher_without_a_node_wait_for_news_and_keep_their_order(world: World) -> None:
+    """The graph is asked once for all of them, and again when it has changed."""
+    world.graph.nodes[SECOND] = ""
+    asked = world.graph.asked
+    for number in range(100):
+        world.comes(SECOND, b"%d" % number)
+        world.comes(FIRST, b"x")
+        world.wait(0.02)
+    assert world.sent == 100 * [b"x"]
+    assert world.graph.asked == asked + 1
+    world.graph.nodes[SECOND] = "/other"
+    world.route.advance()  # as the graph watch does at each change
+    world.comes(SECOND, b"100")
+    assert world.sent[100:] == [b"%d" % number for number in range(101)]
+
+
+def test_a_publisher_that_nobody_explains_is_waited_for_3_s_and_nothing_polls(world: World) -> None:
+    world.graph.nodes[SECOND] = ""
+    world.route.advance()
+    world.comes(SECOND, b"1", b"2")
+    asked = world.graph.asked
+    world.wait(2.9)
+    assert (world.sent, world.graph.asked) == ([], asked)
+    world.wait(0.2)
+    assert (world.sent, world.graph.asked) == ([b"1", b"2"], asked + 1)
+    world.wait(600.0)
+    assert world.graph.asked == asked + 1
+
+
+def test_a_route_that_waits_for_a_publisher_does_not_poll(
+    loop: VirtualLoop, make_context: Callable[..., Context]
+) -> None:
+    graph, peer, topic = Graph(), Peer(), Topic(SCAN, "transmit")
+    graph.nodes = {SECOND: ""}
+    context = make_context(graph)
+    proposal = proposal_of(topic, context.transports["tcp"], client_name="robot1", use_name=False)
+    route = OutgoingRoute(context, peer, topic, proposal, proposed_here=True)
+    route.open(1)
+    route.on_accepted()
+    assert "announce" in route.snapshot().reason
+    asked = graph.asked
+    loop.run_until_complete(asyncio.sleep(2.9))
+    assert graph.asked == asked
+    loop.run_until_complete(asyncio.sleep(600.0))
+    assert graph.asked == asked + 1
+    peer.answer(route)
+
+
+def test_messages_of_another_source_wait_until_the_peer_has_a_publisher_for_it(world: World) -> None:
+    announcements = world.context.announcements
+    via = (hop("rsb_elsewhere_1", SCAN),)
+    second = Endpoint(f"/{world.graph.node_name}", TYPE, TYPE_HASH, Qos(), SECOND)
+    announcements.announce(SCAN, "another link", second, Origin(via))
+    world.comes(SECOND, b"1")
+    world.comes(FIRST, b"x")
+    assert world.sent == [b"x"]
+    described = [each for each in world.peer.sent if isinstance(each, Describe)][-1]
+    assert [source.via for source in described.sources] == [
+        (hop(world.graph.node_name, SCAN),),
+        (*via, hop(world.graph.node_name, SCAN)),
+    ]
+    world.peer.answer(world.route)
+    assert world.peer.channel.sent[1:] == [(b"1", 1 << SOURCE_SHIFT)]
+
+
+def test_messages_that_a_peer_has_no_publisher_for_are_shown_as_left_out(world: World) -> None:
+    announcements = world.context.announcements
+    second = Endpoint(f"/{world.graph.node_name}", TYPE, TYPE_HASH, Qos(), SECOND)
+    announcements.announce(SCAN, "another link", second, Origin((hop("rsb_elsewhere_1", SCAN),)))
+    world.comes(SECOND, b"1")
+    world.route.peer_ready(Ready(route=1, sources=1))
+    assert world.sent == []
+    assert "left out" in world.route.snapshot().stages[0].detail
+
+
+def test_too_many_messages_that_are_held_are_lost_and_counted(world: World) -> None:
+    world.graph.nodes[SECOND] = ""
+    for _ in range(12):
+        world.comes(SECOND, *(1000 * [b"x"]))
+    ledger = world.route.ledger()
+    assert (ledger.offered, ledger.dropped) == (2000, {"queue full": 2000})
+    world.comes(SECOND, *(40 * [bytes(1 << 20)]))
+    assert world.route._loop_filter.holds <= 32
+    world.route.close("link lost")
+    ledger = world.route.ledger()
+    assert ledger.offered == sum(ledger.dropped.values()) == 12_040
+
+
+def test_a_large_first_message_is_not_lost_while_its_publisher_is_looked_up(world: World) -> None:
+    world.graph.nodes[SECOND] = ""
+    world.comes(SECOND, bytes(8 << 20), b"small")
+    assert (world.route._loop_filter.holds, world.route.ledger().dropped) == (2, {})
+
+
+def test_held_messages_do_not_outlive_a_pause(world: World) -> None:
+    """A goal that is an hour old is sent to nobody."""
+    world.graph.nodes[SECOND] = ""
+    world.comes(SECOND, b"old goal")
+    world.route.pause(paused=True)
+    world.wait(3600.0)
+    world.route.pause(paused=False)
+    world.wait(10.0)
+    ledger = world.route.ledger()
+    assert (world.sent, ledger.offered, ledger.dropped) == ([], 1, {"paused": 1})
+
+
+def test_who_is_waited_for_is_no_failure_on_the_other_side(world: World) -> None:
+    """It takes seconds at most, and heals by itself."""
+    world.graph.nodes = {SECOND: ""}
+    world.route.close("closed")
+    world.route.open(3)
+    world.route.on_accepted()
+    world.route.tick()
+    assert "announce" in world.route.snapshot().reason
+    report = world.route.news()
+    assert report is not None
+    assert report.verdict is not None
+    assert (report.verdict.state, report.verdict.cause) == (State.WAITING, Cause.NO_MESSAGE)
+
+
+def test_a_loop_that_comes_again_is_said_again(world: World) -> None:
+    for _ in range(2):
+        world.route.notices.set_loop("messages would loop")
+        world.route.notices.set_loop("")
+    codes = [event.code for event in world.context.events.after(0)]
+    assert codes.count(EventCode.ROUTE_LOOP) == codes.count(EventCode.ROUTE_LOOP_GONE) == 2
+
+
+def test_a_removed_route_says_nothing_of_its_channel(world: World) -> None:
+    world.route.channel_lost("reset")
+    world.route.destroy()
+    world.wait(10.0)
+    assert EventCode.ROUTE_CHANNEL_LOST not in [event.code for event in world.context.events.after(0)]
+
+
+def test_a_publisher_too_far_does_not_reopen_the_route_for_ever(world: World) -> None:
+    """Anybody in the domain can announce so many hops."""
+    announcements = world.context.announcements
+    world.graph.nodes = {}
+    world.route.close("closed")
+    hops = tuple(hop(f"rsb_{number}_1", SCAN) for number in range(16))
+    far = Endpoint(f"/{world.graph.node_name}", TYPE, TYPE_HASH, Qos(), SECOND)
+    announcements.announce(SCAN, "another link", far, Origin(hops))
+    openings = 0
+    for _ in range(300):
+        if not world.route.id and world.loop.time() >= world.route.retry_at:
+            openings += 1
+            world.route.open(2 * openings + 1)
+            world.route.on_accepted()
+        world.route.advance()
+        world.wait(1.0)
+    assert openings == 1

@@ -1,0 +1,147 @@
+"""What a route subscribes with."""
+
+from __future__ import annotations
+
+import asyncio
+from typing import TYPE_CHECKING, Any
+
+import pytest
+
+from rsb_bridge.model.codes import EventCode
+from rsb_bridge.model.qos import Qos, auto_depth
+from rsb_bridge.route.topic_subscription import SubscriptionSpec, TopicSubscription
+from rsb_bridge.telemetry.meters import RateMeter
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    from tests.support.virtual_time import VirtualLoop
+
+    from rsb_bridge.context import Context
+    from rsb_bridge.ros.api import OnFailure, RawMessage
+
+
+class FakeRos:
+    """A ROS side that records what is subscribed to.
+
+    Attributes:
+        subscriptions: every one so far.
+    """
+
+    node_name = "rsb_robot1_0123abcd"
+
+    def __init__(self) -> None:
+        self.subscriptions: list[FakeSubscription] = []
+
+    def subscribe(
+        self, topic: str, type_name: str, type_hash: str, qos: Qos, sink: Any, origin: Any, on_failure: OnFailure
+    ) -> FakeSubscription:
+        self.subscriptions.append(FakeSubscription(qos))
+        return self.subscriptions[-1]
+
+
+class FakeSubscription:
+    def __init__(self, qos: Qos) -> None:
+        self.qos = qos
+        self.lost = 0
+        self.closed = False
+
+    def close(self) -> None:
+        self.closed = True
+
+
+class Owner:
+    """Who the messages would be for.
+
+    Attributes:
+        meter: the rates so far.
+        events: codes of what was logged.
+    """
+
+    def __init__(self) -> None:
+        self.meter = RateMeter(0.0)
+        self.events: list[EventCode] = []
+
+    def admit(self, batch: Sequence[RawMessage]) -> Sequence[RawMessage]:
+        return batch
+
+    def offer(self, batch: object) -> None:
+        """Take nothing."""
+
+    def offer_latched(self, new: int, samples: object) -> None:
+        """Take nothing."""
+
+    def too_late(self, messages: int) -> None:
+        self.late = messages
+
+    def log_intake(self, level: object, code: EventCode, text: str) -> None:
+        self.events.append(code)
+
+
+def make_intake(
+    context: Context, owner: Owner, qos: Qos, *, automatic: bool, expected_rate: float | None = None
+) -> TopicSubscription:
+    """An intake that is subscribed."""
+    subject = SubscriptionSpec("/fast", "std_msgs/msg/String", "", qos, "robot1")
+    intake = TopicSubscription(context, owner, subject, automatic=automatic, expected_rate=expected_rate, known={})
+    intake.subscribe()
+    return intake
+
+
+@pytest.mark.parametrize(
+    ("rate", "mean_size", "depth"),
+    [
+        (None, 0.0, 500),
+        (0.5, 100.0, 10),
+        (100.0, 100.0, 500),
+        (1000.0, 1000.0, 5000),
+        (100_000.0, 10.0, 10_000),
+        (30.0, 1_000_000.0, 33),
+        (30.0, 50_000_000.0, 10),
+    ],
+)
+def test_auto_keeps_five_seconds_within_bounds(rate: float | None, mean_size: float, depth: int) -> None:
+    assert auto_depth(rate, mean_size) == depth
+
+
+def test_a_busier_topic_gets_a_deeper_subscription_once_messages_are_lost(
+    loop: VirtualLoop, make_context: Callable[..., Context]
+) -> None:
+    ros, owner = FakeRos(), Owner()
+    intake = make_intake(make_context(ros), owner, Qos(depth=0), automatic=True)
+    assert [each.qos.depth for each in ros.subscriptions] == [500]
+
+    def second_passes() -> None:
+        owner.meter.add(1000, 100_000, loop.time())
+        owner.meter.tick(loop.time())
+        intake.tick()
+        loop.run_until_complete(asyncio.sleep(1))
+
+    for _ in range(10):
+        second_passes()
+    assert len(ros.subscriptions) == 1
+    ros.subscriptions[0].lost = 7
+    for _ in range(10):
+        second_passes()
+    assert [(each.qos.depth, each.closed) for each in ros.subscriptions] == [(500, True), (5000, False)]
+    ros.subscriptions[1].lost = 2
+    second_passes()
+    assert len(ros.subscriptions) == 2
+    assert intake.lost == 9
+    assert owner.events == [EventCode.ROUTE_DEEPENED]
+    assert intake.close() == 0
+    assert ros.subscriptions[1].closed
+
+
+def test_what_an_operator_gave_stands(make_context: Callable[..., Context]) -> None:
+    ros = FakeRos()
+    make_intake(make_context(ros), Owner(), Qos(depth=3), automatic=False, expected_rate=1000.0)
+    make_intake(make_context(ros), Owner(), Qos(depth=0), automatic=True, expected_rate=1000.0)
+    assert [each.qos.depth for each in ros.subscriptions] == [3, 5000]
+
+
+def test_of_latched_topics_all_is_taken_that_publishers_keep(make_context: Callable[..., Context]) -> None:
+    ros = FakeRos()
+    latched = Qos(durability="transient_local", depth=1)
+    make_intake(make_context(ros), Owner(), latched, automatic=False)
+    assert ros.subscriptions[0].qos == Qos(durability="transient_local", history="keep_all", depth=1)

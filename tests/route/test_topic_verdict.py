@@ -1,0 +1,516 @@
+"""What a half of a route makes of what it knows, and what counts of both halves' verdicts."""
+
+from __future__ import annotations
+
+import re
+from typing import Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from rsb_bridge.model.capacity import Fullness
+from rsb_bridge.model.limits import REASON_LENGTH
+from rsb_bridge.model.qos import Qos
+from rsb_bridge.model.snapshot import State
+from rsb_bridge.model.verdict import EXPIRES, FINE, Cause, Verdict, about, worse
+from rsb_bridge.ros.api import Endpoint
+from rsb_bridge.route.age import Expired, expired_verdict
+from rsb_bridge.route.arming import SAID, Disarmed
+from rsb_bridge.route.combined_verdict import CombinedVerdict, lasting, record_of
+from rsb_bridge.route.lateness import QUEUE, WAY, Late, late_verdict
+from rsb_bridge.route.lease import Standstill
+from rsb_bridge.route.thinning import Share, ThinningShare
+from rsb_bridge.route.topic_verdict import LOWER_MTU, USE_TCP, Facts, judge, named
+from rsb_bridge.telemetry.watches import Loss
+from rsb_bridge.wire.records import VerdictRecord
+
+NOW = 2e6
+"""s."""
+ON_ONE_LINE = 80
+"""Characters of a text that the first screen shows whole."""
+STRING, INT = "std_msgs/msg/String", "std_msgs/msg/Int32"
+RELIABLE, BEST_EFFORT, LATCHED = Qos(), Qos(reliability="best_effort"), Qos(durability="transient_local")
+
+
+def endpoint(node: str, qos: Qos = RELIABLE, type_name: str = STRING, type_hash: str = "RIHS01_1") -> Endpoint:
+    return Endpoint(node, type_name, type_hash, qos, node.encode())
+
+
+TALKER = endpoint("/talker")
+SENDER = Facts(
+    sends=True, topic="/chat", domain_id=2, endpoints=[TALKER], type_name=STRING, qos=RELIABLE, flowing=True, came=True
+)
+RECEIVER = SENDER._replace(sends=False, topic="/robot1/chat", domain_id=3, endpoints=[endpoint("/rviz")])
+
+
+LOST, FULL = Loss(9, 10, "lost on the way", NOW - 2.0), Fullness(5e3, 14e3)
+
+
+def verdict_on(facts: Facts, **changes: Any) -> Verdict:
+    return judge(facts._replace(**changes))
+
+
+def test_a_route_that_flows_is_fine() -> None:
+    assert judge(SENDER) == judge(RECEIVER) == FINE
+
+
+@pytest.mark.parametrize(
+    ("facts", "changes", "state", "cause", "words"),
+    [
+        (SENDER, {"link_down": "gone", "refusal": "denied"}, State.DOWN, Cause.LINK_DOWN, ["gone"]),
+        (SENDER, {"refusal": "denied", "paused": True}, State.DOWN, Cause.REFUSED, ["denied"]),
+        (
+            SENDER,
+            {"breaking": "Connection timed out", "refusal": "data connection: Connection timed out"},
+            State.DOWN,
+            Cause.NO_PATH,
+            ["(Connection timed out)", "though the link is up", "MTU"],
+        ),
+        (
+            SENDER,
+            {
+                "breaking": "Connection timed out",
+                "thinned": ThinningShare(Share(1e4, 4e5, 3.5e6, "/scan"), 0.1, 30.0, thins=True, since=NOW),
+            },
+            State.DOWN,
+            Cause.NO_PATH,
+            ["(Connection timed out)", "the link carries 0.4 of 3.5 MB/s", "/scan goes first"],
+        ),
+        (SENDER, {"loop": "round"}, State.DOWN, Cause.LOOP, ["round"]),
+        (SENDER, {"paused": True, "stale_since": NOW - 20.0}, State.PAUSED, Cause.PAUSED, ["operator"]),
+        (RECEIVER, {"no_path": "no answer"}, State.DOWN, Cause.NO_PATH, ["no answer"]),
+        (SENDER, {"subscribe_failed": "rcl"}, State.DOWN, Cause.SUBSCRIBE_FAILED, ["rcl"]),
+        (
+            SENDER,
+            {"endpoints": [endpoint("/a", BEST_EFFORT)], "came": False, "stale_since": NOW - 16.0},
+            State.DOWN,
+            Cause.QOS_INCOMPATIBLE,
+            ["/a offers best_effort", "asks for reliable", "its messages are not received", "qos: auto"],
+        ),
+        (
+            SENDER,
+            {"endpoints": [TALKER, endpoint("/a", BEST_EFFORT)]},
+            State.UNHEARD,
+            Cause.QOS_INCOMPATIBLE,
+            ["/a offers best_effort"],
+        ),
+        (
+            SENDER,
+            {"endpoints": [TALKER, endpoint("/b")], "qos": LATCHED},
+            State.DOWN,
+            Cause.QOS_INCOMPATIBLE,
+            ["/b and /talker offer volatile", "asks for transient_local", "their messages are not received"],
+        ),
+        (
+            SENDER,
+            {"left_out": f"{INT} (from /b) is not bridged"},
+            State.UNHEARD,
+            Cause.TYPE_CONFLICT,
+            [f"{INT} (from /b) is not bridged"],
+        ),
+        (
+            SENDER,
+            {"flowing": False, "came": False, "unresolved": (Cause.TYPE_CONFLICT, "two types")},
+            State.DOWN,
+            Cause.TYPE_CONFLICT,
+            ["two types"],
+        ),
+        (
+            SENDER,
+            {"flowing": False, "came": False, "unresolved": (Cause.NO_PUBLISHER, "nobody"), "endpoints": []},
+            State.WAITING,
+            Cause.NO_PUBLISHER,
+            ["nobody"],
+        ),
+        (
+            SENDER,
+            {"came": False, "endpoints": [], "similar": "/char"},
+            State.WAITING,
+            Cause.SIMILAR_NAME,
+            ["no publisher of /chat in domain 2; did you mean /char?"],
+        ),
+        (SENDER, {"came": False}, State.WAITING, Cause.PUBLISHER_SILENT, ["/talker has published nothing yet"]),
+        (RECEIVER, {"came": False}, State.WAITING, Cause.NO_MESSAGE, ["no message yet"]),
+        (
+            SENDER,
+            {"came": False, "flowing": False, "waits_for": "peer accepted"},
+            State.WAITING,
+            Cause.NO_MESSAGE,
+            ["waiting: peer accepted"],
+        ),
+        (
+            SENDER,
+            {"stopped_since": NOW - 3.0, "expected_rate": 10.0},
+            State.STOPPED,
+            Cause.PUBLISHER_SILENT,
+            ["nothing for 3 s, 10 Hz expected", "/talker has stopped publishing, or died"],
+        ),
+        (
+            SENDER,
+            {"stopped_since": NOW - 3.0, "expected_rate": 10.0, "endpoints": []},
+            State.STOPPED,
+            Cause.PUBLISHER_GONE,
+            ["no publisher of /chat in domain 2 any more"],
+        ),
+        (
+            SENDER,
+            {"stopped_since": NOW - 20.0, "stale_since": NOW - 20.0, "expected_rate": 10.0},
+            State.STOPPED,
+            Cause.PUBLISHER_SILENT,
+            ["20 s", "10 Hz", "/talker"],
+        ),
+        (SENDER, {"stale_since": NOW - 20.0}, State.STALE, Cause.PUBLISHER_SILENT, ["20 s", "/talker"]),
+        (SENDER, {"stale_since": NOW - 20.0, "endpoints": []}, State.STALE, Cause.PUBLISHER_GONE, ["/chat"]),
+        (
+            SENDER,
+            {"stale_since": NOW - 20.0, "endpoints": [], "came": False},
+            State.STALE,
+            Cause.NO_PUBLISHER,
+            ["/chat"],
+        ),
+        (
+            SENDER,
+            {"stopped_since": NOW - 3.0, "expected_rate": 10.0, "endpoints": [], "came": False},
+            State.STOPPED,
+            Cause.NO_PUBLISHER,
+            ["/chat"],
+        ),
+        (SENDER, {"endpoints": []}, State.OK, Cause.PUBLISHER_GONE, ["/chat"]),
+        (SENDER, {"came": False, "came_before": True}, State.WAITING, Cause.PUBLISHER_SILENT, ["/talker"]),
+        (RECEIVER, {"stale_since": NOW - 20.0}, State.STALE, Cause.SILENT, ["nothing for 20 s"]),
+        (
+            SENDER,
+            {"slow_since": NOW - 8.0, "rate": 2.02, "expected_rate": 20.0},
+            State.SLOW,
+            Cause.SLOW,
+            ["2.02 Hz of 20 expected, for 8 s", "that is all that /talker publishes"],
+        ),
+        (
+            SENDER,
+            {"slow_since": NOW - 8.0, "rate": 2.0, "expected_rate": 20.0, "lost_in_dds": 170},
+            State.SLOW,
+            Cause.SLOW,
+            ["DDS lost 170 messages"],
+        ),
+        (
+            SENDER,
+            {"loss": Loss(50, 100, "incomplete", NOW - 12.0), "datagrams": 40},
+            State.SLOW,
+            Cause.LOSSY,
+            ["50 of the last 100 messages (50%) did not arrive, for 10 s", "40 datagrams", "protocol: tcp", "smaller"],
+        ),
+        (
+            SENDER,
+            {"loss": Loss(100, 100, "lost on the way", NOW - 12.0)},
+            State.DOWN,
+            Cause.LOSSY,
+            ["none of the last 100 messages arrived", "protocol: tcp"],
+        ),
+        (SENDER, {"loss": LOST, "full": FULL}, State.SLOW, Cause.QUEUE_FULL, [FULL.share]),
+        (SENDER, {"loss": LOST, "loss_of_full_link": True}, State.SLOW, Cause.QUEUE_FULL, []),
+        (SENDER, {"loss": LOST, "loss_unexplained": True}, State.SLOW, Cause.LOSSY, []),
+        (
+            SENDER,
+            {"loss": Loss(9, 10, "too large", 0.0)},
+            State.SLOW,
+            Cause.TOO_LARGE,
+            ["larger than its transport carries", "protocol: tcp"],
+        ),
+        (SENDER, {"loss": Loss(9, 10, "queue full", 0.0)}, State.SLOW, Cause.QUEUE_FULL, ["max_rate", "compression"]),
+        (SENDER, {"loss": Loss(9, 10, "of a newer peer", 0.0)}, State.SLOW, Cause.LOSSY, ["9 of the last 10"]),
+        (
+            SENDER,
+            {"loss": Loss(8, 8, "queue full", 0.0), "expired": Expired(Cause.LINK_SLOW, 325, 333, 0.3, 0.0)},
+            State.LATE,
+            Cause.LINK_SLOW,
+            [],
+        ),
+        (SENDER, {"limit": 5.0}, State.OK, Cause.THROTTLED, ["limit 5 Hz"]),
+        (
+            RECEIVER,
+            {"endpoints": []},
+            State.UNHEARD,
+            Cause.NO_SUBSCRIBER,
+            ["nobody subscribes to /robot1/chat in domain 3"],
+        ),
+        (
+            RECEIVER,
+            {"qos": BEST_EFFORT},
+            State.UNHEARD,
+            Cause.QOS_INCOMPATIBLE,
+            ["/rviz asks for reliable", "published with best_effort"],
+        ),
+        (
+            RECEIVER,
+            {"endpoints": [endpoint("/ok"), endpoint("/late", LATCHED)]},
+            State.UNHEARD,
+            Cause.QOS_INCOMPATIBLE,
+            ["/late asks for transient_local"],
+        ),
+        (
+            RECEIVER,
+            {"endpoints": [endpoint("/odd", type_name=INT)]},
+            State.UNHEARD,
+            Cause.TYPE_CONFLICT,
+            [f"/odd has {INT}", f"carries {STRING}"],
+        ),
+    ],
+)
+def test_each_cause_is_named_in_words(
+    facts: Facts, changes: dict[str, Any], state: State, cause: Cause, words: list[str]
+) -> None:
+    verdict = verdict_on(facts, **changes)
+    assert (verdict.state, verdict.cause) == (state, cause)
+    assert [each for each in words if each not in verdict.said(NOW)] == []
+
+
+def test_a_publisher_whose_messages_are_not_taken_is_not_called_silent() -> None:
+    for changes, state in (
+        ({"stale_since": NOW - 20.0}, State.STALE),
+        ({"stopped_since": NOW - 3.0, "expected_rate": 9.0}, State.STOPPED),
+    ):
+        assert verdict_on(SENDER, **changes).cause is Cause.PUBLISHER_SILENT
+        verdict = verdict_on(SENDER, left_out="/b is not bridged", **changes)
+        assert (verdict.state, verdict.cause) == (state, Cause.TYPE_CONFLICT)
+
+
+nodes = st.sampled_from(["", "/a", "/b", "/c", "/d", "/a/very/long/name"])
+qos = st.sampled_from([RELIABLE, BEST_EFFORT, LATCHED, Qos(deadline=0.1)])
+endpoints = st.lists(
+    st.builds(endpoint, nodes, qos, st.sampled_from([STRING, INT]), st.sampled_from(["", "RIHS01_1", "RIHS01_2"])),
+    max_size=6,
+)
+moments = st.sampled_from([None, NOW - 5.0, NOW - 1e6])
+losses = st.none() | st.builds(
+    lambda lost, more, cause: Loss(lost, lost + more, cause, 0.0),
+    st.integers(1, 10**12),
+    st.integers(0, 10**12),
+    st.sampled_from(["queue full", "incomplete", "anything"]),
+)
+texts = st.sampled_from(["", "words"])
+facts = st.builds(
+    Facts,
+    sends=st.booleans(),
+    topic=st.just("/chat"),
+    endpoints=endpoints,
+    similar=texts,
+    link_down=texts,
+    refusal=texts,
+    loop=texts,
+    paused=st.booleans(),
+    disarmed=st.sampled_from(["", "nobody has armed it"]),
+    no_path=texts,
+    subscribe_failed=texts,
+    left_out=texts,
+    unresolved=st.none() | st.tuples(st.sampled_from([Cause.NO_PUBLISHER, Cause.TYPE_CONFLICT]), st.just("why")),
+    waits_for=texts,
+    type_name=st.sampled_from(["", STRING]),
+    qos=st.none() | qos,
+    flowing=st.booleans(),
+    came=st.booleans(),
+    stale_since=moments,
+    stopped_since=moments,
+    slow_since=moments,
+    expected_rate=st.none() | st.floats(0.001, 1e6),
+    loss=losses,
+    limit=st.sampled_from([0.0, 5.0]),
+)
+
+
+@given(facts)
+def test_whatever_is_wrong_has_a_cause_and_words(known: Facts) -> None:
+    verdict = judge(known)
+    assert verdict == judge(known)
+    if verdict.state is not State.OK:
+        assert verdict.cause
+        assert 0 < len(verdict.said(NOW)) <= REASON_LENGTH
+    if known.link_down:
+        assert verdict.state is State.DOWN
+
+
+@given(facts, moments)
+def test_a_further_fault_never_makes_it_better(known: Facts, stale: float | None) -> None:
+    before = judge(known._replace(stale_since=None))
+    after = judge(known._replace(stale_since=stale))
+    assert after.state.rank <= before.state.rank
+
+
+verdicts = st.builds(
+    Verdict, st.sampled_from(list(State)), st.sampled_from(list(Cause)), st.sampled_from(["", "a", "b"])
+).filter(lambda verdict: (verdict.state is State.LATE) == (verdict.cause in {Cause.LATE, *EXPIRES}))
+
+
+@given(verdicts, verdicts)
+def test_both_sides_show_the_same_and_never_less_than_either_says(one: Verdict, other: Verdict) -> None:
+    sender, receiver = CombinedVerdict(sends=True, peer_name="server"), CombinedVerdict(sends=False, peer_name="robot1")
+    sender.take(record_of(other), NOW)
+    receiver.take(record_of(one), NOW)
+    shown = [sender.shown(one), receiver.shown(other)]
+    own = {Cause.LINK_DOWN, Cause.REFUSED, Cause.PAUSED, Cause.DISARMED}
+    if not own & {one.cause, other.cause}:
+        assert len({(each.verdict.state, each.verdict.cause) for each in shown}) == 1
+        for each in shown:
+            least = min(one.state.rank, other.state.rank)
+            assert each.verdict.state.rank <= least or silence_is_explained({one, other})
+        assert not all(each.from_peer for each in shown)
+
+
+def silence_is_explained(said: set[Verdict]) -> bool:
+    """Whether one side says that nothing comes, and the other that the topic has stopped."""
+    unexplained = Cause.SILENT, Cause.NO_MESSAGE, Cause.NO_CALL
+    stale = any(each.state is State.STALE and each.cause in unexplained for each in said)
+    return stale and any(each.state is State.STOPPED for each in said)
+
+
+def test_a_slow_topic_that_recovers_is_not_said_to_lose_messages() -> None:
+    """The rate is fine again, and the watch waits before it says so."""
+    slow = {"slow_since": NOW - 8.0, "expected_rate": 20.0, "shown_cause": Cause.SLOW}
+    losing = verdict_on(SENDER, rate=10.0, lost_in_dds=80, **slow).text
+    for rate in (17.1, 20.0, 20.3, 40.0):
+        verdict = verdict_on(SENDER, rate=rate, **slow)
+        assert (verdict.state, verdict.cause) == (State.SLOW, Cause.SLOW)
+        assert f"{rate:.1f}" in verdict.text
+        assert losing.partition(":")[2].split()[0] == "DDS"
+        assert "DDS" not in verdict.text
+
+
+def test_the_side_that_knows_why_is_heard() -> None:
+    """The receiving side knows only that nothing comes; the sending side's publisher has stopped."""
+    why = Verdict(State.STOPPED, Cause.PUBLISHER_GONE, "it died")
+    verdict, from_sender = worse(why, Verdict(State.STALE, Cause.SILENT, "nothing for 15 s"))
+    assert (verdict, from_sender) == (why, True)
+    unheard = Verdict(State.WAITING, Cause.NO_PUBLISHER, "nobody")
+    verdict, from_sender = worse(unheard, Verdict(State.STALE, Cause.SILENT, "nothing for 15 s"))
+    assert (verdict, from_sender) == (Verdict(State.STALE, Cause.NO_PUBLISHER, "nobody"), True)
+
+
+def test_who_says_it_stands_before_what_the_other_side_says_only() -> None:
+    here = CombinedVerdict(sends=False, peer_name="robot1")
+    here.take(VerdictRecord("slow", "slow", "2 Hz of 20"), NOW)
+    assert here.shown(FINE).verdict.text == "robot1: 2 Hz of 20"
+    assert here.shown(Verdict(State.DOWN, Cause.NO_PATH, "no UDP")).verdict.text == "no UDP"
+    here.take(None, NOW)
+    assert here.shown(FINE).verdict == FINE
+
+
+def test_how_long_it_has_lasted_counts_on_at_the_other_side() -> None:
+    """It is told once, and no clock of the other side's is needed."""
+    slow = Verdict(State.SLOW, Cause.SLOW, "slow, for {lasting}", NOW - 5.0)
+    here = CombinedVerdict(sends=False, peer_name="robot1")
+    here.take(lasting(record_of(slow), slow, NOW), 100.0)
+    assert here.shown(FINE).verdict.said(100.0) == "robot1: slow, for 5 s"
+    assert here.shown(FINE).verdict.said(295.0) == "robot1: slow, for 3 min"
+
+
+def test_since_when_it_is_so() -> None:
+    """It counts from the beginning of the trouble, and not anew when only the words or the side that says it change."""
+    here = CombinedVerdict(sends=False, peer_name="robot1")
+    assert here.since(FINE, 10.0) == here.since(FINE, 20.0) == 10.0
+    slow = Verdict(State.SLOW, Cause.SLOW, "2 Hz of 20, for {lasting}", 25.0)
+    assert here.since(slow, 30.0) == 25.0
+    assert here.since(Verdict(State.SLOW, Cause.SLOW, "robot1: 3 Hz of 20"), 40.0) == 25.0
+    assert here.since(Verdict(State.SLOW, Cause.LOSSY, "half is lost"), 50.0) == 50.0
+    here.announce(FINE, 60.0)  # which happens every second, whoever looks
+    assert here.since(FINE, 70.0) == 60.0
+
+
+@pytest.mark.parametrize("lasts", [float("nan"), float("inf"), -1.0, 1e300])
+def test_a_time_that_cannot_be_is_not_believed(lasts: float) -> None:
+    here = CombinedVerdict(sends=False, peer_name="robot1")
+    here.take(VerdictRecord("slow", "slow", "for {lasting}", lasts), NOW)
+    assert here.shown(FINE).verdict.said(NOW) == "robot1: for 1 s"
+
+
+def test_what_a_newer_peer_says_is_shown_as_it_stands() -> None:
+    here = CombinedVerdict(sends=True, peer_name="server")
+    here.take(VerdictRecord("haunted", "ghosts", "there are ghosts on the line"), NOW)
+    shown = here.shown(FINE).verdict
+    assert (shown.state, shown.cause, shown.text) == (State.SLOW, "ghosts", "server: there are ghosts on the line")
+
+
+@pytest.mark.parametrize(
+    ("seconds", "words"),
+    [(0.2, "1 s"), (9.9, "9 s"), (10, "10 s"), (39, "30 s"), (61, "1 min"), (3599, "59 min"), (9000, "2 h")],
+)
+def test_durations_change_seldom(seconds: float, words: str) -> None:
+    assert about(seconds) == words
+
+
+def test_nodes_in_a_sentence() -> None:
+    assert named(["/a"]) == "/a"
+    assert named(["/b", "/a", "/a"]) == "/a and /b"
+    assert named(["/a", "/b", "/c"]) == "/a, /b and /c"
+    assert named([f"/{n}" for n in range(9)]) == "/0, /1, /2 and 6 more"
+
+
+@pytest.mark.parametrize(
+    ("nodes", "verb", "count"),
+    [
+        (["/a"], " has ", None),
+        (["/a", "/a"], " has ", "2"),
+        (["/a", "/b"], " have ", None),
+        (["/a", "/a", "/b"], " have ", "3"),
+    ],
+)
+def test_the_verb_agrees_with_the_names(nodes: list[str], verb: str, count: str | None) -> None:
+    """One process may have several publishers, or several nodes one name."""
+    endpoints = [endpoint(node)._replace(gid=bytes([number])) for number, node in enumerate(nodes)]
+    found = verdict_on(SENDER, endpoints=endpoints, stopped_since=NOW - 3, stale_since=NOW - 3, expected_rate=10.0)
+    assert (found.state, found.cause) == (State.STOPPED, Cause.PUBLISHER_SILENT)
+    who = found.text.partition(": ")[2]
+    assert verb in who
+    counts = re.findall(r"\((\d+) ", who)
+    assert counts == ([] if count is None else [count])
+
+
+@pytest.mark.parametrize("datagrams", [1, 40])
+@pytest.mark.parametrize("known", [{"full": FULL}, {"loss_of_full_link": True}, {"loss_unexplained": True}])
+def test_no_remedy_makes_an_overload_worse(known: dict[str, Any], datagrams: int) -> None:
+    text = verdict_on(SENDER, loss=LOST, datagrams=datagrams, **known).text
+    assert USE_TCP not in text
+    assert LOWER_MTU not in text
+    assert USE_TCP in verdict_on(SENDER, loss=LOST, datagrams=datagrams).text
+
+
+@pytest.mark.parametrize("facts", [{"loss": Loss(2, 83, "queue full", 0.0, recovering=True)}, {"slow_since": 0.0}])
+def test_what_recovers_begins_no_new_fault(facts: dict[str, Any]) -> None:
+    """When a link has room again, a late topic's losses are over too, though the last ones were a moment ago."""
+    facts |= {"rate": 19.0, "expected_rate": 20.0}
+    assert verdict_on(SENDER, **facts) == FINE
+    assert verdict_on(SENDER, **facts, shown_cause=Cause.LATE) == FINE
+    cause = Cause.SLOW if "slow_since" in facts else Cause.QUEUE_FULL
+    verdict = verdict_on(SENDER, **facts, shown_cause=cause)
+    assert (verdict.state, verdict.cause) == (State.SLOW, cause)
+    assert "%" not in verdict.text
+
+
+_WHY_DISARMED = [*SAID.values(), *(each.value for each in Standstill)]
+
+
+@pytest.mark.parametrize("why", _WHY_DISARMED)
+@pytest.mark.parametrize("state", [State.DISARMED, State.DISARMING])
+def test_a_disarmed_topic_has_its_text_on_one_line(why: str, state: State) -> None:
+    can_be_armed = why not in (SAID[Disarmed.PEER_TOO_OLD], SAID[Disarmed.LINK_SLOW])
+    disarming = state is State.DISARMING
+    if disarming and not can_be_armed:
+        return
+    facts = SENDER._replace(topic="/cmd_vel", disarmed=why, disarming=disarming, can_be_armed=can_be_armed)
+    verdict = judge(facts)
+    assert verdict.state is state
+    assert len(verdict.text) <= ON_ONE_LINE, verdict.text
+
+
+@pytest.mark.parametrize("cause", [Cause.LINK_SLOW, Cause.CLOCK_UNKNOWN, Cause.PUBLISHER_STAMPS_OLD])
+def test_messages_that_expire_have_their_text_on_one_line(cause: Cause) -> None:
+    verdict = expired_verdict(Expired(cause, 100, 100, 0.05, NOW))
+    assert (verdict.state, verdict.cause) == (State.LATE, cause)
+    assert len(verdict.text) <= ON_ONE_LINE, verdict.text
+
+
+@pytest.mark.parametrize("how", [{"where": WAY}, {"where": QUEUE}, {}, {"was_full": True}, {"undecided": True}])
+def test_late_messages_have_their_text_on_one_line(how: dict[str, Any]) -> None:
+    late = Late(1.4, 0.2, **({"where": "", "full": None, "since": NOW} | how))
+    verdict = late_verdict(late)
+    assert verdict.cause is Cause.LATE
+    assert len(verdict.text) <= ON_ONE_LINE, verdict.text
