@@ -27,8 +27,7 @@ from std_msgs.msg import String
 
 from rsb_bridge.cdr.checker import Checker
 from rsb_bridge.cdr.description import Field, FieldType, MessageType, TypeDescription, read_description
-from rsb_bridge.ros.descriptions import installed_description
-from rsb_bridge.ros.typesupport import hash_of, installed_class
+from rsb_bridge.ros.typesupport import hash_of, installed_class, installed_description
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -8,8 +8,8 @@ from rsb_bridge.model.calls import FieldError
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.model.snapshot import Level
+from rsb_bridge.ros.announcements import Origin
 from rsb_bridge.ros.api import Endpoint, RosError
-from rsb_bridge.ros.own_announcement import Origin
 from rsb_bridge.telemetry.diagnostics import diagnostics
 
 if TYPE_CHECKING:

@@ -16,15 +16,14 @@ from rsb_bridge.control.batteries import AT_ONCE, EVERY, Batteries
 from rsb_bridge.model.robot_summary import Battery
 from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import PeekedMessage, State
-from rsb_bridge.ros.battery_state import BATTERY_STATE
+from rsb_bridge.ros.known_messages import BATTERY_STATE
 
 pytest.importorskip("rclpy", reason="needs ROS 2")
 
 from rclpy.serialization import serialize_message
 from sensor_msgs.msg import BatteryState
 
-from rsb_bridge.ros.descriptions import installed_description
-from rsb_bridge.ros.typesupport import hash_of
+from rsb_bridge.ros.typesupport import hash_of, installed_description
 
 if TYPE_CHECKING:
     from rsb_bridge.model.snapshot import RouteSnapshot

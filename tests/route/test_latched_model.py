@@ -16,7 +16,7 @@ from rsb_bridge.context import Context
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.model.session import Session
 from rsb_bridge.ros.api import RawMessage
-from rsb_bridge.ros.queue import RosToLoopQueue
+from rsb_bridge.ros.ros_thread import RosToLoopQueue
 from rsb_bridge.route.intake import Intake, Subject
 from rsb_bridge.route.latched import PUBLISHER_COST, LatchedFullError, LatchedTopic
 from rsb_bridge.telemetry.event_log import EventLog

@@ -9,7 +9,7 @@ from tests.simulation.ros import Domain, Reader, Writer
 from tests.simulation.services import Client, Server
 
 from rsb_bridge.ros.api import Endpoint, RosError
-from rsb_bridge.ros.turns import LONGEST_WAIT, RosTurns
+from rsb_bridge.ros.ros_thread import LONGEST_WAIT, RosTurns
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Hashable, Sequence

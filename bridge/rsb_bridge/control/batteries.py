@@ -9,7 +9,7 @@ from rsb_bridge.api import EngineError
 from rsb_bridge.cdr.decoder import decode
 from rsb_bridge.cdr.description import DescriptionError, read_description
 from rsb_bridge.model.robot_summary import Battery
-from rsb_bridge.ros.battery_state import BATTERY_STATE
+from rsb_bridge.ros.known_messages import BATTERY_STATE
 
 if TYPE_CHECKING:
     from concurrent.futures import Future

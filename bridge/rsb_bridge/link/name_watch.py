@@ -11,8 +11,7 @@ from rsb_bridge.model.patterns import is_hidden
 from rsb_bridge.model.session import Kind
 from rsb_bridge.model.sources import OF_EVERY_NODE
 from rsb_bridge.ros.api import RosError
-from rsb_bridge.ros.graph import agreed_type
-from rsb_bridge.ros.graph_entries import called_in
+from rsb_bridge.ros.ros_graph import agreed_type, called_in
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterable, Sequence

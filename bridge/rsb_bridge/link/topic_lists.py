@@ -17,7 +17,7 @@ from rsb_bridge.link.slices import in_slices
 from rsb_bridge.model.calls import LANES
 from rsb_bridge.model.limits import TEXT_LENGTH
 from rsb_bridge.model.snapshot import TopicInfo
-from rsb_bridge.ros.graph_entries import CALLED, graph_of
+from rsb_bridge.ros.ros_graph import CALLED, graph_of
 from rsb_bridge.wire.codec import topic_entries
 from rsb_bridge.wire.framing import CONTROL_LIMIT
 from rsb_bridge.wire.messages import ListTopics, TopicList

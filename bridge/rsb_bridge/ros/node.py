@@ -2,24 +2,24 @@
 
 from __future__ import annotations
 
+import ctypes
 import logging
 import os
 import re
 import secrets
 import threading
 from collections import defaultdict, deque
-from typing import TYPE_CHECKING, Any, TypeAlias
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Any, Generic, TypeAlias, TypeVar
 
 from rsb_bridge.model.qos import incompatible
-from rsb_bridge.ros.api import RawMessage, RosError
-from rsb_bridge.ros.drain import ClientDrain, Drain, ServerDrain
-from rsb_bridge.ros.heap import large_blocks_kept
+from rsb_bridge.ros.api import BATCH, RawMessage, Request, Response, RosError
 from rsb_bridge.ros.middleware import check_middleware
-from rsb_bridge.ros.turns import LONGEST_WAIT, RosTurns
+from rsb_bridge.ros.ros_thread import LONGEST_WAIT, RosTurns
 from rsb_bridge.ros.typesupport import hash_of, installed_class, installed_service, service_hash_of
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Hashable
+    from collections.abc import Callable, Hashable, Iterator, Sequence
 
     from rsb_bridge.model.calls import Fields
     from rsb_bridge.model.qos import Qos
@@ -35,6 +35,7 @@ if TYPE_CHECKING:
         Subscription,
     )
     from rsb_bridge.ros.rcl import Incoming, Participant
+    from rsb_bridge.ros.service_endpoints import Client, Server, TypedClient, TypedServer
     from rsb_bridge.ros.topic_endpoints import Reader, Writer
 
 _Key: TypeAlias = "tuple[str, Hashable]"
@@ -143,7 +144,7 @@ class RosNode:
 
     def installed_description(self, type_name: str) -> str | None:
         """The text of the description of a message type that is installed here, else None."""
-        from rsb_bridge.ros.descriptions import installed_description  # noqa: PLC0415  as in `start`
+        from rsb_bridge.ros.typesupport import installed_description  # noqa: PLC0415  as in `start`
 
         try:
             return installed_description(type_name)
@@ -152,7 +153,7 @@ class RosNode:
 
     def serialize(self, type_name: str, fields: Fields, now: int) -> bytes:
         """Serialize what an operator wrote; see `rsb_bridge.ros.api.RosInterface.serialize`."""
-        from rsb_bridge.ros.by_hand import serialize  # noqa: PLC0415  as in `start`
+        from rsb_bridge.ros.written_messages import serialize  # noqa: PLC0415  as in `start`
 
         return serialize(type_name, fields, now)
 
@@ -338,6 +339,106 @@ class RosNode:
             participant.leave()
 
 
+_Taken = TypeVar("_Taken")
+
+
+class Drain(Generic[_Taken]):
+    """Takes from an endpoint until it is closed, or fails.
+
+    Attributes:
+        endpoint: which the thread frees.
+    """
+
+    def __init__(
+        self,
+        endpoint: Incoming,
+        take: Callable[[int], Sequence[_Taken]],
+        sink: Callable[[Sequence[_Taken]], None],
+        on_failure: OnFailure | None,
+        retire: Callable[[Drain[_Taken]], None],
+    ) -> None:
+        """Begin.
+
+        Args:
+            endpoint: which the thread frees.
+            take: takes up to so many from it.
+            sink: is given them.
+            on_failure: called if it fails.
+            retire: has the thread free the endpoint.
+        """
+        self.endpoint = endpoint
+        self._take = take
+        self._sink = sink
+        self._on_failure = on_failure
+        self._retire = retire
+        self._delivering = threading.RLock()  # a sink may close its own endpoint
+        self._closed = False
+
+    def deliver(self) -> None:
+        """Take one batch and hand it on."""
+        with self._delivering:
+            if self._closed:
+                return
+            try:
+                batch = self._take(BATCH)
+            except RosError as error:
+                self.close()
+                if self._on_failure is not None:
+                    self._on_failure(error)
+                return
+            if batch:
+                self._sink(batch)
+
+    def close(self) -> None:
+        """Take no more. The sink is not called again after this returns."""
+        with self._delivering:
+            self._closed = True
+        self._retire(self)
+
+
+class ServerDrain(Drain[Request]):
+    """A service that is offered: `rsb_bridge.ros.api.ServiceServer`.
+
+    Attributes:
+        service: its name, resolved.
+    """
+
+    def __init__(
+        self,
+        server: Server | TypedServer,
+        sink: RequestSink,
+        on_failure: OnFailure | None,
+        retire: Callable[[Drain[Any]], None],
+    ) -> None:
+        super().__init__(server, server.take, sink, on_failure, retire)
+        self.service = server.name
+        self.answer = server.answer
+
+
+class ClientDrain(Drain[Response]):
+    """A service that is called: `rsb_bridge.ros.api.ServiceClient`.
+
+    Attributes:
+        service: its name, resolved.
+    """
+
+    def __init__(
+        self,
+        client: Client | TypedClient,
+        sink: ResponseSink,
+        on_failure: OnFailure | None,
+        retire: Callable[[Drain[Any]], None],
+    ) -> None:
+        super().__init__(client, client.take, sink, on_failure, retire)
+        self.service = client.name
+        self.call = client.call
+        self._client = client
+
+    @property
+    def ready(self) -> bool:
+        return self._client.ready
+
+
 class _Subscription(Drain[RawMessage]):
     """A reader, and whose it is."""
 
@@ -391,3 +492,55 @@ class _Publisher:
 
 def _nothing() -> None:
     """Nobody watches the graph."""
+
+
+_M_TRIM_THRESHOLD, _M_MMAP_THRESHOLD = -1, -3
+_LARGEST = 32 << 20
+"""Bytes of a block that comes from the heap; it is the most that glibc allows."""
+_MOST_FREE = 64 << 20
+"""Bytes that may be free at the end of each of the heap's arenas, until they go back."""
+_LITTLE = 8 << 20
+"""Bytes that may stay free."""
+_EVERY = 30.0
+"""s; to give 60 MB back takes 10 ms, and to get them again as many."""
+
+
+class _Statistics(ctypes.Structure):
+    """A mallinfo2 (malloc.h)."""
+
+    _fields_ = tuple(
+        (name, ctypes.c_size_t)
+        for name in ("arena", "ordblks", "smblks", "hblks", "hblkhd", "usmblks", "fsmblks", "uordblks", "free", "keep")
+    )
+
+
+@contextmanager
+def large_blocks_kept() -> Iterator[None]:
+    """Keep large blocks on the heap for as long as the context lasts. With a C library other than glibc, do nothing.
+
+    By itself glibc gives the memory of a large message back to the kernel as soon as it is free, and gets new pages for
+    the next one: hundreds of page faults a message, which cost more than to seal it. So large blocks come from the heap
+    here, and what is free of it goes back twice a minute.
+    """
+    library = ctypes.CDLL(None)
+    if not all(hasattr(library, name) for name in ("mallopt", "mallinfo2", "malloc_trim")):
+        yield
+        return
+    library.mallinfo2.restype = _Statistics
+    library.mallopt(_M_MMAP_THRESHOLD, _LARGEST)
+    library.mallopt(_M_TRIM_THRESHOLD, _MOST_FREE)
+    ended = threading.Event()
+    giving_back = threading.Thread(target=_give_back, args=(library, ended), name="heap", daemon=True)
+    giving_back.start()
+    try:
+        yield
+    finally:
+        ended.set()
+        giving_back.join()
+
+
+def _give_back(library: Any, ended: threading.Event) -> None:
+    """On a thread of its own: it holds up nobody who needs no memory."""
+    while not ended.wait(_EVERY):
+        if library.mallinfo2().free > _LITTLE:
+            library.malloc_trim(_LITTLE)

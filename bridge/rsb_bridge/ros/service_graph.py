@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 from rclpy.impl.implementation_singleton import rclpy_implementation as _rclpy
 
 from rsb_bridge.model.qos import incompatible
-from rsb_bridge.ros.conversions import endpoint_of
+from rsb_bridge.ros.librcl import endpoint_of
 from rsb_bridge.ros.typesupport import joined_hash
 
 if TYPE_CHECKING:

@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from rsb_bridge.model.qos import Qos
+from rsb_bridge.ros.known_messages import STRING, STRING_HASH, string_bytes
 from rsb_bridge.ros.lasting_subscription import LastingSubscription
-from rsb_bridge.ros.std_string import STRING, STRING_HASH, string_bytes
 
 if TYPE_CHECKING:
     import asyncio

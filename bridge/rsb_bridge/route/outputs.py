@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, NamedTuple
 import msgspec
 
 from rsb_bridge.model.limits import KEPT_DEPTH
+from rsb_bridge.ros.announcements import Origin
 from rsb_bridge.ros.api import Endpoint, RosError
-from rsb_bridge.ros.own_announcement import Origin
 from rsb_bridge.route.latched import LatchedFullError, LatchedTopic
 from rsb_bridge.route.publisher_qos import AUTO_DEPTH
 from rsb_bridge.route.type_budget import TypeUse

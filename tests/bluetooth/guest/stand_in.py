@@ -27,7 +27,7 @@ from rsb_bridge.ros.api import (
     RosError,
     Sink,
 )
-from rsb_bridge.ros.turns import RosTurns
+from rsb_bridge.ros.ros_thread import RosTurns
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Hashable

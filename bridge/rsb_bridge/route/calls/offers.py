@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from rsb_bridge.ros.drain import BATCH
+from rsb_bridge.ros.api import BATCH
 from rsb_bridge.route.calls.lane_ends import LaneEnds
 from rsb_bridge.route.lease import Marker
 from rsb_bridge.route.volatile import VolatileTopic

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from rsb_bridge.cdr.parameter_event import ParameterEventError, node_of, with_node
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.verdict import Cause
-from rsb_bridge.ros.parameter_events import EventsTopic
+from rsb_bridge.ros.parameter_events import EventsTopic, ParameterEventError, node_of, with_node
 from rsb_bridge.route.calls.calling import CallingRoute
 from rsb_bridge.route.calls.clients import Clients
 from rsb_bridge.route.calls.providing import ProvidingRoute
