@@ -18,9 +18,9 @@ import msgspec
 from rsb_bridge.api import EngineError, InvalidRequestError
 from rsb_bridge.arming import BridgeArming
 from rsb_bridge.benchmarking import carry_out
-from rsb_bridge.config.clients import client_named, with_changed_client, with_client, without_client
+from rsb_bridge.config.client_entries import client_named, with_changed_client, with_client, without_client
 from rsb_bridge.config.difference import changes
-from rsb_bridge.config.shared_keys import shared_key_problem
+from rsb_bridge.config.keys import shared_key_problem
 from rsb_bridge.config.validation import validate
 from rsb_bridge.contents import Contents
 from rsb_bridge.instruments import Instruments

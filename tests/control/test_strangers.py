@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
     from tests.support.control import Machine
 
-    from rsb_bridge.config.operators import Granted
+    from rsb_bridge.config.granted_operators import Granted
 
 TOPIC = Topic("/scan", "transmit")
 CHANGES: tuple[commands.Command, ...] = (

@@ -10,8 +10,8 @@ from tests.console.scripted import ScriptedEngine
 
 from rsb_bridge import __version__
 from rsb_bridge.access import Access
+from rsb_bridge.config.granted_operators import Granted
 from rsb_bridge.config.keys import Key
-from rsb_bridge.config.operators import Granted
 from rsb_bridge.control.client import RemoteEngine
 from rsb_bridge.control.protocol import VERSION, Hello, Welcome, encode, frames_to_console
 from rsb_bridge.control.sealed import SealedAcceptor

@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from rsb_bridge.access import Access
-    from rsb_bridge.config.operators import Granted
+    from rsb_bridge.config.granted_operators import Granted
     from rsb_bridge.control.server import ControlServer
 
 _PLACES = protocol.CONSOLES - 8

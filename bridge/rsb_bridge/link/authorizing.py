@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Protocol
 
-from rsb_bridge.config.call_rules import overlap
 from rsb_bridge.config.rights import Rights, Use, uses
+from rsb_bridge.config.topic_rules import overlap
 from rsb_bridge.config.validation import validate_topic
 from rsb_bridge.link.errors import LinkError
 from rsb_bridge.link.proposals import kind_of, topic_of

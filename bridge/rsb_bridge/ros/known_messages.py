@@ -1,4 +1,4 @@
-"""Messages of ``std_msgs/String`` and ``sensor_msgs/BatteryState`` as bytes, without rclpy (CDR: DDSI-RTPS 2.3, 10.5)."""
+"""Messages of ``std_msgs/String`` and ``sensor_msgs/BatteryState`` as bytes, without rclpy (CDR: RTPS 2.3, 10.5)."""
 
 from __future__ import annotations
 

@@ -144,7 +144,7 @@ class RosNode:
 
     def installed_description(self, type_name: str) -> str | None:
         """The text of the description of a message type that is installed here, else None."""
-        from rsb_bridge.ros.typesupport import installed_description  # noqa: PLC0415  as in `start`
+        from rsb_bridge.ros.rosidl_descriptions import installed_description  # noqa: PLC0415  as in `start`
 
         try:
             return installed_description(type_name)

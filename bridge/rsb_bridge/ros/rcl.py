@@ -31,10 +31,10 @@ from rsb_bridge.ros.librcl import (
     safe_type_name,
 )
 from rsb_bridge.ros.raw_types import borrow_service, borrow_type
+from rsb_bridge.ros.rosidl_descriptions import ask_node
 from rsb_bridge.ros.service_endpoints import Client, Server, TypedClient, TypedServer
 from rsb_bridge.ros.service_graph import CallerTable, callers, servers
 from rsb_bridge.ros.topic_endpoints import Reader, Writer
-from rsb_bridge.ros.typesupport import ask_node
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -171,7 +171,7 @@ class Participant:
     def ask_description(
         self, node: str, type_name: str, type_hash: str, still_wanted: Callable[[], bool]
     ) -> str | None:
-        """What another node tells of a type that it uses; see `rsb_bridge.ros.typesupport.ask_node`.
+        """What another node tells of a type that it uses; see `rsb_bridge.ros.rosidl_descriptions.ask_node`.
 
         Raises:
             RosError: rcl failed.

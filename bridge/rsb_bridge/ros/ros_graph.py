@@ -1,4 +1,4 @@
-"""The ROS graph of a side: the topics, services, actions and nodes that it offers to bridge, and names that are alike."""
+"""The ROS graph of a side: the topics, services, actions and nodes that it offers, and names that are alike."""
 
 from __future__ import annotations
 

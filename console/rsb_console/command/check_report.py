@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING
 
 import msgspec
 
+from rsb_bridge.config.advice import without_max_age
 from rsb_bridge.config.fault_command import command_words
 from rsb_bridge.config.file_form import LISTS, NOUNS
-from rsb_bridge.config.moving import without_max_age
-from rsb_bridge.config.rights_table import listings
+from rsb_bridge.config.rights import listings
 from rsb_bridge.config.topic_rules import transport_of
 from rsb_bridge.config.validation import domain_of
 from rsb_bridge.config.yaml_text import inline

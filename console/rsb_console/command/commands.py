@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING
 
 from rsb_bridge.config.advice import advise, uninstalled_types
 from rsb_bridge.config.fault_command import fault_command_warnings
+from rsb_bridge.config.granted_operators import operator_key_problem
 from rsb_bridge.config.keys import (
     Key,
     KeyFileError,
@@ -22,13 +23,13 @@ from rsb_bridge.config.keys import (
     key_files_by_client,
     key_path,
     key_users,
+    key_warnings,
     read_key,
+    shared_key_problem,
     write_key,
+    written,
 )
-from rsb_bridge.config.operators import operator_key_problem
-from rsb_bridge.config.rotation import key_warnings, written
 from rsb_bridge.config.session_file import SessionError, demand_places, dump, load, save
-from rsb_bridge.config.shared_keys import shared_key_problem
 from rsb_bridge.config.thesis import import_bringup
 from rsb_console.command.check_report import hints, rights, summary
 from rsb_console.command.shell import (

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import msgspec
 
 from rsb_bridge.api import EngineError
-from rsb_bridge.config.clients import ClientError, client_named
+from rsb_bridge.config.client_entries import ClientError, client_named
 from rsb_bridge.config.keys import KeyFileError
 from rsb_bridge.config.session_file import SessionError
 from rsb_bridge.model.operators import undoing

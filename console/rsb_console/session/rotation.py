@@ -6,7 +6,7 @@ from pathlib import Path
 
 import msgspec
 
-from rsb_bridge.config.clients import ClientError, client_named, with_changed_client
+from rsb_bridge.config.client_entries import ClientError, client_named, with_changed_client
 from rsb_bridge.config.files import give_owner
 from rsb_bridge.config.keys import copy_key, key_path, read_key, write_key
 from rsb_bridge.config.session_file import edited_text, save
