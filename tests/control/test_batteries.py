@@ -12,7 +12,7 @@ from tests.console.scripted import NOW, route
 from tests.support.fleet import ServerEngine
 
 from rsb_bridge.api import EngineError
-from rsb_bridge.control.batteries import AT_ONCE, EVERY, Batteries
+from rsb_bridge.control.summaries import AT_ONCE, EVERY, Batteries
 from rsb_bridge.model.robot_summary import Battery
 from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import PeekedMessage, State

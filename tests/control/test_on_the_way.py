@@ -10,8 +10,8 @@ from tests.support.operators import ANNA, Reachable
 from tests.support.waiting import eventually
 
 from rsb_bridge.api import EngineError
-from rsb_bridge.control.folders import ControlError
-from rsb_bridge.control.sealed_way import Sealed
+from rsb_bridge.control.control_sockets import ControlError
+from rsb_bridge.control.sealed import Sealed
 from rsb_bridge.model.codes import EventCode
 
 if TYPE_CHECKING:

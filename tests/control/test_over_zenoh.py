@@ -14,10 +14,10 @@ from tests.support.zenoh_fleet import Fleet, announced
 from tests.support.zenoh_router import stranger
 
 from rsb_bridge.api import EngineError
-from rsb_bridge.control.client import RemoteEngine
-from rsb_bridge.control.folders import UnclearError
-from rsb_bridge.control.over_zenoh import FleetWay
+from rsb_bridge.control.control_sockets import UnclearError
+from rsb_bridge.control.remote_engine import RemoteEngine
 from rsb_bridge.control.summaries import Summaries
+from rsb_bridge.control.zenoh_fleet import FleetWay
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.robot_summary import RobotState, decode
 from rsb_bridge.model.snapshot import Level

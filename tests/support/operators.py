@@ -12,10 +12,9 @@ from rsb_bridge import __version__
 from rsb_bridge.access import Access
 from rsb_bridge.config.granted_operators import Granted
 from rsb_bridge.config.keys import Key
-from rsb_bridge.control.client import RemoteEngine
 from rsb_bridge.control.protocol import VERSION, Hello, Welcome, encode, frames_to_console
-from rsb_bridge.control.sealed import SealedAcceptor
-from rsb_bridge.control.sealed_way import Sealed
+from rsb_bridge.control.remote_engine import RemoteEngine
+from rsb_bridge.control.sealed import Sealed, SealedAcceptor
 from rsb_bridge.model.clock import Clock
 from rsb_bridge.model.session import Operator
 from rsb_bridge.telemetry.event_log import EventLog
@@ -26,7 +25,7 @@ if TYPE_CHECKING:
     from tests.support.control import Machine
 
     from rsb_bridge.control.protocol import ToBridge, ToConsole
-    from rsb_bridge.control.sealed_way import Connect
+    from rsb_bridge.control.sealed import Connect
     from rsb_bridge.model.codes import EventCode
     from rsb_bridge.model.session import OperatorMay
     from rsb_bridge.model.snapshot import Event

@@ -1,4 +1,4 @@
-"""The rules of one topic, service, action or node's parameters, also by pattern, and of values that sessions have, too."""
+"""The rules of one topic, service, action or node's parameters, also by pattern, and of values that a session has."""
 
 from __future__ import annotations
 

@@ -20,7 +20,7 @@ from rsb_console.session.typed_topic import TypedError, suggestion, typed_topic
 if TYPE_CHECKING:
     from argparse import Namespace
 
-    from rsb_bridge.control.client import RemoteEngine
+    from rsb_bridge.control.remote_engine import RemoteEngine
     from rsb_bridge.model.session import Kind, Topic
 
 _DIRECTIONS = ("transmit", "receive")

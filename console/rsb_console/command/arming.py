@@ -22,7 +22,7 @@ from rsb_console.command.target import (
 if TYPE_CHECKING:
     from argparse import Namespace
 
-    from rsb_bridge.control.client import RemoteEngine
+    from rsb_bridge.control.remote_engine import RemoteEngine
     from rsb_bridge.model.snapshot import RouteSnapshot
 
 _TOLD_EVERY = 0.5

@@ -81,7 +81,7 @@ def theme_names(**_: object) -> list[str]:
 
 def bridge_names(**_: object) -> list[str]:
     """The bridges that run on this machine."""
-    from rsb_bridge.control.folders import find_sockets  # noqa: PLC0415 (only for the commands that attach)
+    from rsb_bridge.control.control_sockets import find_sockets  # noqa: PLC0415 (only for the commands that attach)
 
     return [path.stem for path in find_sockets(os.environ)]
 

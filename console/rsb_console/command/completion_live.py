@@ -20,7 +20,7 @@ from rsb_console.command.target import attached, chosen_route
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from rsb_bridge.control.client import RemoteEngine
+    from rsb_bridge.control.remote_engine import RemoteEngine
 
 _WAITS = 1.0
 """s for a bridge to answer."""

@@ -8,9 +8,8 @@ import time
 from random import Random
 from typing import TYPE_CHECKING, NamedTuple
 
-from rsb_bridge.control.folders import ControlError, UnclearError
-from rsb_bridge.control.sealed import SealedAcceptor
-from rsb_bridge.control.sealed_way import Sealed
+from rsb_bridge.control.control_sockets import ControlError, UnclearError
+from rsb_bridge.control.sealed import Sealed, SealedAcceptor
 from rsb_bridge.control.summaries import Summaries
 from rsb_bridge.engine import Engine
 from rsb_bridge.model.backoff import Backoff
@@ -30,7 +29,7 @@ if TYPE_CHECKING:
     from rsb_bridge.access import Access
     from rsb_bridge.api import EngineApi
     from rsb_bridge.config.fleet_file import FleetFile
-    from rsb_bridge.control.server import ControlServer
+    from rsb_bridge.control.control_server import ControlServer
     from rsb_bridge.control.ways import Connection
     from rsb_bridge.transport.zenoh.endpoint import Endpoint, Seen
     from rsb_bridge.transport.zenoh.sample import Header
