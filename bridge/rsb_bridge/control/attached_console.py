@@ -79,7 +79,7 @@ class Connection(Protocol):
         ...
 
 
-class Served(Protocol):
+class ConsoleHost(Protocol):
     """What all consoles of one engine share.
 
     Attributes:
@@ -110,7 +110,7 @@ class Console:
         refusal: why it is refused as soon as it says hello; empty: it is not.
     """
 
-    def __init__(self, served: Served, connection: Connection, refusal: str = "") -> None:
+    def __init__(self, served: ConsoleHost, connection: Connection, refusal: str = "") -> None:
         self._served = served
         self._refusal = refusal
         self._engine = served.engine
@@ -238,7 +238,7 @@ class Console:
             command = with_unknown_kept(command, self._features, engine.snapshot(), engine.session)
         try:
             with acting(self._operator), undoing(request.undo), on_console(self):
-                answer = await perform(
+                answer = await _execute(
                     command,
                     engine,
                     step=lambda text: self._step(request.id, text),
@@ -342,7 +342,7 @@ T = TypeVar("T")
 Answer: TypeAlias = str | tuple[TopicInfo, ...] | PeekedMessage | Reloaded | HistoryReport | Outcome | None
 
 
-async def perform(
+async def _execute(
     command: Command, engine: EngineApi, *, step: Callable[[str], None], stop_process: Callable[[], None]
 ) -> Answer:
     """Have the engine do it.

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, TypeVar
 from rsb_bridge import __version__
 from rsb_bridge.api import ArmingApi, EngineApi, EngineError, InvalidRequestError
 from rsb_bridge.control import protocol
-from rsb_bridge.control.cleaning import Doubted
+from rsb_bridge.control.cleaning import UntrustedMessages
 from rsb_bridge.control.control_sockets import ControlError, NotServedError
 from rsb_bridge.control.features import hello, known_features, missing_feature, older_bridge_text
 from rsb_bridge.control.protocol import Failed, ProtocolError, Reply, Request, Step
@@ -69,7 +69,7 @@ class RemoteEngine(EngineApi):
         self.read_only = read_only
         self._way: Way = UnixSocket(where) if isinstance(where, Path) else where
         self.same_machine = self._way.same_machine
-        self._doubted = None if self.same_machine else Doubted(time.monotonic())
+        self._untrusted = None if self.same_machine else UntrustedMessages(time.monotonic())
         self._wants_read_only = read_only
         self.bridge: BridgeInfo
         self.features: frozenset[str] = frozenset()
@@ -86,7 +86,7 @@ class RemoteEngine(EngineApi):
         self._loop: asyncio.AbstractEventLoop
         self._ends = asyncio.Event()
         self._connection: Connection | None = None
-        self._requests = Requests()
+        self._requests = _Requests()
         self._followed = 0
         self._events_before = 0
         self._asked_at: float | None = None
@@ -158,44 +158,44 @@ class RemoteEngine(EngineApi):
     # --- commands
 
     def add_topic(self, topic: Topic, link: str = "") -> Future[str]:
-        return self._request(protocol.AddTopic(topic, link), as_text)
+        return self._request(protocol.AddTopic(topic, link), _as_text)
 
     def edit_topic(self, key: str, topic: Topic, *, drop_arm: bool = False) -> Future[str]:
-        return self._request(protocol.EditTopic(key, topic, drop_arm), as_text)
+        return self._request(protocol.EditTopic(key, topic, drop_arm), _as_text)
 
     def remove_topic(self, key: str, *, drop_arm: bool = False) -> Future[None]:
-        return self._request(protocol.RemoveTopic(key, drop_arm), as_nothing)
+        return self._request(protocol.RemoveTopic(key, drop_arm), _as_nothing)
 
     def pause(self, key: str, paused: bool) -> Future[None]:
-        return self._request(protocol.Pause(key, paused), as_nothing)
+        return self._request(protocol.Pause(key, paused), _as_nothing)
 
     def acknowledge(self, key: str, acknowledged: bool = True, *, link: str = "") -> Future[None]:
-        return self._request(protocol.Acknowledge(key, acknowledged, link), as_nothing)
+        return self._request(protocol.Acknowledge(key, acknowledged, link), _as_nothing)
 
     @property
-    def arming(self) -> RemoteArming:
-        return RemoteArming(lambda command: self._request(command, as_nothing))
+    def arming(self) -> _RemoteArming:
+        return _RemoteArming(lambda command: self._request(command, _as_nothing))
 
     def add_client(self, client: Client) -> Future[None]:
-        return self._request(protocol.AddClient(client), as_nothing)
+        return self._request(protocol.AddClient(client), _as_nothing)
 
     def change_client(self, client: Client) -> Future[None]:
-        return self._request(protocol.ChangeClient(client), as_nothing)
+        return self._request(protocol.ChangeClient(client), _as_nothing)
 
     def remove_client(self, name: str) -> Future[None]:
-        return self._request(protocol.RemoveClient(name), as_nothing)
+        return self._request(protocol.RemoveClient(name), _as_nothing)
 
     def retry(self, link: str = "") -> Future[None]:
-        return self._request(protocol.Retry(link), as_nothing)
+        return self._request(protocol.Retry(link), _as_nothing)
 
     def shut_down(self) -> Future[None]:
-        return self._request(protocol.ShutDown(), as_nothing)
+        return self._request(protocol.ShutDown(), _as_nothing)
 
     def restart(self, step: Callable[[str], None] | None = None) -> Future[None]:
-        return self._request(protocol.Restart(), as_nothing, step)
+        return self._request(protocol.Restart(), _as_nothing, step)
 
     def reload(self, *, dry_run: bool = False) -> Future[Reloaded]:
-        return self._request(protocol.Reload(dry_run), as_reloaded)
+        return self._request(protocol.Reload(dry_run), _as_reloaded)
 
     def use_file(self, path: Path | None) -> None:
         return  # the bridge keeps to its own
@@ -204,29 +204,29 @@ class RemoteEngine(EngineApi):
         return  # the bridge records it where it is told
 
     def topics(self, link: str | None = None) -> Future[list[TopicInfo]]:
-        return self._request(protocol.Topics(link), as_topics)
+        return self._request(protocol.Topics(link), _as_topics)
 
     def peek(self, key: str, *, kept: bool = False) -> Future[PeekedMessage | None]:
-        return self._request(protocol.Peek(key, kept), as_peeked)
+        return self._request(protocol.Peek(key, kept), _as_peeked)
 
     def describe(self, key: str) -> Future[str]:
-        return self._request(protocol.Describe(key), as_text)
+        return self._request(protocol.Describe(key), _as_text)
 
     def template(self, key: str, lane: str = "") -> Future[str]:
-        return self._request(protocol.Template(key, lane), as_text)
+        return self._request(protocol.Template(key, lane), _as_text)
 
     def call(self, key: str, request: str, lane: str = "") -> Future[str]:
-        return self._request(protocol.Call(key, request, lane), as_text)
+        return self._request(protocol.Call(key, request, lane), _as_text)
 
     def history(self, seconds: float) -> Future[HistoryReport]:
-        return self._request(protocol.History(seconds), as_history)
+        return self._request(protocol.History(seconds), _as_history)
 
     def bench(self, order: Order) -> Future[Outcome]:
-        return self._request(protocol.Bench(order), as_outcome)
+        return self._request(protocol.Bench(order), _as_outcome)
 
     def stop_bridge(self) -> Future[None]:
         """End the bridge's process, as SIGTERM does; done when it has understood."""
-        return self._request(protocol.Stop(), as_nothing)
+        return self._request(protocol.Stop(), _as_nothing)
 
     def lacks(self, feature: str) -> EngineError:
         """Return the error for a feature that the bridge lacks, with the remedy."""
@@ -308,8 +308,8 @@ class RemoteEngine(EngineApi):
                 if not data:
                     return "the bridge's process has ended, or has closed the connection"
                 for message in frames.feed(data):
-                    if self._doubted is not None:
-                        message = self._doubted(message, time.monotonic())  # noqa: PLW2901 -- the same one, cleaned
+                    if self._untrusted is not None:
+                        message = self._untrusted(message, time.monotonic())  # noqa: PLW2901 -- the same one, cleaned
                     if isinstance(message, (protocol.Goodbye, protocol.Refused)):
                         return message.reason
                     complete = self._handle(message) or complete
@@ -349,7 +349,7 @@ class RemoteEngine(EngineApi):
         if self._lost:
             what = f", which has been started anew (pid {bridge.pid})" if another else ""
             self._log.add(Level.INFO, EventCode.ATTACH_AGAIN, f"attached to {bridge.name} again{what}")
-        self._receiver = Receiver(bridge, believed=self._doubted is None)
+        self._receiver = Receiver(bridge, trusted=self._untrusted is None)
         self._look()
         self._send(protocol.Follow(self._followed))
 
@@ -415,8 +415,8 @@ class RemoteEngine(EngineApi):
             self._send(request)
 
 
-class Requests:
-    """By their ids, which count on across connections."""
+class _Requests:
+    """Commands that are not answered yet, by their ids, which count on across connections."""
 
     def __init__(self) -> None:
         self._ids = itertools.count(1)
@@ -467,37 +467,37 @@ class Requests:
 # --- what kind of answer a command has
 
 
-def as_nothing(_: object) -> None:
+def _as_nothing(_: object) -> None:
     """Of a command that only succeeds or fails."""
     return
 
 
-def as_text(value: object) -> str:
+def _as_text(value: object) -> str:
     """Of a command that gives a key, a type's description, or a message."""
     return _of(str, value)
 
 
-def as_peeked(value: object) -> PeekedMessage | None:
+def _as_peeked(value: object) -> PeekedMessage | None:
     """Of `Peek`."""
     return None if value is None else _of(PeekedMessage, value)
 
 
-def as_reloaded(value: object) -> Reloaded:
+def _as_reloaded(value: object) -> Reloaded:
     """Of `Reload`."""
     return _of(Reloaded, value)
 
 
-def as_history(value: object) -> HistoryReport:
+def _as_history(value: object) -> HistoryReport:
     """Of `History`."""
     return _of(HistoryReport, value)
 
 
-def as_outcome(value: object) -> Outcome:
+def _as_outcome(value: object) -> Outcome:
     """Of `Bench`."""
     return _of(Outcome, value)
 
 
-def as_topics(value: object) -> list[TopicInfo]:
+def _as_topics(value: object) -> list[TopicInfo]:
     """Of `Topics`."""
     return list(_of(tuple, value))
 
@@ -513,7 +513,7 @@ def _of(kind: type[T], value: object) -> T:
     return value
 
 
-class RemoteArming(ArmingApi):
+class _RemoteArming(ArmingApi):
     """Arming in an engine of another process.
 
     Args:

@@ -27,12 +27,12 @@ if TYPE_CHECKING:
     from rsb_bridge.model.robot_summary import Loss
     from rsb_bridge.model.snapshot import PeekedMessage, RouteSnapshot, Snapshot
 
-TOPIC: Final = "/battery_state"
-_TYPES = 16
+_BATTERY_TOPIC: Final = "/battery_state"
+_BATTERY_TYPES = 16
 """Descriptions that are kept: every robot should have the same one."""
-EVERY = 30.0
+BATTERY_EVERY = 30.0
 """s between two messages of one robot that are looked at."""
-AT_ONCE = 4
+BATTERIES_AT_ONCE = 4
 """Robots whose next message is waited for: other consoles look at messages, too."""
 
 
@@ -66,16 +66,17 @@ class Batteries:
         waiting = sorted(
             (due, link)
             for link, due in self._due.items()
-            if not now.time < due <= now.time + EVERY and link not in self._looking  # later: the clock was set back
+            # A due time later than that: the clock was set back.
+            if not now.time < due <= now.time + BATTERY_EVERY and link not in self._looking
         )
-        for _, link in waiting[: AT_ONCE - len(self._looking)]:
+        for _, link in waiting[: BATTERIES_AT_ONCE - len(self._looking)]:
             route = routes[link]
-            self._due[link] = now.time + EVERY
+            self._due[link] = now.time + BATTERY_EVERY
             self._looking[link] = self._engine.peek(route.key, kept=link not in self.known)
 
     def _is_battery(self, route: RouteSnapshot) -> bool:
         of_robot = route.outgoing == self._outgoing and route.type_name == BATTERY_STATE
-        return of_robot and route.state.flows and route.spec.topic.endswith(TOPIC)
+        return of_robot and route.state.flows and route.spec.topic.endswith(_BATTERY_TOPIC)
 
     def _take(self, link: str, future: Future[PeekedMessage | None], route: RouteSnapshot) -> bool:
         """Read a message; False: what its type is has been asked first."""
@@ -85,7 +86,7 @@ class Batteries:
                 return True
             description = self._described.get(peeked.type_hash)
             if description is None:
-                if len(self._described) >= _TYPES:
+                if len(self._described) >= _BATTERY_TYPES:
                     self._described.clear()
                 description = self._described[peeked.type_hash] = self._engine.describe(route.key)
             if not description.done():
@@ -112,7 +113,7 @@ def charge_of(description: str, peeked: PeekedMessage) -> float | None:
     return min(1.0, charge / 100 if charge > 1 else charge)  # some drivers publish 0 to 100
 
 
-class Summaries:
+class SummaryBuilder:
     """What a `rsb_bridge.control.control_server.ControlServer` calls to sum its engine up.
 
     Args:

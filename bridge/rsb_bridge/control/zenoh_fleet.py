@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from rsb_bridge.control.control_sockets import ControlError, UnclearError
 from rsb_bridge.control.sealed import Sealed, SealedAcceptor
-from rsb_bridge.control.summaries import Summaries
+from rsb_bridge.control.summaries import SummaryBuilder
 from rsb_bridge.engine import Engine
 from rsb_bridge.model.backoff import Backoff
 from rsb_bridge.model.codes import EventCode
@@ -81,7 +81,7 @@ class Announcement:
     def __init__(self, server: ControlServer, access: Access, network: Network) -> None:
         self._says_so = not server.engine.session.is_zenoh  # else the links do
         self._events = access.events
-        server.summarize = Summaries(server.engine, server.info.program)
+        server.summarize = SummaryBuilder(server.engine, server.info.program)
         self._acceptor = SealedAcceptor(server, access)
         self._network = network
         self._backoff = Backoff(_FIRST_PAUSE, _LONGEST_PAUSE, Random())  # noqa: S311 -- jitter, no secret
