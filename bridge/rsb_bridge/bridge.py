@@ -36,8 +36,8 @@ from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.demands import Demands, sources_of
 from rsb_bridge.model.operators import is_undo, operator
 from rsb_bridge.model.snapshot import Level, LinkSnapshot, RouteSnapshot, TopicInfo
-from rsb_bridge.ros.api import RosError
 from rsb_bridge.ros.ros_graph import CALLED, graph_of
+from rsb_bridge.ros.ros_interface import RosError
 from rsb_bridge.ros.shutdown_topic import watch_shutdown_topic
 from rsb_bridge.route.topic_route import TopicRoute
 from rsb_bridge.tasks import Tasks, in_slices

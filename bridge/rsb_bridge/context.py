@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
     from rsb_bridge.model.demands import Source
     from rsb_bridge.model.session import Armed, Session
-    from rsb_bridge.ros.api import RosInterface
+    from rsb_bridge.ros.ros_interface import RosInterface
     from rsb_bridge.ros.ros_thread import RosToLoopQueue
     from rsb_bridge.telemetry.event_log import About, EventLog
 

@@ -27,7 +27,7 @@ from rsb_console.bench.fleet import USUAL
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from rsb_bridge.ros.api import RawMessage
+    from rsb_bridge.ros.ros_interface import RawMessage
 
 ROOT = Path(__file__).parents[2]
 WITHIN = 90.0

@@ -13,7 +13,7 @@ import pytest
 
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.ros import node
-from rsb_bridge.ros.api import RosError
+from rsb_bridge.ros.ros_interface import RosError
 
 if TYPE_CHECKING:
     from collections.abc import Callable

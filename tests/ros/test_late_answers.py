@@ -12,7 +12,7 @@ from rclpy.serialization import serialize_message
 from std_srvs.srv import SetBool
 
 from rsb_bridge.ros import service_endpoints
-from rsb_bridge.ros.api import RosError
+from rsb_bridge.ros.ros_interface import RosError
 from rsb_bridge.ros.service_endpoints import LateAnswers
 
 if TYPE_CHECKING:

@@ -10,7 +10,7 @@ import pytest
 from tests.support.resources import resources
 
 from rsb_bridge.ros import raw_types
-from rsb_bridge.ros.api import RosError
+from rsb_bridge.ros.ros_interface import RosError
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -16,7 +16,7 @@ from tests.support.filled import filled
 from rsb_bridge.model.names import SHORT_NAMES
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.ros import raw_types, typesupport
-from rsb_bridge.ros.api import RosError
+from rsb_bridge.ros.ros_interface import RosError
 from rsb_bridge.ros.typesupport import hash_of, installed_class
 
 if TYPE_CHECKING:

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from rsb_bridge.model.qos import Qos
-from rsb_bridge.ros.api import Endpoint
 from rsb_bridge.ros.ros_graph import SimilarTopics
+from rsb_bridge.ros.ros_interface import Endpoint
 from rsb_bridge.ros.stand_in import NoRos
 
 

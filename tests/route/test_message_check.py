@@ -16,7 +16,7 @@ from rsb_bridge.model.qos import Qos
 from rsb_bridge.model.session import Session
 from rsb_bridge.model.token_bucket import TokenBucket
 from rsb_bridge.ros import type_descriptions
-from rsb_bridge.ros.api import Endpoint
+from rsb_bridge.ros.ros_interface import Endpoint
 from rsb_bridge.ros.type_descriptions import TypeCheckers, TypeDescriptions
 from rsb_bridge.route.message_check import CHECKED_A_SECOND, CHECKED_AT_ONCE, MessageCheck
 

@@ -16,7 +16,7 @@ from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.sources import hop
 from rsb_bridge.model.verdict import Cause
 from rsb_bridge.ros.announcements import Origin
-from rsb_bridge.ros.api import Endpoint, RawMessage
+from rsb_bridge.ros.ros_interface import Endpoint, RawMessage
 from rsb_bridge.ros.stand_in import NoRos
 from rsb_bridge.route.outgoing import OutgoingRoute
 from rsb_bridge.wire.framing import SOURCE_SHIFT, Message

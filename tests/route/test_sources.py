@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.model.sources import hop
 from rsb_bridge.ros.announcements import Origin
-from rsb_bridge.ros.api import Endpoint, RawMessage
+from rsb_bridge.ros.ros_interface import Endpoint, RawMessage
 from rsb_bridge.route.sorter import Sorter
 
 if TYPE_CHECKING:

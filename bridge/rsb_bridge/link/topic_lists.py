@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
     from rsb_bridge.link.slices import Slices
     from rsb_bridge.model.session import Kind
-    from rsb_bridge.ros.api import RosInterface
+    from rsb_bridge.ros.ros_interface import RosInterface
     from rsb_bridge.wire.codec import TopicListParts
     from rsb_bridge.wire.messages import ControlMessage
 

@@ -18,9 +18,9 @@ from msgspec import Meta
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.model.sources import ANNOUNCEMENT_TOPIC, MOST_BRIDGES
 from rsb_bridge.model.token_bucket import TokenBucket
-from rsb_bridge.ros.api import Endpoint, RosError
 from rsb_bridge.ros.known_messages import STRING, STRING_HASH, serialize_string, string_bytes
 from rsb_bridge.ros.lasting_subscription import LastingSubscription
+from rsb_bridge.ros.ros_interface import Endpoint, RosError
 from rsb_bridge.wire.fields import Hops, Name
 
 if TYPE_CHECKING:
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Hashable, Sequence
 
     from rsb_bridge.model.sources import Via
-    from rsb_bridge.ros.api import OnFailure, Publisher, RawMessage, RosInterface, Subscription
+    from rsb_bridge.ros.ros_interface import OnFailure, Publisher, RawMessage, RosInterface, Subscription
 
 LONGEST = 4 << 20
 """Bytes of one announcement."""

@@ -15,7 +15,7 @@ from rclpy.type_support import check_for_type_support
 from rsb_bridge.model.limits import TEXT_LENGTH
 from rsb_bridge.model.qos import Qos, clamp_qos
 from rsb_bridge.model.text import sanitize_text
-from rsb_bridge.ros.api import Endpoint, RosError
+from rsb_bridge.ros.ros_interface import Endpoint, RosError
 from rsb_bridge.ros.typesupport import HASH_PREFIX, pointer_in, type_support_of
 
 if TYPE_CHECKING:

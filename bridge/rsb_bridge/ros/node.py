@@ -1,4 +1,4 @@
-"""One domain's ROS graph and our node in it: `RosNode` is the `rsb_bridge.ros.api.RosInterface` of a real robot."""
+"""One domain's ROS graph and our node in it: `RosNode` is the `ros_interface.RosInterface` of a real robot."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any, Generic, TypeAlias, TypeVar
 
 from rsb_bridge.model.qos import incompatible
-from rsb_bridge.ros.api import BATCH, RawMessage, Request, Response, RosError
 from rsb_bridge.ros.middleware import check_middleware
+from rsb_bridge.ros.ros_interface import BATCH, RawMessage, Request, Response, RosError
 from rsb_bridge.ros.ros_thread import LONGEST_WAIT, RosTurns
 from rsb_bridge.ros.typesupport import hash_of, installed_class, installed_service, service_hash_of
 
@@ -23,7 +23,8 @@ if TYPE_CHECKING:
 
     from rsb_bridge.model.calls import Fields
     from rsb_bridge.model.qos import Qos
-    from rsb_bridge.ros.api import (
+    from rsb_bridge.ros.rcl import Incoming, Participant
+    from rsb_bridge.ros.ros_interface import (
         Endpoint,
         OnFailure,
         Publisher,
@@ -34,7 +35,6 @@ if TYPE_CHECKING:
         Sink,
         Subscription,
     )
-    from rsb_bridge.ros.rcl import Incoming, Participant
     from rsb_bridge.ros.service_endpoints import Client, Server, TypedClient, TypedServer
     from rsb_bridge.ros.topic_endpoints import Reader, Writer
 
@@ -99,7 +99,7 @@ class RosNode:
         self._thread.start()
 
     def watch(self, on_graph_change: Callable[[], None], on_failure: Callable[[str], None]) -> None:
-        """Have functions called; see `rsb_bridge.ros.api.RosInterface.watch`."""
+        """Have functions called; see `rsb_bridge.ros.ros_interface.RosInterface.watch`."""
         self._on_graph_change, self._on_failure = on_graph_change, on_failure
         if self._failure:
             on_failure(self._failure)
@@ -152,7 +152,7 @@ class RosNode:
             return None
 
     def serialize(self, type_name: str, fields: Fields, now: int) -> bytes:
-        """Serialize what an operator wrote; see `rsb_bridge.ros.api.RosInterface.serialize`."""
+        """Serialize what an operator wrote; see `rsb_bridge.ros.ros_interface.RosInterface.serialize`."""
         from rsb_bridge.ros.written_messages import serialize  # noqa: PLC0415  as in `start`
 
         return serialize(type_name, fields, now)
@@ -160,7 +160,7 @@ class RosNode:
     def ask_description(
         self, node: str, type_name: str, type_hash: str, still_wanted: Callable[[], bool]
     ) -> str | None:
-        """Ask a node for a type's description; see `rsb_bridge.ros.api.RosInterface.ask_description`."""
+        """Ask a node for a type's description; see `rsb_bridge.ros.ros_interface.RosInterface.ask_description`."""
         with self._asking:
             participant = self._joined()
             return participant.ask_description(
@@ -177,7 +177,7 @@ class RosNode:
         origin: Hashable,
         on_failure: OnFailure | None = None,
     ) -> Subscription:
-        """Subscribe raw; see `rsb_bridge.ros.api.RosInterface.subscribe`."""
+        """Subscribe raw; see `rsb_bridge.ros.ros_interface.RosInterface.subscribe`."""
         with self._lock:
             participant = self._joined()
             reader = participant.create_reader(topic, type_name, type_hash, qos)
@@ -187,7 +187,7 @@ class RosNode:
         return subscription
 
     def advertise(self, topic: str, type_name: str, type_hash: str, qos: Qos, origin: Hashable) -> Publisher:
-        """Create a raw publisher; see `rsb_bridge.ros.api.RosInterface.advertise`."""
+        """Create a raw publisher; see `rsb_bridge.ros.ros_interface.RosInterface.advertise`."""
         with self._lock:
             writer = self._joined().create_writer(topic, type_name, type_hash, qos)
             self._own[writer.topic, origin].add(writer.gid)
@@ -224,7 +224,7 @@ class RosNode:
     def serve(
         self, service: str, type_name: str, type_hash: str, sink: RequestSink, on_failure: OnFailure | None = None
     ) -> ServiceServer:
-        """Offer a service; see `rsb_bridge.ros.api.RosInterface.serve`."""
+        """Offer a service; see `rsb_bridge.ros.ros_interface.RosInterface.serve`."""
         with self._lock:
             participant = self._joined()
             created = participant.create_server(service, type_name, type_hash)
@@ -235,7 +235,7 @@ class RosNode:
     def call_service(
         self, service: str, type_name: str, type_hash: str, sink: ResponseSink, on_failure: OnFailure | None = None
     ) -> ServiceClient:
-        """Prepare to call a service; see `rsb_bridge.ros.api.RosInterface.call_service`."""
+        """Prepare to call a service; see `rsb_bridge.ros.ros_interface.RosInterface.call_service`."""
         with self._lock:
             participant = self._joined()
             created = participant.create_client(service, type_name, type_hash)
@@ -397,7 +397,7 @@ class Drain(Generic[_Taken]):
 
 
 class ServerDrain(Drain[Request]):
-    """A service that is offered: `rsb_bridge.ros.api.ServiceServer`.
+    """A service that is offered: `rsb_bridge.ros.ros_interface.ServiceServer`.
 
     Attributes:
         service: its name, resolved.
@@ -416,7 +416,7 @@ class ServerDrain(Drain[Request]):
 
 
 class ClientDrain(Drain[Response]):
-    """A service that is called: `rsb_bridge.ros.api.ServiceClient`.
+    """A service that is called: `rsb_bridge.ros.ros_interface.ServiceClient`.
 
     Attributes:
         service: its name, resolved.

@@ -2,7 +2,7 @@
 
 A subscription for each node that is bridged would have each event copied, taken and looked into as often as nodes are
 bridged. So those of one link share one; a link's own, as what a link publishes must not come back to it
-(`rsb_bridge.ros.api.RosInterface.subscribe`). An event is rcl_interfaces/msg/ParameterEvent, serialized.
+(`rsb_bridge.ros.ros_interface.RosInterface.subscribe`). An event is rcl_interfaces/msg/ParameterEvent, serialized.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Hashable, Sequence
 
     from rsb_bridge.model.qos import Qos
-    from rsb_bridge.ros.api import OnFailure, RawMessage, RosError, RosInterface, Sink, Subscription
+    from rsb_bridge.ros.ros_interface import OnFailure, RawMessage, RosError, RosInterface, Sink, Subscription
 
 LONGEST = 256 << 10
 """Bytes of an event that gets another name: some 2,000 parameters that changed at once. Each takes 10 µs."""

@@ -34,7 +34,7 @@ from typing import TYPE_CHECKING, NamedTuple, Protocol, TypeVar
 from rclpy.utilities import get_rmw_implementation_identifier
 
 from rsb_bridge.model.names import split_type_name
-from rsb_bridge.ros.api import RosError
+from rsb_bridge.ros.ros_interface import RosError
 from rsb_bridge.ros.typesupport import (
     FIND,
     GET_HASH,
@@ -311,8 +311,8 @@ def borrow_service(type_name: str, type_hash: str) -> BorrowedService:
 
     Args:
         type_name: ``pkg/srv/Name``, or ``pkg/action/Name_SendGoal`` and the like.
-        type_hash: as `rsb_bridge.ros.api.RosInterface.servers` gives it, or empty where it is not known: then the type
-            must be installed.
+        type_hash: as `rsb_bridge.ros.ros_interface.RosInterface.servers` gives it, or empty where it is not known:
+            then the type must be installed.
 
     Raises:
         RosError: it is installed with another hash, or it is not installed and cannot be done without.

@@ -19,7 +19,6 @@ from rclpy.impl.implementation_singleton import rclpy_implementation as _rclpy
 from rsb_bridge.model.limits import DOMAIN, TOPIC_LENGTH
 from rsb_bridge.model.names import is_topic_name
 from rsb_bridge.model.qos import Qos
-from rsb_bridge.ros.api import Endpoint, RosError
 from rsb_bridge.ros.librcl import (
     Handle,
     TakeBuffer,
@@ -31,6 +30,7 @@ from rsb_bridge.ros.librcl import (
     safe_type_name,
 )
 from rsb_bridge.ros.raw_types import borrow_service, borrow_type
+from rsb_bridge.ros.ros_interface import Endpoint, RosError
 from rsb_bridge.ros.rosidl_descriptions import ask_node
 from rsb_bridge.ros.service_endpoints import Client, Server, TypedClient, TypedServer
 from rsb_bridge.ros.service_graph import CallerTable, callers, servers

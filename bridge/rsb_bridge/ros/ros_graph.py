@@ -11,13 +11,13 @@ from rsb_bridge.model.patterns import is_hidden
 from rsb_bridge.model.qos import match_publishers
 from rsb_bridge.model.snapshot import TopicInfo
 from rsb_bridge.model.sources import OF_EVERY_NODE
-from rsb_bridge.ros.api import RosError
+from rsb_bridge.ros.ros_interface import RosError
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Hashable, Iterable, Iterator, Mapping, Sequence
 
     from rsb_bridge.model.session import Kind
-    from rsb_bridge.ros.api import Endpoint, RosInterface
+    from rsb_bridge.ros.ros_interface import Endpoint, RosInterface
 
 Asked = TypeVar("Asked", bound="Hashable")
 

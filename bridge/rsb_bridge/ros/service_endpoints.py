@@ -26,9 +26,9 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 from rclpy.serialization import deserialize_message
 
-from rsb_bridge.ros.api import Request, Response, RosError
 from rsb_bridge.ros.librcl import librcl, reason_of, reset_error, serialize_message
 from rsb_bridge.ros.raw_types import outgoing
+from rsb_bridge.ros.ros_interface import Request, Response, RosError
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -138,7 +138,7 @@ class Server(ServiceEndpoint):
         return requests
 
     def answer(self, caller: bytes, payload: bytes) -> None:
-        """Answer a call; see `rsb_bridge.ros.api.ServiceServer.answer`.
+        """Answer a call; see `rsb_bridge.ros.ros_interface.ServiceServer.answer`.
 
         Raises:
             RosError: it is closed, the payload is no message, or the middleware refused it.
@@ -208,7 +208,7 @@ class Client(ServiceEndpoint):
         return responses
 
     def call(self, payload: bytes) -> int:
-        """Send a request; see `rsb_bridge.ros.api.ServiceClient.call`.
+        """Send a request; see `rsb_bridge.ros.ros_interface.ServiceClient.call`.
 
         Raises:
             RosError: it is closed, the payload is no message, or the middleware refused it.

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from rsb_bridge.model.qos import Qos
-    from rsb_bridge.ros.api import Endpoint
+    from rsb_bridge.ros.ros_interface import Endpoint
 
     Ask = Callable[..., list[dict[str, Any]]]
     """Asks one of rclpy's questions about a DDS topic."""

@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     import asyncio
     from collections.abc import Callable, Sequence
 
-    from rsb_bridge.ros.api import OnFailure, RawMessage, RosInterface, Subscription
+    from rsb_bridge.ros.ros_interface import OnFailure, RawMessage, RosInterface, Subscription
 
 _WORD = b"shutdown"
 

@@ -17,7 +17,6 @@ from typing import TYPE_CHECKING
 import msgspec
 
 from rsb_bridge.model.qos import Qos
-from rsb_bridge.ros.api import Endpoint, RawMessage, RosError
 from rsb_bridge.ros.known_messages import (
     BATTERY_STATE,
     BATTERY_STATE_HASH,
@@ -26,13 +25,14 @@ from rsb_bridge.ros.known_messages import (
     battery_state,
     stamped_string,
 )
+from rsb_bridge.ros.ros_interface import Endpoint, RawMessage, RosError
 from rsb_bridge.ros.ros_thread import RosTurns
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Hashable, Sequence
 
     from rsb_bridge.model.calls import Fields
-    from rsb_bridge.ros.api import (
+    from rsb_bridge.ros.ros_interface import (
         OnFailure,
         Publisher,
         RequestSink,
@@ -144,7 +144,7 @@ class Talk(msgspec.Struct, frozen=True):
 
 
 class StandIn(NoRos):
-    """A graph of one node that publishes and subscribes; `rsb_bridge.ros.api.RosInterface`.
+    """A graph of one node that publishes and subscribes; `rsb_bridge.ros.ros_interface.RosInterface`.
 
     Args:
         name: of the session.

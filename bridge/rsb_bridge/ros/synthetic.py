@@ -14,13 +14,13 @@ from typing import TYPE_CHECKING, Any, NamedTuple, cast
 
 from rsb_bridge.model.benchmark import TYPE, TYPE_HASH, is_bench_topic
 from rsb_bridge.model.qos import Qos
-from rsb_bridge.ros.api import Endpoint, RawMessage
+from rsb_bridge.ros.ros_interface import Endpoint, RawMessage
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Hashable
 
     from rsb_bridge.model.clock import Clock
-    from rsb_bridge.ros.api import OnFailure, Publisher, RosInterface, Sink, Subscription
+    from rsb_bridge.ros.ros_interface import OnFailure, Publisher, RosInterface, Sink, Subscription
 
 _NODE = "/rsb_bench"
 _GID = b"rsb_bench".ljust(16, b"\0")
@@ -191,7 +191,7 @@ class Synthetic:
         return getattr(self._ros, name)
 
     def publishers(self, topic: str) -> list[Endpoint]:
-        """See `rsb_bridge.ros.api.RosInterface`, likewise those below."""
+        """See `rsb_bridge.ros.ros_interface.RosInterface`, likewise those below."""
         return [_endpoint()] if is_bench_topic(topic) else self._ros.publishers(topic)
 
     def subscriptions(self, topic: str) -> list[Endpoint]:

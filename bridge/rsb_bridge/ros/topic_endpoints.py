@@ -11,8 +11,8 @@ import threading
 import time
 from typing import TYPE_CHECKING, Literal
 
-from rsb_bridge.ros.api import RawMessage, RosError
 from rsb_bridge.ros.librcl import Serialized, librcl, librcl_without_gil, reason_of, reset_error
+from rsb_bridge.ros.ros_interface import RawMessage, RosError
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection

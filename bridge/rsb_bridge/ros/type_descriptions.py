@@ -7,12 +7,12 @@ from typing import TYPE_CHECKING
 
 from rsb_bridge.cdr.checker import Checker, UncheckableError
 from rsb_bridge.cdr.description import DescriptionError, hash_of_text, read_description
-from rsb_bridge.ros.api import RosError
+from rsb_bridge.ros.ros_interface import RosError
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from rsb_bridge.ros.api import RosInterface
+    from rsb_bridge.ros.ros_interface import RosInterface
 
 _KEPT = 4 << 20
 """Characters of all descriptions together; those of a whole robot take some 100,000."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from rsb_bridge.cdr.checker import STEPS, MalformedError, TooComplexError
-from rsb_bridge.ros.api import RosError
+from rsb_bridge.ros.ros_interface import RosError
 
 if TYPE_CHECKING:
     import asyncio
@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from rsb_bridge.cdr.checker import Checker
     from rsb_bridge.context import Context
     from rsb_bridge.model.token_bucket import TokenBucket
-    from rsb_bridge.ros.api import Endpoint
+    from rsb_bridge.ros.ros_interface import Endpoint
 
 CHECKED_AT_ONCE = 2 * STEPS
 CHECKED_A_SECOND = 2 * STEPS

@@ -8,7 +8,7 @@ import msgspec
 
 from rsb_bridge.model.limits import KEPT_DEPTH
 from rsb_bridge.ros.announcements import Origin
-from rsb_bridge.ros.api import Endpoint, RosError
+from rsb_bridge.ros.ros_interface import Endpoint, RosError
 from rsb_bridge.route.latched import LatchedFullError, LatchedTopic
 from rsb_bridge.route.publisher_qos import AUTO_DEPTH
 from rsb_bridge.route.type_budget import TypeUse
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
     from rsb_bridge.context import Context
     from rsb_bridge.model.qos import Qos
-    from rsb_bridge.ros.api import Publisher
+    from rsb_bridge.ros.ros_interface import Publisher
     from rsb_bridge.route.peer import Peer
     from rsb_bridge.wire.records import Source
 

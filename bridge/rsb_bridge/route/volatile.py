@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from rsb_bridge.ros.api import Publisher
+    from rsb_bridge.ros.ros_interface import Publisher
     from rsb_bridge.wire.framing import Budget
 
 FREE = 1 << 16

@@ -10,7 +10,7 @@ from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.snapshot import Level, Stage
 from rsb_bridge.model.token_bucket import TokenBucket
 from rsb_bridge.model.verdict import Cause
-from rsb_bridge.ros.api import Request, RosError
+from rsb_bridge.ros.ros_interface import Request, RosError
 from rsb_bridge.route.both_sides import node_names
 from rsb_bridge.route.calls.by_hand import CallError, Hand
 from rsb_bridge.route.calls.circles import way_here
@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 
     from rsb_bridge.context import Context
     from rsb_bridge.model.session import Topic
-    from rsb_bridge.ros.api import ServiceServer
+    from rsb_bridge.ros.ros_interface import ServiceServer
     from rsb_bridge.route.lease import Lease
     from rsb_bridge.route.peer import Owner
     from rsb_bridge.wire.messages import Propose, Provide

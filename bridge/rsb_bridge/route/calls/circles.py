@@ -17,7 +17,7 @@ from rsb_bridge.route.verdict import named
 
 if TYPE_CHECKING:
     from rsb_bridge.context import Context
-    from rsb_bridge.ros.api import Endpoint
+    from rsb_bridge.ros.ros_interface import Endpoint
     from rsb_bridge.route.peer import Peer
 
 _EXPLAINED_WITHIN = 3.0

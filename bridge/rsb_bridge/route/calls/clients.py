@@ -11,7 +11,7 @@ if TYPE_CHECKING:
 
     from rsb_bridge.context import Context
     from rsb_bridge.model.calls import Lane
-    from rsb_bridge.ros.api import RawMessage, Response, RosError, ServiceClient
+    from rsb_bridge.ros.ros_interface import RawMessage, Response, RosError, ServiceClient
     from rsb_bridge.route.calls.lane_ends import Closable, LaneType
     from rsb_bridge.route.peer import Peer
 

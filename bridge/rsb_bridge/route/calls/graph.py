@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping, Sequence
 
     from rsb_bridge.model.calls import Lane
-    from rsb_bridge.ros.api import Endpoint, RosInterface
+    from rsb_bridge.ros.ros_interface import Endpoint, RosInterface
 
 
 class Provision(NamedTuple):

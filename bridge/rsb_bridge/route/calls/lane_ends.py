@@ -11,7 +11,7 @@ if TYPE_CHECKING:
 
     from rsb_bridge.context import Context
     from rsb_bridge.model.calls import Lane
-    from rsb_bridge.ros.api import OnFailure, RosError
+    from rsb_bridge.ros.ros_interface import OnFailure, RosError
     from rsb_bridge.route.peer import Peer
     from rsb_bridge.wire.records import LaneEntry
 

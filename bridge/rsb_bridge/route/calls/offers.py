@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from rsb_bridge.ros.api import BATCH
+from rsb_bridge.ros.ros_interface import BATCH
 from rsb_bridge.route.calls.lane_ends import LaneEnds
 from rsb_bridge.route.lease import Marker
 from rsb_bridge.route.volatile import VolatileTopic
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from rsb_bridge.context import Context
     from rsb_bridge.model.calls import Lane
     from rsb_bridge.model.sources import Via
-    from rsb_bridge.ros.api import Request, RosError, ServiceServer
+    from rsb_bridge.ros.ros_interface import Request, RosError, ServiceServer
     from rsb_bridge.route.calls.lane_ends import LaneType
     from rsb_bridge.route.lease import Lease
     from rsb_bridge.route.peer import Peer

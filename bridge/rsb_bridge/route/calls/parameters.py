@@ -15,8 +15,8 @@ from rsb_bridge.route.calls.verdict import Trouble
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from rsb_bridge.ros.api import RawMessage
     from rsb_bridge.ros.parameter_events import Listening
+    from rsb_bridge.ros.ros_interface import RawMessage
     from rsb_bridge.route.calls.graph import Provision
     from rsb_bridge.route.calls.lane_ends import LaneType
     from rsb_bridge.wire.headers import CallFrame

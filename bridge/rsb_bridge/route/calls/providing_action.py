@@ -10,7 +10,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, ClassVar
 
 from rsb_bridge.model.calls import FEEDBACK, GET_RESULT, SEND_GOAL, STATUS
-from rsb_bridge.ros.api import RosError
+from rsb_bridge.ros.ros_interface import RosError
 from rsb_bridge.route.calls.goal_messages import accepted_by, goal_of, state_of, statuses_of
 from rsb_bridge.route.calls.goals import Goals
 from rsb_bridge.route.calls.kept_answers import Do, KeptAnswers, Question, question_of, result_request
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from rsb_bridge.context import Context
     from rsb_bridge.model.session import Topic
     from rsb_bridge.model.snapshot import RouteSnapshot
-    from rsb_bridge.ros.api import RawMessage, Response
+    from rsb_bridge.ros.ros_interface import RawMessage, Response
     from rsb_bridge.route.peer import Owner
     from rsb_bridge.wire.messages import Propose
 

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
 
     from rsb_bridge.context import Context
-    from rsb_bridge.ros.api import Endpoint
+    from rsb_bridge.ros.ros_interface import Endpoint
     from rsb_bridge.route.peer import Peer
 
 _ANNOUNCED_WITHIN = 3.0

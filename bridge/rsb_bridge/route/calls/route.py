@@ -28,7 +28,7 @@ from rsb_bridge.model.clock import shifted
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.session import CALL_TIMEOUT
 from rsb_bridge.model.snapshot import Ledger, Level
-from rsb_bridge.ros.api import RosError
+from rsb_bridge.ros.ros_interface import RosError
 from rsb_bridge.route.both_sides import lasting, node_names, record_of
 from rsb_bridge.route.calls.failures import Failures
 from rsb_bridge.route.calls.ledger import CallsLedger
