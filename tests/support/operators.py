@@ -14,7 +14,7 @@ from rsb_bridge.config.granted_operators import Granted
 from rsb_bridge.config.keys import Key
 from rsb_bridge.control.protocol import VERSION, Hello, Welcome, encode, frames_to_console
 from rsb_bridge.control.remote_engine import RemoteEngine
-from rsb_bridge.control.sealed import Sealed, SealedAcceptor
+from rsb_bridge.control.sealed import OperatorConnector, SealedAcceptor
 from rsb_bridge.model.clock import Clock
 from rsb_bridge.model.session import Operator
 from rsb_bridge.telemetry.event_log import EventLog
@@ -85,10 +85,10 @@ class Reachable:
     async def _close(self) -> None:
         self._listening.close()
 
-    def way(self, name: str = "anna", key: Key = ANNA, engine: str = "robot1", port: int = 0) -> Sealed:
+    def way(self, name: str = "anna", key: Key = ANNA, engine: str = "robot1", port: int = 0) -> OperatorConnector:
         """An operator's way to it; or by another port, where somebody is in between."""
 
-        return Sealed(self.connect(port), name, key, engine)
+        return OperatorConnector(self.connect(port), name, key, engine)
 
     def connect(self, port: int = 0) -> Connect:
         """Makes streams to it."""

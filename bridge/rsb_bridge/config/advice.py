@@ -37,6 +37,25 @@ if TYPE_CHECKING:
 
     from rsb_bridge.model.session import Session, Topic
 
+_MOVING_TYPES = frozenset(
+    {
+        "Twist", "TwistStamped", "JointTrajectory", "JointJog", "AckermannDrive", "AckermannDriveStamped",
+        "ActuatorControls", "AttitudeTarget", "PositionTarget", "Thruster", "MultiDOFJointTrajectory",
+    }
+)  # fmt: skip
+"""Names of message types, of any package."""
+_MOVING_NAMES = (
+    "cmd*",
+    "*_cmd",
+    "*_cmd_vel",
+    "joint_trajectory",
+    "joint_command*",
+    "*_command",
+    "*_commands",
+    "servo_*",
+)
+"""Last parts of names."""
+
 
 def advise(session: Session, domain_variable: str | None) -> Iterator[Problem]:
     """Everything in a valid session that its operator should know before it runs.
@@ -183,25 +202,14 @@ def _depth(topic: Topic) -> Iterator[str]:
         yield f"depth {qos.depth}: the receiving side keeps {most} messages {kept}"
 
 
-_TYPES = frozenset(
-    {
-        "Twist", "TwistStamped", "JointTrajectory", "JointJog", "AckermannDrive", "AckermannDriveStamped",
-        "ActuatorControls", "AttitudeTarget", "PositionTarget", "Thruster", "MultiDOFJointTrajectory",
-    }
-)  # fmt: skip
-"""Names of message types, of any package."""
-_NAMES = ("cmd*", "*_cmd", "*_cmd_vel", "joint_trajectory", "joint_command*", "*_command", "*_commands", "servo_*")
-"""Last parts of names."""
-
-
 def moves_a_robot(topic: Topic) -> bool:
     """Whether messages of a topic's entry are commands that move a robot, most likely."""
     if topic.kind != "topic":
         return False
-    if topic.type.rpartition("/")[2] in _TYPES:
+    if topic.type.rpartition("/")[2] in _MOVING_TYPES:
         return True
     names = {each.rpartition("/")[2] for each in (topic.topic, topic.remote_topic or "")}
-    return any(fnmatch.fnmatchcase(name, pattern) for name in names for pattern in _NAMES)
+    return any(fnmatch.fnmatchcase(name, pattern) for name in names for pattern in _MOVING_NAMES)
 
 
 def without_max_age(session: Session) -> Iterator[str]:

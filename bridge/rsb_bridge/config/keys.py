@@ -32,6 +32,11 @@ DEFAULT_KEY_FILE = "key.txt"
 _MAX_FILE = 4096  # bytes; a key file is 45
 # The second form is a key that lost its padding.
 _LIKE_A_KEY = re.compile(r"[A-Za-z0-9+/_-]{43}=|(?<![A-Za-z0-9+/_-])[A-Za-z0-9_-]{43}(?![A-Za-z0-9+/_-])")
+_DAY = 86400.0
+_LONG = 7 * _DAY
+"""s that two keys may be valid: whoever has stolen the old one may use it until then."""
+_SPANS = ((_DAY, "day"), (3600.0, "hour"), (60.0, "minute"))
+_NAMED = 5
 
 
 class KeyFileError(Exception):
@@ -255,12 +260,6 @@ def keys_of(session: Session, base: Path) -> dict[str, tuple[Key, ...]]:
     return {name: tuple(read_key(key_path(base, file)) for file in of_client) for name, of_client in files.items()}
 
 
-_DAY = 86400.0
-_LONG = 7 * _DAY
-"""s that two keys may be valid: whoever has stolen the old one may use it until then."""
-_SPANS = ((_DAY, "day"), (3600.0, "hour"), (60.0, "minute"))
-
-
 def key_warnings(keys: Mapping[str, tuple[Key, ...]], now: float) -> Iterator[str]:
     """What operators should know of the keys that are valid for each client.
 
@@ -300,11 +299,8 @@ def _ago(seconds: float) -> str:
     return "just now"
 
 
-_NAMED = 5
-
-
 def unshared_keys(session: Session, base: Path) -> dict[str, tuple[Key, ...]]:
-    """As `rsb_bridge.config.keys.keys_of`, of clients that may have them.
+    """As `keys_of`, of clients that may have them.
 
     Raises:
         KeyFileError: one is not there or holds no key, or two clients have the same.

@@ -36,6 +36,33 @@ CALL_USES: Final[tuple[May, May]] = ("call", "serve")
 _MOST_LEAVE = 1e6
 _ENTRY = re.compile(r"\{[^{}]*\}?|[^\s,{]+")
 """A mapping, or a word: entries have blanks or commas between them."""
+_NAMED = 6
+_LISTED_AS: dict[May, tuple[Direction, str]] = {
+    "publish": ("receive", "direction: receive"),
+    "call": ("receive", "provider: client"),
+    "serve": ("transmit", "provider: server"),
+}
+"""How a client lists what it has the server do."""
+_OF_PARAMETERS = {lane.suffix for lane in LANES["parameters"] if lane.suffix}
+MOVES_A_ROBOT = {
+    "/cmd_vel": ("/cmd_vel",),
+    "/joint_*": ("/joint_states", "/joint_trajectory", "/joint_command"),
+    "/tf": ("/tf",),
+    "/clock": ("/clock",),
+}
+"""Patterns of topics by which a robot moves, or thinks that it does, each with names that it stands for."""
+ONLY_READ = frozenset(
+    {"describe_parameters", "get_parameter_types", "get_parameters", "list_parameters"}  # rcl_interfaces
+    | {"get_available_states", "get_available_transitions", "get_state", "get_transition_graph"}  # lifecycle_msgs
+    | {"get_logger_levels", "get_type_description"}
+)
+"""The last parts of the names of ROS's own services that change nothing.
+
+What any other service does cannot be told from its name or its type: ``std_srvs/srv/Trigger`` may dock a robot. So all
+others count as changing it, and every action and every node's parameters, which can be set, do.
+"""
+_NOTHING = "nothing"
+_KINDS: dict[Kind, str] = {"action": " (action)", "parameters": " (parameters)"}
 
 
 class GrantError(ValueError):
@@ -136,9 +163,6 @@ def leave_problems(leave: Leave | None, location: str) -> Iterator[Problem]:
             yield Problem(join(location, key), f"{value:g} is out of range: above 0, at most {_MOST_LEAVE:g}")
 
 
-_NAMED = 6
-
-
 class Use(NamedTuple):
     """What a peer wants to do with a topic, a service, an action or a node's parameters.
 
@@ -163,15 +187,6 @@ class Use(NamedTuple):
 def uses(kind: Kind) -> tuple[May, May]:
     """What a peer may do with a kind: where it sends the messages or requests, and where it takes them."""
     return TOPIC_USES if kind == "topic" else CALL_USES
-
-
-_LISTED_AS: dict[May, tuple[Direction, str]] = {
-    "publish": ("receive", "direction: receive"),
-    "call": ("receive", "provider: client"),
-    "serve": ("transmit", "provider: server"),
-}
-"""How a client lists what it has the server do."""
-_OF_PARAMETERS = {lane.suffix for lane in LANES["parameters"] if lane.suffix}
 
 
 class Refusal(NamedTuple):
@@ -340,28 +355,6 @@ def _text(grant: Grant) -> str:
     return inline(plain)
 
 
-MOVES_A_ROBOT = {
-    "/cmd_vel": ("/cmd_vel",),
-    "/joint_*": ("/joint_states", "/joint_trajectory", "/joint_command"),
-    "/tf": ("/tf",),
-    "/clock": ("/clock",),
-}
-"""Patterns of topics by which a robot moves, or thinks that it does, each with names that it stands for."""
-ONLY_READ = frozenset(
-    {"describe_parameters", "get_parameter_types", "get_parameters", "list_parameters"}  # rcl_interfaces
-    | {"get_available_states", "get_available_transitions", "get_state", "get_transition_graph"}  # lifecycle_msgs
-    | {"get_logger_levels", "get_type_description"}
-)
-"""The last parts of the names of ROS's own services that change nothing.
-
-What any other service does cannot be told from its name or its type: ``std_srvs/srv/Trigger`` may dock a robot. So all
-others count as changing it, and every action and every node's parameters, which can be set, do.
-"""
-_LISTED_NAMES = 6
-_NOTHING = "nothing"
-_KINDS: dict[Kind, str] = {"action": " (action)", "parameters": " (parameters)"}
-
-
 class Row(NamedTuple):
     """What one peer may do with some topics or services.
 
@@ -444,10 +437,10 @@ def _allowed(rights: Rights, may: May, carried: Sequence[str], within: str) -> I
         rate = f"{grant.max_rate:g} Hz" if grant.max_rate else "any"
         groups.setdefault((over, rate), []).append(pattern)
     denied = [_without(grant, pattern) for grant, pattern in _about(rights.deny, may)]
-    but = f", not {join_first(denied, _LISTED_NAMES)}" if denied else ""
+    but = f", not {join_first(denied, _NAMED)}" if denied else ""
     for (over, rate), patterns in groups.items():
         limited = f" in {within}" if rights.allow and within != "all" else ""
-        yield f"{join_first(patterns, _LISTED_NAMES)}{limited}{but}", over, rate
+        yield f"{join_first(patterns, _NAMED)}{limited}{but}", over, rate
     if not groups:
         yield _NOTHING, "-", "-"
 
@@ -468,7 +461,7 @@ def _listed(rights: Rights, may: May) -> Iterator[str]:
 
 
 def _without(grant: Grant, pattern: str) -> str:
-    return f"{pattern} over {join_first(protocols_of(grant), _LISTED_NAMES)}" if grant.protocol else pattern
+    return f"{pattern} over {join_first(protocols_of(grant), _NAMED)}" if grant.protocol else pattern
 
 
 def _moves(rights: Rights, carried: Sequence[str]) -> Iterator[str]:
@@ -508,8 +501,4 @@ def _ports(session: Session) -> str:
         return "none"
     if session.ports is None:
         return f"any {PORTS_PER_CLIENT}"
-    return (
-        "none"
-        if session.ports == "none"
-        else join_first([str(port) for port in session.ports], _LISTED_NAMES) or "none"
-    )
+    return "none" if session.ports == "none" else join_first([str(port) for port in session.ports], _NAMED) or "none"

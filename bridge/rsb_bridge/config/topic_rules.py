@@ -49,6 +49,10 @@ A_KIND: Final[dict[Kind, str]] = {
 """Each kind, in a sentence."""
 _OVER_ZENOH = ("zenoh", "zenoh-drop")
 _NAMED: Final[dict[Kind, str]] = {"topic": "topic", "service": "service", "action": "action", "parameters": "node"}
+_FORM: Final = "/part/part, where * stands for characters of one part, and ** as a whole part for any number of them"
+_OF_AN_ACTION = re.compile(r"(?P<action>.*)/_action/[^/]*")
+_FOLDERS: dict[Kind, str] = {"service": "srv", "action": "action"}
+_PART = r"[A-Za-z][A-Za-z0-9_]*"
 
 
 def port_problems(port: int, location: str, transport: type[TransportTraits]) -> Iterator[Problem]:
@@ -238,9 +242,6 @@ def rate_problems(rate: float | None, location: str) -> Iterator[Problem]:
         yield Problem(location, f"{rate} is out of range: {RATE} Hz, or leave it out")
 
 
-_FORM: Final = "/part/part, where * stands for characters of one part, and ** as a whole part for any number of them"
-
-
 def pattern_problems(topic: Topic, location: str, transport: type[TransportTraits]) -> Iterator[Problem]:
     """Mistakes in a pattern by itself.
 
@@ -312,11 +313,6 @@ def form_problems(text: str, location: str, *, hidden: bool = False) -> Iterator
 
 def _wildcards(kinds: Sequence[str]) -> str:
     return " ".join(kinds) or "no wildcard"
-
-
-_OF_AN_ACTION = re.compile(r"(?P<action>.*)/_action/[^/]*")
-_FOLDERS: dict[Kind, str] = {"service": "srv", "action": "action"}
-_PART = r"[A-Za-z][A-Za-z0-9_]*"
 
 
 def call_problems(topic: Topic, location: str) -> Iterator[Problem]:

@@ -55,6 +55,12 @@ if TYPE_CHECKING:
 _ANY_ADDRESS = ("0.0.0.0", "::", "00:00:00:00:00:00")  # noqa: S104 (refused, not bound)
 _ENTRY = re.compile(rf"(?P<list>{'|'.join(NOUNS)})\[(?P<at>\d{{1,9}})\]")
 _HOST_LABEL = re.compile(r"[A-Za-z0-9_]([A-Za-z0-9_-]{0,61}[A-Za-z0-9_])?")
+_ZENOH_PROTOCOLS = ("tcp", "tls", "quic", "udp", "ws")
+"""What endpoints may begin with, of what the wheel knows."""
+_ZENOH_HOST = r"\[[0-9A-Fa-f:.]+(%\w+)?\]|[^\[\]:/\s]+"
+_ZENOH_ENDPOINT = re.compile(rf"(?P<protocol>[a-z0-9_]+)/(?P<host>{_ZENOH_HOST}):(?P<port>\d{{1,5}})([?#]\S*)?")
+_FLEET_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,63}")
+_MOST_ENDPOINTS = 16
 
 
 def build(data: object) -> tuple[Session, list[Problem]]:
@@ -413,16 +419,6 @@ def _replaces(following: str | None, current: str | None, location: str) -> Iter
         yield Problem(
             join(location, "next_key_file"), f"{show(following)} is the key_file already: give the new key's file"
         )
-
-
-_ZENOH_PROTOCOLS = ("tcp", "tls", "quic", "udp", "ws")
-"""What endpoints may begin with, of what the wheel knows."""
-
-_ZENOH_HOST = r"\[[0-9A-Fa-f:.]+(%\w+)?\]|[^\[\]:/\s]+"
-_ZENOH_ENDPOINT = re.compile(rf"(?P<protocol>[a-z0-9_]+)/(?P<host>{_ZENOH_HOST}):(?P<port>\d{{1,5}})([?#]\S*)?")
-
-_FLEET_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,63}")
-_MOST_ENDPOINTS = 16
 
 
 def zenoh_problems(session: Session) -> Iterator[Problem]:

@@ -62,6 +62,15 @@ _REMEDIES = {
     RefusalCode.WRONG_KEY: "copy the operator's key file to both sides",
     RefusalCode.UNKNOWN_NAME: "the engine's session file lists who may attach, under operators",
 }
+_REFUSED_AFTER = 1.5
+"""s from a refusal, which anybody in a Zenoh network can forge, until it counts: the engine's answer may follow."""
+_READ_SIZE = 256 << 10
+_HELD = 1 << 20
+"""Bytes that wait to be read, of which twice as many stop the stream."""
+_OPERATOR_REMEDIES = {
+    RefusalCode.WRONG_KEY: "give the key file that the engine's session names for this operator",
+    RefusalCode.UNKNOWN_NAME: "give the name of the engine's session, and a name under its operators",
+}
 
 
 class _Stage(IntEnum):
@@ -389,18 +398,8 @@ Connect: TypeAlias = Callable[[asyncio.Protocol], Awaitable[object]]
 stream is what asyncio calls a transport, as in `rsb_bridge.control.sealed`. What goes wrong is an OSError or a
 ControlError."""
 
-_REFUSED_AFTER = 1.5
-"""s from a refusal, which anybody in a Zenoh network can forge, until it counts: the engine's answer may follow."""
-_READ_SIZE = 256 << 10
-_HELD = 1 << 20
-"""Bytes that wait to be read, of which twice as many stop the stream."""
-_OPERATOR_REMEDIES = {
-    RefusalCode.WRONG_KEY: "give the key file that the engine's session names for this operator",
-    RefusalCode.UNKNOWN_NAME: "give the name of the engine's session, and a name under its operators",
-}
 
-
-class Sealed:
+class OperatorConnector:
     """A way to an engine over a network, with an operator's key.
 
     Args:
@@ -429,7 +428,7 @@ class Sealed:
         console = OperatorConsole(
             self._operator, self._key.secret, self._engine, version=protocol.VERSION, host=socket.gethostname()
         )
-        connection = _Sealed(console, self._engine, self._at)
+        connection = _OperatorConnection(console, self._engine, self._at)
         try:
             async with asyncio.timeout(within):
                 await self._connect(connection)
@@ -440,7 +439,7 @@ class Sealed:
         return connection
 
 
-class _Sealed(asyncio.Protocol):
+class _OperatorConnection(asyncio.Protocol):
     """One connection: what comes is opened and waits to be read."""
 
     def __init__(self, machine: OperatorConsole, engine: str, at: str) -> None:

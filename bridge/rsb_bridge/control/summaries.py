@@ -34,6 +34,9 @@ BATTERY_EVERY = 30.0
 """s between two messages of one robot that are looked at."""
 BATTERIES_AT_ONCE = 4
 """Robots whose next message is waited for: other consoles look at messages, too."""
+ANSWERS_WITHIN = 5.0
+_HELD_FOR = 0.25
+_SILENT_FOR = 3 * protocol.SIGN_OF_LIFE_EVERY
 
 
 class Batteries:
@@ -140,11 +143,6 @@ class SummaryBuilder:
             snapshot, self._engine.session, host=self._host, version=self._version, losses=self._loss, battery=battery
         )
         return encode(summary)
-
-
-ANSWERS_WITHIN = 5.0
-_HELD_FOR = 0.25
-_SILENT_FOR = 3 * protocol.SIGN_OF_LIFE_EVERY
 
 
 async def watch(way: Way, may_open: asyncio.Semaphore | None = None) -> AsyncGenerator[bytes, None]:

@@ -9,7 +9,7 @@ from random import Random
 from typing import TYPE_CHECKING, NamedTuple
 
 from rsb_bridge.control.control_sockets import ControlError, UnclearError
-from rsb_bridge.control.sealed import Sealed, SealedAcceptor
+from rsb_bridge.control.sealed import OperatorConnector, SealedAcceptor
 from rsb_bridge.control.summaries import SummaryBuilder
 from rsb_bridge.engine import Engine
 from rsb_bridge.model.backoff import Backoff
@@ -160,14 +160,14 @@ class FleetPresence:
         """Why nothing gets through; empty: the network is there."""
         return "" if self._network.connected else f"{self._network.place}: {ROUTER_LOST}; it is tried again"
 
-    def sealed(self, member: Member) -> Sealed:
+    def sealed(self, member: Member) -> OperatorConnector:
         """A way to an engine, with the operator's key, as long as this is joined."""
 
         async def connect(protocol: asyncio.Protocol) -> None:
             assert self._endpoint is not None
             Pipe(self._endpoint, member.address, os.urandom(8).hex(), LINK_RANK, protocol)
 
-        return Sealed(connect, self._file.operator, self._file.key, member.name, member.address)
+        return OperatorConnector(connect, self._file.operator, self._file.key, member.name, member.address)
 
     def close(self) -> None:
         """Leave the network."""
