@@ -113,7 +113,7 @@ def test_a_publisher_is_not_freed_while_it_publishes(open_node: Callable[..., Ro
 
 
 def test_free_memory_goes_back_to_the_kernel(monkeypatch: pytest.MonkeyPatch, eventually: Callable[..., Any]) -> None:
-    monkeypatch.setattr(node, "_EVERY", 0.05)
+    monkeypatch.setattr(node, "_HEAP_TRIMMED_EVERY", 0.05)
     threads = threading.active_count()
     with node.large_blocks_kept():
         blocks = [b"x" * (6 << 20) for _ in range(8)]

@@ -35,6 +35,19 @@ LONGEST = 4 << 20
 _A_LINK = 1 << 20
 """Bytes of this bridge's announcement about what it has for one link."""
 _FRAME = 1024
+_A_SECOND = 4 << 20
+"""Bytes of others' announcements that are read: about 40 ms of the I/O thread's time."""
+_KEPT = 8 << 20
+"""Bytes of others' announcements that are kept, as they came; likewise of those that wait to be read."""
+_SOON = 0.02  # s: changes at once make one announcement
+_READ_EVERY = 0.05  # s
+_SAY_AGAIN = 1.0  # s
+_MOST_UNREAD = 2 * MOST_BRIDGES
+_NODE_NAME = re.compile(r"[A-Za-z0-9_/]{1,255}")
+_ORDINARY_REMEMBERED = 4096
+_SAID = Qos(durability="transient_local", depth=1)
+_HEARD = Qos(durability="transient_local", depth=_MOST_UNREAD)
+"""A reader's depth counts the messages of all publishers: with 1, a bridge that starts would hear one other only."""
 
 
 class PublisherEntry(msgspec.Struct, frozen=True):
@@ -182,21 +195,6 @@ class _Table:
 
     def of(self, name: str, besides: Hashable) -> list[Endpoint]:
         return [own.endpoint for own in self._by_name.get(name, {}).values() if own.link != besides]
-
-
-_A_SECOND = 4 << 20
-"""Bytes of others' announcements that are read: about 40 ms of the I/O thread's time."""
-_KEPT = 8 << 20
-"""Bytes of others' announcements that are kept, as they came; likewise of those that wait to be read."""
-_SOON = 0.02  # s: changes at once make one announcement
-_READ_EVERY = 0.05  # s
-_SAY_AGAIN = 1.0  # s
-_MOST_UNREAD = 2 * MOST_BRIDGES
-_NODE_NAME = re.compile(r"[A-Za-z0-9_/]{1,255}")
-_ORDINARY_REMEMBERED = 4096
-_SAID = Qos(durability="transient_local", depth=1)
-_HEARD = Qos(durability="transient_local", depth=_MOST_UNREAD)
-"""A reader's depth counts the messages of all publishers: with 1, a bridge that starts would hear one other only."""
 
 
 _decode = msgspec.json.Decoder(Announcement).decode

@@ -138,7 +138,7 @@ def serialize_message(message: Any) -> bytes:
         _DESTROY(pointer_in(functions._DESTROY_ROS_MESSAGE))(in_c)
 
 
-_SMALL = 32 * 1024
+_COPIED_BELOW = 32 * 1024
 """Bytes up to which a copy costs less than a call from C."""
 
 _new_bytes = ctypes.pythonapi.PyBytes_FromStringAndSize
@@ -159,7 +159,7 @@ class TakeBuffer(Buffer):
     def __init__(self) -> None:
         super().__init__()
         self._large: list[bytes] = []
-        self._memory = ctypes.create_string_buffer(_SMALL)
+        self._memory = ctypes.create_string_buffer(_COPIED_BELOW)
         self._start = ctypes.addressof(self._memory)
         self._callbacks = _REALLOCATE(_growing(self._large)), _DEALLOCATE(_keep)
         self.allocator.reallocate, self.allocator.deallocate = (
@@ -186,7 +186,7 @@ class TakeBuffer(Buffer):
         self.discard()
 
     def _shrink(self) -> None:
-        self.data, self.capacity = self._start, _SMALL
+        self.data, self.capacity = self._start, _COPIED_BELOW
 
 
 def _growing(large: list[bytes]) -> Callable[[int | None, int, int | None], int | None]:
@@ -210,7 +210,7 @@ def _keep(_data: int | None, _state: int | None) -> None:
 
 _INFINITE = 2**63 - 1  # ns: RMW_DURATION_INFINITE
 _UNKNOWN_NODE = "_NODE_NAME_UNKNOWN_"  # of an endpoint that was discovered before its node
-_MOST = 2**31 - 1  # messages: DDS counts a history's depth in 32 bits
+_DEEPEST = 2**31 - 1  # messages: DDS counts a history's depth in 32 bits
 
 
 def rcl_profile(qos: Qos) -> QoSProfile:
@@ -219,7 +219,7 @@ def rcl_profile(qos: Qos) -> QoSProfile:
         reliability=ReliabilityPolicy[qos.reliability.upper()],
         durability=DurabilityPolicy[qos.durability.upper()],
         history=HistoryPolicy[qos.history.upper()],
-        depth=min(max(qos.depth, 1), _MOST),
+        depth=min(max(qos.depth, 1), _DEEPEST),
         deadline=_duration(qos.deadline),
         lifespan=_duration(qos.lifespan),
     )

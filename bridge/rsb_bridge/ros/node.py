@@ -47,6 +47,16 @@ _CLOSED_REMEMBERED = 1000
 """Publishers of our own that were closed: their messages are still known as ours."""
 
 _STOP_WITHIN = 1.0  # s
+_Taken = TypeVar("_Taken")
+_M_TRIM_THRESHOLD, _M_MMAP_THRESHOLD = -1, -3
+_LARGEST_ON_HEAP = 32 << 20
+"""Bytes of a block that comes from the heap; it is the most that glibc allows."""
+_MOST_FREE_HEAP = 64 << 20
+"""Bytes that may be free at the end of each of the heap's arenas, until they go back."""
+_LITTLE_FREE_HEAP = 8 << 20
+"""Bytes that may stay free."""
+_HEAP_TRIMMED_EVERY = 30.0
+"""s; to give 60 MB back takes 10 ms, and to get them again as many."""
 
 
 class RosNode:
@@ -339,9 +349,6 @@ class RosNode:
             participant.leave()
 
 
-_Taken = TypeVar("_Taken")
-
-
 class Drain(Generic[_Taken]):
     """Takes from an endpoint until it is closed, or fails.
 
@@ -494,17 +501,6 @@ def _nothing() -> None:
     """Nobody watches the graph."""
 
 
-_M_TRIM_THRESHOLD, _M_MMAP_THRESHOLD = -1, -3
-_LARGEST = 32 << 20
-"""Bytes of a block that comes from the heap; it is the most that glibc allows."""
-_MOST_FREE = 64 << 20
-"""Bytes that may be free at the end of each of the heap's arenas, until they go back."""
-_LITTLE = 8 << 20
-"""Bytes that may stay free."""
-_EVERY = 30.0
-"""s; to give 60 MB back takes 10 ms, and to get them again as many."""
-
-
 class _Statistics(ctypes.Structure):
     """A mallinfo2 (malloc.h)."""
 
@@ -527,8 +523,8 @@ def large_blocks_kept() -> Iterator[None]:
         yield
         return
     library.mallinfo2.restype = _Statistics
-    library.mallopt(_M_MMAP_THRESHOLD, _LARGEST)
-    library.mallopt(_M_TRIM_THRESHOLD, _MOST_FREE)
+    library.mallopt(_M_MMAP_THRESHOLD, _LARGEST_ON_HEAP)
+    library.mallopt(_M_TRIM_THRESHOLD, _MOST_FREE_HEAP)
     ended = threading.Event()
     giving_back = threading.Thread(target=_give_back, args=(library, ended), name="heap", daemon=True)
     giving_back.start()
@@ -541,6 +537,6 @@ def large_blocks_kept() -> Iterator[None]:
 
 def _give_back(library: Any, ended: threading.Event) -> None:
     """On a thread of its own: it holds up nobody who needs no memory."""
-    while not ended.wait(_EVERY):
-        if library.mallinfo2().free > _LITTLE:
-            library.malloc_trim(_LITTLE)
+    while not ended.wait(_HEAP_TRIMMED_EVERY):
+        if library.mallinfo2().free > _LITTLE_FREE_HEAP:
+            library.malloc_trim(_LITTLE_FREE_HEAP)

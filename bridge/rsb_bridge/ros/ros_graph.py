@@ -29,6 +29,17 @@ _MOST_ANSWERS = 1000
 _ALIKE = 0.7
 _MOST_NAMES = 2000
 """That are searched."""
+CALLED: tuple[Kind, ...] = tuple(kind for kind, lanes in LANES.items() if lanes)
+WHOLES: tuple[Kind, ...] = tuple(kind for kind in CALLED if len(LANES[kind]) > 1)
+"""Those that consist of several services."""
+MOST_ENTRIES = 2000
+"""Of one kind, in one list: each costs two questions to the middleware, some 50 µs each."""
+_OF_EVERY_NODE = "type_description_interfaces/srv/GetTypeDescription"
+_OTHER: dict[Kind, str] = {
+    "service": "a service: list it under services",
+    "action": "an action: list it under actions",
+    "parameters": "a node: list it under parameters",
+}
 
 
 class Searches(Generic[Asked]):
@@ -114,14 +125,6 @@ def agreed_type(endpoints: Iterable[Endpoint]) -> tuple[str, str]:
     return types.pop() if len(types) == 1 else ("", "")
 
 
-CALLED: tuple[Kind, ...] = tuple(kind for kind, lanes in LANES.items() if lanes)
-WHOLES: tuple[Kind, ...] = tuple(kind for kind in CALLED if len(LANES[kind]) > 1)
-"""Those that consist of several services."""
-MOST_ENTRIES = 2000
-"""Of one kind, in one list: each costs two questions to the middleware, some 50 µs each."""
-_OF_EVERY_NODE = "type_description_interfaces/srv/GetTypeDescription"
-
-
 def graph_of(ros: RosInterface, kinds: Collection[Kind]) -> list[TopicInfo]:
     """Every topic of the graph, and what else there is of the kinds that are asked for, by kind and name.
 
@@ -197,13 +200,6 @@ def _entry(ros: RosInterface, kind: Kind, name: str, type_name: str) -> TopicInf
     if kind == "service":
         type_name, type_hash = agreed_type(servers or callers)
     return TopicInfo(name, type_name, type_hash, None, len(servers), len(callers), kind)
-
-
-_OTHER: dict[Kind, str] = {
-    "service": "a service: list it under services",
-    "action": "an action: list it under actions",
-    "parameters": "a node: list it under parameters",
-}
 
 
 class Meant:

@@ -22,6 +22,10 @@ _LATE = 0.5
 """Seconds between two turns from which on the thread, or the whole process, stood still."""
 _CATCHES_UP = 0.25
 """Seconds after a standstill in which DDS may still bring what it should have brought before."""
+_BACKLOG = 64
+_PATIENCE = 0.1
+T_contra = TypeVar("T_contra", contravariant=True)
+T = TypeVar("T")
 
 
 class RosTurns:
@@ -73,14 +77,6 @@ class RosTurns:
             self.since = self.at
         self.at = now
         self.count += 1
-
-
-_BACKLOG = 64
-_PATIENCE = 0.1
-
-
-T_contra = TypeVar("T_contra", contravariant=True)
-T = TypeVar("T")
 
 
 class Receiver(Protocol[T_contra]):

@@ -55,6 +55,17 @@ _send_request = librcl.rcl_send_request
 _send_request.argtypes = [ctypes.c_void_p, ctypes.c_void_p, ctypes.POINTER(ctypes.c_int64)]
 _send_response = librcl.rcl_send_response
 _send_response.argtypes = [ctypes.c_void_p] * 3
+_CALLER_FOUND_WITHIN = 10.0
+"""s that a caller that has called may take to be found; one that has gone never is.
+
+DDS says again every 3 s what was lost of its discovery. On one core beside 8 busy loops that took 6 s at most, of 190.
+"""
+_LATE_ANSWERS_TRIED_EVERY = 0.2
+"""s; a caller that is there, but not matched, holds up everybody for half of that."""
+_MOST_LATE_ANSWERS = 1000
+_MOST_LATE_BYTES = 16 << 20
+"""Of one server."""
+_CALLS_REMEMBERED = 5000
 
 
 class ServiceEndpoint:
@@ -242,18 +253,6 @@ def _check(code: int, expected: int, service: str, failed: str) -> None:
         raise RosError(f"{service}: {failed} (rcl error {code})")
 
 
-_FOUND_WITHIN = 10.0
-"""s that a caller that has called may take to be found; one that has gone never is.
-
-DDS says again every 3 s what was lost of its discovery. On one core beside 8 busy loops that took 6 s at most, of 190.
-"""
-_TRIED_EVERY = 0.2
-"""s; a caller that is there, but not matched, holds up everybody for half of that."""
-_MOST = 1000
-_MOST_BYTES = 16 << 20
-"""Of one server."""
-
-
 class _Answer(NamedTuple):
     """One that is kept.
 
@@ -290,7 +289,7 @@ class LateAnswers:
         if caller not in self._kept and self._send(caller, number, payload):
             return True
         sizes = [len(each.payload) for answers in self._kept.values() for each in answers]
-        if len(sizes) >= _MOST or sum(sizes) + len(payload) > _MOST_BYTES:
+        if len(sizes) >= _MOST_LATE_ANSWERS or sum(sizes) + len(payload) > _MOST_LATE_BYTES:
             raise RosError(f"{len(sizes):,} answers wait for callers that DDS does not know; there is no room for more")
         self._kept.setdefault(caller, deque()).append(_Answer(number, payload, time.monotonic()))
         return False
@@ -298,7 +297,7 @@ class LateAnswers:
     def try_again(self) -> bool:
         """Send those that can be sent now, and give up those that are too old. Whether some are left."""
         now = time.monotonic()
-        if now >= self._tried_at + _TRIED_EVERY:
+        if now >= self._tried_at + _LATE_ANSWERS_TRIED_EVERY:
             self._tried_at = now
             for caller, answers in tuple(self._kept.items()):
                 while answers and self._is_settled(caller, answers[0], now):
@@ -309,12 +308,10 @@ class LateAnswers:
 
     def _is_settled(self, caller: bytes, answer: _Answer, now: float) -> bool:
         try:
-            return now > answer.since + _FOUND_WITHIN or self._send(caller, answer.number, answer.payload)
+            return now > answer.since + _CALLER_FOUND_WITHIN or self._send(caller, answer.number, answer.payload)
         except RosError:
             return True  # whoever answered has gone on
 
-
-_CALLS_REMEMBERED = 5000
 
 # rclpy says so on stderr, where a terminal user interface may be, of each answer to a caller that has gone.
 warnings.filterwarnings("ignore", "failed to send response", RuntimeWarning)

@@ -44,6 +44,14 @@ if TYPE_CHECKING:
     )
 
 
+_GID_LENGTH = 16
+_FLOOD_AT_ONCE = 16
+_QOS = Qos()
+_HASHES = {STRING: STRING_HASH, BATTERY_STATE: BATTERY_STATE_HASH}
+_BATTERY_LASTS, _CHARGED_AT = 900.0, 0.1
+"""s from a full battery to the charge at which it is changed for another."""
+
+
 class NoRos:
     """A ROS graph that has nothing in it, and takes nothing."""
 
@@ -117,14 +125,6 @@ class NoRos:
 
     def advertise(self, topic: str, type_name: str, type_hash: str, qos: Qos, origin: Hashable) -> Publisher:
         raise RosError("there is no ROS")
-
-
-_GID_LENGTH = 16
-_FLOOD_AT_ONCE = 16
-_QOS = Qos()
-_HASHES = {STRING: STRING_HASH, BATTERY_STATE: BATTERY_STATE_HASH}
-_BATTERY_LASTS, _CHARGED_AT = 900.0, 0.1
-"""s from a full battery to the charge at which it is changed for another."""
 
 
 class Talk(msgspec.Struct, frozen=True):
