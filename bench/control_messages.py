@@ -24,7 +24,7 @@ from rsb_bridge.engine import Engine
 from rsb_bridge.model.benchmark import TYPE, TYPE_HASH, Leave, bench_topic
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.model.session import Client, Session
-from rsb_bridge.ros.no_ros import NoRos
+from rsb_bridge.ros.stand_in import NoRos
 from rsb_bridge.wire.framing import CONTROL_LIMIT
 
 if TYPE_CHECKING:

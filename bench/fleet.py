@@ -21,7 +21,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from bench import bed
-from rsb_bridge.control.client import RemoteEngine
+from rsb_bridge.control.remote_engine import RemoteEngine
 from rsb_bridge.ros.stand_in import Talk
 from rsb_console.bench import loopback
 from rsb_console.bench.results import BenchError

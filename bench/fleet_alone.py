@@ -18,7 +18,7 @@ from rsb_console.fleet_app import FleetApp
 from rsb_console.widgets.fleet_table import FleetView
 
 if TYPE_CHECKING:
-    from rsb_bridge.control.client import RemoteEngine
+    from rsb_bridge.control.remote_engine import RemoteEngine
 
 COUNT = int(sys.argv[1])
 CHANGING = 0.5  # share of the robots in a refresh

@@ -12,7 +12,7 @@ import random
 from typing import TYPE_CHECKING, NamedTuple
 from unittest.mock import patch
 
-from rsb_bridge.ros.turns import RosTurns
+from rsb_bridge.ros.ros_thread import RosTurns
 from rsb_bridge.route import lease
 from rsb_bridge.route.lease import BEAT, Lease
 

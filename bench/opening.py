@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
     from rsb_bridge.model.session import Direction, Protocol, Role
-    from rsb_bridge.ros.api import RosInterface
+    from rsb_bridge.ros.ros_interface import RosInterface
 
 TOPICS = 500
 _DISCOVERED_WITHIN = 60.0

@@ -15,7 +15,7 @@ from rsb_bridge.ros.node import RosNode
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from rsb_bridge.ros.api import Request, Response
+    from rsb_bridge.ros.ros_interface import Request, Response
 
 
 def main() -> None:

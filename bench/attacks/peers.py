@@ -15,7 +15,7 @@ from tests.support.rogue import Rogue
 
 from rsb_bridge.model.limits import dds_ports
 from rsb_bridge.model.qos import Qos
-from rsb_bridge.ros.std_string import STRING_HASH
+from rsb_bridge.ros.known_messages import STRING_HASH
 from rsb_bridge.wire.framing import ZSTD
 from rsb_bridge.wire.messages import (
     Accept,

@@ -15,11 +15,9 @@ from rsb_bridge.model.demands import RunningDemands
 from rsb_bridge.model.operators import operator
 from rsb_bridge.model.snapshot import Level
 from rsb_bridge.ros.announcements import Announcements
-from rsb_bridge.ros.graph import SimilarTopics
-from rsb_bridge.ros.meant import Meant
 from rsb_bridge.ros.parameter_events import ParameterEvents
-from rsb_bridge.ros.type_checkers import TypeCheckers
-from rsb_bridge.ros.type_descriptions import TypeDescriptions
+from rsb_bridge.ros.ros_graph import Meant, SimilarTopics
+from rsb_bridge.ros.type_descriptions import TypeCheckers, TypeDescriptions
 from rsb_bridge.telemetry.event_log import RateLimitedEventLog
 from rsb_bridge.transport.registry import Transports, default_transports
 
@@ -29,8 +27,8 @@ if TYPE_CHECKING:
 
     from rsb_bridge.model.demands import Source
     from rsb_bridge.model.session import Armed, Session
-    from rsb_bridge.ros.api import RosInterface
-    from rsb_bridge.ros.queue import RosToLoopQueue
+    from rsb_bridge.ros.ros_interface import RosInterface
+    from rsb_bridge.ros.ros_thread import RosToLoopQueue
     from rsb_bridge.telemetry.event_log import About, EventLog
 
 

@@ -34,8 +34,8 @@ if TYPE_CHECKING:
     from rsb_bridge.api import EngineApi
     from rsb_bridge.config.session_file import SessionFile
     from rsb_bridge.control.bridges import RunningBridge
-    from rsb_bridge.control.client import RemoteEngine
-    from rsb_bridge.control.server import ControlServer
+    from rsb_bridge.control.control_server import ControlServer
+    from rsb_bridge.control.remote_engine import RemoteEngine
     from rsb_bridge.model.faults import FaultChange
     from rsb_bridge.model.session import Session
     from rsb_bridge.model.snapshot import RouteSnapshot

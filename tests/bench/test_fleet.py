@@ -20,16 +20,14 @@ from tests.support.waiting import eventually
 from rsb_bridge.cdr.decoder import decode
 from rsb_bridge.cdr.description import read_description
 from rsb_bridge.model.qos import Qos
-from rsb_bridge.ros.battery_state import BATTERY_STATE
-from rsb_bridge.ros.stamped import made_at, message
+from rsb_bridge.ros.known_messages import BATTERY_STATE, STRING, STRING_HASH, made_at, stamped_string, string_bytes
 from rsb_bridge.ros.stand_in import Metronome, StandIn, Talk
-from rsb_bridge.ros.std_string import STRING, STRING_HASH, string_bytes
 from rsb_console.bench.simulated_fleet import USUAL
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from rsb_bridge.ros.api import RawMessage
+    from rsb_bridge.ros.ros_interface import RawMessage
 
 ROOT = Path(__file__).parents[2]
 WITHIN = 90.0
@@ -75,10 +73,10 @@ def processes_of(folder: Path) -> list[str]:
 
 
 def test_a_message_of_the_stand_in_is_a_string_of_its_size_that_says_when_it_was_made() -> None:
-    first, second = message(200), message(200)
+    first, second = stamped_string(200), stamped_string(200)
     assert {len(string_bytes(each)) for each in (first, second)} == {200}
     assert 0 < made_at(first) <= made_at(second)
-    assert len(string_bytes(message(1))) == 20
+    assert len(string_bytes(stamped_string(1))) == 20
 
 
 def test_a_battery_of_the_stand_in_is_a_message_whose_charge_falls() -> None:

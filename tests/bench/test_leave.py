@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from rsb_bridge.config.clients import with_client
+from rsb_bridge.config.client_entries import with_client
 from rsb_bridge.config.rights import Use, rights_of_client, rights_of_server
 from rsb_bridge.config.validation import build, validate
 from rsb_bridge.link.link_bench import HOUR, BenchBudget

@@ -20,7 +20,7 @@ from rsb_bridge.model.benchmark import ENDED_BY_PEER, TYPE, TYPE_HASH, Leave, Or
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.model.session import Client, Session
 from rsb_bridge.model.snapshot import State
-from rsb_bridge.ros.no_ros import NoRos
+from rsb_bridge.ros.stand_in import NoRos
 from rsb_bridge.ros.synthetic import synthetic_of
 from rsb_bridge.wire.framing import MORE, ZSTD
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, cast
 from rsb_bridge.link.link_bench import LinkBench
 from rsb_bridge.model.benchmark import Leave, Order, bench_topic
 from rsb_bridge.model.qos import Qos
-from rsb_bridge.ros.no_ros import NoRos
+from rsb_bridge.ros.stand_in import NoRos
 from rsb_bridge.ros.synthetic import Synthetic, Time
 from rsb_bridge.wire.messages import BenchAnswer, BenchAsk
 

@@ -8,15 +8,14 @@ import pytest
 
 from rsb_bridge.model.benchmark import bench_topic
 from rsb_bridge.model.qos import Qos
-from rsb_bridge.ros.api import RosError
-from rsb_bridge.ros.no_ros import NoRos
-from rsb_bridge.ros.percentiles import percentiles
-from rsb_bridge.ros.synthetic import Drain, Source, Synthetic, Time
+from rsb_bridge.ros.ros_interface import RosError
+from rsb_bridge.ros.stand_in import NoRos
+from rsb_bridge.ros.synthetic import Drain, Source, Synthetic, Time, percentiles
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from rsb_bridge.ros.api import RawMessage
+    from rsb_bridge.ros.ros_interface import RawMessage
 
 TOPIC = bench_topic("tcp", "transmit")
 

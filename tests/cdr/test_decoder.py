@@ -28,7 +28,7 @@ from rsb_bridge.cdr.description import (
     read_description,
     text_of,
 )
-from rsb_bridge.ros.descriptions import installed_description
+from rsb_bridge.ros.rosidl_descriptions import installed_description
 from rsb_bridge.ros.typesupport import hash_of, installed_class
 
 if TYPE_CHECKING:

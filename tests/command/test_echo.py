@@ -16,7 +16,7 @@ from tests.console.scripted import NOW, SESSION, ScriptedEngine, route
 
 from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import PeekedMessage
-from rsb_bridge.ros.descriptions import installed_description
+from rsb_bridge.ros.rosidl_descriptions import installed_description
 from rsb_bridge.ros.typesupport import hash_of
 
 if TYPE_CHECKING:

@@ -17,7 +17,7 @@ from tests.support.bridge import carries, linked
 from tests.support.domain import text
 from tests.support.waiting import eventually
 
-from rsb_bridge.control import console
+from rsb_bridge.control import attached_console
 from rsb_bridge.model.calls import CallsSnapshot
 from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import Ledger, RouteSnapshot, State
@@ -148,7 +148,7 @@ def test_without_a_message_they_exit_with_1(ran: Any, engine: Running, name: str
 def test_an_older_bridge_that_has_no_counts_gives_no_wrong_figures(
     ran: Any, engine: Running, monkeypatch: pytest.MonkeyPatch, name: str
 ) -> None:
-    monkeypatch.setattr(console, "FEATURES", ())
+    monkeypatch.setattr(attached_console, "FEATURES", ())
     done = ran(name, "/scan", "--count", "1", "--json")
     assert done.code == 1
     (found,) = objects(done)

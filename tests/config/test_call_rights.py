@@ -8,9 +8,7 @@ from typing import Any
 import pytest
 
 from rsb_bridge.config.advice import advise
-from rsb_bridge.config.grants import typed_grants
-from rsb_bridge.config.rights import Rights, Use, rights_of_client, rights_of_server
-from rsb_bridge.config.rights_table import listings
+from rsb_bridge.config.rights import Rights, Use, listings, rights_of_client, rights_of_server, typed_grants
 from rsb_bridge.config.session_file import SessionError, dump, parse
 from rsb_bridge.link.proposals import use_of
 from rsb_bridge.model.session import Client, Grant, Session, Topic

@@ -6,8 +6,17 @@ from pathlib import Path
 import pytest
 from cryptography.fernet import Fernet
 
-from rsb_bridge.config.keys import Key, KeyFileError, fingerprint, generate, is_key, read_key, write_key
-from rsb_bridge.config.rotation import key_warnings, written
+from rsb_bridge.config.keys import (
+    Key,
+    KeyFileError,
+    fingerprint,
+    generate,
+    is_key,
+    key_warnings,
+    read_key,
+    write_key,
+    written,
+)
 
 DAY = 86400
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from rsb_bridge.config.moving import moves_a_robot, without_max_age
+from rsb_bridge.config.advice import moves_a_robot, without_max_age
 from rsb_bridge.model.session import Client, Session, Topic
 
 

@@ -7,8 +7,7 @@ from typing import Any
 
 import pytest
 
-from rsb_bridge.config.grants import GrantError, typed_grants
-from rsb_bridge.config.rights import Rights, Use, rights_of_client, rights_of_server
+from rsb_bridge.config.rights import GrantError, Rights, Use, rights_of_client, rights_of_server, typed_grants
 from rsb_bridge.config.session_file import SessionError, dump, parse
 from rsb_bridge.config.validation import validate
 from rsb_bridge.model.session import Client, Grant, Session, Topic

@@ -18,7 +18,7 @@ from tests.support.waiting import eventually
 from textual.pilot import Pilot
 
 from rsb_bridge.config.session_file import save
-from rsb_bridge.control import bridges, console
+from rsb_bridge.control import attached_console, bridges
 from rsb_bridge.model.session import Topic
 from rsb_console.actions import Group
 from rsb_console.app import ConsoleApp
@@ -64,7 +64,7 @@ def test_it_shows_what_the_engine_shows_and_does_what_the_operator_wants(
 def test_what_an_older_bridge_cannot_do_is_told_and_the_console_stays_attached(
     machine: Machine, engine: ScriptedEngine, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(console, "FEATURES", ())
+    monkeypatch.setattr(attached_console, "FEATURES", ())
     app = attached_app(machine)
 
     async def steps(pilot: Pilot[None]) -> None:

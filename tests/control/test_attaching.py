@@ -17,8 +17,8 @@ from tests.console.scripted import EVENTS, ScriptedEngine, route
 from tests.support.waiting import eventually
 
 from rsb_bridge.api import EngineError
-from rsb_bridge.control import bridges, client, console, folders, protocol
-from rsb_bridge.control.client import RemoteEngine
+from rsb_bridge.control import attached_console, bridges, control_sockets, protocol, remote_engine
+from rsb_bridge.control.remote_engine import RemoteEngine
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.session import Client, Topic
 from rsb_bridge.model.snapshot import Event, Level, State
@@ -226,7 +226,7 @@ def test_a_bridge_that_hangs_is_not_called_ok(machine: Machine, monkeypatch: pyt
     engine = Hanging()
     machine.serve(engine)
     remote = machine.attach()
-    monkeypatch.setattr(client, "ANSWERS_WITHIN", 0.5)
+    monkeypatch.setattr(remote_engine, "ANSWERS_WITHIN", 0.5)
     engine.goes_on.clear()
     eventually(lambda: not remote.snapshot().running)
     assert "has not answered for" in remote.unreachable
@@ -253,7 +253,7 @@ def test_many_attach_and_one_too_many_is_told_so(machine: Machine) -> None:
 def test_another_version_is_told_who_is_older(machine: Machine, monkeypatch: pytest.MonkeyPatch) -> None:
     machine.serve()
     sent = protocol.Hello(protocol.VERSION + 1, "9.0.0")
-    with folders.connect(machine.folder / "robot1.sock", 60.0) as connection:
+    with control_sockets.connect(machine.folder / "robot1.sock", 60.0) as connection:
         connection.sendall(protocol.encode(sent))
         (answer,) = protocol.frames_to_console().feed(connection.recv(1000))
     assert isinstance(answer, protocol.Refused)
@@ -268,7 +268,7 @@ def test_another_version_is_told_who_is_older(machine: Machine, monkeypatch: pyt
 def test_what_is_no_console_is_cut_off(machine: Machine, sent: bytes) -> None:
     machine.serve()
     with (
-        folders.connect(machine.folder / "robot1.sock", 60.0) as connection,
+        control_sockets.connect(machine.folder / "robot1.sock", 60.0) as connection,
         contextlib.suppress(ConnectionError),  # it is cut off before it has said all
     ):
         connection.sendall(sent)
@@ -277,9 +277,9 @@ def test_what_is_no_console_is_cut_off(machine: Machine, sent: bytes) -> None:
 
 
 def test_who_says_nothing_is_cut_off(machine: Machine, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(console, "_HELLO_WITHIN", 0.0)
+    monkeypatch.setattr(attached_console, "_HELLO_WITHIN", 0.0)
     machine.serve()
-    with folders.connect(machine.folder / "robot1.sock", 60.0) as connection:
+    with control_sockets.connect(machine.folder / "robot1.sock", 60.0) as connection:
         assert connection.recv(1000) == b""
 
 
@@ -287,7 +287,7 @@ class Stalled:
     """A console that asks for everything and reads nothing."""
 
     def __init__(self, machine: Machine) -> None:
-        self.connection = folders.connect(machine.folder / "robot1.sock", 60.0)
+        self.connection = control_sockets.connect(machine.folder / "robot1.sock", 60.0)
         self.connection.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
         for message in (protocol.Hello(protocol.VERSION, "0.1.0"), protocol.Look(), protocol.Follow(0)):
             self.connection.sendall(protocol.encode(message))
@@ -327,7 +327,7 @@ def test_a_console_that_takes_nothing_for_long_is_given_up(machine: Machine, mon
     machine.serve(Busy())
     with Stalled(machine).connection:
         eventually(lambda: consoles(machine) == 1)
-        monkeypatch.setattr(console, "_STALLED_FOR", 0.5)
+        monkeypatch.setattr(attached_console, "_STALLED_FOR", 0.5)
         eventually(lambda: consoles(machine) == 0)
 
 
@@ -345,7 +345,7 @@ def test_a_connection_that_comes_while_the_server_closes_is_closed(machine: Mach
     """Python tells of what is left open when its memory is collected, which makes a test fail."""
     for _ in range(20):
         served = machine.serve()
-        folders.connect(machine.folder / "robot1.sock", 5.0).close()
+        control_sockets.connect(machine.folder / "robot1.sock", 5.0).close()
         served.close()
     gc.collect()
 
@@ -373,12 +373,12 @@ def test_an_attachment_that_is_cancelled_leaves_no_socket_open(machine: Machine,
 
 
 def test_a_bridge_that_accepts_nobody_does_not_answer(machine: Machine, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(client, "ANSWERS_WITHIN", 0.2)
+    monkeypatch.setattr(remote_engine, "ANSWERS_WITHIN", 0.2)
     machine.folder.mkdir(mode=0o700)
     with socket.socket(socket.AF_UNIX) as busy, contextlib.ExitStack() as waiting:
         busy.bind(str(machine.folder / "robot1.sock"))
         busy.listen(0)
-        while (connection := folders.try_connect(machine.folder / "robot1.sock")) is not None:
+        while (connection := control_sockets.try_connect(machine.folder / "robot1.sock")) is not None:
             waiting.enter_context(connection)
         with pytest.raises(EngineError, match="does not answer"):
             RemoteEngine(machine.folder / "robot1.sock").start()

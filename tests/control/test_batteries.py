@@ -12,18 +12,18 @@ from tests.console.scripted import NOW, route
 from tests.support.fleet import ServerEngine
 
 from rsb_bridge.api import EngineError
-from rsb_bridge.control.batteries import AT_ONCE, EVERY, Batteries
+from rsb_bridge.control.summaries import BATTERIES_AT_ONCE, BATTERY_EVERY, Batteries
 from rsb_bridge.model.robot_summary import Battery
 from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import PeekedMessage, State
-from rsb_bridge.ros.battery_state import BATTERY_STATE
+from rsb_bridge.ros.known_messages import BATTERY_STATE
 
 pytest.importorskip("rclpy", reason="needs ROS 2")
 
 from rclpy.serialization import serialize_message
 from sensor_msgs.msg import BatteryState
 
-from rsb_bridge.ros.descriptions import installed_description
+from rsb_bridge.ros.rosidl_descriptions import installed_description
 from rsb_bridge.ros.typesupport import hash_of
 
 if TYPE_CHECKING:
@@ -77,12 +77,12 @@ def test_a_battery_is_read_and_looked_at_again_later() -> None:
     assert engine.tick(one, at=1) == {}  # its type is asked for first
     engine.describes()
     assert engine.tick(one, at=2) == {"robot1": Battery(0.75, NOW)}
-    engine.tick(one, at=EVERY - 1)
+    engine.tick(one, at=BATTERY_EVERY - 1)
     assert engine.asked == [(one.key, True)]  # whoever comes late wants what is kept
-    engine.tick(one, at=EVERY)
+    engine.tick(one, at=BATTERY_EVERY)
     assert engine.asked[1:] == [(one.key, False)]
-    engine.waiting[one.key].set_result(battery(0.5, NOW + EVERY))
-    assert engine.tick(one, at=EVERY + 1) == {"robot1": Battery(0.5, NOW + EVERY)}
+    engine.waiting[one.key].set_result(battery(0.5, NOW + BATTERY_EVERY))
+    assert engine.tick(one, at=BATTERY_EVERY + 1) == {"robot1": Battery(0.5, NOW + BATTERY_EVERY)}
     assert len(engine.descriptions) == 1
 
 
@@ -122,14 +122,14 @@ def test_a_battery_among_other_names() -> None:
 
 def test_not_all_robots_at_once() -> None:
     engine = LookedAt()
-    routes = [topic_of(f"robot{number}") for number in range(AT_ONCE + 3)]
+    routes = [topic_of(f"robot{number}") for number in range(BATTERIES_AT_ONCE + 3)]
     engine.tick(*routes)
-    assert len(engine.asked) == AT_ONCE
+    assert len(engine.asked) == BATTERIES_AT_ONCE
     for future in engine.waiting.values():
         future.set_result(None)  # nothing was published
     engine.tick(*routes, at=1)
-    assert len(engine.asked) == AT_ONCE + 3
-    assert len({key for key, _ in engine.asked}) == AT_ONCE + 3
+    assert len(engine.asked) == BATTERIES_AT_ONCE + 3
+    assert len({key for key, _ in engine.asked}) == BATTERIES_AT_ONCE + 3
 
 
 def test_no_answer_harms_nobody() -> None:
@@ -137,16 +137,16 @@ def test_no_answer_harms_nobody() -> None:
     engine.tick(one)
     engine.waiting[one.key].set_exception(EngineError("32 look already"))
     assert engine.tick(one, at=1) == {}
-    engine.tick(one, at=EVERY)
+    engine.tick(one, at=BATTERY_EVERY)
     engine.waiting[one.key].set_result(battery(0.5))
-    engine.tick(one, at=EVERY + 1)
+    engine.tick(one, at=BATTERY_EVERY + 1)
     engine.descriptions[-1].set_exception(EngineError("its type is not known"))
-    assert engine.tick(one, at=EVERY + 2) == {}
-    engine.tick(one, at=2 * EVERY)
+    assert engine.tick(one, at=BATTERY_EVERY + 2) == {}
+    engine.tick(one, at=2 * BATTERY_EVERY)
     engine.waiting[one.key].set_result(battery(0.5))
-    engine.tick(one, at=2 * EVERY + 1)
+    engine.tick(one, at=2 * BATTERY_EVERY + 1)
     engine.descriptions[-1].set_result("no description")
-    assert engine.tick(one, at=2 * EVERY + 2) == {}
+    assert engine.tick(one, at=2 * BATTERY_EVERY + 2) == {}
 
 
 def test_a_battery_that_is_gone_has_no_figure() -> None:
@@ -166,5 +166,5 @@ def test_a_clock_that_is_set_back_delays_no_look() -> None:
     engine.tick(one, at=-3600.0)
     assert len(engine.asked) == 2
     engine.waiting[one.key].set_result(None)
-    engine.tick(one, at=EVERY - 3601.0)
+    engine.tick(one, at=BATTERY_EVERY - 3601.0)
     assert len(engine.asked) == 2

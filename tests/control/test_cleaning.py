@@ -15,7 +15,7 @@ from tests.support.waiting import eventually
 
 from rsb_bridge.api import EngineError
 from rsb_bridge.control import protocol
-from rsb_bridge.control.cleaning import MOST_ITEMS, ROUTE_BYTES, TEXT, Doubted, check_routes, clean
+from rsb_bridge.control.cleaning import MOST_ITEMS, ROUTE_BYTES, TEXT, UntrustedMessages, check_routes, clean
 from rsb_bridge.control.protocol import BridgeInfo, ProtocolError, ToConsole
 from rsb_bridge.control.states import Receiver
 from rsb_bridge.model.snapshot import Event, Level, RouteSnapshot
@@ -124,21 +124,21 @@ def test_too_much_is_refused() -> None:
         clean(protocol.State(keys=("a",) * (MOST_ITEMS + 1)))
     with pytest.raises(ProtocolError):
         check_routes([msgspec.Raw(b"x" * (ROUTE_BYTES + 1))])
-    doubted = Doubted(0.0)
+    untrusted = UntrustedMessages(0.0)
     events = protocol.Events(EVENTS[:1] * protocol.EVENTS_AT_ONCE)
     for _ in range(KEPT // protocol.EVENTS_AT_ONCE):
-        doubted(events, 0.0)
+        untrusted(events, 0.0)
 
     def tell_for_long() -> None:
         for _ in range(KEPT):
-            doubted(events, 0.0)
+            untrusted(events, 0.0)
 
     with pytest.raises(ProtocolError):
         tell_for_long()
 
 
 def test_routes_that_are_never_listed_are_bounded() -> None:
-    receiver = Receiver(BRIDGE, believed=False)
+    receiver = Receiver(BRIDGE, trusted=False)
     for first in range(0, MOST_ITEMS, 1000):
         assert not receiver.take(some_routes(first))
     with pytest.raises(ProtocolError):
@@ -156,7 +156,7 @@ def test_a_route_twice_is_refused() -> None:
         routes=(protocol.encode_route(ROUTES[0]),), keys=(ROUTES[0].key,) * 2, links=(LINK,), session=SESSION
     )
     with pytest.raises(ProtocolError):
-        Receiver(BRIDGE, believed=False).take(state)
+        Receiver(BRIDGE, trusted=False).take(state)
 
 
 def test_a_robot_that_was_taken_over_does_nothing_to_an_attached_console(machine: Machine) -> None:

@@ -25,14 +25,14 @@ if TYPE_CHECKING:
     from tests.support.control import Machine
     from tests.support.domain import Domain
 
-    from rsb_bridge.control.client import RemoteEngine
+    from rsb_bridge.control.remote_engine import RemoteEngine
 
 pytest.importorskip("rclpy", reason="needs ROS 2")
 
 WATCHES = """
 import sys, time
 from pathlib import Path
-from rsb_bridge.control.client import RemoteEngine
+from rsb_bridge.control.remote_engine import RemoteEngine
 remote = RemoteEngine(Path(sys.argv[1]))
 remote.start()
 print("attached", flush=True)

@@ -10,8 +10,7 @@ import pytest
 from tests.console.scripted import LINK, SESSION, ScriptedEngine, route
 
 from rsb_bridge.api import EngineError
-from rsb_bridge.control import client, console, folders, protocol
-from rsb_bridge.control.commands import AddTopic, ChangeClient, Command, EditTopic
+from rsb_bridge.control import attached_console, control_sockets, protocol, remote_engine
 from rsb_bridge.control.features import (
     ACKNOWLEDGE,
     COMMANDS,
@@ -22,7 +21,7 @@ from rsb_bridge.control.features import (
     with_unknown_kept,
     without_unknown,
 )
-from rsb_bridge.control.protocol import State, decode_route
+from rsb_bridge.control.protocol import AddTopic, ChangeClient, Command, EditTopic, State, decode_route
 from rsb_bridge.model.benchmark import Leave
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.model.session import Client, Grant, Operator, Session, Topic, ZenohSettings
@@ -34,7 +33,7 @@ if TYPE_CHECKING:
 
     from tests.support.control import Machine
 
-    from rsb_bridge.control.client import RemoteEngine
+    from rsb_bridge.control.remote_engine import RemoteEngine
 
 FIRST_COMMANDS = {
     "add", "add_client", "arm", "bench", "call", "change_client", "describe", "disarm", "edit", "history", "keep_armed",
@@ -83,7 +82,7 @@ def test_each_new_command_and_field_has_a_feature() -> None:
 @pytest.fixture
 def older(machine: Machine, monkeypatch: pytest.MonkeyPatch) -> tuple[ScriptedEngine, RemoteEngine]:
     """A bridge that names no features, and a console that is attached to it."""
-    monkeypatch.setattr(console, "FEATURES", ())
+    monkeypatch.setattr(attached_console, "FEATURES", ())
     engine = ScriptedEngine()
     machine.serve(engine)
     return engine, machine.attach()
@@ -122,11 +121,11 @@ def test_what_an_older_bridge_does_not_know_is_not_sent_to_it(older: tuple[Scrip
 
 
 def test_the_version_is_named_if_it_differs(machine: Machine, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(console, "FEATURES", ())
+    monkeypatch.setattr(attached_console, "FEATURES", ())
     machine.serve()
     remote = machine.attach()
     assert remote.bridge.program not in str(remote.lacks(ACKNOWLEDGE))
-    monkeypatch.setattr(client, "__version__", "9.0.0")
+    monkeypatch.setattr(remote_engine, "__version__", "9.0.0")
     assert remote.bridge.program in str(remote.lacks(ACKNOWLEDGE))
 
 
@@ -176,7 +175,7 @@ class Greeted:
 
     def __init__(self, machine: Machine, hello: bytes) -> None:
         self.heard = b""
-        with folders.connect(machine.folder / "robot1.sock", 60.0) as connection:
+        with control_sockets.connect(machine.folder / "robot1.sock", 60.0) as connection:
             connection.sendall(hello + protocol.encode(protocol.Look()))
             frames, self.messages = protocol.frames_to_console(), list[Any]()
             while not any(isinstance(each, State) for each in self.messages):

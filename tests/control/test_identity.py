@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from rsb_bridge.control.identity import identify
+from rsb_bridge.control.control_sockets import identify
 
 ME = pwd.getpwuid(os.getuid()).pw_name
 _NAMED_TO_DECEIVE = "4711 (x) R 1 1 1 1025 1"

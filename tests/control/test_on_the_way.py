@@ -10,8 +10,8 @@ from tests.support.operators import ANNA, Reachable
 from tests.support.waiting import eventually
 
 from rsb_bridge.api import EngineError
-from rsb_bridge.control.folders import ControlError
-from rsb_bridge.control.sealed_way import Sealed
+from rsb_bridge.control.control_sockets import ControlError
+from rsb_bridge.control.sealed import OperatorConnector
 from rsb_bridge.model.codes import EventCode
 
 if TYPE_CHECKING:
@@ -126,4 +126,4 @@ def test_what_ends_a_connection_before_the_answer_is_said() -> None:
         protocol.connection_lost(OSError("the other side has left"))
 
     with pytest.raises(ControlError, match="the other side has left"):
-        asyncio.run(Sealed(connect, "anna", ANNA, "robot1").open(60.0))
+        asyncio.run(OperatorConnector(connect, "anna", ANNA, "robot1").open(60.0))

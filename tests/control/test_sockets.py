@@ -15,10 +15,10 @@ import msgspec
 import pytest
 from tests.console.scripted import SESSION, ScriptedEngine
 
-from rsb_bridge.control import bridges, folders
+from rsb_bridge.control import bridges, control_sockets
 from rsb_bridge.control.bridges import AlreadyRunningError
-from rsb_bridge.control.client import RemoteEngine
-from rsb_bridge.control.folders import ControlError, Listener, StrangerError, TakenError
+from rsb_bridge.control.control_sockets import ControlError, Listener, StrangerError, TakenError
+from rsb_bridge.control.remote_engine import RemoteEngine
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 as_root = pytest.mark.skipif(os.geteuid() != 0, reason="needs root, to be somebody else")
 NOBODY = 65534
-FALLBACK = folders._fallback_folder
+FALLBACK = control_sockets._fallback_folder
 LISTENS = """
 import socket, sys
 listener = socket.socket(socket.AF_UNIX)
@@ -121,7 +121,7 @@ def test_roots_console_does_not_trust_another_users_process(monkeypatch: pytest.
         assert refused.value.uid == SOMEBODY
         with pytest.raises(StrangerError):
             RemoteEngine(path).start()
-        monkeypatch.setattr(folders, "SERVICES", path.parent)
+        monkeypatch.setattr(control_sockets, "SERVICES", path.parent)
         assert bridges.ask(path).info is not None
         os.chown(path.parent, NOBODY, NOBODY)
         with pytest.raises(StrangerError):
@@ -133,20 +133,20 @@ def test_roots_console_does_not_trust_another_users_process(monkeypatch: pytest.
 def test_root_does_not_look_into_a_folder_that_another_user_has_made(machine: Machine) -> None:
     """Anybody can make /tmp/rsb-console-0 before root does."""
     machine.serve()
-    assert folders.find_sockets(machine.environ)
-    assert folders.hidden_bridges(machine.environ) is None
+    assert control_sockets.find_sockets(machine.environ)
+    assert control_sockets.hidden_bridges(machine.environ) is None
     os.chown(machine.folder, SOMEBODY, SOMEBODY)
-    assert not folders.find_sockets(machine.environ)
-    assert folders.hidden_bridges(machine.environ) == SOMEBODY
+    assert not control_sockets.find_sockets(machine.environ)
+    assert control_sockets.hidden_bridges(machine.environ) == SOMEBODY
     os.chown(machine.folder, 0, 0)
 
 
 @as_root
 def test_a_console_does_not_trust_another_users_process(monkeypatch: pytest.MonkeyPatch, machine: Machine) -> None:
     machine.serve()
-    monkeypatch.setattr(folders, "peer_of", lambda _: (1, NOBODY, NOBODY))
+    monkeypatch.setattr(control_sockets, "peer_of", lambda _: (1, NOBODY, NOBODY))
     monkeypatch.setattr(os, "geteuid", lambda: 1234)
-    monkeypatch.setattr(folders, "_folder_problem", lambda *_, **__: "")
+    monkeypatch.setattr(control_sockets, "_folder_problem", lambda *_, **__: "")
     with pytest.raises(StrangerError):
         bridges.ask(machine.folder / "robot1.sock")
 
@@ -255,13 +255,13 @@ def test_any_name_of_a_session_makes_a_socket(machine: Machine, name: str) -> No
 
 
 def test_where_sockets_are(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(folders, "_fallback_folder", FALLBACK)  # for the tests it is another
+    monkeypatch.setattr(control_sockets, "_fallback_folder", FALLBACK)  # for the tests it is another
     fallback = Path(f"/tmp/rsb-console-{os.geteuid()}")
-    assert folders.serving_folder({}) == fallback
-    assert folders.serving_folder({"XDG_RUNTIME_DIR": "/run/user/7"}) == Path("/run/user/7/rsb-console")
+    assert control_sockets.serving_folder({}) == fallback
+    assert control_sockets.serving_folder({"XDG_RUNTIME_DIR": "/run/user/7"}) == Path("/run/user/7/rsb-console")
     service = {"XDG_RUNTIME_DIR": "/run/user/7", "RUNTIME_DIRECTORY": "/run/rsb-console"}
-    assert folders.serving_folder(service) == Path("/run/rsb-console")
+    assert control_sockets.serving_folder(service) == Path("/run/rsb-console")
     for environ in ({}, service):
-        assert {fallback, folders.SERVICES} <= set(folders.searched_folders(environ))
-    isolated = {"XDG_RUNTIME_DIR": "/run/user/7", folders.ISOLATED: "1"}
-    assert folders.searched_folders(isolated) == [Path("/run/user/7/rsb-console")]
+        assert {fallback, control_sockets.SERVICES} <= set(control_sockets.searched_folders(environ))
+    isolated = {"XDG_RUNTIME_DIR": "/run/user/7", control_sockets.ISOLATED: "1"}
+    assert control_sockets.searched_folders(isolated) == [Path("/run/user/7/rsb-console")]

@@ -16,7 +16,7 @@ from tests.support.waiting import eventually
 from tests.wire.links import make_client
 
 from rsb_bridge.config.keys import Key
-from rsb_bridge.control import commands, console, sealed
+from rsb_bridge.control import attached_console, protocol, sealed
 from rsb_bridge.control.protocol import CONSOLES, Failed, Hello, Look, Refused, Request, encode
 from rsb_bridge.model.benchmark import Order
 from rsb_bridge.model.codes import EventCode
@@ -30,36 +30,36 @@ if TYPE_CHECKING:
 
     from tests.support.control import Machine
 
-    from rsb_bridge.config.operators import Granted
+    from rsb_bridge.config.granted_operators import Granted
 
 TOPIC = Topic("/scan", "transmit")
-CHANGES: tuple[commands.Command, ...] = (
-    commands.AddTopic(TOPIC),
-    commands.EditTopic("key", TOPIC),
-    commands.RemoveTopic("key"),
-    commands.Pause("key", paused=True),
-    commands.Acknowledge("key"),
-    commands.ArmTopic("key"),
-    commands.DisarmTopic("key"),
-    commands.AddClient(Client("robot2")),
-    commands.ChangeClient(Client("robot2")),
-    commands.RemoveClient("robot2"),
-    commands.Call("key", "{}"),
-    commands.Retry(),
-    commands.ShutDown(),
-    commands.Restart(),
-    commands.Reload(),
-    commands.Stop(),
+CHANGES: tuple[protocol.Command, ...] = (
+    protocol.AddTopic(TOPIC),
+    protocol.EditTopic("key", TOPIC),
+    protocol.RemoveTopic("key"),
+    protocol.Pause("key", paused=True),
+    protocol.Acknowledge("key"),
+    protocol.ArmTopic("key"),
+    protocol.DisarmTopic("key"),
+    protocol.AddClient(Client("robot2")),
+    protocol.ChangeClient(Client("robot2")),
+    protocol.RemoveClient("robot2"),
+    protocol.Call("key", "{}"),
+    protocol.Retry(),
+    protocol.ShutDown(),
+    protocol.Restart(),
+    protocol.Reload(),
+    protocol.Stop(),
 )
 
 
 @pytest.mark.parametrize("read_only", [True, False])
 def test_who_may_look_is_refused_every_change_whatever_their_console_says(machine: Machine, read_only: bool) -> None:
-    assert {type(each) for each in CHANGES} == set(commands.CHANGING)
+    assert {type(each) for each in CHANGES} == set(protocol.CHANGING)
     robot = Reachable(machine)
     with Stranger(robot.port, "bob", BOB) as bob:
         bob.attach(read_only=read_only)
-        for number, command in enumerate((*CHANGES, commands.Bench(Order()))):
+        for number, command in enumerate((*CHANGES, protocol.Bench(Order()))):
             bob.say(Request(number, command))
             answer = bob.answer()
             assert isinstance(answer, Failed)
@@ -221,7 +221,7 @@ class Stalled:
 
 
 def test_an_operator_who_takes_nothing_is_given_up(machine: Machine, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(console, "_STALLED_FOR", 0.5)
+    monkeypatch.setattr(attached_console, "_STALLED_FOR", 0.5)
     robot = Reachable(machine)
     stream, anna = Stalled(), Stranger(robot.port)
 

@@ -10,11 +10,11 @@ import pytest
 from tests.support.operators import BOB, Reachable
 from tests.support.virtual_time import virtual_loop
 
-from rsb_bridge.control import protocol, watching
-from rsb_bridge.control.console import Console
-from rsb_bridge.control.folders import ControlError
+from rsb_bridge.control import protocol, summaries
+from rsb_bridge.control.attached_console import Console
+from rsb_bridge.control.control_sockets import ControlError
 from rsb_bridge.control.protocol import VERSION, BridgeInfo, Hello, Summary, Watch, Welcome, encode
-from rsb_bridge.control.watching import watch
+from rsb_bridge.control.summaries import watch
 from rsb_bridge.control.ways import UnixSocket
 from rsb_bridge.model.robot_summary import SUMMARY_BYTES
 
@@ -109,7 +109,7 @@ def test_figures_come_by_every_way(machine: Machine, monkeypatch: pytest.MonkeyP
 
 
 def test_a_bridge_that_makes_no_figures_does_not_answer(machine: Machine, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(watching, "_SILENT_FOR", 0.2)
+    monkeypatch.setattr(summaries, "_SILENT_FOR", 0.2)
     robot = Reachable(machine)
     with pytest.raises(ControlError, match="does not answer"):
         seen(robot.way(), 1)

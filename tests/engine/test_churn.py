@@ -15,8 +15,8 @@ from rsb_bridge.config.keys import write_key
 from rsb_bridge.engine import Engine
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.model.session import Client, Session, Topic
-from rsb_bridge.ros.api import Endpoint, RawMessage
-from rsb_bridge.ros.no_ros import NoRos
+from rsb_bridge.ros.ros_interface import Endpoint, RawMessage
+from rsb_bridge.ros.stand_in import NoRos
 from rsb_bridge.wire import sealing
 
 if TYPE_CHECKING:

@@ -18,7 +18,7 @@ from tests.support.rogue import Rogue
 from tests.support.waiting import eventually
 
 from rsb_bridge.config.keys import read_key
-from rsb_bridge.control.client import RemoteEngine
+from rsb_bridge.control.remote_engine import RemoteEngine
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.model.session import Client, Topic

@@ -19,7 +19,7 @@ from tests.support.waiting import eventually, holds
 
 from rsb_bridge.engine.io_loop import IoLoop
 from rsb_bridge.model.session import Topic
-from rsb_bridge.ros.queue import RosToLoopQueue
+from rsb_bridge.ros.ros_thread import RosToLoopQueue
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence

@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     from tests.support.fibonacci import FibonacciServer
 
     from rsb_bridge.api import EngineApi
-    from rsb_bridge.ros.api import Request, ServiceServer
+    from rsb_bridge.ros.ros_interface import Request, ServiceServer
 
 EIGHT = bytes.fromhex("00 01 00 00 00 00 00 10")
 """A sequence of 2^28 elements, and none of them."""

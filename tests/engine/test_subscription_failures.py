@@ -12,7 +12,7 @@ from tests.support.waiting import eventually
 
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.session import Topic
-from rsb_bridge.ros.api import RosError
+from rsb_bridge.ros.ros_interface import RosError
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

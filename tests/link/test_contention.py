@@ -12,7 +12,7 @@ from rsb_bridge.link.proposals import proposal_of
 from rsb_bridge.model.profiles import PLAIN
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.model.session import Topic
-from rsb_bridge.ros.api import RawMessage
+from rsb_bridge.ros.ros_interface import RawMessage
 from rsb_bridge.route.ledger import RouteLedger
 from rsb_bridge.route.sending import Sending
 from rsb_bridge.route.thinning import Share, Thinning, Traffic

@@ -11,9 +11,9 @@ from tests.support.slices import finish
 
 from rsb_bridge.link.topic_lists import TopicLists
 from rsb_bridge.model.qos import Qos
-from rsb_bridge.ros.api import Endpoint
-from rsb_bridge.ros.graph_entries import MOST_ENTRIES
-from rsb_bridge.ros.no_ros import NoRos
+from rsb_bridge.ros.ros_graph import MOST_ENTRIES
+from rsb_bridge.ros.ros_interface import Endpoint
+from rsb_bridge.ros.stand_in import NoRos
 from rsb_bridge.wire.codec import decode_in_parts, encode
 from rsb_bridge.wire.framing import CONTROL_LIMIT
 from rsb_bridge.wire.messages import ListTopics, TopicList

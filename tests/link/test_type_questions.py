@@ -13,7 +13,7 @@ from rsb_bridge.cdr.description import text_of as text_of_description
 from rsb_bridge.link.errors import LinkError
 from rsb_bridge.link.questions import TypeQuestions
 from rsb_bridge.ros import type_descriptions
-from rsb_bridge.ros.api import RosError
+from rsb_bridge.ros.ros_interface import RosError
 from rsb_bridge.ros.type_descriptions import TypeDescriptions
 from rsb_bridge.wire.messages import AskType, TypeText
 

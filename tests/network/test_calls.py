@@ -10,7 +10,7 @@ from tests.calls.ledgers import AT_ONCE, balanced, counts, settled
 from tests.network.hosts import Cable
 from tests.support.waiting import eventually
 
-from rsb_bridge.control.client import RemoteEngine
+from rsb_bridge.control.remote_engine import RemoteEngine
 from rsb_bridge.model.codes import EventCode
 
 if TYPE_CHECKING:

@@ -10,6 +10,8 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
+from rsb_bridge.ros import raw_types
+
 os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"  # read by each context that joins a domain
 
 from rclpy.context import Context
@@ -17,8 +19,6 @@ from rclpy.executors import MultiThreadedExecutor
 from rclpy.node import Node
 from tests.ros.domains import DOMAIN
 from tests.support.participants import KnownNode, join
-
-from rsb_bridge.ros import service_types
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -61,7 +61,7 @@ def way(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> str:
     """How calls of installed types are carried: as here, or as with another middleware; none comes as a wheel."""
     name: str = request.param
     if name == "typed":
-        monkeypatch.setattr(service_types, "why_not_raw", lambda: "this is another middleware")
+        monkeypatch.setattr(raw_types, "why_not_raw", lambda: "this is another middleware")
     return name
 
 

@@ -12,18 +12,17 @@ from tests.support.offline import loop
 
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.model.sources import ANNOUNCEMENT_TOPIC, MOST_BRIDGES
-from rsb_bridge.ros.announcements import Announcements
-from rsb_bridge.ros.api import Endpoint, RawMessage, RosError
-from rsb_bridge.ros.no_ros import NoRos
-from rsb_bridge.ros.own_announcement import LONGEST, Origin
-from rsb_bridge.ros.std_string import serialize_string, string_bytes
+from rsb_bridge.ros.announcements import LONGEST, Announcements, Origin
+from rsb_bridge.ros.known_messages import serialize_string, string_bytes
+from rsb_bridge.ros.ros_interface import Endpoint, RawMessage, RosError
+from rsb_bridge.ros.stand_in import NoRos
 
 if TYPE_CHECKING:
     from collections.abc import Hashable
 
     from tests.support.virtual_time import VirtualLoop
 
-    from rsb_bridge.ros.api import OnFailure, Sink
+    from rsb_bridge.ros.ros_interface import OnFailure, Sink
 
 __all__ = ["loop"]
 

@@ -10,9 +10,9 @@ import pytest
 from tests.ros.domains import ANOTHER
 
 from rsb_bridge.model.qos import Qos
-from rsb_bridge.ros.api import RosError
 from rsb_bridge.ros.node import RosNode
 from rsb_bridge.ros.rcl import Participant
+from rsb_bridge.ros.ros_interface import RosError
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -72,7 +72,7 @@ def test_what_rcl_refuses_is_said() -> None:
 def test_without_rclpy_it_says_how_to_get_it() -> None:
     program = (
         "import sys; sys.modules['rclpy'] = None\n"
-        "from rsb_bridge.ros.api import RosError\n"
+        "from rsb_bridge.ros.ros_interface import RosError\n"
         "from rsb_bridge.ros.node import RosNode\n"
         "try: RosNode(20, 'robot1').start()\n"
         "except RosError as error: print(error)"

@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 from rsb_bridge.model.qos import Qos
-from rsb_bridge.ros import heap
-from rsb_bridge.ros.api import RosError
+from rsb_bridge.ros import node
+from rsb_bridge.ros.ros_interface import RosError
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -113,9 +113,9 @@ def test_a_publisher_is_not_freed_while_it_publishes(open_node: Callable[..., Ro
 
 
 def test_free_memory_goes_back_to_the_kernel(monkeypatch: pytest.MonkeyPatch, eventually: Callable[..., Any]) -> None:
-    monkeypatch.setattr(heap, "_EVERY", 0.05)
+    monkeypatch.setattr(node, "_HEAP_TRIMMED_EVERY", 0.05)
     threads = threading.active_count()
-    with heap.large_blocks_kept():
+    with node.large_blocks_kept():
         blocks = [b"x" * (6 << 20) for _ in range(8)]
         most = _resident()
         blocks.clear()
@@ -124,9 +124,9 @@ def test_free_memory_goes_back_to_the_kernel(monkeypatch: pytest.MonkeyPatch, ev
 
 
 def test_another_c_library_is_left_alone(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("rsb_bridge.ros.heap.ctypes.CDLL", lambda _: object())
+    monkeypatch.setattr("rsb_bridge.ros.node.ctypes.CDLL", lambda _: object())
     before = threading.active_count()
-    with heap.large_blocks_kept():
+    with node.large_blocks_kept():
         assert threading.active_count() <= before
 
 

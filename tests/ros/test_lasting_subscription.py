@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING
 import pytest
 from tests.support.virtual_time import virtual_loop
 
-from rsb_bridge.ros.api import RosError
 from rsb_bridge.ros.lasting_subscription import LastingSubscription
+from rsb_bridge.ros.ros_interface import RosError
 
 if TYPE_CHECKING:
-    from rsb_bridge.ros.api import OnFailure
+    from rsb_bridge.ros.ros_interface import OnFailure
 
 
 class _Opened:

@@ -12,8 +12,8 @@ from rclpy.serialization import serialize_message
 from std_srvs.srv import SetBool
 
 from rsb_bridge.ros import service_endpoints
-from rsb_bridge.ros.api import RosError
-from rsb_bridge.ros.late_answers import LateAnswers
+from rsb_bridge.ros.ros_interface import RosError
+from rsb_bridge.ros.service_endpoints import LateAnswers
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -35,7 +35,7 @@ class Callers:
         self.broken: set[bytes] = set()
         self.tried = 0
         self.answered: list[tuple[bytes, int]] = []
-        monkeypatch.setattr("rsb_bridge.ros.late_answers.time", SimpleNamespace(monotonic=lambda: self.now))
+        monkeypatch.setattr("rsb_bridge.ros.service_endpoints.time", SimpleNamespace(monotonic=lambda: self.now))
 
     def send(self, caller: bytes, number: int, _: bytes) -> bool:
         """As `Server` does."""

@@ -12,8 +12,8 @@ import pytest
 from rsb_bridge.config.keys import write_key
 from rsb_bridge.config.session_file import save
 from rsb_bridge.model.session import Session
-from rsb_bridge.ros.api import RosError
 from rsb_bridge.ros.middleware import check_middleware
+from rsb_bridge.ros.ros_interface import RosError
 
 COMMAND = str(Path(sys.executable).with_name("rsb-console"))
 

@@ -15,8 +15,8 @@ from tests.support.filled import filled
 
 from rsb_bridge.model.names import SHORT_NAMES
 from rsb_bridge.model.qos import Qos
-from rsb_bridge.ros import anytype, typesupport
-from rsb_bridge.ros.api import RosError
+from rsb_bridge.ros import raw_types, typesupport
+from rsb_bridge.ros.ros_interface import RosError
 from rsb_bridge.ros.typesupport import hash_of, installed_class
 
 if TYPE_CHECKING:
@@ -118,7 +118,7 @@ def test_a_bare_name_and_hash_speak_with_the_real_type_of_another_process(
     """The type is hidden from us, not from the other process; nav_msgs stands for a package that we lack."""
     odometry = INSTALLED[ODOMETRY]
     found = installed_class
-    monkeypatch.setattr(anytype, "installed_class", lambda name: None if name == ODOMETRY else found(name))
+    monkeypatch.setattr(raw_types, "installed_class", lambda name: None if name == ODOMETRY else found(name))
     node = open_node()
     received: list[bytes] = []
     node.subscribe(
@@ -157,9 +157,9 @@ def test_a_made_type_is_asked_by_none_but_the_thread_that_creates_endpoints(
 
         return wrap
 
-    monkeypatch.setattr(anytype, "FIND", recording(typesupport.FIND))
-    monkeypatch.setattr(anytype, "GET_HASH", recording(typesupport.GET_HASH))
-    monkeypatch.setattr(anytype, "named_types", anytype.NamedTypes())
+    monkeypatch.setattr(raw_types, "FIND", recording(typesupport.FIND))
+    monkeypatch.setattr(raw_types, "GET_HASH", recording(typesupport.GET_HASH))
+    monkeypatch.setattr(raw_types, "named_types", raw_types.NamedTypes())
     one, other = open_node(), open_node(name="other")
     received: list[Any] = []
     one.subscribe("/asked", "asked_msgs/msg/A", MADE_UP_HASH, Qos(), received.extend, "link")
@@ -173,7 +173,7 @@ def test_a_made_type_is_asked_by_none_but_the_thread_that_creates_endpoints(
 
 
 def test_a_made_type_is_made_once() -> None:
-    types = anytype.NamedTypes()
+    types = raw_types.NamedTypes()
     first, second = (types.borrow("a_msgs/msg/B", MADE_UP_HASH) for _ in range(2))
     assert first.interface is second.interface
     assert hash_of(first.interface) == MADE_UP_HASH
@@ -181,7 +181,7 @@ def test_a_made_type_is_made_once() -> None:
 
 
 def test_a_type_that_nobody_uses_is_renamed_for_the_next() -> None:
-    types = anytype.NamedTypes()
+    types = raw_types.NamedTypes()
     first, second = (types.borrow("a_msgs/msg/B", MADE_UP_HASH) for _ in range(2))
     first.give_back()
     other = types.borrow("a_msgs/msg/C", MADE_UP_HASH)
@@ -198,8 +198,8 @@ def test_months_of_reconnects_with_other_types_make_none(
     open_node: Callable[..., RosNode], eventually: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Each connection brings types that were never seen before; all that they leave is used again, and works."""
-    types = anytype.NamedTypes()
-    monkeypatch.setattr(anytype, "named_types", types)
+    types = raw_types.NamedTypes()
+    monkeypatch.setattr(raw_types, "named_types", types)
     here, there = open_node(), open_node(name="other")
     for connection in range(5):
         received: list[Any] = []
@@ -222,8 +222,8 @@ def test_months_of_reconnects_with_other_types_make_none(
 def test_an_endpoint_that_cannot_be_made_keeps_no_type(
     open_node: Callable[..., RosNode], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    types = anytype.NamedTypes()
-    monkeypatch.setattr(anytype, "named_types", types)
+    types = raw_types.NamedTypes()
+    monkeypatch.setattr(raw_types, "named_types", types)
     with pytest.raises(RosError, match="not a topic name"):
         open_node().advertise("/no topic", "made_up_msgs/msg/A", MADE_UP_HASH, Qos(), "link")
     assert types.used == 0
@@ -240,11 +240,11 @@ def test_an_endpoint_that_cannot_be_made_keeps_no_type(
 )
 def test_types_that_will_not_do(type_name: str, type_hash: str, said: str) -> None:
     with pytest.raises(RosError, match=said):
-        anytype.borrow_type(type_name, type_hash)
+        raw_types.borrow_type(type_name, type_hash)
 
 
 def test_another_middleware_needs_the_package(monkeypatch: pytest.MonkeyPatch) -> None:
     """A stand-in for its name: no other middleware comes as a wheel."""
-    monkeypatch.setattr(anytype, "get_rmw_implementation_identifier", lambda: "rmw_cyclonedds_cpp")
+    monkeypatch.setattr(raw_types, "get_rmw_implementation_identifier", lambda: "rmw_cyclonedds_cpp")
     with pytest.raises(RosError, match="only rmw_fastrtps_cpp on ROS 2 Jazzy can do: install ros-jazzy-other-msgs"):
-        anytype.borrow_type("other_msgs/msg/Name", MADE_UP_HASH)
+        raw_types.borrow_type("other_msgs/msg/Name", MADE_UP_HASH)

@@ -10,7 +10,7 @@ from nav_msgs.srv import GetPlan
 from rclpy.serialization import deserialize_message, serialize_message
 from std_srvs.srv import SetBool
 
-from rsb_bridge.ros.api import RosError
+from rsb_bridge.ros.ros_interface import RosError
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from rsb_bridge.model.qos import Qos
-from rsb_bridge.ros.api import Endpoint
-from rsb_bridge.ros.graph import SimilarTopics
-from rsb_bridge.ros.no_ros import NoRos
+from rsb_bridge.ros.ros_graph import SimilarTopics
+from rsb_bridge.ros.ros_interface import Endpoint
+from rsb_bridge.ros.stand_in import NoRos
 
 
 class _Graph(NoRos):

@@ -9,7 +9,7 @@ from tests.support.offline import FakePeer
 
 from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.verdict import Cause, state_for_any, state_of
-from rsb_bridge.ros.api import RawMessage
+from rsb_bridge.ros.ros_interface import RawMessage
 from rsb_bridge.route.age import Expired, MessageAge, expired_verdict
 
 if TYPE_CHECKING:

@@ -11,7 +11,7 @@ from tests.route.test_volatile import unwanted
 from tests.support.offline import FakePeer
 
 from rsb_bridge.model.calls import SEND_GOAL
-from rsb_bridge.ros.turns import RosTurns
+from rsb_bridge.ros.ros_thread import RosTurns
 from rsb_bridge.route.calls.calls_ledger import Refused
 from rsb_bridge.route.lease import LASTS, Lease
 from rsb_bridge.route.source_publishers import FREE, VolatileTopic

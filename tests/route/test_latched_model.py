@@ -15,8 +15,8 @@ from tests.support.virtual_time import VirtualClock, VirtualLoop, virtual_loop
 from rsb_bridge.context import Context
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.model.session import Session
-from rsb_bridge.ros.api import RawMessage
-from rsb_bridge.ros.queue import RosToLoopQueue
+from rsb_bridge.ros.ros_interface import RawMessage
+from rsb_bridge.ros.ros_thread import RosToLoopQueue
 from rsb_bridge.route.latched import PUBLISHER_COST, LatchedFullError, LatchedTopic
 from rsb_bridge.route.topic_subscription import SubscriptionSpec, TopicSubscription
 from rsb_bridge.telemetry.event_log import EventLog
@@ -28,7 +28,7 @@ from rsb_bridge.wire.headers import HistoryHeader, publisher_id
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from rsb_bridge.ros.api import Sink
+    from rsb_bridge.ros.ros_interface import Sink
     from rsb_bridge.route.history_depth import Sample
 
 LATCHED = Qos(durability="transient_local", depth=0)

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import pytest
 
-from rsb_bridge.ros.api import RawMessage
-from rsb_bridge.ros.turns import LONGEST_WAIT, RosTurns
+from rsb_bridge.ros.ros_interface import RawMessage
+from rsb_bridge.ros.ros_thread import LONGEST_WAIT, RosTurns
 from rsb_bridge.route.lease import BEAT, GIVEN_UP_AFTER, LASTS, SLOW, Lease, Marker, Standstill
 
 if TYPE_CHECKING:

@@ -15,9 +15,9 @@ from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.sources import hop
 from rsb_bridge.model.verdict import Cause
-from rsb_bridge.ros.api import Endpoint, RawMessage
-from rsb_bridge.ros.no_ros import NoRos
-from rsb_bridge.ros.own_announcement import Origin
+from rsb_bridge.ros.announcements import Origin
+from rsb_bridge.ros.ros_interface import Endpoint, RawMessage
+from rsb_bridge.ros.stand_in import NoRos
 from rsb_bridge.route.outgoing import OutgoingRoute
 from rsb_bridge.wire.framing import SOURCE_SHIFT, Message
 from rsb_bridge.wire.messages import Describe, Ready

@@ -15,10 +15,9 @@ from rsb_bridge.cdr.description import Field, FieldType, MessageType, TypeDescri
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.model.session import Session
 from rsb_bridge.model.token_bucket import TokenBucket
-from rsb_bridge.ros import type_checkers
-from rsb_bridge.ros.api import Endpoint
-from rsb_bridge.ros.type_checkers import TypeCheckers
-from rsb_bridge.ros.type_descriptions import TypeDescriptions
+from rsb_bridge.ros import type_descriptions
+from rsb_bridge.ros.ros_interface import Endpoint
+from rsb_bridge.ros.type_descriptions import TypeCheckers, TypeDescriptions
 from rsb_bridge.route.message_check import CHECKED_A_SECOND, CHECKED_AT_ONCE, MessageCheck
 
 if TYPE_CHECKING:
@@ -160,7 +159,7 @@ def test_a_link_s_messages_take_a_bounded_part_of_the_time() -> None:
 
 
 def test_checkers_are_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(type_checkers, "KEPT", 2)
+    monkeypatch.setattr(type_descriptions, "KEPT", 2)
 
     async def work() -> None:
         texts = {f"t/msg/T{n}": text_of(_described(f"t/msg/T{n}")) for n in range(4)}

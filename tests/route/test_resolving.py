@@ -8,7 +8,7 @@ from typing import Any, cast
 import pytest
 
 from rsb_bridge.model.qos import Qos
-from rsb_bridge.ros.api import Endpoint
+from rsb_bridge.ros.ros_interface import Endpoint
 from rsb_bridge.route.resolving import MessageType, Resolver, UnresolvedError, choose_type, left_out
 from rsb_bridge.wire.messages import Propose
 

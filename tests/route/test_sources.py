@@ -15,8 +15,8 @@ from hypothesis import strategies as st
 
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.model.sources import hop
-from rsb_bridge.ros.api import Endpoint, RawMessage
-from rsb_bridge.ros.own_announcement import Origin
+from rsb_bridge.ros.announcements import Origin
+from rsb_bridge.ros.ros_interface import Endpoint, RawMessage
 from rsb_bridge.route.loop_filter import LoopFilter
 
 if TYPE_CHECKING:

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from tests.support.virtual_time import VirtualLoop
 
     from rsb_bridge.context import Context
-    from rsb_bridge.ros.api import OnFailure, RawMessage
+    from rsb_bridge.ros.ros_interface import OnFailure, RawMessage
 
 
 class FakeRos:

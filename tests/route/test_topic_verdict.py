@@ -14,7 +14,7 @@ from rsb_bridge.model.limits import REASON_LENGTH
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.verdict import EXPIRES, FINE, Cause, Verdict, about, worse
-from rsb_bridge.ros.api import Endpoint
+from rsb_bridge.ros.ros_interface import Endpoint
 from rsb_bridge.route.age import Expired, expired_verdict
 from rsb_bridge.route.arming import SAID, Disarmed
 from rsb_bridge.route.combined_verdict import CombinedVerdict, lasting, record_of

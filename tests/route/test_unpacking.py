@@ -11,7 +11,7 @@ from tests.support.offline import FakePeer
 
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.model.session import Topic
-from rsb_bridge.ros.no_ros import NoRos
+from rsb_bridge.ros.stand_in import NoRos
 from rsb_bridge.route.incoming import IncomingRoute
 from rsb_bridge.route.message_check import EXPANSION_A_TURN, EXPANSION_AT_ONCE
 from rsb_bridge.wire.framing import ZSTD

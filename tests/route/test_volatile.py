@@ -8,7 +8,7 @@ from random import Random
 
 import pytest
 
-from rsb_bridge.ros.api import RosError
+from rsb_bridge.ros.ros_interface import RosError
 from rsb_bridge.route.source_publishers import BURST_DEPTH, FREE, SlowSubscriberError, VolatileTopic
 from rsb_bridge.wire.framing import Budget
 

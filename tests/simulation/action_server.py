@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
     from tests.simulation.ros import Domain
 
-    from rsb_bridge.ros.api import Request
+    from rsb_bridge.ros.ros_interface import Request
 
 TYPE = "sim_msgs/action/Errand"
 CDR = b"\0\1\0\0"

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
     from rsb_bridge.model.calls import CallsSnapshot
     from rsb_bridge.model.snapshot import RouteSnapshot
-    from rsb_bridge.ros.api import Request, Response
+    from rsb_bridge.ros.ros_interface import Request, Response
 
 TYPE = "std_srvs/srv/SetBool"
 SETTLED = 3.0

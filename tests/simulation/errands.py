@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from tests.simulation.ros import Domain
 
     from rsb_bridge.model.session import Topic
-    from rsb_bridge.ros.api import RawMessage, Response
+    from rsb_bridge.ros.ros_interface import RawMessage, Response
 
 _ID = struct.Struct("<4sIII")
 _ASKED_AGAIN_EVERY = 1.0

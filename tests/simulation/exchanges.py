@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from tests.simulation.ros import Domain
 
     from rsb_bridge.model.session import Topic
-    from rsb_bridge.ros.api import Request, Response
+    from rsb_bridge.ros.ros_interface import Request, Response
 
 _HEAD = struct.Struct("<4sIII")
 _CDR = b"\0\1\0\0"

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
     from rsb_bridge.model.qos import Qos
     from rsb_bridge.model.session import Topic
-    from rsb_bridge.ros.api import RawMessage
+    from rsb_bridge.ros.ros_interface import RawMessage
     from rsb_bridge.route.outgoing import OutgoingRoute
 
 _HEAD = struct.Struct("<4sIII")

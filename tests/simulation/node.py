@@ -8,19 +8,19 @@ from typing import TYPE_CHECKING, Any
 from tests.simulation.ros import Domain, Reader, Writer
 from tests.simulation.services import Client, Server
 
-from rsb_bridge.ros.api import Endpoint, RosError
-from rsb_bridge.ros.turns import LONGEST_WAIT, RosTurns
+from rsb_bridge.ros.ros_interface import Endpoint, RosError
+from rsb_bridge.ros.ros_thread import LONGEST_WAIT, RosTurns
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Hashable, Sequence
 
     from rsb_bridge.model.calls import Fields
     from rsb_bridge.model.qos import Qos
-    from rsb_bridge.ros.api import OnFailure, RawMessage, RequestSink, ResponseSink, Sink
+    from rsb_bridge.ros.ros_interface import OnFailure, RawMessage, RequestSink, ResponseSink, Sink
 
 
 class Node:
-    """The engine's node in a domain: `rsb_bridge.ros.api.RosInterface`.
+    """The engine's node in a domain: `rsb_bridge.ros.ros_interface.RosInterface`.
 
     Attributes:
         instance_id: as a real node's.

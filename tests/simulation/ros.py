@@ -20,7 +20,7 @@ import msgspec
 from tests.simulation.services import Client, Server, Services
 
 from rsb_bridge.model.qos import Qos, incompatible
-from rsb_bridge.ros.api import RawMessage, RosError
+from rsb_bridge.ros.ros_interface import RawMessage, RosError
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Hashable
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from tests.simulation.loop import SimulatedLoop
     from tests.simulation.node import Node
 
-    from rsb_bridge.ros.api import OnFailure, Sink
+    from rsb_bridge.ros.ros_interface import OnFailure, Sink
 
 STRING = "std_msgs/msg/String"
 _DISCOVERY = (0.001, 0.05)
@@ -176,7 +176,7 @@ class Domain:
 
 
 class Writer:
-    """A publisher of any node's: `rsb_bridge.ros.api.Publisher`.
+    """A publisher of any node's: `rsb_bridge.ros.ros_interface.Publisher`.
 
     Attributes:
         node: its node's name.
@@ -237,7 +237,7 @@ class Writer:
 
 
 class Reader:
-    """A subscription of any node's: `rsb_bridge.ros.api.Subscription`.
+    """A subscription of any node's: `rsb_bridge.ros.ros_interface.Subscription`.
 
     Attributes:
         node: its node's name.

@@ -14,14 +14,14 @@ from functools import partial
 from typing import TYPE_CHECKING, Generic, TypeVar
 
 from rsb_bridge.model.qos import Qos
-from rsb_bridge.ros.api import Request, Response, RosError
+from rsb_bridge.ros.ros_interface import Request, Response, RosError
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
     from tests.simulation.ros import Domain
 
-    from rsb_bridge.ros.api import OnFailure, RequestSink, ResponseSink
+    from rsb_bridge.ros.ros_interface import OnFailure, RequestSink, ResponseSink
 
 SEEN = Qos(depth=0)
 """What others see of a server's or a client's policies."""
@@ -161,7 +161,7 @@ class _End(Generic[T]):
 
 
 class Server(_End[Request]):
-    """A server of any node's: `rsb_bridge.ros.api.ServiceServer`."""
+    """A server of any node's: `rsb_bridge.ros.ros_interface.ServiceServer`."""
 
     def __init__(
         self,
@@ -182,7 +182,7 @@ class Server(_End[Request]):
 
 
 class Client(_End[Response]):
-    """A client of any node's: `rsb_bridge.ros.api.ServiceClient`.
+    """A client of any node's: `rsb_bridge.ros.ros_interface.ServiceClient`.
 
     Attributes:
         matched: the servers that its calls reach.

@@ -16,7 +16,7 @@ from rsb_bridge.engine.bridge import Bridge
 from rsb_bridge.model.clock import Clock
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.snapshot import Snapshot
-from rsb_bridge.ros.queue import Receiver, RosToLoopQueue
+from rsb_bridge.ros.ros_thread import Receiver, RosToLoopQueue
 from rsb_bridge.telemetry.event_log import EventLog
 from rsb_bridge.telemetry.snapshot_publisher import ShownBridge, SnapshotPublisher
 

@@ -11,7 +11,7 @@ from tests.simulation.test_calls import lived, until
 from tests.support.goals import cancel_request, goal, goal_request
 
 from rsb_bridge.model.calls import CANCEL_GOAL, GET_RESULT, LANES, STATUS
-from rsb_bridge.ros.api import RosError
+from rsb_bridge.ros.ros_interface import RosError
 from rsb_bridge.route.calls import kept_calls
 from rsb_bridge.route.calls.calling_action import CallingAction
 from rsb_bridge.route.calls.calls_ledger import Refused

@@ -46,7 +46,7 @@ if TYPE_CHECKING:
 
     from rsb_bridge.link.link import Link
     from rsb_bridge.model.session import Session, Topic
-    from rsb_bridge.ros.api import RawMessage
+    from rsb_bridge.ros.ros_interface import RawMessage
     from rsb_bridge.route.route import Route
 
 

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from rsb_bridge.api import EngineApi
     from rsb_bridge.model.session import Protocol
     from rsb_bridge.model.snapshot import Event, Ledger, LinkSnapshot, RouteSnapshot, Snapshot
-    from rsb_bridge.ros.api import RosInterface
+    from rsb_bridge.ros.ros_interface import RosInterface
     from rsb_bridge.route.route import Route
 
 STOPS_WITHIN = 15.0

@@ -8,13 +8,13 @@ from typing import TYPE_CHECKING, Any
 from tests.console.scripted import ScriptedEngine
 
 from rsb_bridge.control import bridges
-from rsb_bridge.control.client import RemoteEngine
+from rsb_bridge.control.remote_engine import RemoteEngine
 
 if TYPE_CHECKING:
     from collections.abc import Callable
     from pathlib import Path
 
-    from rsb_bridge.control.server import ControlServer
+    from rsb_bridge.control.control_server import ControlServer
 
 
 class Machine:

@@ -12,8 +12,8 @@ from rsb_bridge.context import Context
 from rsb_bridge.model.calls import FEATURE
 from rsb_bridge.model.profiles import PLAIN
 from rsb_bridge.model.session import Session
-from rsb_bridge.ros.no_ros import NoRos
-from rsb_bridge.ros.queue import RosToLoopQueue
+from rsb_bridge.ros.ros_thread import RosToLoopQueue
+from rsb_bridge.ros.stand_in import NoRos
 from rsb_bridge.route.pause import Revisions
 from rsb_bridge.route.peer import PeerBudget
 from rsb_bridge.telemetry.event_log import EventLog

@@ -9,12 +9,11 @@ from typing import TYPE_CHECKING, Any, Self
 from tests.console.scripted import ScriptedEngine
 
 from rsb_bridge import __version__
+from rsb_bridge.config.granted_operators import Granted
 from rsb_bridge.config.keys import Key
-from rsb_bridge.config.operators import Granted
-from rsb_bridge.control.client import RemoteEngine
 from rsb_bridge.control.protocol import VERSION, Hello, Welcome, encode, frames_to_console
-from rsb_bridge.control.sealed import SealedAcceptor
-from rsb_bridge.control.sealed_way import Sealed
+from rsb_bridge.control.remote_engine import RemoteEngine
+from rsb_bridge.control.sealed import OperatorConnector, SealedAcceptor
 from rsb_bridge.engine.access import Access
 from rsb_bridge.model.clock import Clock
 from rsb_bridge.model.session import Operator
@@ -26,7 +25,7 @@ if TYPE_CHECKING:
     from tests.support.control import Machine
 
     from rsb_bridge.control.protocol import ToBridge, ToConsole
-    from rsb_bridge.control.sealed_way import Connect
+    from rsb_bridge.control.sealed import Connect
     from rsb_bridge.model.codes import EventCode
     from rsb_bridge.model.session import OperatorMay
     from rsb_bridge.model.snapshot import Event
@@ -86,10 +85,10 @@ class Reachable:
     async def _close(self) -> None:
         self._listening.close()
 
-    def way(self, name: str = "anna", key: Key = ANNA, engine: str = "robot1", port: int = 0) -> Sealed:
+    def way(self, name: str = "anna", key: Key = ANNA, engine: str = "robot1", port: int = 0) -> OperatorConnector:
         """An operator's way to it; or by another port, where somebody is in between."""
 
-        return Sealed(self.connect(port), name, key, engine)
+        return OperatorConnector(self.connect(port), name, key, engine)
 
     def connect(self, port: int = 0) -> Connect:
         """Makes streams to it."""

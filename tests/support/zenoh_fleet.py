@@ -14,8 +14,8 @@ from tests.support.zenoh_router import Router, stranger
 
 from rsb_bridge.config.fleet_file import FleetFile
 from rsb_bridge.config.keys import copy_key
-from rsb_bridge.control.client import RemoteEngine
-from rsb_bridge.control.over_zenoh import Announcement, FleetWay
+from rsb_bridge.control.remote_engine import RemoteEngine
+from rsb_bridge.control.zenoh_fleet import Announcement, FleetWay
 from rsb_bridge.engine.access import Access
 from rsb_bridge.model.clock import Clock
 from rsb_bridge.model.session import ZenohSettings
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     import zenoh
 
     from rsb_bridge.config.keys import Key
-    from rsb_bridge.control.server import ControlServer
+    from rsb_bridge.control.control_server import ControlServer
 
 
 class Fleet:

@@ -1,8 +1,9 @@
-"""What is no mistake in a session, but what running it would warn of, or refuse for a topic."""
+"""Advice on a session without mistakes: what running it would warn of or refuse, and topics that move a robot."""
 
 from __future__ import annotations
 
 import dataclasses
+import fnmatch
 import importlib.util
 import re
 import socket
@@ -15,6 +16,7 @@ from rsb_bridge.config.rights import Rights, Use, rights_of_client, rights_of_se
 from rsb_bridge.config.topic_rules import transport_of
 from rsb_bridge.config.validation import domain_of
 from rsb_bridge.model import transports
+from rsb_bridge.model.demands import Demands, demand_on_entry, sources_of
 from rsb_bridge.model.http_address import host_and_port, is_loopback
 from rsb_bridge.model.limits import (
     KEPT_DEPTH,
@@ -34,6 +36,25 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
     from rsb_bridge.model.session import Session, Topic
+
+_MOVING_TYPES = frozenset(
+    {
+        "Twist", "TwistStamped", "JointTrajectory", "JointJog", "AckermannDrive", "AckermannDriveStamped",
+        "ActuatorControls", "AttitudeTarget", "PositionTarget", "Thruster", "MultiDOFJointTrajectory",
+    }
+)  # fmt: skip
+"""Names of message types, of any package."""
+_MOVING_NAMES = (
+    "cmd*",
+    "*_cmd",
+    "*_cmd_vel",
+    "joint_trajectory",
+    "joint_command*",
+    "*_command",
+    "*_commands",
+    "servo_*",
+)
+"""Last parts of names."""
 
 
 def advise(session: Session, domain_variable: str | None) -> Iterator[Problem]:
@@ -179,3 +200,26 @@ def _depth(topic: Topic) -> Iterator[str]:
     if qos.depth > most:
         kept = "for late joiners" if qos.latched else "in its publisher"
         yield f"depth {qos.depth}: the receiving side keeps {most} messages {kept}"
+
+
+def moves_a_robot(topic: Topic) -> bool:
+    """Whether messages of a topic's entry are commands that move a robot, most likely."""
+    if topic.kind != "topic":
+        return False
+    if topic.type.rpartition("/")[2] in _MOVING_TYPES:
+        return True
+    names = {each.rpartition("/")[2] for each in (topic.topic, topic.remote_topic or "")}
+    return any(fnmatch.fnmatchcase(name, pattern) for name in names for pattern in _MOVING_NAMES)
+
+
+def without_max_age(session: Session) -> Iterator[str]:
+    """Yield the names of a session's topics that move a robot and whose messages may be of any age."""
+    demands = Demands(sources_of(session))
+    own = [(None, topic) for topic in session.topics]
+    of_clients = [(client, topic) for client in session.clients for topic in client.topics]
+    for client, topic in (*own, *of_clients):
+        is_limited = topic.max_age is not None or topic.arm
+        if not (is_limited or topic.is_pattern):
+            is_limited = demand_on_entry(demands, session, client, topic).max_age is not None
+        if not is_limited and moves_a_robot(topic):
+            yield topic.topic

@@ -7,11 +7,10 @@ from typing import TYPE_CHECKING, NamedTuple
 import msgspec
 
 from rsb_bridge.config.decoding import read
+from rsb_bridge.config.granted_operators import operator_name_problem
 from rsb_bridge.config.keys import Key, key_path, read_key
-from rsb_bridge.config.operators import operator_name_problem
-from rsb_bridge.config.session_file import read_text
-from rsb_bridge.config.yaml_text import SessionError, read_yaml
-from rsb_bridge.config.zenoh_rules import settings_problems
+from rsb_bridge.config.validation import settings_problems
+from rsb_bridge.config.yaml_text import SessionError, read_text, read_yaml
 from rsb_bridge.model.session import Problem, ZenohSettings
 
 if TYPE_CHECKING:

@@ -1,4 +1,8 @@
-"""Encryption keys and their files, in the thesis's format: 32 bytes in URL-safe base64, like Fernet's keys."""
+"""Encryption keys and their files, in the thesis's format: 32 bytes in URL-safe base64, like Fernet's keys.
+
+While a key is replaced, two are valid for a client, until the old one is given up. Clients of one server that have the
+same key could each take the other's name, and so its rights.
+"""
 
 from __future__ import annotations
 
@@ -7,16 +11,19 @@ import binascii
 import os
 import re
 import stat
+import time
 from dataclasses import dataclass, field
+from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rsb_bridge.config.files import kind_of_file, owner_only, replace_file, typed_path
 from rsb_bridge.model.fingerprints import fingerprint_of, format_fingerprint
 from rsb_bridge.model.shortage import why_not_written
+from rsb_bridge.model.text import join_first, plural
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Collection, Hashable, Iterator, Mapping
 
     from rsb_bridge.model.session import Session
 
@@ -25,6 +32,11 @@ DEFAULT_KEY_FILE = "key.txt"
 _MAX_FILE = 4096  # bytes; a key file is 45
 # The second form is a key that lost its padding.
 _LIKE_A_KEY = re.compile(r"[A-Za-z0-9+/_-]{43}=|(?<![A-Za-z0-9+/_-])[A-Za-z0-9_-]{43}(?![A-Za-z0-9+/_-])")
+_DAY = 86400.0
+_LONG = 7 * _DAY
+"""s that two keys may be valid: whoever has stolen the old one may use it until then."""
+_SPANS = ((_DAY, "day"), (3600.0, "hour"), (60.0, "minute"))
+_NAMED = 5
 
 
 class KeyFileError(Exception):
@@ -246,3 +258,76 @@ def keys_of(session: Session, base: Path) -> dict[str, tuple[Key, ...]]:
                 f"no key_file for {name}: make one with `rsb-console keygen`, and copy it to the other side"
             )
     return {name: tuple(read_key(key_path(base, file)) for file in of_client) for name, of_client in files.items()}
+
+
+def key_warnings(keys: Mapping[str, tuple[Key, ...]], now: float) -> Iterator[str]:
+    """What operators should know of the keys that are valid for each client.
+
+    Args:
+        keys: by client's name, the next one last.
+        now: s since the epoch.
+    """
+    yield from dict.fromkeys(chain.from_iterable(key.warnings for valid in keys.values() for key in valid))
+    for name, valid in keys.items():
+        for following in valid[1:]:
+            yield from _of_rotation(name, valid[0], following, now)
+
+
+def _of_rotation(name: str, current: Key, following: Key, now: float) -> Iterator[str]:
+    finish = f"`rsb-console client rekey {name} --finish`"
+    if following == current:
+        yield f"{name}: key_file and next_key_file hold the same key, {fingerprint(current)}: {finish} ends that"
+    elif now - following.written > _LONG:
+        yield (
+            f"{name}: two keys have been valid since {written(following, now)}, and the old one still opens a link: "
+            f"once the robot has the new one, {finish}"
+        )
+
+
+def written(key: Key, now: float) -> str:
+    """When a key's file was written: ``2026-11-18 14:03 (3 days ago)``."""
+    return f"{time.strftime('%Y-%m-%d %H:%M', time.localtime(key.written))} ({_ago(now - key.written)})"
+
+
+def _ago(seconds: float) -> str:
+    if seconds < -60:
+        return "in the future: is the clock right?"
+    for size, unit in _SPANS:
+        if seconds >= size:
+            count = int(seconds // size)
+            return f"{count} {plural(count, unit)} ago"
+    return "just now"
+
+
+def unshared_keys(session: Session, base: Path) -> dict[str, tuple[Key, ...]]:
+    """As `keys_of`, of clients that may have them.
+
+    Raises:
+        KeyFileError: one is not there or holds no key, or two clients have the same.
+    """
+    keys = keys_of(session, base)
+    if problem := shared_key_problem(session, keys):
+        raise KeyFileError(problem)
+    return keys
+
+
+def shared_key_problem(session: Session, keys: Mapping[str, Collection[Hashable]]) -> str:
+    """Why a server must not let its clients in with these keys, and what to do; empty: it may.
+
+    Args:
+        session: a server's; it may say that the clients are meant to share keys.
+        keys: what is the same for two clients if a key of theirs is, for each key that is valid, by the clients' names.
+    """
+    if session.shared_keys:
+        return ""
+    owners: dict[Hashable, list[str]] = {}
+    for name, valid in keys.items():
+        for key in dict.fromkeys(valid):
+            owners.setdefault(key, []).append(name)
+    shared = [f"{join_first(names, _NAMED)} have one key" for names in owners.values() if len(names) > 1]
+    if not shared:
+        return ""
+    return (
+        f"{'; '.join(shared)}: whoever has it may take each of these names, and its rights. Give each a key of its own "
+        "(`rsb-console client rekey NAME SESSION`), or say `shared_keys: true` in the server's session file"
+    )

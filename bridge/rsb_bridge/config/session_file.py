@@ -10,12 +10,12 @@ from pathlib import Path
 
 import msgspec
 
-from rsb_bridge.config.bringup import bridge_nodes
 from rsb_bridge.config.decoding import join
 from rsb_bridge.config.file_form import as_written, locations
-from rsb_bridge.config.files import kind_of_file, replace_file
+from rsb_bridge.config.files import replace_file
+from rsb_bridge.config.thesis import bridge_nodes
 from rsb_bridge.config.validation import build, placed, validate, validate_topic
-from rsb_bridge.config.yaml_text import MAX_FILE, SessionError, dump_yaml, read_yaml
+from rsb_bridge.config.yaml_text import SessionError, dump_yaml, read_text, read_yaml
 from rsb_bridge.model.demands import SourceKey, sources_of_names
 from rsb_bridge.model.session import Problem, Session, Topic
 from rsb_bridge.model.shortage import why_not_written
@@ -244,26 +244,3 @@ def _merged(opened: SessionFile, session: Session) -> str:
         message = "its layout cannot be edited in place: save under another name, or have it written anew"
         raise UneditableError(opened.path, [Problem("", message)])
     return text
-
-
-def read_text(path: Path) -> str:
-    """A file's text, with the byte order mark if it has one.
-
-    Raises:
-        SessionError: there is none.
-    """
-    try:
-        if not path.is_file():
-            found = f"is {kind_of_file(path.stat().st_mode)}, not a file" if path.exists() else "no such file"
-            raise SessionError(path, [Problem("", found)])
-        with path.open("rb") as file:
-            content = file.read(MAX_FILE + 1)
-    except OSError as error:
-        raise SessionError(path, [Problem("", f"cannot be read: {error.strerror}")]) from None
-    if len(content) > MAX_FILE:
-        raise SessionError(path, [Problem("", f"larger than {MAX_FILE} bytes: not a session file")])
-    try:
-        return content.decode()
-    except UnicodeDecodeError as error:
-        line = content.count(b"\n", 0, error.start) + 1
-        raise SessionError(path, [Problem("", "is not UTF-8 text", line)]) from None

@@ -11,17 +11,30 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from rsb_bridge.config.bringup import bridge_nodes
 from rsb_bridge.config.decoding import join, show
-from rsb_bridge.config.session_file import read_text
 from rsb_bridge.config.validation import build
-from rsb_bridge.config.yaml_text import SessionError, read_yaml
+from rsb_bridge.config.yaml_text import SessionError, read_text, read_yaml
 from rsb_bridge.model.limits import CHANNEL
 from rsb_bridge.model.names import SHORT_NAMES
 from rsb_bridge.model.session import Direction, Problem, Role, Session, is_mac
 
 if TYPE_CHECKING:
     from pathlib import Path
+
+
+def bridge_nodes(data: object) -> dict[str, dict[str, Any]]:
+    """The parameters of each bridge node, by the node's name.
+
+    Args:
+        data: the file as plain data, of any shape.
+    """
+    nodes = {}
+    for node, content in (data if isinstance(data, dict) else {}).items():
+        parameters = content.get("ros__parameters") if isinstance(content, dict) else None
+        if isinstance(parameters, dict) and "server_ip" in parameters:
+            nodes[node] = parameters
+    return nodes
+
 
 _DIRECTIONS: tuple[Direction, ...] = ("transmit", "receive")
 _LISTS = {"topic": "topics", "type": "msg_types", "port": "ports", "protocol": "protocols", "qos": "qos"}

@@ -9,9 +9,7 @@ from typing import TYPE_CHECKING
 
 import msgspec
 
-from rsb_bridge.config.armed_names import armed_problems
-from rsb_bridge.config.call_rules import overlaps
-from rsb_bridge.config.decoding import join, read, show
+from rsb_bridge.config.decoding import did_you_mean, join, read, show
 from rsb_bridge.config.fault_command import command_words
 from rsb_bridge.config.file_form import (
     LISTS,
@@ -25,39 +23,44 @@ from rsb_bridge.config.file_form import (
     key_of,
     locations,
 )
-from rsb_bridge.config.grants import grant_problems, leave_problems
-from rsb_bridge.config.key_files import key_file_problems
+from rsb_bridge.config.granted_operators import operator_problems
 from rsb_bridge.config.keys import conceal
-from rsb_bridge.config.operators import operator_problems
-from rsb_bridge.config.pattern_rules import too_many_patterns
+from rsb_bridge.config.rights import grant_problems, leave_problems
 from rsb_bridge.config.topic_rules import (
     A_KIND,
+    form_problems,
     late_problems,
     name_problems,
+    overlaps,
     port_problems,
     stale_problems,
+    too_many_patterns,
     topic_problems,
     transport_of,
 )
-from rsb_bridge.config.zenoh_rules import zenoh_problems
 from rsb_bridge.model import transports
 from rsb_bridge.model.demands import local_name
 from rsb_bridge.model.http_address import host_and_port
-from rsb_bridge.model.limits import DOMAIN, NAME_BYTES, TOPIC_PORT
+from rsb_bridge.model.limits import DEADMAN_TIME, DOMAIN, MAX_AGE, NAME_BYTES, TOPIC_PORT
 from rsb_bridge.model.names import is_prefix, well_formed
 from rsb_bridge.model.patterns import is_pattern
-from rsb_bridge.model.session import Identity, Problem, Session, Topic, is_mac
+from rsb_bridge.model.session import Armed, Identity, Problem, Session, Topic, is_mac
 from rsb_bridge.model.text import is_clean
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-    from rsb_bridge.model.session import Kind
-
+    from rsb_bridge.model.session import Client, Kind, ZenohSettings
 
 _ANY_ADDRESS = ("0.0.0.0", "::", "00:00:00:00:00:00")  # noqa: S104 (refused, not bound)
 _ENTRY = re.compile(rf"(?P<list>{'|'.join(NOUNS)})\[(?P<at>\d{{1,9}})\]")
 _HOST_LABEL = re.compile(r"[A-Za-z0-9_]([A-Za-z0-9_-]{0,61}[A-Za-z0-9_])?")
+_ZENOH_PROTOCOLS = ("tcp", "tls", "quic", "udp", "ws")
+"""What endpoints may begin with, of what the wheel knows."""
+_ZENOH_HOST = r"\[[0-9A-Fa-f:.]+(%\w+)?\]|[^\[\]:/\s]+"
+_ZENOH_ENDPOINT = re.compile(rf"(?P<protocol>[a-z0-9_]+)/(?P<host>{_ZENOH_HOST}):(?P<port>\d{{1,5}})([?#]\S*)?")
+_FLEET_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,63}")
+_MOST_ENDPOINTS = 16
 
 
 def build(data: object) -> tuple[Session, list[Problem]]:
@@ -355,3 +358,103 @@ def _clients(session: Session) -> Iterator[Problem]:
             )
         yield from grant_problems(client, location)
         yield from _topics(client.topics, location, session, client.name if use_name else None)
+
+
+def armed_problems(armed: Sequence[str | Armed]) -> Iterator[Problem]:
+    """Yield the mistakes in a session's `armed`."""
+    known: dict[Armed, int] = {}
+    for at, each in enumerate(armed):
+        here = join("armed", at)
+        entry = Armed(each) if isinstance(each, str) else each
+        yield from form_problems(entry.name, here if isinstance(each, str) else join(here, "name"), hidden=True)
+        if entry.deadman and entry.deadman not in DEADMAN_TIME:
+            message = f"{entry.deadman} is out of range: {DEADMAN_TIME} s, or 0 for none"
+            yield Problem(join(here, "deadman"), message)
+        if entry.max_age and entry.max_age not in MAX_AGE:
+            yield Problem(join(here, "max_age"), f"{entry.max_age} is out of range: {MAX_AGE} s, or 0 for none")
+        if known.setdefault(entry, at) != at:
+            yield Problem(here, f"{show(entry.name)} is there already, as number {known[entry] + 1}: keep one")
+
+
+def key_file_problems(session: Session) -> Iterator[Problem]:
+    """All mistakes in a session's key files, as far as can be told without reading them."""
+    yield from _names(session, "")
+    yield from _replaces(session.next_key_file, session.key_file, "")
+    owners: list[tuple[str, str | None]] = []
+    for at, client in enumerate(session.clients):
+        location = join("clients", at)
+        owners.append((location, client.key_file))
+        yield from _names(client, location)
+        yield from _replaces(client.next_key_file, client.key_file or session.key_file, location)
+    if session.role == "client" and session.next_key_file is not None:
+        yield Problem(
+            "next_key_file",
+            "belongs in the server's session file, where two keys may be valid: here, replace the file that key_file "
+            "names, and reload",
+        )
+    if session.use_encryption and session.key_file is None:
+        for location, key_file in owners or [("", None)]:
+            if key_file is None:
+                yield Problem(
+                    join(location, "key_file"),
+                    "missing: encryption needs a key; make one with `rsb-console keygen` and give its file's name",
+                )
+
+
+def _names(entry: Session | Client, location: str) -> Iterator[Problem]:
+    for key, name in (("key_file", entry.key_file), ("next_key_file", entry.next_key_file)):
+        if name is not None and not (name.strip() and name.isprintable()):
+            yield Problem(join(location, key), f"{show(name)} is not a file name: give the key file's")
+
+
+def _replaces(following: str | None, current: str | None, location: str) -> Iterator[Problem]:
+    """Mistakes in the key file that is to replace another one."""
+    if following is None:
+        return
+    if current is None:
+        yield Problem(
+            join(location, "next_key_file"), "there is no key_file beside it, which it would replace: give that one"
+        )
+    elif following == current:
+        yield Problem(
+            join(location, "next_key_file"), f"{show(following)} is the key_file already: give the new key's file"
+        )
+
+
+def zenoh_problems(session: Session) -> Iterator[Problem]:
+    """Mistakes in a session's `Session.zenoh`, and where it is missing."""
+    if session.is_zenoh and session.bluetooth_address is not None:
+        yield Problem("bluetooth_address", "no topic crosses by Bluetooth beside a link over Zenoh: leave it out")
+    if session.zenoh is None:
+        if session.is_zenoh:
+            message = "missing: server_ip is zenoh; give the routers' endpoints, {connect: [tls/hub:7447]}"
+            yield Problem("zenoh", message)
+        return
+    yield from settings_problems(session.zenoh, "zenoh")
+
+
+def settings_problems(settings: ZenohSettings, location: str) -> Iterator[Problem]:
+    """Mistakes in how a network is reached."""
+    if not (settings.connect or settings.listen or settings.config):
+        yield Problem(location, "says no endpoint: give connect: [tls/hub:7447], or a config that does")
+    for key, endpoints in (("connect", settings.connect), ("listen", settings.listen)):
+        if len(endpoints) > _MOST_ENDPOINTS:
+            yield Problem(
+                join(location, key), f"has {len(endpoints)} endpoints, and at most {_MOST_ENDPOINTS} are allowed"
+            )
+        for at, endpoint in enumerate(endpoints):
+            yield from _zenoh_endpoint(endpoint, join(join(location, key), at))
+    if not _FLEET_NAME.fullmatch(settings.fleet):
+        message = "is not a fleet's name: letters, digits, _, . and -, a letter or digit first, at most 64"
+        yield Problem(join(location, "fleet"), f"{show(settings.fleet)} {message}")
+
+
+def _zenoh_endpoint(endpoint: str, location: str) -> Iterator[Problem]:
+    match = _ZENOH_ENDPOINT.fullmatch(endpoint)
+    if match is None:
+        yield Problem(location, f"{show(endpoint)} is not an endpoint: PROTOCOL/HOST:PORT, as in tls/hub:7447")
+    elif match["protocol"] not in _ZENOH_PROTOCOLS:
+        hint = did_you_mean(match["protocol"], list(_ZENOH_PROTOCOLS))
+        yield Problem(location, f"{show(match['protocol'])} is not one of {', '.join(_ZENOH_PROTOCOLS)}{hint}")
+    elif not 0 < int(match["port"]) < 65536:
+        yield Problem(location, f"{match['port']} is not a port: 1 to 65535")

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import re
 from dataclasses import replace
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import yaml
 
 from rsb_bridge.config.decoding import join
+from rsb_bridge.config.files import kind_of_file
 from rsb_bridge.config.keys import conceal, is_key_file
 from rsb_bridge.model.session import Problem
 from rsb_bridge.model.text import one_line
@@ -233,3 +235,26 @@ for _tag, (_pattern, _) in list(_SCALARS.items())[:-1]:
     _Dumper.add_implicit_resolver(_tag, _anchored, None)
 # Fields of messages may have these values, which no value of a session may.
 _Dumper.add_implicit_resolver("tag:yaml.org,2002:float", re.compile(r"(?:-?\.inf|\.nan)$"), None)
+
+
+def read_text(path: Path) -> str:
+    """A file's text, with the byte order mark if it has one.
+
+    Raises:
+        SessionError: there is none.
+    """
+    try:
+        if not path.is_file():
+            found = f"is {kind_of_file(path.stat().st_mode)}, not a file" if path.exists() else "no such file"
+            raise SessionError(path, [Problem("", found)])
+        with path.open("rb") as file:
+            content = file.read(MAX_FILE + 1)
+    except OSError as error:
+        raise SessionError(path, [Problem("", f"cannot be read: {error.strerror}")]) from None
+    if len(content) > MAX_FILE:
+        raise SessionError(path, [Problem("", f"larger than {MAX_FILE} bytes: not a session file")])
+    try:
+        return content.decode()
+    except UnicodeDecodeError as error:
+        line = content.count(b"\n", 0, error.start) + 1
+        raise SessionError(path, [Problem("", "is not UTF-8 text", line)]) from None

@@ -12,11 +12,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rsb_bridge import __version__
-from rsb_bridge.control import folders, protocol
+from rsb_bridge.control import control_sockets, protocol
+from rsb_bridge.control.control_server import ControlServer
+from rsb_bridge.control.control_sockets import ControlError, Listener, NotServedError, TakenError
 from rsb_bridge.control.features import hello
-from rsb_bridge.control.folders import ControlError, Listener, NotServedError, TakenError
 from rsb_bridge.control.protocol import BridgeInfo, ProtocolError, Refused, Welcome
-from rsb_bridge.control.server import ControlServer
 from rsb_bridge.model.names import file_stem
 from rsb_bridge.model.text import encodable, one_line
 
@@ -49,12 +49,12 @@ class RunningBridge:
     @property
     def name(self) -> str:
         """What an operator calls it: the socket's name, which no other bridge of the same user has."""
-        return self.path.name.removesuffix(folders.SUFFIX)
+        return self.path.name.removesuffix(control_sockets.SUFFIX)
 
     @property
     def attach_command(self) -> str:
         """What attaches to it, for an operator to type."""
-        if self.path.parent in folders.searched_folders(os.environ):
+        if self.path.parent in control_sockets.searched_folders(os.environ):
             return f"rsb-console attach {self.name}"
         return f"rsb-console attach --control {self.path}"
 
@@ -84,8 +84,8 @@ def ask(path: Path) -> RunningBridge:
     Raises:
         ControlError: nobody does, or it may not be used.
     """
-    with folders.connect(path, _ASKED_FOR) as connection:
-        pid, _, _ = folders.peer_of(connection)
+    with control_sockets.connect(path, _ASKED_FOR) as connection:
+        pid, _, _ = control_sockets.peer_of(connection)
         try:
             connection.sendall(protocol.encode(hello(read_only=True)))
             frames = protocol.frames_to_console()
@@ -104,7 +104,7 @@ def ask(path: Path) -> RunningBridge:
 def running_bridges(environ: Mapping[str, str] = os.environ) -> list[RunningBridge]:
     """All bridges that this user can attach to, or that at least exist."""
     found = []
-    for path in folders.find_sockets(environ):
+    for path in control_sockets.find_sockets(environ):
         try:
             found.append(ask(path))
         except ControlError:  # a dead process's, or another user's
@@ -153,7 +153,7 @@ def serve(
     server = ControlServer(engine, listener, info, on_stop or _terminate)
     server.start()
     if session.zenoh is not None:
-        from rsb_bridge.control.over_zenoh import announce  # noqa: PLC0415 -- commands that only ask start sooner
+        from rsb_bridge.control.zenoh_fleet import announce  # noqa: PLC0415 -- commands that only ask start sooner
 
         announce(engine, server)
     return server
@@ -168,9 +168,9 @@ def _claim(info: BridgeInfo, environ: Mapping[str, str]) -> Listener:
     for bridge in running_bridges(environ):
         if bridge.info is not None and _is_same(bridge.info, info):
             raise AlreadyRunningError(bridge)
-    folder = folders.serving_folder(environ)
+    folder = control_sockets.serving_folder(environ)
     for number in itertools.count(1):
-        path = folder / f"{file_stem(info.name, number)}{folders.SUFFIX}"
+        path = folder / f"{file_stem(info.name, number)}{control_sockets.SUFFIX}"
         try:
             return Listener(path, make_folder=True)
         except TakenError:

@@ -1,6 +1,6 @@
 """What an engine elsewhere says, made fit for a console: its texts reach terminals, its figures are drawn.
 
-An engine on this machine is the user's own process and is believed. One that is reached over a network may have been
+An engine on this machine is the user's own process and is trusted. One that is reached over a network may have been
 taken over, and the operator's key is no reason to believe what it says.
 """
 
@@ -59,7 +59,7 @@ def clean(message: M) -> M:
     return cast("M", cleaned)
 
 
-class Doubted:
+class UntrustedMessages:
     """Cleans what one engine says, over all connections to it, and bounds how many events it tells of.
 
     Args:

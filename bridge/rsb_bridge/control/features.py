@@ -14,14 +14,13 @@ from typing import TYPE_CHECKING, Any, Final, TypeVar, cast
 import msgspec
 
 from rsb_bridge import __version__
-from rsb_bridge.control.commands import Acknowledge, ChangeClient, EditTopic, RemoveTopic
-from rsb_bridge.control.protocol import VERSION, Hello
+from rsb_bridge.control.protocol import VERSION, Acknowledge, ChangeClient, EditTopic, Hello, RemoveTopic
 from rsb_bridge.model.session import Client, Session, Topic
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
 
-    from rsb_bridge.control.commands import Command
+    from rsb_bridge.control.protocol import Command
     from rsb_bridge.model.snapshot import Snapshot
 
 ACKNOWLEDGE = "acknowledge"

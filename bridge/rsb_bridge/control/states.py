@@ -113,7 +113,7 @@ class Receiver:
 
     Args:
         bridge: who tells.
-        believed: it is on this machine; of another one, what it tells is kept within bounds, and cleaned.
+        trusted: it is on this machine; of another one, what it tells is kept within bounds, and cleaned.
 
     Attributes:
         snapshot: the newest; None: none is complete yet.
@@ -121,8 +121,8 @@ class Receiver:
         waits_for_operator: as in the newest state.
     """
 
-    def __init__(self, bridge: BridgeInfo, *, believed: bool = True) -> None:
-        self._believed = believed
+    def __init__(self, bridge: BridgeInfo, *, trusted: bool = True) -> None:
+        self._trusted = trusted
         self.snapshot: Snapshot | None = None
         self.session: Session | None = None
         self.waits_for_operator = False
@@ -136,12 +136,12 @@ class Receiver:
         Raises:
             ProtocolError: it contradicts itself or the ones before, or is more than any engine tells.
         """
-        if not self._believed:
+        if not self._trusted:
             check_routes(state.routes)
         for raw in state.routes:
-            route = decode_route(raw) if self._believed else clean(decode_route(raw))
+            route = decode_route(raw) if self._trusted else clean(decode_route(raw))
             self._routes[route.key] = route
-        if not self._believed:
+        if not self._trusted:
             check_length(len(self._routes))
         if state.more:
             return False

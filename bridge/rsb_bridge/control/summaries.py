@@ -1,20 +1,123 @@
-"""An engine in a few figures, for consoles that watch it."""
+"""An engine in a few figures, for consoles that watch it: summed up, with the battery of its robot, and watched."""
 
 from __future__ import annotations
 
+import asyncio
+import contextlib
+import math
 import socket
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
-from rsb_bridge.control.batteries import Batteries
-from rsb_bridge.model.robot_summary import LossWindow, encode, of_engine
+from rsb_bridge.api import EngineError
+from rsb_bridge.cdr.decoder import decode
+from rsb_bridge.cdr.description import DescriptionError, read_description
+from rsb_bridge.control import protocol
+from rsb_bridge.control.control_sockets import ControlError
+from rsb_bridge.control.features import hello
+from rsb_bridge.control.protocol import ProtocolError
+from rsb_bridge.model.robot_summary import SUMMARY_BYTES, Battery, LossWindow, encode, of_engine
+from rsb_bridge.ros.known_messages import BATTERY_STATE
 
 if TYPE_CHECKING:
+    from collections.abc import AsyncGenerator
+    from concurrent.futures import Future
+
     from rsb_bridge.api import EngineApi
+    from rsb_bridge.control.ways import Connection, Way
     from rsb_bridge.model.robot_summary import Loss
+    from rsb_bridge.model.snapshot import PeekedMessage, RouteSnapshot, Snapshot
+
+_BATTERY_TOPIC: Final = "/battery_state"
+_BATTERY_TYPES = 16
+"""Descriptions that are kept: every robot should have the same one."""
+BATTERY_EVERY = 30.0
+"""s between two messages of one robot that are looked at."""
+BATTERIES_AT_ONCE = 4
+"""Robots whose next message is waited for: other consoles look at messages, too."""
+ANSWERS_WITHIN = 5.0
+_HELD_FOR = 0.25
+_SILENT_FOR = 3 * protocol.SIGN_OF_LIFE_EVERY
 
 
-class Summaries:
-    """What a `rsb_bridge.control.server.ControlServer` calls to sum its engine up.
+class Batteries:
+    """Looks at a message of each robot's battery now and then; never waits.
+
+    Args:
+        engine: that bridges them.
+        of_own_robot: the engine runs on the robot, and sends them; else it receives those of others.
+
+    Attributes:
+        known: the newest of each link, by its name.
+    """
+
+    def __init__(self, engine: EngineApi, *, of_own_robot: bool = False) -> None:
+        self.known: dict[str, Battery] = {}
+        self._engine = engine
+        self._outgoing = of_own_robot
+        self._looking: dict[str, Future[PeekedMessage | None]] = {}
+        self._due: dict[str, float] = {}
+        self._described: dict[str, Future[str]] = {}
+
+    def tick(self, now: Snapshot) -> None:
+        """Take what has come, and look at whatever is due."""
+        routes = {route.link: route for route in now.routes if self._is_battery(route)}
+        for link, future in list(self._looking.items()):
+            if future.done() and (link not in routes or self._take(link, future, routes[link])):
+                del self._looking[link]
+        self.known = {link: battery for link, battery in self.known.items() if link in routes}
+        self._due = {link: self._due.get(link, 0.0) for link in routes}
+        waiting = sorted(
+            (due, link)
+            for link, due in self._due.items()
+            # A due time later than that: the clock was set back.
+            if not now.time < due <= now.time + BATTERY_EVERY and link not in self._looking
+        )
+        for _, link in waiting[: BATTERIES_AT_ONCE - len(self._looking)]:
+            route = routes[link]
+            self._due[link] = now.time + BATTERY_EVERY
+            self._looking[link] = self._engine.peek(route.key, kept=link not in self.known)
+
+    def _is_battery(self, route: RouteSnapshot) -> bool:
+        of_robot = route.outgoing == self._outgoing and route.type_name == BATTERY_STATE
+        return of_robot and route.state.flows and route.spec.topic.endswith(_BATTERY_TOPIC)
+
+    def _take(self, link: str, future: Future[PeekedMessage | None], route: RouteSnapshot) -> bool:
+        """Read a message; False: what its type is has been asked first."""
+        try:
+            peeked = future.result()
+            if peeked is None:
+                return True
+            description = self._described.get(peeked.type_hash)
+            if description is None:
+                if len(self._described) >= _BATTERY_TYPES:
+                    self._described.clear()
+                description = self._described[peeked.type_hash] = self._engine.describe(route.key)
+            if not description.done():
+                return False
+            charge = charge_of(description.result(), peeked)
+        except (EngineError, DescriptionError):  # asked again when it is due
+            self._described.clear()
+            return True
+        if charge is not None:
+            self.known[link] = Battery(charge, peeked.time)
+        return True
+
+
+def charge_of(description: str, peeked: PeekedMessage) -> float | None:
+    """The charge that a message says, 0 to 1; None: it says none.
+
+    Raises:
+        DescriptionError: the description is none.
+    """
+    read = decode(read_description(description, peeked.type_hash), peeked.payload, items=0)
+    charge = read.message.get("percentage")
+    if not isinstance(charge, float) or not math.isfinite(charge) or charge < 0:  # NaN: not measured
+        return None
+    return min(1.0, charge / 100 if charge > 1 else charge)  # some drivers publish 0 to 100
+
+
+class SummaryBuilder:
+    """What a `rsb_bridge.control.control_server.ControlServer` calls to sum its engine up.
 
     Args:
         engine: whose.
@@ -40,3 +143,59 @@ class Summaries:
             snapshot, self._engine.session, host=self._host, version=self._version, losses=self._loss, battery=battery
         )
         return encode(summary)
+
+
+async def watch(way: Way, may_open: asyncio.Semaphore | None = None) -> AsyncGenerator[bytes, None]:
+    """An engine's figures, as they change, on the running loop; whoever stops to iterate closes it (`aclose`).
+
+    Args:
+        way: leads to the engine.
+        may_open: held while the connection is made, for 0.25 s at most, or None.
+
+    Yields:
+        The content of each `rsb_bridge.control.protocol.Summary`. It is the engine's word, and not checked yet.
+
+    Raises:
+        ControlError: it cannot be watched, or not any more, and this is why.
+    """
+    try:
+        connection = await _open(way, may_open)
+        with contextlib.ExitStack() as leaving:
+            leaving.callback(connection.abort)
+            connection.write(protocol.encode(hello(read_only=True)))
+            connection.write(protocol.encode(protocol.Watch()))
+            frames = protocol.frames_to_console(protocol.TO_WATCHER_LIMIT)
+            while True:
+                async with asyncio.timeout(_SILENT_FOR):
+                    data = await connection.read()
+                if not data:
+                    raise ControlError(f"{way.text}: the bridge's process has ended, or has closed the connection")
+                for message in frames.feed(data):
+                    if isinstance(message, protocol.Summary) and len(message.content) <= SUMMARY_BYTES:
+                        yield message.content
+                    elif isinstance(message, (protocol.Goodbye, protocol.Refused)):
+                        raise ControlError(f"{way.text}: {message.reason}")
+                    elif not isinstance(message, protocol.Welcome):
+                        raise ControlError(f"{way.text}: an answer to what nobody has asked")
+    except TimeoutError:
+        raise ControlError(f"{way.text}: the bridge does not answer") from None
+    except ProtocolError as error:
+        raise ControlError(f"{way.text}: {error}") from None
+    except OSError as error:
+        raise ControlError(f"{way.text}: {error.strerror or error}") from None
+
+
+async def _open(way: Way, may_open: asyncio.Semaphore | None) -> Connection:
+    """Connect; engines that do not answer, which strangers may announce, soon give place to others."""
+    async with may_open or contextlib.nullcontext():
+        opening = asyncio.create_task(way.open(ANSWERS_WITHIN))
+        try:
+            await asyncio.wait([opening], timeout=_HELD_FOR)
+        except asyncio.CancelledError:
+            opening.cancel()
+            raise
+    try:
+        return await opening
+    except asyncio.CancelledError:
+        opening.cancel()
+        raise

@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 from typing import TYPE_CHECKING, Protocol
 
-from rsb_bridge.control.folders import try_connect
+from rsb_bridge.control.control_sockets import try_connect
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -5,10 +5,8 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from rsb_bridge.api import EngineError
-from rsb_bridge.config.keys import KeyFileError
-from rsb_bridge.config.operators import granted_operators, operator_changes, operator_key_problem
-from rsb_bridge.config.rotation import key_warnings
-from rsb_bridge.config.shared_keys import unshared_keys
+from rsb_bridge.config.granted_operators import granted_operators, operator_changes, operator_key_problem
+from rsb_bridge.config.keys import KeyFileError, key_warnings, unshared_keys
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.operators import operator
 from rsb_bridge.model.snapshot import Level
@@ -18,8 +16,8 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
     from pathlib import Path
 
+    from rsb_bridge.config.granted_operators import Granted
     from rsb_bridge.config.keys import Key
-    from rsb_bridge.config.operators import Granted
     from rsb_bridge.model.clock import Clock
     from rsb_bridge.model.session import Session
     from rsb_bridge.telemetry.event_log import EventLog

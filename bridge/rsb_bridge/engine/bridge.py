@@ -16,9 +16,9 @@ from typing import TYPE_CHECKING
 import msgspec
 
 from rsb_bridge.api import EngineError, InvalidRequestError
-from rsb_bridge.config.clients import client_named, with_changed_client, with_client, without_client
+from rsb_bridge.config.client_entries import client_named, with_changed_client, with_client, without_client
 from rsb_bridge.config.difference import changes
-from rsb_bridge.config.shared_keys import shared_key_problem
+from rsb_bridge.config.keys import shared_key_problem
 from rsb_bridge.config.validation import validate
 from rsb_bridge.engine.exporters import Exporters
 from rsb_bridge.engine.inspector import RouteInspector
@@ -36,8 +36,8 @@ from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.demands import Demands, sources_of
 from rsb_bridge.model.operators import is_undo, operator
 from rsb_bridge.model.snapshot import Level, LinkSnapshot, RouteSnapshot, TopicInfo
-from rsb_bridge.ros.api import RosError
-from rsb_bridge.ros.graph_entries import CALLED, graph_of
+from rsb_bridge.ros.ros_graph import CALLED, graph_of
+from rsb_bridge.ros.ros_interface import RosError
 from rsb_bridge.ros.shutdown_topic import watch_shutdown_topic
 from rsb_bridge.ros.synthetic import resources
 from rsb_bridge.route.topic_route import TopicRoute

@@ -29,9 +29,9 @@ from rsb_bridge.model.clock import Clock
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.operators import operator
 from rsb_bridge.model.snapshot import Event, Level, Reloaded, Snapshot, TopicInfo
-from rsb_bridge.ros.api import RosError, RosInterface
-from rsb_bridge.ros.queue import RosToLoopQueue
-from rsb_bridge.ros.side import ros_side
+from rsb_bridge.ros.ros_interface import RosError, RosInterface
+from rsb_bridge.ros.ros_thread import RosToLoopQueue
+from rsb_bridge.ros.synthetic import ros_side
 from rsb_bridge.telemetry.event_log import EventLog
 from rsb_bridge.telemetry.snapshot_publisher import SnapshotPublisher
 from rsb_bridge.transport.registry import Transports, transports_of

@@ -11,8 +11,8 @@ from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.http_address import host_and_port
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.model.snapshot import Level
-from rsb_bridge.ros.api import Endpoint, RosError
-from rsb_bridge.ros.own_announcement import Origin
+from rsb_bridge.ros.announcements import Origin
+from rsb_bridge.ros.ros_interface import Endpoint, RosError
 from rsb_bridge.telemetry.diagnostics import diagnostics
 
 if TYPE_CHECKING:
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
     from rsb_bridge.context import Context
     from rsb_bridge.model.snapshot import Snapshot
-    from rsb_bridge.ros.api import Publisher
+    from rsb_bridge.ros.ros_interface import Publisher
 
 _TYPE = "diagnostic_msgs/msg/DiagnosticArray"
 _QOS = Qos()  # as diagnostic_updater

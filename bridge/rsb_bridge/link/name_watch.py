@@ -10,16 +10,15 @@ from rsb_bridge.model.calls import LANES
 from rsb_bridge.model.patterns import is_hidden
 from rsb_bridge.model.session import Kind
 from rsb_bridge.model.sources import OF_EVERY_NODE
-from rsb_bridge.ros.api import RosError
-from rsb_bridge.ros.graph import agreed_type
-from rsb_bridge.ros.graph_entries import called_in
+from rsb_bridge.ros.ros_graph import agreed_type, called_in
+from rsb_bridge.ros.ros_interface import RosError
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterable, Sequence
 
     from rsb_bridge.context import Context
     from rsb_bridge.model.patterns import Pattern
-    from rsb_bridge.ros.api import Endpoint
+    from rsb_bridge.ros.ros_interface import Endpoint
 
 Named = tuple[Kind, str]
 """Of what, and its name."""

@@ -8,8 +8,8 @@ import msgspec
 from msgspec import UNSET
 
 from rsb_bridge import __version__
-from rsb_bridge.config.call_rules import overlap
 from rsb_bridge.config.rights import Rights, Use, uses
+from rsb_bridge.config.topic_rules import overlap
 from rsb_bridge.config.validation import validate_topic
 from rsb_bridge.link.errors import LinkError
 from rsb_bridge.model import session

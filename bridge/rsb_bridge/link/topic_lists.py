@@ -17,7 +17,7 @@ from rsb_bridge.link.proposals import KINDS
 from rsb_bridge.link.questions import Questions
 from rsb_bridge.model.limits import TEXT_LENGTH
 from rsb_bridge.model.snapshot import TopicInfo
-from rsb_bridge.ros.graph_entries import CALLED, graph_of
+from rsb_bridge.ros.ros_graph import CALLED, graph_of
 from rsb_bridge.wire.codec import topic_entries
 from rsb_bridge.wire.framing import CONTROL_LIMIT
 from rsb_bridge.wire.messages import ListTopics, TopicList
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
     from rsb_bridge.link.control_channel import Slices
     from rsb_bridge.model.session import Kind
-    from rsb_bridge.ros.api import RosInterface
+    from rsb_bridge.ros.ros_interface import RosInterface
     from rsb_bridge.wire.codec import TopicListParts
     from rsb_bridge.wire.messages import ControlMessage
 

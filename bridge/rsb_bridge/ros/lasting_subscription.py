@@ -6,13 +6,13 @@ import contextlib
 from typing import TYPE_CHECKING
 
 from rsb_bridge.model.backoff import Backoff
-from rsb_bridge.ros.api import RosError
+from rsb_bridge.ros.ros_interface import RosError
 
 if TYPE_CHECKING:
     import asyncio
     from collections.abc import Callable
 
-    from rsb_bridge.ros.api import OnFailure, Subscription
+    from rsb_bridge.ros.ros_interface import OnFailure, Subscription
 
 _FIRST_DELAY, _LONGEST_DELAY = 0.5, 30.0  # s
 _HEALED_AFTER = 60.0  # s

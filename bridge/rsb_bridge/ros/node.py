@@ -1,29 +1,30 @@
-"""One domain's ROS graph and our node in it: `RosNode` is the `rsb_bridge.ros.api.RosInterface` of a real robot."""
+"""One domain's ROS graph and our node in it: `RosNode` is the `ros_interface.RosInterface` of a real robot."""
 
 from __future__ import annotations
 
+import ctypes
 import logging
 import os
 import re
 import secrets
 import threading
 from collections import defaultdict, deque
-from typing import TYPE_CHECKING, Any, TypeAlias
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Any, Generic, TypeAlias, TypeVar
 
 from rsb_bridge.model.qos import incompatible
-from rsb_bridge.ros.api import RawMessage, RosError
-from rsb_bridge.ros.drain import ClientDrain, Drain, ServerDrain
-from rsb_bridge.ros.heap import large_blocks_kept
 from rsb_bridge.ros.middleware import check_middleware
-from rsb_bridge.ros.turns import LONGEST_WAIT, RosTurns
+from rsb_bridge.ros.ros_interface import BATCH, RawMessage, Request, Response, RosError
+from rsb_bridge.ros.ros_thread import LONGEST_WAIT, RosTurns
 from rsb_bridge.ros.typesupport import hash_of, installed_class, installed_service, service_hash_of
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Hashable
+    from collections.abc import Callable, Hashable, Iterator, Sequence
 
     from rsb_bridge.model.calls import Fields
     from rsb_bridge.model.qos import Qos
-    from rsb_bridge.ros.api import (
+    from rsb_bridge.ros.rcl import Incoming, Participant
+    from rsb_bridge.ros.ros_interface import (
         Endpoint,
         OnFailure,
         Publisher,
@@ -34,7 +35,7 @@ if TYPE_CHECKING:
         Sink,
         Subscription,
     )
-    from rsb_bridge.ros.rcl import Incoming, Participant
+    from rsb_bridge.ros.service_endpoints import Client, Server, TypedClient, TypedServer
     from rsb_bridge.ros.topic_endpoints import Reader, Writer
 
 _Key: TypeAlias = "tuple[str, Hashable]"
@@ -46,6 +47,16 @@ _CLOSED_REMEMBERED = 1000
 """Publishers of our own that were closed: their messages are still known as ours."""
 
 _STOP_WITHIN = 1.0  # s
+_Taken = TypeVar("_Taken")
+_M_TRIM_THRESHOLD, _M_MMAP_THRESHOLD = -1, -3
+_LARGEST_ON_HEAP = 32 << 20
+"""Bytes of a block that comes from the heap; it is the most that glibc allows."""
+_MOST_FREE_HEAP = 64 << 20
+"""Bytes that may be free at the end of each of the heap's arenas, until they go back."""
+_LITTLE_FREE_HEAP = 8 << 20
+"""Bytes that may stay free."""
+_HEAP_TRIMMED_EVERY = 30.0
+"""s; to give 60 MB back takes 10 ms, and to get them again as many."""
 
 
 class RosNode:
@@ -98,7 +109,7 @@ class RosNode:
         self._thread.start()
 
     def watch(self, on_graph_change: Callable[[], None], on_failure: Callable[[str], None]) -> None:
-        """Have functions called; see `rsb_bridge.ros.api.RosInterface.watch`."""
+        """Have functions called; see `rsb_bridge.ros.ros_interface.RosInterface.watch`."""
         self._on_graph_change, self._on_failure = on_graph_change, on_failure
         if self._failure:
             on_failure(self._failure)
@@ -143,7 +154,7 @@ class RosNode:
 
     def installed_description(self, type_name: str) -> str | None:
         """The text of the description of a message type that is installed here, else None."""
-        from rsb_bridge.ros.descriptions import installed_description  # noqa: PLC0415  as in `start`
+        from rsb_bridge.ros.rosidl_descriptions import installed_description  # noqa: PLC0415  as in `start`
 
         try:
             return installed_description(type_name)
@@ -151,15 +162,15 @@ class RosNode:
             return None
 
     def serialize(self, type_name: str, fields: Fields, now: int) -> bytes:
-        """Serialize what an operator wrote; see `rsb_bridge.ros.api.RosInterface.serialize`."""
-        from rsb_bridge.ros.by_hand import serialize  # noqa: PLC0415  as in `start`
+        """Serialize what an operator wrote; see `rsb_bridge.ros.ros_interface.RosInterface.serialize`."""
+        from rsb_bridge.ros.written_messages import serialize  # noqa: PLC0415  as in `start`
 
         return serialize(type_name, fields, now)
 
     def ask_description(
         self, node: str, type_name: str, type_hash: str, still_wanted: Callable[[], bool]
     ) -> str | None:
-        """Ask a node for a type's description; see `rsb_bridge.ros.api.RosInterface.ask_description`."""
+        """Ask a node for a type's description; see `rsb_bridge.ros.ros_interface.RosInterface.ask_description`."""
         with self._asking:
             participant = self._joined()
             return participant.ask_description(
@@ -176,7 +187,7 @@ class RosNode:
         origin: Hashable,
         on_failure: OnFailure | None = None,
     ) -> Subscription:
-        """Subscribe raw; see `rsb_bridge.ros.api.RosInterface.subscribe`."""
+        """Subscribe raw; see `rsb_bridge.ros.ros_interface.RosInterface.subscribe`."""
         with self._lock:
             participant = self._joined()
             reader = participant.create_reader(topic, type_name, type_hash, qos)
@@ -186,7 +197,7 @@ class RosNode:
         return subscription
 
     def advertise(self, topic: str, type_name: str, type_hash: str, qos: Qos, origin: Hashable) -> Publisher:
-        """Create a raw publisher; see `rsb_bridge.ros.api.RosInterface.advertise`."""
+        """Create a raw publisher; see `rsb_bridge.ros.ros_interface.RosInterface.advertise`."""
         with self._lock:
             writer = self._joined().create_writer(topic, type_name, type_hash, qos)
             self._own[writer.topic, origin].add(writer.gid)
@@ -223,7 +234,7 @@ class RosNode:
     def serve(
         self, service: str, type_name: str, type_hash: str, sink: RequestSink, on_failure: OnFailure | None = None
     ) -> ServiceServer:
-        """Offer a service; see `rsb_bridge.ros.api.RosInterface.serve`."""
+        """Offer a service; see `rsb_bridge.ros.ros_interface.RosInterface.serve`."""
         with self._lock:
             participant = self._joined()
             created = participant.create_server(service, type_name, type_hash)
@@ -234,7 +245,7 @@ class RosNode:
     def call_service(
         self, service: str, type_name: str, type_hash: str, sink: ResponseSink, on_failure: OnFailure | None = None
     ) -> ServiceClient:
-        """Prepare to call a service; see `rsb_bridge.ros.api.RosInterface.call_service`."""
+        """Prepare to call a service; see `rsb_bridge.ros.ros_interface.RosInterface.call_service`."""
         with self._lock:
             participant = self._joined()
             created = participant.create_client(service, type_name, type_hash)
@@ -338,6 +349,103 @@ class RosNode:
             participant.leave()
 
 
+class Drain(Generic[_Taken]):
+    """Takes from an endpoint until it is closed, or fails.
+
+    Attributes:
+        endpoint: which the thread frees.
+    """
+
+    def __init__(
+        self,
+        endpoint: Incoming,
+        take: Callable[[int], Sequence[_Taken]],
+        sink: Callable[[Sequence[_Taken]], None],
+        on_failure: OnFailure | None,
+        retire: Callable[[Drain[_Taken]], None],
+    ) -> None:
+        """Begin.
+
+        Args:
+            endpoint: which the thread frees.
+            take: takes up to so many from it.
+            sink: is given them.
+            on_failure: called if it fails.
+            retire: has the thread free the endpoint.
+        """
+        self.endpoint = endpoint
+        self._take = take
+        self._sink = sink
+        self._on_failure = on_failure
+        self._retire = retire
+        self._delivering = threading.RLock()  # a sink may close its own endpoint
+        self._closed = False
+
+    def deliver(self) -> None:
+        """Take one batch and hand it on."""
+        with self._delivering:
+            if self._closed:
+                return
+            try:
+                batch = self._take(BATCH)
+            except RosError as error:
+                self.close()
+                if self._on_failure is not None:
+                    self._on_failure(error)
+                return
+            if batch:
+                self._sink(batch)
+
+    def close(self) -> None:
+        """Take no more. The sink is not called again after this returns."""
+        with self._delivering:
+            self._closed = True
+        self._retire(self)
+
+
+class ServerDrain(Drain[Request]):
+    """A service that is offered: `rsb_bridge.ros.ros_interface.ServiceServer`.
+
+    Attributes:
+        service: its name, resolved.
+    """
+
+    def __init__(
+        self,
+        server: Server | TypedServer,
+        sink: RequestSink,
+        on_failure: OnFailure | None,
+        retire: Callable[[Drain[Any]], None],
+    ) -> None:
+        super().__init__(server, server.take, sink, on_failure, retire)
+        self.service = server.name
+        self.answer = server.answer
+
+
+class ClientDrain(Drain[Response]):
+    """A service that is called: `rsb_bridge.ros.ros_interface.ServiceClient`.
+
+    Attributes:
+        service: its name, resolved.
+    """
+
+    def __init__(
+        self,
+        client: Client | TypedClient,
+        sink: ResponseSink,
+        on_failure: OnFailure | None,
+        retire: Callable[[Drain[Any]], None],
+    ) -> None:
+        super().__init__(client, client.take, sink, on_failure, retire)
+        self.service = client.name
+        self.call = client.call
+        self._client = client
+
+    @property
+    def ready(self) -> bool:
+        return self._client.ready
+
+
 class _Subscription(Drain[RawMessage]):
     """A reader, and whose it is."""
 
@@ -391,3 +499,44 @@ class _Publisher:
 
 def _nothing() -> None:
     """Nobody watches the graph."""
+
+
+class _Statistics(ctypes.Structure):
+    """A mallinfo2 (malloc.h)."""
+
+    _fields_ = tuple(
+        (name, ctypes.c_size_t)
+        for name in ("arena", "ordblks", "smblks", "hblks", "hblkhd", "usmblks", "fsmblks", "uordblks", "free", "keep")
+    )
+
+
+@contextmanager
+def large_blocks_kept() -> Iterator[None]:
+    """Keep large blocks on the heap for as long as the context lasts. With a C library other than glibc, do nothing.
+
+    By itself glibc gives the memory of a large message back to the kernel as soon as it is free, and gets new pages for
+    the next one: hundreds of page faults a message, which cost more than to seal it. So large blocks come from the heap
+    here, and what is free of it goes back twice a minute.
+    """
+    library = ctypes.CDLL(None)
+    if not all(hasattr(library, name) for name in ("mallopt", "mallinfo2", "malloc_trim")):
+        yield
+        return
+    library.mallinfo2.restype = _Statistics
+    library.mallopt(_M_MMAP_THRESHOLD, _LARGEST_ON_HEAP)
+    library.mallopt(_M_TRIM_THRESHOLD, _MOST_FREE_HEAP)
+    ended = threading.Event()
+    giving_back = threading.Thread(target=_give_back, args=(library, ended), name="heap", daemon=True)
+    giving_back.start()
+    try:
+        yield
+    finally:
+        ended.set()
+        giving_back.join()
+
+
+def _give_back(library: Any, ended: threading.Event) -> None:
+    """On a thread of its own: it holds up nobody who needs no memory."""
+    while not ended.wait(_HEAP_TRIMMED_EVERY):
+        if library.mallinfo2().free > _LITTLE_FREE_HEAP:
+            library.malloc_trim(_LITTLE_FREE_HEAP)

@@ -2,20 +2,130 @@
 
 A subscription for each node that is bridged would have each event copied, taken and looked into as often as nodes are
 bridged. So those of one link share one; a link's own, as what a link publishes must not come back to it
-(`rsb_bridge.ros.api.RosInterface.subscribe`).
+(`rsb_bridge.ros.ros_interface.RosInterface.subscribe`). An event is rcl_interfaces/msg/ParameterEvent, serialized.
 """
 
 from __future__ import annotations
 
+import struct
 from typing import TYPE_CHECKING, NamedTuple
 
-from rsb_bridge.cdr.parameter_event import ParameterEventError, node_of
+from rsb_bridge.cdr.decoder import HEADER_LENGTH
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Hashable, Sequence
 
     from rsb_bridge.model.qos import Qos
-    from rsb_bridge.ros.api import OnFailure, RawMessage, RosError, RosInterface, Sink, Subscription
+    from rsb_bridge.ros.ros_interface import OnFailure, RawMessage, RosError, RosInterface, Sink, Subscription
+
+LONGEST = 256 << 10
+"""Bytes of an event that gets another name: some 2,000 parameters that changed at once. Each takes 10 µs."""
+
+_BYTE_ORDERS = {b"\x00\x00": ">", b"\x00\x01": "<"}  # CDR_BE, CDR_LE
+_NO_OPTIONS = b"\x00\x00"  # of the encapsulation header: they tell how many bytes of padding stand at the end
+_STAMP = 8
+_LISTS = 3  # of parameters: new, changed, deleted
+_ARRAYS = (1, 1, 8, 8)  # of a ParameterValue: bytes, bools, integers, doubles; bytes of an element
+
+
+class ParameterEventError(ValueError):
+    """A message is no parameter event; the text says how it shows."""
+
+
+def node_of(payload: bytes) -> str:
+    """The full name of the node whose parameters an event is about.
+
+    Args:
+        payload: the message with its encapsulation header.
+
+    Raises:
+        ParameterEventError: it is none.
+    """
+    reader = _Reader(payload)
+    reader.take(_STAMP, 4)
+    name = reader.string()
+    if name[-1:] != b"\0":
+        raise ParameterEventError("the node's name has no end")
+    return name[:-1].decode("utf-8", "replace")
+
+
+def with_node(payload: bytes, node: str) -> bytes:
+    """The same event of a node of another name.
+
+    Args:
+        payload: the message with its encapsulation header.
+        node: the full name to put into it.
+
+    Raises:
+        ParameterEventError: it is none, or longer than `LONGEST`.
+    """
+    if len(payload) > LONGEST:
+        raise ParameterEventError(f"it has {len(payload):,} bytes, and at most {LONGEST:,} are looked through")
+    name = node.encode() + b"\0"
+    reader = _Reader(payload)
+    stamp = reader.take(_STAMP, 4)
+    reader.string()
+    copy = _Copy(reader, bytearray(payload[:2] + _NO_OPTIONS + stamp))
+    copy.out += struct.pack(f"{reader.order}I", len(name)) + name
+    for _ in range(_LISTS):
+        for _ in range(copy.length()):
+            copy.string()  # the parameter's name
+            copy.take(2, 1)  # its type, the bool
+            copy.take(8, 8)  # the integer
+            copy.take(8, 8)  # the double
+            copy.string()
+            for size in _ARRAYS:
+                if count := copy.length():
+                    copy.take(count * size, size)
+            for _ in range(copy.length()):
+                copy.string()
+    return bytes(copy.out)
+
+
+class _Reader:
+    """Reads from the beginning on; no step passes over fewer bytes than its own, so that reading ends."""
+
+    def __init__(self, payload: bytes) -> None:
+        order = _BYTE_ORDERS.get(payload[:2])
+        if order is None or len(payload) < HEADER_LENGTH:
+            raise ParameterEventError("it does not begin as XCDR1")
+        self.order = order
+        self.payload = payload
+        self.at = HEADER_LENGTH
+
+    def take(self, size: int, alignment: int) -> bytes:
+        start = self.at + (HEADER_LENGTH - self.at) % alignment
+        if size > len(self.payload) - start:
+            raise ParameterEventError(f"it ends after {len(self.payload):,} bytes, before its content does")
+        self.at = start + size
+        return self.payload[start : self.at]
+
+    def length(self) -> int:
+        (length,) = struct.unpack(f"{self.order}I", self.take(4, 4))
+        return int(length)
+
+    def string(self) -> bytes:
+        return self.take(self.length(), 1)
+
+
+class _Copy:
+    """Writes what it reads, aligned where it comes to stand."""
+
+    def __init__(self, reader: _Reader, out: bytearray) -> None:
+        self._reader = reader
+        self.out = out
+
+    def take(self, size: int, alignment: int) -> None:
+        content = self._reader.take(size, alignment)
+        self.out += bytes((HEADER_LENGTH - len(self.out)) % alignment) + content
+
+    def length(self) -> int:
+        length = self._reader.length()
+        self.out += bytes((HEADER_LENGTH - len(self.out)) % 4) + struct.pack(f"{self._reader.order}I", length)
+        return length
+
+    def string(self) -> None:
+        self.take(self.length(), 1)
 
 
 class EventsTopic(NamedTuple):

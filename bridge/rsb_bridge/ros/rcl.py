@@ -19,22 +19,27 @@ from rclpy.impl.implementation_singleton import rclpy_implementation as _rclpy
 from rsb_bridge.model.limits import DOMAIN, TOPIC_LENGTH
 from rsb_bridge.model.names import is_topic_name
 from rsb_bridge.model.qos import Qos
-from rsb_bridge.ros.anytype import borrow_type
-from rsb_bridge.ros.api import Endpoint, RosError
-from rsb_bridge.ros.conversions import endpoint_of, rcl_profile, safe_type_name
-from rsb_bridge.ros.descriptions import ask_node
-from rsb_bridge.ros.librcl import Handle, librcl, reason_of, reset_error
-from rsb_bridge.ros.service_endpoints import Client, Server
+from rsb_bridge.ros.librcl import (
+    Handle,
+    TakeBuffer,
+    endpoint_of,
+    librcl,
+    rcl_profile,
+    reason_of,
+    reset_error,
+    safe_type_name,
+)
+from rsb_bridge.ros.raw_types import borrow_service, borrow_type
+from rsb_bridge.ros.ros_interface import Endpoint, RosError
+from rsb_bridge.ros.rosidl_descriptions import ask_node
+from rsb_bridge.ros.service_endpoints import Client, Server, TypedClient, TypedServer
 from rsb_bridge.ros.service_graph import CallerTable, callers, servers
-from rsb_bridge.ros.service_types import borrow_service
-from rsb_bridge.ros.take_buffer import TakeBuffer
 from rsb_bridge.ros.topic_endpoints import Reader, Writer
-from rsb_bridge.ros.typed_services import TypedClient, TypedServer
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from rsb_bridge.ros.anytype import BorrowedType
+    from rsb_bridge.ros.raw_types import BorrowedType
 
 _ARGUMENTS = ["--ros-args", "--disable-rosout-logs", "--disable-stdout-logs", "--disable-external-lib-logs"]
 """ROS arguments of ours alone, not the process's; and no log line of rcl's may garble a terminal user interface."""
@@ -166,7 +171,7 @@ class Participant:
     def ask_description(
         self, node: str, type_name: str, type_hash: str, still_wanted: Callable[[], bool]
     ) -> str | None:
-        """What another node tells of a type that it uses; see `rsb_bridge.ros.descriptions.ask_node`.
+        """What another node tells of a type that it uses; see `rsb_bridge.ros.rosidl_descriptions.ask_node`.
 
         Raises:
             RosError: rcl failed.

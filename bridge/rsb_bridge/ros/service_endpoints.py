@@ -15,16 +15,20 @@ What rmw_fastrtps_cpp does with a call, and what follows from it here:
 from __future__ import annotations
 
 import ctypes
+import itertools
 import struct
 import threading
 import time
+import warnings
+from collections import OrderedDict, deque
 from contextlib import contextmanager
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
-from rsb_bridge.ros.api import Request, Response, RosError
-from rsb_bridge.ros.late_answers import LateAnswers
-from rsb_bridge.ros.librcl import librcl, reset_error
-from rsb_bridge.ros.raw_cdr import outgoing
+from rclpy.serialization import deserialize_message
+
+from rsb_bridge.ros.librcl import librcl, reason_of, reset_error, serialize_message
+from rsb_bridge.ros.raw_types import outgoing
+from rsb_bridge.ros.ros_interface import Request, Response, RosError
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -51,6 +55,17 @@ _send_request = librcl.rcl_send_request
 _send_request.argtypes = [ctypes.c_void_p, ctypes.c_void_p, ctypes.POINTER(ctypes.c_int64)]
 _send_response = librcl.rcl_send_response
 _send_response.argtypes = [ctypes.c_void_p] * 3
+_CALLER_FOUND_WITHIN = 10.0
+"""s that a caller that has called may take to be found; one that has gone never is.
+
+DDS says again every 3 s what was lost of its discovery. On one core beside 8 busy loops that took 6 s at most, of 190.
+"""
+_LATE_ANSWERS_TRIED_EVERY = 0.2
+"""s; a caller that is there, but not matched, holds up everybody for half of that."""
+_MOST_LATE_ANSWERS = 1000
+_MOST_LATE_BYTES = 16 << 20
+"""Of one server."""
+_CALLS_REMEMBERED = 5000
 
 
 class ServiceEndpoint:
@@ -134,7 +149,7 @@ class Server(ServiceEndpoint):
         return requests
 
     def answer(self, caller: bytes, payload: bytes) -> None:
-        """Answer a call; see `rsb_bridge.ros.api.ServiceServer.answer`.
+        """Answer a call; see `rsb_bridge.ros.ros_interface.ServiceServer.answer`.
 
         Raises:
             RosError: it is closed, the payload is no message, or the middleware refused it.
@@ -204,7 +219,7 @@ class Client(ServiceEndpoint):
         return responses
 
     def call(self, payload: bytes) -> int:
-        """Send a request; see `rsb_bridge.ros.api.ServiceClient.call`.
+        """Send a request; see `rsb_bridge.ros.ros_interface.ServiceClient.call`.
 
         Raises:
             RosError: it is closed, the payload is no message, or the middleware refused it.
@@ -236,3 +251,151 @@ def _check(code: int, expected: int, service: str, failed: str) -> None:
     reset_error()
     if code != expected:
         raise RosError(f"{service}: {failed} (rcl error {code})")
+
+
+class _Answer(NamedTuple):
+    """One that is kept.
+
+    Attributes:
+        number: of the caller's request.
+        payload: the response.
+        since: s, monotonic.
+    """
+
+    number: int
+    payload: bytes
+    since: float
+
+
+class LateAnswers:
+    """Sends answers in order, caller by caller; those that cannot be sent it keeps, and tries again for a while."""
+
+    def __init__(self, send: Callable[[bytes, int, bytes], bool]) -> None:
+        """Begin with none.
+
+        Args:
+            send: sends an answer, given its caller, the number of the request and the response. Whether it could.
+        """
+        self._send = send
+        self._kept: dict[bytes, deque[_Answer]] = {}
+        self._tried_at = 0.0
+
+    def send(self, caller: bytes, number: int, payload: bytes) -> bool:
+        """Send an answer, else keep it. Whether it was sent.
+
+        Raises:
+            RosError: it cannot be sent at all, or there is no room to keep it.
+        """
+        if caller not in self._kept and self._send(caller, number, payload):
+            return True
+        sizes = [len(each.payload) for answers in self._kept.values() for each in answers]
+        if len(sizes) >= _MOST_LATE_ANSWERS or sum(sizes) + len(payload) > _MOST_LATE_BYTES:
+            raise RosError(f"{len(sizes):,} answers wait for callers that DDS does not know; there is no room for more")
+        self._kept.setdefault(caller, deque()).append(_Answer(number, payload, time.monotonic()))
+        return False
+
+    def try_again(self) -> bool:
+        """Send those that can be sent now, and give up those that are too old. Whether some are left."""
+        now = time.monotonic()
+        if now >= self._tried_at + _LATE_ANSWERS_TRIED_EVERY:
+            self._tried_at = now
+            for caller, answers in tuple(self._kept.items()):
+                while answers and self._is_settled(caller, answers[0], now):
+                    answers.popleft()
+                if not answers:
+                    del self._kept[caller]
+        return bool(self._kept)
+
+    def _is_settled(self, caller: bytes, answer: _Answer, now: float) -> bool:
+        try:
+            return now > answer.since + _CALLER_FOUND_WITHIN or self._send(caller, answer.number, answer.payload)
+        except RosError:
+            return True  # whoever answered has gone on
+
+
+# rclpy says so on stderr, where a terminal user interface may be, of each answer to a caller that has gone.
+warnings.filterwarnings("ignore", "failed to send response", RuntimeWarning)
+
+_numbers = itertools.count(1)
+_asked: OrderedDict[bytes, Any] = OrderedDict()
+"""What rclpy knows callers by, of the process's calls that were not answered yet."""
+
+
+class TypedServer(ServiceEndpoint):
+    """A service whose package is installed, where its calls cannot be carried raw; as `Server`.
+
+    With another middleware, or another version of it, rclpy takes and sends the messages, and they are serialized here.
+    That costs some 10 µs to ms a call, by the size of its messages. It is left to the middleware whether an answer
+    reaches a caller that asked an earlier server.
+    """
+
+    kind: Literal["service"] = "service"
+
+    def __init__(self, handle: Handle, name: str, service_class: Any) -> None:
+        super().__init__(handle, name)
+        self._request, self._response = service_class.Request, service_class.Response
+
+    def take(self, limit: int) -> list[Request]:
+        """Take up to `limit` calls."""
+        requests: list[Request] = []
+        for _ in range(limit):
+            with _refused(self.name):
+                message, info = self.handle.rclpy.service_take_request(self._request)
+            if message is None:
+                break
+            caller = next(_numbers).to_bytes(8, "big")
+            _asked[caller] = info.request_id
+            requests.append(Request(serialize_message(message), caller, time.time_ns(), source=info.source_timestamp))
+        while len(_asked) > _CALLS_REMEMBERED:
+            _asked.popitem(last=False)
+        return requests
+
+    def answer(self, caller: bytes, payload: bytes) -> None:
+        """Answer a call."""
+        with self._open(), _refused(self.name):
+            message = deserialize_message(payload, self._response)
+            if (request_id := _asked.pop(caller, None)) is not None:
+                self.handle.rclpy.service_send_response(message, request_id)
+
+
+class TypedClient(ServiceEndpoint):
+    """A client of a service; as `Client`."""
+
+    kind: Literal["client"] = "client"
+
+    def __init__(self, handle: Handle, name: str, service_class: Any) -> None:
+        super().__init__(handle, name)
+        self._request, self._response = service_class.Request, service_class.Response
+
+    @property
+    def ready(self) -> bool:
+        """Whether a server is matched; no once closed."""
+        return is_ready(self.handle)
+
+    def take(self, limit: int) -> list[Response]:
+        """Take up to `limit` answers."""
+        responses: list[Response] = []
+        for _ in range(limit):
+            with _refused(self.name):
+                info, message = self.handle.rclpy.take_response(self._response)
+            if message is None:
+                break
+            number, stamp = info.request_id.sequence_number, info.received_timestamp
+            responses.append(Response(serialize_message(message), number, stamp))
+        return responses
+
+    def call(self, payload: bytes) -> int:
+        """Send a request."""
+        with self._open(), _refused(self.name):
+            number: int = self.handle.rclpy.send_request(deserialize_message(payload, self._request))
+        return number
+
+
+@contextmanager
+def _refused(service: str) -> Iterator[None]:
+    """Say what rclpy does not do as a `RosError`."""
+    try:
+        yield
+    except RuntimeError as error:
+        reset_error()
+        raise RosError(f"{service}: {reason_of(error)}") from error

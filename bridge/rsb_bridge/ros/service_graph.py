@@ -14,14 +14,14 @@ from typing import TYPE_CHECKING, Any
 from rclpy.impl.implementation_singleton import rclpy_implementation as _rclpy
 
 from rsb_bridge.model.qos import incompatible
-from rsb_bridge.ros.conversions import endpoint_of
+from rsb_bridge.ros.librcl import endpoint_of
 from rsb_bridge.ros.typesupport import joined_hash
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
     from rsb_bridge.model.qos import Qos
-    from rsb_bridge.ros.api import Endpoint
+    from rsb_bridge.ros.ros_interface import Endpoint
 
     Ask = Callable[..., list[dict[str, Any]]]
     """Asks one of rclpy's questions about a DDS topic."""

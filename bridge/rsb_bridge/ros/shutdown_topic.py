@@ -5,14 +5,14 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from rsb_bridge.model.qos import Qos
+from rsb_bridge.ros.known_messages import STRING, STRING_HASH, string_bytes
 from rsb_bridge.ros.lasting_subscription import LastingSubscription
-from rsb_bridge.ros.std_string import STRING, STRING_HASH, string_bytes
 
 if TYPE_CHECKING:
     import asyncio
     from collections.abc import Callable, Sequence
 
-    from rsb_bridge.ros.api import OnFailure, RawMessage, RosInterface, Subscription
+    from rsb_bridge.ros.ros_interface import OnFailure, RawMessage, RosInterface, Subscription
 
 _WORD = b"shutdown"
 

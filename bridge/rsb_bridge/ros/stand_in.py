@@ -17,16 +17,32 @@ from typing import TYPE_CHECKING
 import msgspec
 
 from rsb_bridge.model.qos import Qos
-from rsb_bridge.ros.api import Endpoint, RawMessage
-from rsb_bridge.ros.battery_state import BATTERY_STATE, BATTERY_STATE_HASH, battery_state
-from rsb_bridge.ros.no_ros import NoRos
-from rsb_bridge.ros.stamped import message
-from rsb_bridge.ros.std_string import STRING, STRING_HASH
+from rsb_bridge.ros.known_messages import (
+    BATTERY_STATE,
+    BATTERY_STATE_HASH,
+    STRING,
+    STRING_HASH,
+    battery_state,
+    stamped_string,
+)
+from rsb_bridge.ros.ros_interface import Endpoint, RawMessage, RosError
+from rsb_bridge.ros.ros_thread import RosTurns
 
 if TYPE_CHECKING:
-    from collections.abc import Hashable, Sequence
+    from collections.abc import Callable, Hashable, Sequence
 
-    from rsb_bridge.ros.api import OnFailure, Sink
+    from rsb_bridge.model.calls import Fields
+    from rsb_bridge.ros.ros_interface import (
+        OnFailure,
+        Publisher,
+        RequestSink,
+        ResponseSink,
+        ServiceClient,
+        ServiceServer,
+        Sink,
+        Subscription,
+    )
+
 
 _GID_LENGTH = 16
 _FLOOD_AT_ONCE = 16
@@ -34,6 +50,81 @@ _QOS = Qos()
 _HASHES = {STRING: STRING_HASH, BATTERY_STATE: BATTERY_STATE_HASH}
 _BATTERY_LASTS, _CHARGED_AT = 900.0, 0.1
 """s from a full battery to the charge at which it is changed for another."""
+
+
+class NoRos:
+    """A ROS graph that has nothing in it, and takes nothing."""
+
+    instance_id = "0123abcd"
+    node_name = "rsb_robot1_0123abcd"
+    turns = RosTurns()
+
+    def start(self) -> None:
+        pass
+
+    def watch(self, on_graph_change: Callable[[], None], on_failure: Callable[[str], None]) -> None:
+        pass
+
+    def stop(self) -> None:
+        pass
+
+    def topics(self) -> dict[str, list[str]]:
+        return {}
+
+    def publishers(self, topic: str) -> list[Endpoint]:
+        return []
+
+    def subscriptions(self, topic: str) -> list[Endpoint]:
+        return []
+
+    def services(self) -> dict[str, list[str]]:
+        return {}
+
+    def servers(self, service: str) -> list[Endpoint]:
+        return []
+
+    def callers(self, service: str) -> list[Endpoint]:
+        return []
+
+    def serialize(self, type_name: str, fields: Fields, now: int) -> bytes:
+        raise RosError(f"{type_name} is not installed here")
+
+    def installed_description(self, type_name: str) -> str | None:
+        return None
+
+    def ask_description(self, *_: object) -> str | None:
+        return None
+
+    def installed_hash(self, type_name: str) -> str | None:
+        return None
+
+    def installed_service_hash(self, type_name: str) -> str | None:
+        return None
+
+    def serve(
+        self, service: str, type_name: str, type_hash: str, sink: RequestSink, on_failure: OnFailure | None = None
+    ) -> ServiceServer:
+        raise RosError("there is no ROS")
+
+    def call_service(
+        self, service: str, type_name: str, type_hash: str, sink: ResponseSink, on_failure: OnFailure | None = None
+    ) -> ServiceClient:
+        raise RosError("there is no ROS")
+
+    def subscribe(
+        self,
+        topic: str,
+        type_name: str,
+        type_hash: str,
+        qos: Qos,
+        sink: Sink,
+        origin: Hashable,
+        on_failure: OnFailure | None = None,
+    ) -> Subscription:
+        raise RosError("there is no ROS")
+
+    def advertise(self, topic: str, type_name: str, type_hash: str, qos: Qos, origin: Hashable) -> Publisher:
+        raise RosError("there is no ROS")
 
 
 class Talk(msgspec.Struct, frozen=True):
@@ -53,7 +144,7 @@ class Talk(msgspec.Struct, frozen=True):
 
 
 class StandIn(NoRos):
-    """A graph of one node that publishes and subscribes; `rsb_bridge.ros.api.RosInterface`.
+    """A graph of one node that publishes and subscribes; `rsb_bridge.ros.ros_interface.RosInterface`.
 
     Args:
         name: of the session.
@@ -89,7 +180,7 @@ class StandIn(NoRos):
         readers = self._readers.get(topic, ())
         if readers:
             gid, stamp = self._gids[topic], time.time_ns()
-            make = self._battery if self._types[topic] == BATTERY_STATE else message
+            make = self._battery if self._types[topic] == BATTERY_STATE else stamped_string
             batch = [RawMessage(make(size), stamp, gid, first + each) for each in range(count)]
             for reader in tuple(readers):
                 reader.take(batch)
@@ -122,7 +213,7 @@ class StandIn(NoRos):
 
     def installed_description(self, type_name: str) -> str | None:
         try:
-            from rsb_bridge.ros.descriptions import installed_description  # noqa: PLC0415 (needs ROS)
+            from rsb_bridge.ros.rosidl_descriptions import installed_description  # noqa: PLC0415 (needs ROS)
 
             return installed_description(type_name) if type_name in _HASHES else None
         except (ImportError, ValueError):  # a bench without ROS does without

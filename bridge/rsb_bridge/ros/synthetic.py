@@ -14,13 +14,13 @@ from typing import TYPE_CHECKING, Any, NamedTuple, cast
 
 from rsb_bridge.model.benchmark import TYPE, TYPE_HASH, is_bench_topic
 from rsb_bridge.model.qos import Qos
-from rsb_bridge.ros.api import Endpoint, RawMessage
-from rsb_bridge.ros.percentiles import percentiles
+from rsb_bridge.ros.ros_interface import Endpoint, RawMessage
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Hashable
+    from collections.abc import Callable, Collection, Hashable
 
-    from rsb_bridge.ros.api import OnFailure, Publisher, RosInterface, Sink, Subscription
+    from rsb_bridge.model.clock import Clock
+    from rsb_bridge.ros.ros_interface import OnFailure, Publisher, RosInterface, Sink, Subscription
 
 _NODE = "/rsb_bench"
 _GID = b"rsb_bench".ljust(16, b"\0")
@@ -191,7 +191,7 @@ class Synthetic:
         return getattr(self._ros, name)
 
     def publishers(self, topic: str) -> list[Endpoint]:
-        """See `rsb_bridge.ros.api.RosInterface`, likewise those below."""
+        """See `rsb_bridge.ros.ros_interface.RosInterface`, likewise those below."""
         return [_endpoint()] if is_bench_topic(topic) else self._ros.publishers(topic)
 
     def subscriptions(self, topic: str) -> list[Endpoint]:
@@ -239,11 +239,6 @@ def _forget(held: dict[tuple[str, Hashable], Any], key: tuple[str, Hashable], wh
         del held[key]
 
 
-def with_synthetic(ros: RosInterface, wall_ns: Callable[[], int]) -> RosInterface:
-    """A ROS side that has these topics, too."""
-    return cast("RosInterface", Synthetic(ros, Time(wall_ns)))
-
-
 def synthetic_of(ros: RosInterface) -> Synthetic | None:
     """What makes such topics; None: nothing does."""
     return ros if isinstance(ros, Synthetic) else None
@@ -253,3 +248,34 @@ def resources() -> tuple[float, int]:
     """Processor time (s) and resident memory (bytes) of this process."""
     status = Path("/proc/self/status").read_text(encoding="ascii", errors="replace")
     return time.process_time(), int(status.partition("VmRSS:")[2].split()[0]) * _BYTES_PER_KB
+
+
+def ros_side(ros: RosInterface | None, domain: int, name: str, clock: Clock) -> RosInterface:
+    """The ROS side in a domain, with these topics, not started yet.
+
+    Args:
+        ros: which; None: rclpy's.
+        domain: to join.
+        name: of the session.
+        clock: the wall clock.
+    """
+    return cast("RosInterface", Synthetic(ros or _node(domain, name), Time(clock.time_ns)))
+
+
+def _node(domain: int, name: str) -> RosInterface:
+    from rsb_bridge.ros.node import RosNode  # noqa: PLC0415 -- only a running engine needs ROS
+
+    return RosNode(domain, name)
+
+
+def percentiles(values: Collection[int]) -> tuple[int, int, int]:
+    """The 50th, 99th and 99.9th percentile: of so many values the next one above; 0 where there are none."""
+    ordered = sorted(values)
+    if not ordered:
+        return 0, 0, 0
+    last = len(ordered) - 1
+    return (
+        ordered[len(ordered) // 2],
+        ordered[min(last, len(ordered) * 99 // 100)],
+        ordered[min(last, len(ordered) * 999 // 1000)],
+    )

@@ -11,15 +11,13 @@ import threading
 import time
 from typing import TYPE_CHECKING, Literal
 
-from rsb_bridge.ros.api import RawMessage, RosError
-from rsb_bridge.ros.librcl import librcl, librcl_without_gil, reason_of, reset_error
-from rsb_bridge.ros.serialization import Serialized
+from rsb_bridge.ros.librcl import Serialized, librcl, librcl_without_gil, reason_of, reset_error
+from rsb_bridge.ros.ros_interface import RawMessage, RosError
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection
 
-    from rsb_bridge.ros.librcl import Handle
-    from rsb_bridge.ros.take_buffer import TakeBuffer
+    from rsb_bridge.ros.librcl import Handle, TakeBuffer
 
 _TAKE_FAILED = 401  # RCL_RET_SUBSCRIPTION_TAKE_FAILED: there is no message
 _PUBLISHERS_REMEMBERED = 1024

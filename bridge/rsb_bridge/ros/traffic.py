@@ -29,8 +29,8 @@ from rclpy.qos import QoSProfile
 from rclpy.signals import SignalHandlerOptions
 from std_msgs.msg import String
 
-from rsb_bridge.ros.percentiles import percentiles
-from rsb_bridge.ros.stamped import made_at, message
+from rsb_bridge.ros.known_messages import made_at, stamped_string
+from rsb_bridge.ros.synthetic import percentiles
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -76,13 +76,13 @@ def _talk(node: Node, topics: Sequence[str]) -> None:
         rate = float(numbers[0])
         count, size = map(int, numbers[1:3])
         publish = publishers[int(numbers[3]) if len(numbers) > 3 else 0].publish
-        template = message(size)
+        template = stamped_string(size)
         began, sent = time.perf_counter(), 0
         while sent < count:
             due = min(count, int((time.perf_counter() - began) * rate) + 1)
             # A stamp of its own each where it costs nothing; at high rates only the count matters.
             for _ in range(due - sent):
-                publish(message(size) if rate <= _STAMPED_BELOW else template)
+                publish(stamped_string(size) if rate <= _STAMPED_BELOW else template)
             sent = max(sent, due)
             time.sleep(0.0005)
         # A single message takes no time; a rate has intervals.
@@ -100,7 +100,7 @@ def _publish_many(node: Node, topics: Sequence[str]) -> None:
     threading.Thread(target=until_told, daemon=True).start()
     while not ends.is_set():
         for publisher in publishers:
-            publisher.publish(message(_OF_MANY))
+            publisher.publish(stamped_string(_OF_MANY))
             if ends.wait(1 / len(publishers)):
                 break
 

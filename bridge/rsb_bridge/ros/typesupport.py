@@ -100,7 +100,7 @@ def hash_of(message_class: type) -> str:
 
 
 def service_hash_of(service_class: type) -> str:
-    """What tells versions of a service apart; see `rsb_bridge.ros.api.RosInterface.servers`."""
+    """What tells versions of a service apart; see `rsb_bridge.ros.ros_interface.RosInterface.servers`."""
     type_support = ServiceTypeSupport.from_address(_address_of(service_class))
     return joined_hash(_hash_of(type_support.request.contents), _hash_of(type_support.response.contents))
 

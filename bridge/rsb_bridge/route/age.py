@@ -16,7 +16,7 @@ from rsb_bridge.model.clock import shifted
 from rsb_bridge.model.demands import effective_max_age
 from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.verdict import Cause, Verdict
-from rsb_bridge.ros.api import RawMessage
+from rsb_bridge.ros.ros_interface import RawMessage
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence

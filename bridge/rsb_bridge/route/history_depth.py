@@ -13,14 +13,14 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, NamedTuple
 
 from rsb_bridge.model.limits import LATCHED_DEPTH
-from rsb_bridge.ros.api import RosError
+from rsb_bridge.ros.ros_interface import RosError
 from rsb_bridge.wire.headers import HistoryHeader, publisher_id
 
 if TYPE_CHECKING:
     import asyncio
     from collections.abc import Callable, Collection, Mapping, Sequence
 
-    from rsb_bridge.ros.api import RawMessage, Subscription
+    from rsb_bridge.ros.ros_interface import RawMessage, Subscription
 
 _SETTLES_AFTER = 0.1  # s without a message of a publisher: its history has come
 _SETTLES_AT_LATEST = 1.0  # s

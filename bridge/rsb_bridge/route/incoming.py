@@ -16,8 +16,8 @@ from rsb_bridge.model.qos import incompatible, match_subscriptions
 from rsb_bridge.model.snapshot import Ledger, Level, Stage, State
 from rsb_bridge.model.text import sanitize_text
 from rsb_bridge.model.verdict import Cause
-from rsb_bridge.ros.api import RosError
-from rsb_bridge.ros.graph import type_hint
+from rsb_bridge.ros.ros_graph import type_hint
+from rsb_bridge.ros.ros_interface import RosError
 from rsb_bridge.route.age import EXPIRED
 from rsb_bridge.route.arming import without_history
 from rsb_bridge.route.combined_verdict import lasting, node_names, record_of

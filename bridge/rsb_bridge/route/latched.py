@@ -13,14 +13,14 @@ from itertools import islice
 from typing import TYPE_CHECKING
 
 from rsb_bridge.model.limits import LATCHED_DEPTH
-from rsb_bridge.ros.api import RosError
+from rsb_bridge.ros.ros_interface import RosError
 from rsb_bridge.route.peer import KEPT_LIMIT
 
 if TYPE_CHECKING:
     import asyncio
     from collections.abc import Callable, Collection, Iterable, Iterator
 
-    from rsb_bridge.ros.api import Publisher
+    from rsb_bridge.ros.ros_interface import Publisher
     from rsb_bridge.wire.framing import Budget
     from rsb_bridge.wire.headers import HistoryHeader
 

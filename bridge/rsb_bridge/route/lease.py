@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Protocol, Self, TypeVar
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-    from rsb_bridge.ros.turns import RosTurns
+    from rsb_bridge.ros.ros_thread import RosTurns
 
 LASTS = 1.0
 """Seconds that a message of an armed route may be old at most when it is published."""

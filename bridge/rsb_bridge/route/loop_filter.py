@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
     from rsb_bridge.context import Context
     from rsb_bridge.model.qos import Qos
-    from rsb_bridge.ros.api import Endpoint, RawMessage
+    from rsb_bridge.ros.ros_interface import Endpoint, RawMessage
     from rsb_bridge.route.peer import Peer
 
 EXPLAINED_WITHIN = 3.0

@@ -9,7 +9,7 @@ import zstandard
 
 from rsb_bridge.cdr.checker import STEPS, MalformedError, TooComplexError
 from rsb_bridge.model.token_bucket import TokenBucket
-from rsb_bridge.ros.api import RosError
+from rsb_bridge.ros.ros_interface import RosError
 from rsb_bridge.wire.framing import HISTORY, MESSAGE_LIMIT, ZSTD
 from rsb_bridge.wire.headers import split_history
 from rsb_bridge.wire.protocol_error import ProtocolError
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
     from rsb_bridge.cdr.checker import Checker
     from rsb_bridge.context import Context
-    from rsb_bridge.ros.api import Endpoint
+    from rsb_bridge.ros.ros_interface import Endpoint
     from rsb_bridge.wire.framing import Message
 
 EXPANSION_AT_ONCE = 4 * MESSAGE_LIMIT

@@ -12,7 +12,7 @@ from rsb_bridge.channel.receipts import WindowedSender
 from rsb_bridge.model.clock import shifted
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.snapshot import Ledger, Level, Stage
-from rsb_bridge.ros.api import RawMessage, RosError
+from rsb_bridge.ros.ros_interface import RawMessage, RosError
 from rsb_bridge.route.arming import without_history
 from rsb_bridge.route.combined_verdict import lasting, node_names, record_of
 from rsb_bridge.route.lateness import QUEUE, WAY, Unreported, delay_of_sender

@@ -8,14 +8,14 @@ from typing import TYPE_CHECKING, ClassVar, Protocol
 import msgspec
 
 from rsb_bridge.model.snapshot import PEEK_LIMIT, PeekedMessage
-from rsb_bridge.ros.api import RosError
+from rsb_bridge.ros.ros_interface import RosError
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from rsb_bridge.context import Context
     from rsb_bridge.model.qos import Qos
-    from rsb_bridge.ros.api import RawMessage
+    from rsb_bridge.ros.ros_interface import RawMessage
     from rsb_bridge.route.peer import Peer
 
 LOOKERS = 32

@@ -6,7 +6,7 @@ from collections import Counter
 from typing import TYPE_CHECKING, Protocol
 
 from rsb_bridge.model.token_bucket import TokenBucket
-from rsb_bridge.ros.api import RosError
+from rsb_bridge.ros.ros_interface import RosError
 from rsb_bridge.route.calls.pending_calls import PEERS_SHARE, CallBudget
 from rsb_bridge.route.message_check import CHECKED_A_SECOND, CHECKED_AT_ONCE, ExpansionBudget
 from rsb_bridge.route.rate_limit import AllowedRates
@@ -15,7 +15,7 @@ from rsb_bridge.wire.framing import UNFINISHED_LIMIT, Budget
 if TYPE_CHECKING:
     from rsb_bridge.model.capacity import Fullness
     from rsb_bridge.model.profiles import LinkProfile
-    from rsb_bridge.ros.api import RosInterface
+    from rsb_bridge.ros.ros_interface import RosInterface
     from rsb_bridge.route.pause import Revisions
     from rsb_bridge.wire.messages import ControlMessage
 

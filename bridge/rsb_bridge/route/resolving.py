@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
     from rsb_bridge.context import Context
     from rsb_bridge.model.qos import Qos
-    from rsb_bridge.ros.api import Endpoint, RosInterface
+    from rsb_bridge.ros.ros_interface import Endpoint, RosInterface
     from rsb_bridge.route.loop_filter import LoopFilter
     from rsb_bridge.wire.messages import Propose
 _MOST_NODES = 3  # named of each type

@@ -40,7 +40,7 @@ if TYPE_CHECKING:
     from rsb_bridge.model.capacity import Fullness
     from rsb_bridge.model.session import Topic
     from rsb_bridge.model.verdict import Verdict
-    from rsb_bridge.ros.api import Endpoint
+    from rsb_bridge.ros.ros_interface import Endpoint
     from rsb_bridge.route.combined_verdict import Announcement
     from rsb_bridge.telemetry.event_log import About
     from rsb_bridge.wire.framing import Message

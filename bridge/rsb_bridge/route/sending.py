@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from rsb_bridge.channel.channel import SendingChannel
     from rsb_bridge.context import Context
     from rsb_bridge.model.qos import Qos
-    from rsb_bridge.ros.api import RawMessage
+    from rsb_bridge.ros.ros_interface import RawMessage
     from rsb_bridge.route.age import MessageAge
     from rsb_bridge.route.arming import Arming
     from rsb_bridge.route.history_depth import Sample

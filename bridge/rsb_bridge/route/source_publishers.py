@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, NamedTuple
 import msgspec
 
 from rsb_bridge.model.limits import KEPT_DEPTH, LATCHED_DEPTH
-from rsb_bridge.ros.api import Endpoint, RosError
-from rsb_bridge.ros.own_announcement import Origin
+from rsb_bridge.ros.announcements import Origin
+from rsb_bridge.ros.ros_interface import Endpoint, RosError
 from rsb_bridge.route.latched import LatchedFullError, LatchedTopic
 from rsb_bridge.route.peer import TypeUse
 
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
     from rsb_bridge.context import Context
     from rsb_bridge.model.qos import Qos
-    from rsb_bridge.ros.api import Publisher
+    from rsb_bridge.ros.ros_interface import Publisher
     from rsb_bridge.route.peer import Peer
     from rsb_bridge.wire.framing import Budget
     from rsb_bridge.wire.records import Source

@@ -10,9 +10,8 @@ from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.limits import LATCHED_DEPTH
 from rsb_bridge.model.qos import auto_depth
 from rsb_bridge.model.snapshot import Level
-from rsb_bridge.ros.api import RosError
-from rsb_bridge.ros.drain import BATCH
 from rsb_bridge.ros.lasting_subscription import LastingSubscription
+from rsb_bridge.ros.ros_interface import BATCH, RosError
 from rsb_bridge.route.history_depth import Histories
 from rsb_bridge.route.lease import Marker
 
@@ -21,8 +20,8 @@ if TYPE_CHECKING:
 
     from rsb_bridge.context import Context
     from rsb_bridge.model.qos import Qos
-    from rsb_bridge.ros.api import OnFailure, RawMessage, Subscription
-    from rsb_bridge.ros.queue import Receiver
+    from rsb_bridge.ros.ros_interface import OnFailure, RawMessage, Subscription
+    from rsb_bridge.ros.ros_thread import Receiver
     from rsb_bridge.route.history_depth import Sample
     from rsb_bridge.route.lease import Lease
     from rsb_bridge.telemetry.meters import RateMeter

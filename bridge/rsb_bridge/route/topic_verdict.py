@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
     from rsb_bridge.model.capacity import Fullness
     from rsb_bridge.model.qos import Qos
-    from rsb_bridge.ros.api import Endpoint
+    from rsb_bridge.ros.ros_interface import Endpoint
     from rsb_bridge.route.age import Expired
     from rsb_bridge.route.lateness import Late
     from rsb_bridge.route.thinning import ThinningShare

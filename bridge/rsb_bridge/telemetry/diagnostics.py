@@ -15,7 +15,7 @@ _LEVELS = ("0", "1", "2")
 
 
 def diagnostics(snapshot: Snapshot) -> Fields:
-    """The fields of the message, as `rsb_bridge.ros.api.RosInterface.serialize` takes them.
+    """The fields of the message, as `rsb_bridge.ros.ros_interface.RosInterface.serialize` takes them.
 
     A status is named by the session, and by the link or by the topic and its direction, none of which changes when the
     bridge is started again. What is paused, disarmed or waits for a first message is OK: nothing is wrong.

@@ -14,8 +14,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rsb_bridge.api import EngineError
-from rsb_bridge.control.client import RemoteEngine
-from rsb_bridge.control.folders import ControlError
+from rsb_bridge.control.control_sockets import ControlError
+from rsb_bridge.control.remote_engine import RemoteEngine
 from rsb_bridge.model.benchmark import Order
 from rsb_bridge.model.snapshot import State
 from rsb_console.bench.processes import Process, free_port

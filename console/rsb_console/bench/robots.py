@@ -29,7 +29,7 @@ from rsb_bridge.ros.stand_in import Metronome, StandIn, Talk
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from rsb_bridge.control.server import ControlServer
+    from rsb_bridge.control.control_server import ControlServer
 
 _ATTEMPTS = (EventCode.LINK_UNREACHABLE, EventCode.LINK_REFUSED)
 

@@ -16,9 +16,8 @@ import msgspec
 from rsb_bridge.config import session_file
 from rsb_bridge.config.keys import write_key
 from rsb_bridge.model.session import ZENOH_HOST, Client, Operator, Session, Topic, ZenohSettings
-from rsb_bridge.ros.battery_state import BATTERY_STATE
+from rsb_bridge.ros.known_messages import BATTERY_STATE, STRING
 from rsb_bridge.ros.stand_in import Talk
-from rsb_bridge.ros.std_string import STRING
 from rsb_console.bench import loopback
 from rsb_console.bench.processes import Process
 from rsb_console.bench.results import BenchError

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
     from types import TracebackType
 
-    from rsb_bridge.control.client import RemoteEngine
+    from rsb_bridge.control.remote_engine import RemoteEngine
     from rsb_bridge.model.snapshot import LinkSnapshot, Snapshot
     from rsb_console.bench.results import Load, Place
 
@@ -185,7 +185,7 @@ def _chosen_link(links: Sequence[LinkSnapshot], name: str) -> LinkSnapshot:
 def _loads_of_running_bridges() -> list[Load]:
     """The topics of what runs here anyway, to judge by."""
     from rsb_bridge.api import EngineError  # noqa: PLC0415 -- with the engine
-    from rsb_bridge.control.client import RemoteEngine  # noqa: PLC0415
+    from rsb_bridge.control.remote_engine import RemoteEngine  # noqa: PLC0415
 
     snapshots: list[Snapshot] = []
     for bridge in running_bridges():

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
     from concurrent.futures import Future
 
-    from rsb_bridge.control.client import RemoteEngine
+    from rsb_bridge.control.remote_engine import RemoteEngine
     from rsb_bridge.model.snapshot import RouteSnapshot
 
 _LOOKED_EVERY, _TOLD_EVERY = 0.5, 30.0

@@ -10,16 +10,24 @@ from typing import TYPE_CHECKING
 
 import msgspec
 
-from rsb_bridge.config.advice import advise, uninstalled_types
+from rsb_bridge.config.advice import advise, uninstalled_types, without_max_age
 from rsb_bridge.config.fault_command import command_words, fault_command_warnings
 from rsb_bridge.config.file_form import LISTS, NOUNS
-from rsb_bridge.config.keys import Key, KeyFileError, fingerprint, key_files_by_client, key_path, key_users, read_key
-from rsb_bridge.config.moving import without_max_age
-from rsb_bridge.config.operators import operator_key_problem
-from rsb_bridge.config.rights_table import listings
-from rsb_bridge.config.rotation import key_warnings, written
+from rsb_bridge.config.granted_operators import operator_key_problem
+from rsb_bridge.config.keys import (
+    Key,
+    KeyFileError,
+    fingerprint,
+    key_files_by_client,
+    key_path,
+    key_users,
+    key_warnings,
+    read_key,
+    shared_key_problem,
+    written,
+)
+from rsb_bridge.config.rights import listings
 from rsb_bridge.config.session_file import SessionError, demand_places, load
-from rsb_bridge.config.shared_keys import shared_key_problem
 from rsb_bridge.config.topic_rules import transport_of
 from rsb_bridge.config.validation import domain_of
 from rsb_bridge.config.yaml_text import inline

@@ -8,13 +8,13 @@ from typing import TYPE_CHECKING
 import msgspec
 
 from rsb_bridge.api import EngineError
-from rsb_bridge.config.clients import ClientError, client_named
+from rsb_bridge.config.client_entries import ClientError, client_named
 from rsb_bridge.config.files import write_whole
-from rsb_bridge.config.grants import GrantError, typed_grants
 from rsb_bridge.config.keys import KeyFileError, fingerprint
+from rsb_bridge.config.rights import GrantError, typed_grants
 from rsb_bridge.config.session_file import SessionError, UnwritableError
 from rsb_bridge.control.bridges import ask, running_bridges
-from rsb_bridge.control.client import RemoteEngine
+from rsb_bridge.control.remote_engine import RemoteEngine
 from rsb_bridge.model.session import Client, Grant
 from rsb_bridge.model.shortage import why_not_written
 from rsb_bridge.model.snapshot import State

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from argparse import Action, ArgumentParser
     from collections.abc import Callable, Collection
 
-    from rsb_bridge.control.client import RemoteEngine
+    from rsb_bridge.control.remote_engine import RemoteEngine
     from rsb_console.fleet.memory import Remembered
 
 _PATHS = ("PATH", "FILE", "FILE.svg")
@@ -97,7 +97,7 @@ def theme_names(**_: object) -> list[str]:
 
 def bridge_names(**_: object) -> list[str]:
     """The bridges that run on this machine."""
-    from rsb_bridge.control.folders import find_sockets  # noqa: PLC0415 (only for the commands that attach)
+    from rsb_bridge.control.control_sockets import find_sockets  # noqa: PLC0415 (only for the commands that attach)
 
     return [path.stem for path in find_sockets(os.environ)]
 

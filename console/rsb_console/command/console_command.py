@@ -7,7 +7,7 @@ from functools import partial
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from rsb_bridge.config.session_file import load
-from rsb_bridge.control.identity import identify
+from rsb_bridge.control.control_sockets import identify
 from rsb_bridge.model.operators import acting
 from rsb_console.app import ConsoleApp
 from rsb_console.command.shell import FAILURE, HUNG_UP, OK, print_error
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
     from rsb_bridge.api import EngineApi
     from rsb_bridge.control.bridges import RunningBridge
-    from rsb_bridge.control.server import ControlServer
+    from rsb_bridge.control.control_server import ControlServer
     from rsb_bridge.model.session import Session
     from rsb_console.command.target import Attach
     from rsb_console.fleet.fleet import Fleet

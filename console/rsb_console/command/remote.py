@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rsb_bridge.control.bridges import running_bridges
+from rsb_bridge.control.remote_engine import RemoteEngine
 from rsb_bridge.model.link_budget import as_report, cost_of, told
 from rsb_bridge.model.snapshot import State
 from rsb_console.command.echo import echo
@@ -53,7 +54,7 @@ if TYPE_CHECKING:
     from argparse import Namespace
     from collections.abc import Callable
 
-    from rsb_bridge.control.client import RemoteEngine
+    from rsb_bridge.control.remote_engine import RemoteEngine
     from rsb_bridge.model.history import HistoryReport
     from rsb_bridge.model.session import Kind, Topic
     from rsb_bridge.model.snapshot import RouteSnapshot, Snapshot, TopicInfo

@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING
 
 from rsb_bridge.api import EngineError
 from rsb_bridge.control.bridges import running_bridges
-from rsb_bridge.control.client import RemoteEngine
-from rsb_bridge.control.folders import ControlError
+from rsb_bridge.control.control_sockets import ControlError
+from rsb_bridge.control.remote_engine import RemoteEngine
 from rsb_bridge.model.faults import (
     link_is_wrong,
     link_needs_attention,

@@ -13,8 +13,8 @@ from rsb_bridge.config.keys import KeyFileError
 from rsb_bridge.config.topic_rules import A_KIND
 from rsb_bridge.config.yaml_text import SessionError
 from rsb_bridge.control.bridges import ask, running_bridges
-from rsb_bridge.control.client import RemoteEngine
-from rsb_bridge.control.folders import ControlError, UnclearError, hidden_bridges, run_as, user_name
+from rsb_bridge.control.control_sockets import ControlError, UnclearError, hidden_bridges, run_as, user_name
+from rsb_bridge.control.remote_engine import RemoteEngine
 from rsb_bridge.model.patterns import is_pattern
 from rsb_bridge.model.snapshot import RouteSnapshot
 from rsb_bridge.model.text import join_first
@@ -147,7 +147,7 @@ def attach_in_fleet(arguments: Namespace, *, read_only: bool) -> RemoteEngine:
         EngineError: that cannot be done.
         UsageError: the file that says how has mistakes.
     """
-    from rsb_bridge.control.over_zenoh import FleetWay  # noqa: PLC0415 -- not needed elsewhere
+    from rsb_bridge.control.zenoh_fleet import FleetWay  # noqa: PLC0415 -- not needed elsewhere
 
     way = FleetWay(fleet_file(arguments), arguments.bridge or "")
     engine = RemoteEngine(way, read_only=read_only)

@@ -18,7 +18,7 @@ from rsb_console.fleet.memory import Remembered
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterable, Sequence
 
-    from rsb_bridge.control.client import RemoteEngine
+    from rsb_bridge.control.remote_engine import RemoteEngine
     from rsb_bridge.model.clock import Clock
     from rsb_console.fleet.memory import Memory
 

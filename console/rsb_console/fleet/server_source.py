@@ -7,8 +7,8 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 from rsb_bridge.api import EngineError
-from rsb_bridge.control.batteries import Batteries
-from rsb_bridge.control.client import RemoteEngine
+from rsb_bridge.control.remote_engine import RemoteEngine
+from rsb_bridge.control.summaries import Batteries
 from rsb_bridge.model.robot_summary import LossWindow, of_clients
 
 if TYPE_CHECKING:

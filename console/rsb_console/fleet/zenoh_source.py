@@ -12,17 +12,17 @@ from typing import TYPE_CHECKING
 
 import msgspec
 
-from rsb_bridge.control.client import RemoteEngine
-from rsb_bridge.control.folders import ControlError
-from rsb_bridge.control.over_zenoh import FleetPresence, FleetWay
-from rsb_bridge.control.watching import watch
+from rsb_bridge.control.control_sockets import ControlError
+from rsb_bridge.control.remote_engine import RemoteEngine
+from rsb_bridge.control.summaries import watch
+from rsb_bridge.control.zenoh_fleet import FleetPresence, FleetWay
 from rsb_bridge.model.backoff import Backoff
 from rsb_bridge.model.robot_summary import WHY_LENGTH, RobotState, RobotSummary, decode
 from rsb_bridge.model.text import sanitize_text
 
 if TYPE_CHECKING:
     from rsb_bridge.config.fleet_file import FleetFile
-    from rsb_bridge.control.over_zenoh import Member
+    from rsb_bridge.control.zenoh_fleet import Member
 
 _ENDED_WITHIN = 5.0
 _FIRST_HEARD_WITHIN = 5.0

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rsb_bridge.api import EngineError
-from rsb_bridge.control.folders import SUFFIX
+from rsb_bridge.control.control_sockets import SUFFIX
 
 if TYPE_CHECKING:
     from collections.abc import Awaitable, Callable

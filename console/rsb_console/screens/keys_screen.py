@@ -21,8 +21,8 @@ from rsb_bridge.config.keys import (
     key_users,
     read_key,
     write_key,
+    written,
 )
-from rsb_bridge.config.rotation import written
 from rsb_bridge.model.snapshot import State
 from rsb_console.screens.dialog import ConfirmScreen, Dialog
 from rsb_console.screens.form_screen import FormScreen

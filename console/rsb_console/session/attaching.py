@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 from rsb_bridge.config.session_file import SessionError, SessionFile, load_file
-from rsb_bridge.control.client import RemoteEngine
+from rsb_bridge.control.remote_engine import RemoteEngine
 
 if TYPE_CHECKING:
     from rsb_bridge.control.ways import Way

@@ -11,11 +11,19 @@ from typing import NamedTuple
 
 import msgspec
 
-from rsb_bridge.config.clients import ClientError, client_named, with_changed_client, with_client, without_client
+from rsb_bridge.config.client_entries import ClientError, client_named, with_changed_client, with_client, without_client
 from rsb_bridge.config.files import give_owner
-from rsb_bridge.config.keys import Key, KeyFileError, copy_key, key_files_by_client, key_path, read_key, write_key
+from rsb_bridge.config.keys import (
+    Key,
+    KeyFileError,
+    copy_key,
+    key_files_by_client,
+    key_path,
+    read_key,
+    shared_key_problem,
+    write_key,
+)
 from rsb_bridge.config.session_file import SessionFile, dump, edited_text, load_file, save
-from rsb_bridge.config.shared_keys import shared_key_problem
 from rsb_bridge.config.validation import validate
 from rsb_bridge.model.session import Client, Session, ZenohSettings
 

@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Any
 
 import msgspec
 
-from rsb_bridge.config.call_rules import overlaps
 from rsb_bridge.config.file_form import DIRECTIONS, KEYS, field_of, hints_of, key_of, locations
 from rsb_bridge.config.session_file import SessionError, validate, validate_topic
+from rsb_bridge.config.topic_rules import overlaps
 from rsb_bridge.config.yaml_text import read_yaml
 from rsb_bridge.model.names import client_topic
 from rsb_bridge.model.session import Session, Topic

@@ -12,7 +12,8 @@ import msgspec
 
 from rsb_bridge.config.files import typed_path
 from rsb_bridge.config.keys import Key, KeyFileError, key_path, read_key
-from rsb_bridge.config.session_file import SessionError, SessionFile, load_file, read_text, same
+from rsb_bridge.config.session_file import SessionError, SessionFile, load_file, same
+from rsb_bridge.config.yaml_text import read_text
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator

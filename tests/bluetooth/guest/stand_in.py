@@ -1,4 +1,4 @@
-"""A stand-in for the ROS side (`rsb_bridge.ros.api.RosInterface`): ROS does not fit in the machine.
+"""A stand-in for the ROS side (`rsb_bridge.ros.ros_interface.RosInterface`): ROS does not fit in the machine.
 
 It has one publisher and one subscriber on whatever topic a test names, one server and one client of whatever service,
 and hands messages over as the real one does: raw, from a thread of its own.
@@ -16,7 +16,7 @@ from functools import partial
 from typing import TYPE_CHECKING, NamedTuple
 
 from rsb_bridge.model.qos import Qos
-from rsb_bridge.ros.api import (
+from rsb_bridge.ros.ros_interface import (
     Endpoint,
     OnFailure,
     RawMessage,
@@ -27,7 +27,7 @@ from rsb_bridge.ros.api import (
     RosError,
     Sink,
 )
-from rsb_bridge.ros.turns import RosTurns
+from rsb_bridge.ros.ros_thread import RosTurns
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Hashable

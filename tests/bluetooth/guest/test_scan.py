@@ -11,9 +11,8 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from rsb_bridge.bluetooth import bluez, hci
-from rsb_bridge.bluetooth.bluez import read_bluez
-from rsb_bridge.bluetooth.scan import ANY_ADAPTER, CHANNELS, Scan, Use, scan
+from rsb_bridge.bluetooth import hci
+from rsb_bridge.bluetooth.scan import ANY_ADAPTER, CHANNELS, Scan, Use, read_bluez, scan
 from rsb_console.command.bt_scan import run_bt_scan
 
 from .conftest import holding, wait_until
@@ -221,7 +220,7 @@ def test_a_bus_without_bluez(rule: str, words: str, tmp_path: Path, monkeypatch:
     with subprocess.Popen(["dbus-daemon", f"--config-file={config}", "--nofork"]) as bus:
         wait_until(path.exists, "the bus is up")
         monkeypatch.setenv("DBUS_SYSTEM_BUS_ADDRESS", f"unix:path={path}")
-        monkeypatch.setattr(bluez, "_TIMEOUT", 0.5)
+        monkeypatch.setattr("rsb_bridge.bluetooth.scan._TIMEOUT", 0.5)
         found = look()
         bus.terminate()
     assert words in found.problems[0]

@@ -6,7 +6,7 @@ from tests.fuzz.editing import edit_json
 from tests.fuzz.parser import Parser
 
 from rsb_bridge.ros.announcements import AnnouncementError, read_announcement
-from rsb_bridge.ros.std_string import serialize_string, string_bytes
+from rsb_bridge.ros.known_messages import serialize_string, string_bytes
 
 
 def _read(payload: bytes) -> None:

@@ -10,20 +10,24 @@ from tests.fuzz.editing import behind, edit_frames
 from tests.fuzz.parser import Parser
 
 from rsb_bridge.control import protocol
-from rsb_bridge.control.commands import AddTopic, History, Pause, Restart, Topics
 from rsb_bridge.control.protocol import (
+    AddTopic,
     BridgeInfo,
     Events,
     Failed,
     Follow,
     Goodbye,
     Hello,
+    History,
     Look,
+    Pause,
     ProtocolError,
     Reply,
     Request,
+    Restart,
     State,
     Summary,
+    Topics,
     Watch,
     Welcome,
 )

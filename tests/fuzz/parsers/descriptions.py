@@ -19,8 +19,8 @@ from rsb_bridge.cdr.description import (
     read_description,
     text_of,
 )
-from rsb_bridge.cdr.parameter_event import ParameterEventError, node_of, with_node
 from rsb_bridge.link.questions import description_in
+from rsb_bridge.ros.parameter_events import ParameterEventError, node_of, with_node
 
 if TYPE_CHECKING:
     from rsb_bridge.cdr.decoder import Value

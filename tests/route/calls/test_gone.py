@@ -10,8 +10,8 @@ from rsb_bridge.link.proposals import proposal_of
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.model.session import Topic
 from rsb_bridge.model.verdict import Cause
-from rsb_bridge.ros.api import Endpoint
-from rsb_bridge.ros.no_ros import NoRos
+from rsb_bridge.ros.ros_interface import Endpoint
+from rsb_bridge.ros.stand_in import NoRos
 from rsb_bridge.route.calls.providing import PeersCall, ProvidingRoute
 
 if TYPE_CHECKING:

@@ -22,7 +22,7 @@ from tests.system.torture.relay import GateRelay
 
 from rsb_bridge.api import EngineError
 from rsb_bridge.config.keys import write_key
-from rsb_bridge.control.client import RemoteEngine
+from rsb_bridge.control.remote_engine import RemoteEngine
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

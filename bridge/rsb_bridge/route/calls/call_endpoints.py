@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Generic, NamedTuple, Protocol, TypeVar
 
-from rsb_bridge.ros.drain import BATCH
+from rsb_bridge.ros.ros_interface import BATCH
 from rsb_bridge.route.lease import Marker
 from rsb_bridge.route.peer import TypeUse
 from rsb_bridge.route.source_publishers import VolatileTopic
@@ -15,7 +15,15 @@ if TYPE_CHECKING:
     from rsb_bridge.context import Context
     from rsb_bridge.model.calls import Lane
     from rsb_bridge.model.sources import Via
-    from rsb_bridge.ros.api import OnFailure, RawMessage, Request, Response, RosError, ServiceClient, ServiceServer
+    from rsb_bridge.ros.ros_interface import (
+        OnFailure,
+        RawMessage,
+        Request,
+        Response,
+        RosError,
+        ServiceClient,
+        ServiceServer,
+    )
     from rsb_bridge.route.lease import Lease
     from rsb_bridge.route.peer import Peer
     from rsb_bridge.wire.records import LaneEntry

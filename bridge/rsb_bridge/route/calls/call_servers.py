@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
     from rsb_bridge.context import Context
     from rsb_bridge.model.calls import Lane
-    from rsb_bridge.ros.api import Endpoint, RosInterface
+    from rsb_bridge.ros.ros_interface import Endpoint, RosInterface
     from rsb_bridge.route.peer import Peer
 
 _NAMED = 4

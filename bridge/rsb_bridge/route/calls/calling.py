@@ -10,7 +10,7 @@ from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.snapshot import Level, Stage
 from rsb_bridge.model.token_bucket import TokenBucket
 from rsb_bridge.model.verdict import Cause
-from rsb_bridge.ros.api import Request, RosError
+from rsb_bridge.ros.ros_interface import Request, RosError
 from rsb_bridge.route.calls.call_endpoints import Offers, name_of, type_of
 from rsb_bridge.route.calls.call_servers import LocalServers, others_called, types_clash, way_here
 from rsb_bridge.route.calls.calls_ledger import Refused, refused_as
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from rsb_bridge.context import Context
     from rsb_bridge.model.calls import Lane
     from rsb_bridge.model.session import Topic
-    from rsb_bridge.ros.api import ServiceServer
+    from rsb_bridge.ros.ros_interface import ServiceServer
     from rsb_bridge.route.lease import Lease
     from rsb_bridge.route.notices import Notices
     from rsb_bridge.route.route import Owner

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 from rsb_bridge.model.calls import CANCEL_GOAL, FEEDBACK, GET_RESULT, SEND_GOAL, STATUS
-from rsb_bridge.ros.api import RosError
+from rsb_bridge.ros.ros_interface import RosError
 from rsb_bridge.route.calls.calling import CallerCall, CallingRoute
 from rsb_bridge.route.calls.calls_ledger import Refused
 from rsb_bridge.route.calls.calls_route import frame_size
@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from rsb_bridge.context import Context
     from rsb_bridge.model.session import Topic
     from rsb_bridge.model.snapshot import RouteSnapshot
-    from rsb_bridge.ros.api import Request, ServiceServer
+    from rsb_bridge.ros.ros_interface import Request, ServiceServer
     from rsb_bridge.route.calls.manual_call import ManualCall
     from rsb_bridge.route.route import Owner
     from rsb_bridge.wire.messages import Propose, Provide

@@ -30,7 +30,7 @@ from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.session import CALL_TIMEOUT
 from rsb_bridge.model.snapshot import Ledger, Level
 from rsb_bridge.model.verdict import Cause
-from rsb_bridge.ros.api import RosError
+from rsb_bridge.ros.ros_interface import RosError
 from rsb_bridge.route.calls.call_endpoints import name_of, route_type_of
 from rsb_bridge.route.calls.calls_ledger import REMEDIES, CallsLedger, Refused
 from rsb_bridge.route.calls.calls_outbox import CallsOutbox

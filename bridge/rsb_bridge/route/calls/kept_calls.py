@@ -39,7 +39,7 @@ class KeptCall(NamedTuple):
 
     Attributes:
         lane: of an action's, a service.
-        caller: for `rsb_bridge.ros.api.ServiceServer.answer`.
+        caller: for `rsb_bridge.ros.ros_interface.ServiceServer.answer`.
         payload: the serialized request.
         asked: s, when the caller asked.
         again: it has been under way before.

@@ -5,13 +5,13 @@ from __future__ import annotations
 import asyncio
 from typing import TYPE_CHECKING
 
-from rsb_bridge.ros.api import RosError
+from rsb_bridge.ros.ros_interface import RosError
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from rsb_bridge.context import Context
-    from rsb_bridge.ros.api import Response, ServiceClient
+    from rsb_bridge.ros.ros_interface import Response, ServiceClient
     from rsb_bridge.wire.records import LaneEntry
 
 _MATCHED_WITHIN = 5.0

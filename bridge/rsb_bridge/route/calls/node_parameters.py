@@ -4,10 +4,9 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from rsb_bridge.cdr.parameter_event import ParameterEventError, node_of, with_node
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.verdict import Cause
-from rsb_bridge.ros.parameter_events import EventsTopic
+from rsb_bridge.ros.parameter_events import EventsTopic, ParameterEventError, node_of, with_node
 from rsb_bridge.route.calls.call_endpoints import Clients
 from rsb_bridge.route.calls.calling import CallingRoute
 from rsb_bridge.route.calls.calls_verdict import Trouble
@@ -16,8 +15,8 @@ from rsb_bridge.route.calls.providing import ProvidingRoute
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from rsb_bridge.ros.api import RawMessage
     from rsb_bridge.ros.parameter_events import Listening
+    from rsb_bridge.ros.ros_interface import RawMessage
     from rsb_bridge.route.calls.call_endpoints import LaneType
     from rsb_bridge.route.calls.call_servers import Provision
     from rsb_bridge.wire.headers import CallFrame

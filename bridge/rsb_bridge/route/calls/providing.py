@@ -11,7 +11,7 @@ from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.snapshot import Stage
 from rsb_bridge.model.sources import MOST_HOPS
 from rsb_bridge.model.verdict import Cause
-from rsb_bridge.ros.api import RosError
+from rsb_bridge.ros.ros_interface import RosError
 from rsb_bridge.route.calls.call_endpoints import Clients, name_of
 from rsb_bridge.route.calls.call_servers import CallLoopGuard, Provision, provision
 from rsb_bridge.route.calls.calls_ledger import REMEDIES, Refused
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
     from rsb_bridge.context import Context
     from rsb_bridge.model.session import Topic
-    from rsb_bridge.ros.api import Endpoint, RawMessage, Response
+    from rsb_bridge.ros.ros_interface import Endpoint, RawMessage, Response
     from rsb_bridge.route.route import Owner
     from rsb_bridge.wire.messages import Propose
     from rsb_bridge.wire.records import LaneEntry

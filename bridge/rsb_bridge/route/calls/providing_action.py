@@ -10,7 +10,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, ClassVar
 
 from rsb_bridge.model.calls import FEEDBACK, GET_RESULT, SEND_GOAL, STATUS
-from rsb_bridge.ros.api import RosError
+from rsb_bridge.ros.ros_interface import RosError
 from rsb_bridge.route.calls.calls_ledger import Refused
 from rsb_bridge.route.calls.calls_route import frame_size
 from rsb_bridge.route.calls.goals import Goals, accepted_by, goal_of, state_of, statuses_of
@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from rsb_bridge.context import Context
     from rsb_bridge.model.session import Topic
     from rsb_bridge.model.snapshot import RouteSnapshot
-    from rsb_bridge.ros.api import RawMessage, Response
+    from rsb_bridge.ros.ros_interface import RawMessage, Response
     from rsb_bridge.route.route import Owner
     from rsb_bridge.wire.messages import Propose
 

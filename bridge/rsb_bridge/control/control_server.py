@@ -12,9 +12,8 @@ import threading
 from typing import TYPE_CHECKING
 
 from rsb_bridge.control import protocol
-from rsb_bridge.control.console import Console
-from rsb_bridge.control.folders import may_control, peer_of, run_as, user_name
-from rsb_bridge.control.identity import identify
+from rsb_bridge.control.attached_console import Console
+from rsb_bridge.control.control_sockets import identify, may_control, peer_of, run_as, user_name
 from rsb_bridge.control.protocol import ProtocolError
 from rsb_bridge.control.states import EncodedRoutes
 
@@ -22,7 +21,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from rsb_bridge.api import EngineApi
-    from rsb_bridge.control.folders import Listener
+    from rsb_bridge.control.control_sockets import Listener
     from rsb_bridge.control.protocol import BridgeInfo
 
 _TURNS = 10
@@ -91,7 +90,7 @@ class ControlServer:
         self._thread.join(_CLOSED_WITHIN)
 
     def stop_process(self) -> None:
-        """Do what `rsb_bridge.control.commands.Stop` asks for."""
+        """Do what `rsb_bridge.control.protocol.Stop` asks for."""
         self._on_stop()
 
     # --- on the thread

@@ -22,9 +22,9 @@ from rosidl_parser.definition import (
 
 from rsb_bridge.model.calls import FieldError
 from rsb_bridge.model.text import escape_text, plural
-from rsb_bridge.ros.anytype import remedy
-from rsb_bridge.ros.api import RosError
-from rsb_bridge.ros.serialization import serialize_message
+from rsb_bridge.ros.librcl import serialize_message
+from rsb_bridge.ros.raw_types import remedy
+from rsb_bridge.ros.ros_interface import RosError
 from rsb_bridge.ros.typesupport import installed_class
 
 if TYPE_CHECKING:

@@ -8,10 +8,9 @@ import time
 from random import Random
 from typing import TYPE_CHECKING, NamedTuple
 
-from rsb_bridge.control.folders import ControlError, UnclearError
-from rsb_bridge.control.sealed import SealedAcceptor
-from rsb_bridge.control.sealed_way import Sealed
-from rsb_bridge.control.summaries import Summaries
+from rsb_bridge.control.control_sockets import ControlError, UnclearError
+from rsb_bridge.control.sealed import OperatorConnector, SealedAcceptor
+from rsb_bridge.control.summaries import SummaryBuilder
 from rsb_bridge.engine import Engine
 from rsb_bridge.model.backoff import Backoff
 from rsb_bridge.model.codes import EventCode
@@ -29,7 +28,7 @@ if TYPE_CHECKING:
 
     from rsb_bridge.api import EngineApi
     from rsb_bridge.config.fleet_file import FleetFile
-    from rsb_bridge.control.server import ControlServer
+    from rsb_bridge.control.control_server import ControlServer
     from rsb_bridge.control.ways import Connection
     from rsb_bridge.engine.access import Access
     from rsb_bridge.transport.zenoh.endpoint import Endpoint, Seen
@@ -82,7 +81,7 @@ class Announcement:
     def __init__(self, server: ControlServer, access: Access, network: Network) -> None:
         self._says_so = not server.engine.session.is_zenoh  # else the links do
         self._events = access.events
-        server.summarize = Summaries(server.engine, server.info.program)
+        server.summarize = SummaryBuilder(server.engine, server.info.program)
         self._acceptor = SealedAcceptor(server, access)
         self._network = network
         self._backoff = Backoff(_FIRST_PAUSE, _LONGEST_PAUSE, Random())  # noqa: S311 -- jitter, no secret
@@ -161,14 +160,14 @@ class FleetPresence:
         """Why nothing gets through; empty: the network is there."""
         return "" if self._network.connected else f"{self._network.place}: {ROUTER_LOST}; it is tried again"
 
-    def sealed(self, member: Member) -> Sealed:
+    def sealed(self, member: Member) -> OperatorConnector:
         """A way to an engine, with the operator's key, as long as this is joined."""
 
         async def connect(protocol: asyncio.Protocol) -> None:
             assert self._endpoint is not None
             Pipe(self._endpoint, member.address, os.urandom(8).hex(), LINK_RANK, protocol)
 
-        return Sealed(connect, self._file.operator, self._file.key, member.name, member.address)
+        return OperatorConnector(connect, self._file.operator, self._file.key, member.name, member.address)
 
     def close(self) -> None:
         """Leave the network."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import itertools
 import threading
 import time
 from concurrent.futures import Future
@@ -12,32 +13,30 @@ from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
 from rsb_bridge import __version__
-from rsb_bridge.api import EngineApi, EngineError
-from rsb_bridge.control import commands, protocol, requests
-from rsb_bridge.control.arming import RemoteArming
-from rsb_bridge.control.cleaning import Doubted
+from rsb_bridge.api import ArmingApi, EngineApi, EngineError, InvalidRequestError
+from rsb_bridge.control import protocol
+from rsb_bridge.control.cleaning import UntrustedMessages
+from rsb_bridge.control.control_sockets import ControlError, NotServedError
 from rsb_bridge.control.features import hello, known_features, missing_feature, older_bridge_text
-from rsb_bridge.control.folders import ControlError, NotServedError
-from rsb_bridge.control.protocol import ProtocolError
-from rsb_bridge.control.requests import Requests
+from rsb_bridge.control.protocol import Failed, ProtocolError, Reply, Request, Step
 from rsb_bridge.control.states import Receiver, out_of_reach
 from rsb_bridge.control.ways import UnixSocket
+from rsb_bridge.model.benchmark import Outcome
 from rsb_bridge.model.clock import Clock
 from rsb_bridge.model.codes import EventCode
+from rsb_bridge.model.history import HistoryReport
 from rsb_bridge.model.operators import is_undo
-from rsb_bridge.model.snapshot import Level
+from rsb_bridge.model.snapshot import Level, PeekedMessage, Reloaded
 from rsb_bridge.telemetry.event_log import EventLog
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from rsb_bridge.control.commands import Command
-    from rsb_bridge.control.protocol import BridgeInfo, ToBridge, ToConsole
+    from rsb_bridge.control.protocol import BridgeInfo, Command, ToBridge, ToConsole
     from rsb_bridge.control.ways import Connection, Way
-    from rsb_bridge.model.benchmark import Order, Outcome
-    from rsb_bridge.model.history import HistoryReport
+    from rsb_bridge.model.benchmark import Order
     from rsb_bridge.model.session import Client, Session, Topic
-    from rsb_bridge.model.snapshot import Event, PeekedMessage, Reloaded, Snapshot, TopicInfo
+    from rsb_bridge.model.snapshot import Event, Snapshot, TopicInfo
 
 T = TypeVar("T")
 ANSWERS_WITHIN = 5.0
@@ -70,7 +69,7 @@ class RemoteEngine(EngineApi):
         self.read_only = read_only
         self._way: Way = UnixSocket(where) if isinstance(where, Path) else where
         self.same_machine = self._way.same_machine
-        self._doubted = None if self.same_machine else Doubted(time.monotonic())
+        self._untrusted = None if self.same_machine else UntrustedMessages(time.monotonic())
         self._wants_read_only = read_only
         self.bridge: BridgeInfo
         self.features: frozenset[str] = frozenset()
@@ -87,7 +86,7 @@ class RemoteEngine(EngineApi):
         self._loop: asyncio.AbstractEventLoop
         self._ends = asyncio.Event()
         self._connection: Connection | None = None
-        self._requests = Requests()
+        self._requests = _Requests()
         self._followed = 0
         self._events_before = 0
         self._asked_at: float | None = None
@@ -159,44 +158,44 @@ class RemoteEngine(EngineApi):
     # --- commands
 
     def add_topic(self, topic: Topic, link: str = "") -> Future[str]:
-        return self._request(commands.AddTopic(topic, link), requests.as_text)
+        return self._request(protocol.AddTopic(topic, link), _as_text)
 
     def edit_topic(self, key: str, topic: Topic, *, drop_arm: bool = False) -> Future[str]:
-        return self._request(commands.EditTopic(key, topic, drop_arm), requests.as_text)
+        return self._request(protocol.EditTopic(key, topic, drop_arm), _as_text)
 
     def remove_topic(self, key: str, *, drop_arm: bool = False) -> Future[None]:
-        return self._request(commands.RemoveTopic(key, drop_arm), requests.as_nothing)
+        return self._request(protocol.RemoveTopic(key, drop_arm), _as_nothing)
 
     def pause(self, key: str, paused: bool) -> Future[None]:
-        return self._request(commands.Pause(key, paused), requests.as_nothing)
+        return self._request(protocol.Pause(key, paused), _as_nothing)
 
     def acknowledge(self, key: str, acknowledged: bool = True, *, link: str = "") -> Future[None]:
-        return self._request(commands.Acknowledge(key, acknowledged, link), requests.as_nothing)
+        return self._request(protocol.Acknowledge(key, acknowledged, link), _as_nothing)
 
     @property
-    def arming(self) -> RemoteArming:
-        return RemoteArming(lambda command: self._request(command, requests.as_nothing))
+    def arming(self) -> _RemoteArming:
+        return _RemoteArming(lambda command: self._request(command, _as_nothing))
 
     def add_client(self, client: Client) -> Future[None]:
-        return self._request(commands.AddClient(client), requests.as_nothing)
+        return self._request(protocol.AddClient(client), _as_nothing)
 
     def change_client(self, client: Client) -> Future[None]:
-        return self._request(commands.ChangeClient(client), requests.as_nothing)
+        return self._request(protocol.ChangeClient(client), _as_nothing)
 
     def remove_client(self, name: str) -> Future[None]:
-        return self._request(commands.RemoveClient(name), requests.as_nothing)
+        return self._request(protocol.RemoveClient(name), _as_nothing)
 
     def retry(self, link: str = "") -> Future[None]:
-        return self._request(commands.Retry(link), requests.as_nothing)
+        return self._request(protocol.Retry(link), _as_nothing)
 
     def shut_down(self) -> Future[None]:
-        return self._request(commands.ShutDown(), requests.as_nothing)
+        return self._request(protocol.ShutDown(), _as_nothing)
 
     def restart(self, step: Callable[[str], None] | None = None) -> Future[None]:
-        return self._request(commands.Restart(), requests.as_nothing, step)
+        return self._request(protocol.Restart(), _as_nothing, step)
 
     def reload(self, *, dry_run: bool = False) -> Future[Reloaded]:
-        return self._request(commands.Reload(dry_run), requests.as_reloaded)
+        return self._request(protocol.Reload(dry_run), _as_reloaded)
 
     def use_file(self, path: Path | None) -> None:
         return  # the bridge keeps to its own
@@ -205,29 +204,29 @@ class RemoteEngine(EngineApi):
         return  # the bridge records it where it is told
 
     def topics(self, link: str | None = None) -> Future[list[TopicInfo]]:
-        return self._request(commands.Topics(link), requests.as_topics)
+        return self._request(protocol.Topics(link), _as_topics)
 
     def peek(self, key: str, *, kept: bool = False) -> Future[PeekedMessage | None]:
-        return self._request(commands.Peek(key, kept), requests.as_peeked)
+        return self._request(protocol.Peek(key, kept), _as_peeked)
 
     def describe(self, key: str) -> Future[str]:
-        return self._request(commands.Describe(key), requests.as_text)
+        return self._request(protocol.Describe(key), _as_text)
 
     def template(self, key: str, lane: str = "") -> Future[str]:
-        return self._request(commands.Template(key, lane), requests.as_text)
+        return self._request(protocol.Template(key, lane), _as_text)
 
     def call(self, key: str, request: str, lane: str = "") -> Future[str]:
-        return self._request(commands.Call(key, request, lane), requests.as_text)
+        return self._request(protocol.Call(key, request, lane), _as_text)
 
     def history(self, seconds: float) -> Future[HistoryReport]:
-        return self._request(commands.History(seconds), requests.as_history)
+        return self._request(protocol.History(seconds), _as_history)
 
     def bench(self, order: Order) -> Future[Outcome]:
-        return self._request(commands.Bench(order), requests.as_outcome)
+        return self._request(protocol.Bench(order), _as_outcome)
 
     def stop_bridge(self) -> Future[None]:
         """End the bridge's process, as SIGTERM does; done when it has understood."""
-        return self._request(commands.Stop(), requests.as_nothing)
+        return self._request(protocol.Stop(), _as_nothing)
 
     def lacks(self, feature: str) -> EngineError:
         """Return the error for a feature that the bridge lacks, with the remedy."""
@@ -309,8 +308,8 @@ class RemoteEngine(EngineApi):
                 if not data:
                     return "the bridge's process has ended, or has closed the connection"
                 for message in frames.feed(data):
-                    if self._doubted is not None:
-                        message = self._doubted(message, time.monotonic())  # noqa: PLW2901 -- the same one, cleaned
+                    if self._untrusted is not None:
+                        message = self._untrusted(message, time.monotonic())  # noqa: PLW2901 -- the same one, cleaned
                     if isinstance(message, (protocol.Goodbye, protocol.Refused)):
                         return message.reason
                     complete = self._handle(message) or complete
@@ -350,7 +349,7 @@ class RemoteEngine(EngineApi):
         if self._lost:
             what = f", which has been started anew (pid {bridge.pid})" if another else ""
             self._log.add(Level.INFO, EventCode.ATTACH_AGAIN, f"attached to {bridge.name} again{what}")
-        self._receiver = Receiver(bridge, believed=self._doubted is None)
+        self._receiver = Receiver(bridge, trusted=self._untrusted is None)
         self._look()
         self._send(protocol.Follow(self._followed))
 
@@ -414,3 +413,124 @@ class RemoteEngine(EngineApi):
             self._requests.take(protocol.Failed(request.id, f"it is too long: {size:,} bytes"))
         else:
             self._send(request)
+
+
+class _Requests:
+    """Commands that are not answered yet, by their ids, which count on across connections."""
+
+    def __init__(self) -> None:
+        self._ids = itertools.count(1)
+        self._waiting: dict[int, tuple[Future[object], Callable[[str], None] | None]] = {}
+
+    def new(
+        self, command: Command, answered: Future[object], step: Callable[[str], None] | None, *, undo: bool = False
+    ) -> Request:
+        """Return the message for a command.
+
+        Args:
+            command: to be done.
+            answered: gets the answer.
+            step: called with each step, or None.
+            undo: whether it takes back an earlier command.
+        """
+        number = next(self._ids)
+        self._waiting[number] = (answered, step)
+        return Request(number, command, undo)
+
+    def take(self, message: Reply | Failed | Step) -> None:
+        """Hand on what the bridge says of a command.
+
+        Raises:
+            ProtocolError: nobody has asked for that.
+        """
+        if isinstance(message, Step):
+            _, step = self._waiting.get(message.id, (None, None))
+            if step is not None:
+                step(message.text)
+            return
+        answered, _ = self._waiting.pop(message.id, (None, None))
+        if answered is None:
+            raise ProtocolError("an answer without a request")
+        if isinstance(message, Failed):
+            kind = InvalidRequestError if message.invalid else EngineError
+            answered.set_exception(kind(message.reason))
+        else:
+            answered.set_result(message.reloaded or message.history or message.bench or message.value)
+
+    def fail(self, reason: str) -> None:
+        """No answer will come to any of them."""
+        waiting, self._waiting = self._waiting, {}
+        for answered, _ in waiting.values():
+            answered.set_exception(EngineError(f"no answer: {reason}"))
+
+
+# --- what kind of answer a command has
+
+
+def _as_nothing(_: object) -> None:
+    """Of a command that only succeeds or fails."""
+    return
+
+
+def _as_text(value: object) -> str:
+    """Of a command that gives a key, a type's description, or a message."""
+    return _of(str, value)
+
+
+def _as_peeked(value: object) -> PeekedMessage | None:
+    """Of `Peek`."""
+    return None if value is None else _of(PeekedMessage, value)
+
+
+def _as_reloaded(value: object) -> Reloaded:
+    """Of `Reload`."""
+    return _of(Reloaded, value)
+
+
+def _as_history(value: object) -> HistoryReport:
+    """Of `History`."""
+    return _of(HistoryReport, value)
+
+
+def _as_outcome(value: object) -> Outcome:
+    """Of `Bench`."""
+    return _of(Outcome, value)
+
+
+def _as_topics(value: object) -> list[TopicInfo]:
+    """Of `Topics`."""
+    return list(_of(tuple, value))
+
+
+def _of(kind: type[T], value: object) -> T:
+    """An answer of the kind that was asked for.
+
+    Raises:
+        EngineError: it is another one.
+    """
+    if not isinstance(value, kind):
+        raise EngineError("the bridge's answer is no answer to this command")
+    return value
+
+
+class _RemoteArming(ArmingApi):
+    """Arming in an engine of another process.
+
+    Args:
+        request: sends a command.
+    """
+
+    def __init__(self, request: Callable[[Command], Future[None]]) -> None:
+        self._request = request
+
+    def arm(self, key: str) -> Future[None]:
+        return self._request(protocol.ArmTopic(key))
+
+    def disarm(self, key: str) -> Future[None]:
+        return self._request(protocol.DisarmTopic(key))
+
+    def keep(self, *, pressed: bool) -> Future[None]:
+        return self._request(protocol.KeepArmed(pressed))
+
+    def release(self) -> Future[None]:
+        return self._request(protocol.ReleaseArmed())

@@ -1,30 +1,30 @@
-"""Serves one console, whatever its connection is: what it asks for, and what it is told."""
+"""A console that is attached, whatever its connection is: its commands are carried out here, and it is kept posted."""
 
 from __future__ import annotations
 
 import asyncio
 import contextlib
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING, Protocol, TypeAlias, TypeVar
 
 import msgspec
 
 from rsb_bridge.api import EngineError, InvalidRequestError
 from rsb_bridge.control import protocol
-from rsb_bridge.control.commands import CHANGING, ArmTopic, Bench
 from rsb_bridge.control.features import FEATURES, known_features, knows_all, with_unknown_kept, without_unknown
-from rsb_bridge.control.performing import perform
-from rsb_bridge.control.protocol import ProtocolError
+from rsb_bridge.control.protocol import CHANGING, ArmTopic, Bench, ProtocolError
 from rsb_bridge.control.states import EncodedRoutes, Sender
 from rsb_bridge.model.benchmark import Outcome
 from rsb_bridge.model.history import HistoryReport
 from rsb_bridge.model.operators import acting, on_console, undoing
-from rsb_bridge.model.snapshot import Reloaded
+from rsb_bridge.model.snapshot import PeekedMessage, Reloaded, TopicInfo
 from rsb_bridge.tasks import Tasks
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+    from concurrent.futures import Future
+
     from rsb_bridge.api import EngineApi
-    from rsb_bridge.control.performing import Answer
-    from rsb_bridge.control.protocol import BridgeInfo, ToBridge, ToConsole
+    from rsb_bridge.control.protocol import BridgeInfo, Command, ToBridge, ToConsole
 
 _TICK = 0.25
 _HELLO_WITHIN = 5.0
@@ -79,7 +79,7 @@ class Connection(Protocol):
         ...
 
 
-class Served(Protocol):
+class ConsoleHost(Protocol):
     """What all consoles of one engine share.
 
     Attributes:
@@ -97,7 +97,7 @@ class Served(Protocol):
         ...
 
     def stop_process(self) -> None:
-        """Do what `rsb_bridge.control.commands.Stop` asks for."""
+        """Do what `rsb_bridge.control.protocol.Stop` asks for."""
         ...
 
 
@@ -110,7 +110,7 @@ class Console:
         refusal: why it is refused as soon as it says hello; empty: it is not.
     """
 
-    def __init__(self, served: Served, connection: Connection, refusal: str = "") -> None:
+    def __init__(self, served: ConsoleHost, connection: Connection, refusal: str = "") -> None:
         self._served = served
         self._refusal = refusal
         self._engine = served.engine
@@ -238,7 +238,7 @@ class Console:
             command = with_unknown_kept(command, self._features, engine.snapshot(), engine.session)
         try:
             with acting(self._operator), undoing(request.undo), on_console(self):
-                answer = await perform(
+                answer = await _execute(
                     command,
                     engine,
                     step=lambda text: self._step(request.id, text),
@@ -336,3 +336,80 @@ def _reply(request: int, answer: Answer) -> protocol.Reply:
     if isinstance(answer, Outcome):
         return protocol.Reply(request, bench=answer)
     return protocol.Reply(request, answer)
+
+
+T = TypeVar("T")
+Answer: TypeAlias = str | tuple[TopicInfo, ...] | PeekedMessage | Reloaded | HistoryReport | Outcome | None
+
+
+async def _execute(
+    command: Command, engine: EngineApi, *, step: Callable[[str], None], stop_process: Callable[[], None]
+) -> Answer:
+    """Have the engine do it.
+
+    Args:
+        command: what to do.
+        engine: does it.
+        step: is told each step of a restart, on the engine's thread.
+        stop_process: does what `rsb_bridge.control.protocol.Stop` asks for.
+
+    Raises:
+        EngineError: it does not.
+    """
+    match command:
+        case protocol.AddTopic():
+            return await _done(engine.add_topic(command.topic, command.link))
+        case protocol.EditTopic():
+            return await _done(engine.edit_topic(command.key, command.topic, drop_arm=command.drop_arm))
+        case protocol.RemoveTopic():
+            await _done(engine.remove_topic(command.key, drop_arm=command.drop_arm))
+        case protocol.Pause():
+            await _done(engine.pause(command.key, command.paused))
+        case protocol.Acknowledge():
+            await _done(engine.acknowledge(command.key, command.acknowledged, link=command.link))
+        case protocol.ArmTopic():
+            await _done(engine.arming.arm(command.key))
+        case protocol.DisarmTopic():
+            await _done(engine.arming.disarm(command.key))
+        case protocol.KeepArmed():
+            await _done(engine.arming.keep(pressed=command.pressed))
+        case protocol.ReleaseArmed():
+            await _done(engine.arming.release())
+        case protocol.AddClient():
+            await _done(engine.add_client(command.client))
+        case protocol.ChangeClient():
+            await _done(engine.change_client(command.client))
+        case protocol.RemoveClient():
+            await _done(engine.remove_client(command.name))
+        case protocol.Retry():
+            await _done(engine.retry(command.link))
+        case protocol.ShutDown():
+            await _done(engine.shut_down())
+        case protocol.Topics():
+            found = await _done(engine.topics(command.link))
+            return tuple(found)
+        case protocol.Peek():
+            return await asyncio.wrap_future(engine.peek(command.key, kept=command.kept))
+        case protocol.Describe():
+            return await asyncio.wrap_future(engine.describe(command.key))
+        case protocol.Template():
+            return await asyncio.wrap_future(engine.template(command.key, command.lane))
+        case protocol.Call():
+            return await asyncio.wrap_future(engine.call(command.key, command.request, command.lane))
+        case protocol.History():
+            return await _done(engine.history(command.seconds))
+        case protocol.Bench():
+            return await _done(engine.bench(command.order))
+        case protocol.Restart():
+            await _done(engine.restart(step))
+        case protocol.Reload():
+            return await _done(engine.reload(dry_run=command.dry_run))
+        case protocol.Stop():
+            engine.told_to_stop()
+            stop_process()
+    return None
+
+
+async def _done(future: Future[T]) -> T:
+    """Wait for the engine, which finishes what it has begun even if nobody waits any more."""
+    return await asyncio.shield(asyncio.wrap_future(future))

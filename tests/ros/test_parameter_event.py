@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from rcl_interfaces.msg import Parameter, ParameterEvent, ParameterValue
 from rclpy.serialization import deserialize_message, serialize_message
 
-from rsb_bridge.cdr.parameter_event import LONGEST, ParameterEventError, node_of, with_node
+from rsb_bridge.ros.parameter_events import LONGEST, ParameterEventError, node_of, with_node
 
 NAMES = st.from_regex(r"(/[a-z_][a-z0-9_]{0,11}){1,3}", fullmatch=True)
 TEXTS = st.text(st.characters(codec="utf-8", exclude_characters="\0"), max_size=20)

@@ -11,7 +11,11 @@ from typing import TYPE_CHECKING, NamedTuple, Protocol
 if TYPE_CHECKING:
     from rsb_bridge.model.calls import Fields
     from rsb_bridge.model.qos import Qos
-    from rsb_bridge.ros.turns import RosTurns
+    from rsb_bridge.ros.ros_thread import RosTurns
+
+
+BATCH = 64
+"""Messages or calls taken from one endpoint before the next has its turn."""
 
 
 class RosError(Exception):

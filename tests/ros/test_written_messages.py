@@ -19,10 +19,10 @@ from rsb_bridge.cdr.decoder import decode
 from rsb_bridge.cdr.description import hash_of_text, read_description
 from rsb_bridge.config.fields_text import read_fields, write_fields
 from rsb_bridge.model.calls import FIELDS_LENGTH, FieldError
-from rsb_bridge.ros.api import RosError
-from rsb_bridge.ros.by_hand import serialize
-from rsb_bridge.ros.descriptions import installed_description
+from rsb_bridge.ros.ros_interface import RosError
+from rsb_bridge.ros.rosidl_descriptions import installed_description
 from rsb_bridge.ros.typesupport import installed_class
+from rsb_bridge.ros.written_messages import serialize
 
 NOW = 1_700_000_000_000_000_005
 EVENT, VALUE = "rcl_interfaces/msg/ParameterEvent", "rcl_interfaces/msg/ParameterValue"

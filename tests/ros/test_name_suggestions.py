@@ -8,9 +8,9 @@ import pytest
 
 from rsb_bridge.model.calls import LANES
 from rsb_bridge.model.qos import Qos
-from rsb_bridge.ros.api import Endpoint
-from rsb_bridge.ros.meant import Meant
-from rsb_bridge.ros.no_ros import NoRos
+from rsb_bridge.ros.ros_graph import Meant
+from rsb_bridge.ros.ros_interface import Endpoint
+from rsb_bridge.ros.stand_in import NoRos
 
 if TYPE_CHECKING:
     from rsb_bridge.model.session import Kind

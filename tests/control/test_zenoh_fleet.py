@@ -14,10 +14,10 @@ from tests.support.zenoh_fleet import Fleet, announced
 from tests.support.zenoh_router import stranger
 
 from rsb_bridge.api import EngineError
-from rsb_bridge.control.client import RemoteEngine
-from rsb_bridge.control.folders import UnclearError
-from rsb_bridge.control.over_zenoh import FleetWay
-from rsb_bridge.control.summaries import Summaries
+from rsb_bridge.control.control_sockets import UnclearError
+from rsb_bridge.control.remote_engine import RemoteEngine
+from rsb_bridge.control.summaries import SummaryBuilder
+from rsb_bridge.control.zenoh_fleet import FleetWay
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.robot_summary import RobotState, decode
 from rsb_bridge.model.snapshot import Level
@@ -65,7 +65,7 @@ def test_engines_are_seen_as_they_come_and_go(fleet: Fleet) -> None:
 
 def test_how_long_it_has_been_so_is_by_the_engines_own_clock(fleet: Fleet) -> None:
     fleet.add("robot1")
-    own = decode(Summaries(fleet.engines["robot1"], "0.1.0")())
+    own = decode(SummaryBuilder(fleet.engines["robot1"], "0.1.0")())
     assert own.seen is not None
     assert own.seen - own.since > 1
     seen = fleet.seen_by()

@@ -1,0 +1,520 @@
+"""Message and service classes for raw use, of types that need not be installed.
+
+Raw CDR needs no layout. rmw_fastrtps_cpp asks a type support for its name, its hash, a bound on its size and an
+introspection handle, all while an endpoint is created; what knows the layout it calls only for messages that are not
+raw. So a type support for a bare name and hash is std_msgs/String's (unbounded, no key) under another name and hash.
+Layout of its inside: rosidl_typesupport_fastrtps_cpp/message_type_support.h (ROS 2 Jazzy). Other middlewares need the
+layout, and other distributions lay the struct out otherwise: there the type's package must be installed.
+
+A service's type support is a struct with those of its request and response. rcl has no function that takes or sends a
+call serialized: it has the middleware take and send a ROS message, and rmw_fastrtps_cpp calls that message's type
+support to write it to a Cdr, or to read it from one (fastcdr). So a type support that copies bytes carries any type.
+What stands for the message is a Python object:
+
+- To send, something that writes the payload to the Cdr that it is called with (`outgoing`). The middleware calls it
+  with its writer locked. If Python gave up the GIL there, a thread that has it and wants the writer would wait for
+  ever. So not one Python instruction may run: `operator.call`, `functools.partial` and what they call are C.
+- To take, a list that the payload is put into. The middleware has nothing locked then.
+
+Where that cannot be, with another middleware or another version of it, the service's package has to be installed, and
+rclpy converts the messages.
+Layouts: rosidl_runtime_c/service_type_support_struct.h, rosidl_typesupport_fastrtps_cpp/service_type_support.h.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import operator
+import re
+import struct
+import threading
+from functools import cache, lru_cache, partial
+from typing import TYPE_CHECKING, NamedTuple, Protocol, TypeVar
+
+from rclpy.utilities import get_rmw_implementation_identifier
+
+from rsb_bridge.model.names import split_type_name
+from rsb_bridge.ros.ros_interface import RosError
+from rsb_bridge.ros.typesupport import (
+    FIND,
+    GET_HASH,
+    HASH_PATTERN,
+    HASH_PREFIX,
+    ServiceTypeSupport,
+    TypeHash,
+    TypeSupport,
+    capsule_of,
+    hash_of,
+    installed_class,
+    installed_service,
+    service_hash_of,
+    type_support_of,
+)
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+FASTRTPS = b"rosidl_typesupport_fastrtps_c"
+_INTROSPECTION = b"rosidl_typesupport_introspection_c"
+_JAZZY = "7.1."  # rclpy's version; ROS_DISTRO is set only where a setup file was sourced
+
+
+class MessageCallbacks(ctypes.Structure):
+    """A message_type_support_callbacks_t."""
+
+    _fields_ = (
+        ("namespace", ctypes.c_char_p),
+        ("name", ctypes.c_char_p),
+        ("serialize", ctypes.c_void_p),
+        ("deserialize", ctypes.c_void_p),
+        ("serialized_size", ctypes.c_void_p),
+        ("max_serialized_size", ctypes.c_void_p),
+        ("key_callbacks", ctypes.c_void_p),
+    )
+
+
+_Struct = TypeVar("_Struct", bound=ctypes.Structure)
+
+
+def borrow_type(type_name: str, type_hash: str) -> BorrowedType:
+    """What rclpy creates raw endpoints of a type with: the installed class, else one made here.
+
+    Args:
+        type_name: ``pkg/msg/Name``.
+        type_hash: ``RIHS01_...``, or empty where it is not known: then the type must be installed.
+
+    Raises:
+        RosError: it is installed with another hash, or it is not installed and cannot be done without.
+    """
+    try:
+        installed = installed_class(type_name)
+    except ValueError as error:
+        raise RosError(str(error)) from None
+    if installed is None:
+        _check_named(type_name, type_hash)
+        return named_types.borrow(type_name, type_hash)
+    check_same(type_name, hash_of(installed), type_hash, "message")  # which loads the type support too
+    return BorrowedType(installed, nothing)
+
+
+def check_same(type_name: str, here: str, there: str, what: str) -> None:
+    """Refuse a type that is installed with another hash.
+
+    Raises:
+        RosError: `there` is known, and is not `here`.
+    """
+    if there not in {"", here}:
+        raise RosError(
+            f"{type_name} is another {what} here ({here}) than there ({there}): "
+            f"install the same version of {type_name.partition('/')[0]} on both sides"
+        )
+
+
+def remedy(type_name: str) -> str:
+    """What to do where a type has to be installed."""
+    package = split_type_name(type_name)[0]
+    return f"install ros-jazzy-{package.replace('_', '-')}, or source the workspace that has it"
+
+
+def layouts_known() -> bool:
+    """Whether type supports of this middleware are laid out as this module knows them."""
+    return get_rmw_implementation_identifier() == "rmw_fastrtps_cpp" and _is_jazzy()
+
+
+@cache
+def _is_jazzy() -> bool:
+    from importlib.metadata import version  # noqa: PLC0415  2 MB, which installed messages do without
+
+    return version("rclpy").startswith(_JAZZY)
+
+
+def _check_named(type_name: str, type_hash: str) -> None:
+    to_do = remedy(type_name)
+    if not type_hash:
+        raise RosError(f"{type_name} is not installed and no publisher tells its type hash: {to_do}")
+    if not re.fullmatch(HASH_PATTERN, type_hash):
+        raise RosError(f"{type_hash!r} is not a type hash: {HASH_PREFIX} and 64 hex digits")
+    if not layouts_known():
+        raise RosError(f"{type_name} is not installed, which only rmw_fastrtps_cpp on ROS 2 Jazzy can do: {to_do}")
+
+
+class BorrowedType(NamedTuple):
+    """A message or service class that an endpoint uses.
+
+    Attributes:
+        interface: for rclpy.
+        give_back: to be called once, when the endpoint is gone.
+    """
+
+    interface: type
+    give_back: Callable[[], None]
+
+
+class NamedType(Protocol):
+    """A type support under a name and a hash that can be changed while no endpoint uses it.
+
+    Attributes:
+        interface: the class by which rclpy finds it.
+    """
+
+    interface: type
+
+    def rename(self, type_name: str, type_hash: str) -> None:
+        """Be another type."""
+        ...
+
+
+class NamedTypes:
+    """Types known by name and hash alone, each for as long as an endpoint uses it.
+
+    One that nobody uses any more is renamed for the next type. None is ever freed: should the middleware keep a pointer
+    to one, it points at valid memory.
+
+    Attributes:
+        made: how many there are, used or not.
+    """
+
+    def __init__(self, make: Callable[[], NamedType] | None = None) -> None:
+        """Make none yet.
+
+        Args:
+            make: of messages or of services; None: of messages.
+        """
+        self.made = 0
+        self._make = make or NamedMessage
+        self._lock = threading.Lock()
+        self._used: dict[tuple[str, str], _Used] = {}
+        self._free: list[NamedType] = []
+
+    @property
+    def used(self) -> int:
+        """How many types endpoints use now."""
+        return len(self._used)
+
+    def borrow(self, type_name: str, type_hash: str) -> BorrowedType:
+        """The class of a type; endpoints of one type share it."""
+        key = (type_name, type_hash)
+        with self._lock:
+            used = self._used.get(key)
+            if used is None:
+                used = _Used(self._free.pop() if self._free else self._another())
+                used.named.rename(type_name, type_hash)
+                self._used[key] = used
+            used.users += 1
+        return BorrowedType(used.named.interface, partial(self._give_back, key))
+
+    def _another(self) -> NamedType:
+        self.made += 1
+        return self._make()
+
+    def _give_back(self, key: tuple[str, str]) -> None:
+        with self._lock:
+            used = self._used[key]
+            used.users -= 1
+            if not used.users:
+                self._free.append(self._used.pop(key).named)
+
+
+class _Used:
+    """A type, and the number of endpoints that use it."""
+
+    def __init__(self, named: NamedType) -> None:
+        self.named = named
+        self.users = 0
+
+
+class NamedSupport:
+    """A message's type support under a name and a hash that can be changed.
+
+    Attributes:
+        type_support: for rcl and for the middleware.
+        callbacks: which the middleware calls.
+    """
+
+    def __init__(self) -> None:
+        string = installed_class("std_msgs/msg/String")
+        if string is None:
+            raise RosError("std_msgs is not installed: install ros-jazzy-std-msgs")
+        original = type_support_of(string)
+        find_in_string = FIND(original.find)
+        fastrtps = find_in_string(ctypes.addressof(original), FASTRTPS)
+        introspection = find_in_string(ctypes.addressof(original), _INTROSPECTION)
+
+        type_support = self.type_support = _copy(TypeSupport.from_address(fastrtps))
+        callbacks = self.callbacks = _copy(MessageCallbacks.from_address(type_support.data))
+        type_hash = self._hash = TypeHash(version=1)
+        answers = {FASTRTPS: ctypes.addressof(type_support), _INTROSPECTION: introspection}
+        find = FIND(lambda _, identifier: answers.get(identifier))
+        get_hash = GET_HASH(lambda _: ctypes.addressof(type_hash))
+        type_support.data = ctypes.addressof(callbacks)
+        type_support.find = ctypes.cast(find, ctypes.c_void_p).value
+        type_support.get_hash = ctypes.cast(get_hash, ctypes.c_void_p).value
+        self._keep_alive = (find, get_hash)
+
+    def rename(self, type_name: str, type_hash: str) -> None:
+        """Be another message."""
+        package, kind, name = split_type_name(type_name)
+        self.callbacks.namespace, self.callbacks.name = f"{package}::{kind}".encode(), name.encode()
+        self._hash.value[:] = bytes.fromhex(type_hash.removeprefix(HASH_PREFIX))
+
+
+class NamedMessage:
+    """A message type; see `NamedType`."""
+
+    def __init__(self) -> None:
+        self._support = NamedSupport()
+        # What rclpy looks for in a message class's metaclass. It converts no message: they are raw.
+        metaclass = type(
+            "AnyType",
+            (type,),
+            {
+                "_TYPE_SUPPORT": capsule_of(self._support.type_support),
+                "_CREATE_ROS_MESSAGE": None,
+                "_CONVERT_FROM_PY": None,
+                "_CONVERT_TO_PY": None,
+                "_DESTROY_ROS_MESSAGE": None,
+            },
+        )
+        self.interface: type = metaclass("Any", (), {})
+        self.rename = self._support.rename
+
+
+named_types = NamedTypes()
+"""The process's: the middleware knows types by their names, whichever node uses them."""
+
+
+def nothing() -> None:
+    """An installed type is not given back."""
+
+
+def _copy(struct: _Struct) -> _Struct:
+    return type(struct).from_buffer_copy(struct)
+
+
+_HASHES = re.compile(rf"({HASH_PATTERN})\+({HASH_PATTERN})")
+
+
+class BorrowedService(NamedTuple):
+    """A service class that an endpoint uses.
+
+    Attributes:
+        type: its class, and how to give it back.
+        raw: calls are carried as bytes; else as the installed class's messages.
+    """
+
+    type: BorrowedType
+    raw: bool
+
+
+def borrow_service(type_name: str, type_hash: str) -> BorrowedService:
+    """What rclpy creates a service's endpoints with.
+
+    Args:
+        type_name: ``pkg/srv/Name``, or ``pkg/action/Name_SendGoal`` and the like.
+        type_hash: as `rsb_bridge.ros.ros_interface.RosInterface.servers` gives it, or empty where it is not known:
+            then the type must be installed.
+
+    Raises:
+        RosError: it is installed with another hash, or it is not installed and cannot be done without.
+    """
+    try:
+        installed = installed_service(type_name)
+        kind = split_type_name(type_name)[1]
+    except ValueError:
+        kind, installed = "", None
+    if kind not in {"srv", "action"}:
+        raise RosError(f"{type_name!r} is not a service type: write it as package/srv/Name")
+    if installed is not None:
+        here = service_hash_of(installed)
+        check_same(type_name, here, type_hash, "service")
+        type_hash = here
+    reason = why_not_raw()
+    if installed is not None and reason:
+        return BorrowedService(BorrowedType(installed, nothing), raw=False)
+    if not type_hash:
+        raise RosError(f"{type_name} is not installed and no node tells its type hash: {remedy(type_name)}")
+    if not _HASHES.fullmatch(type_hash):
+        raise RosError(f"{type_hash!r} is not a service's hash: two of {HASH_PREFIX} and 64 hex digits, with + between")
+    if reason:
+        raise RosError(f"{type_name} is not installed, and {reason}: {remedy(type_name)}")
+    return BorrowedService(named_services.borrow(type_name, type_hash), raw=True)
+
+
+def why_not_raw() -> str:
+    """Why calls of types that are not installed cannot be carried here; empty: they can."""
+    if not layouts_known():
+        return "only rmw_fastrtps_cpp on ROS 2 Jazzy can do without"
+    if not _copies_calls():
+        return "this version of Fast CDR is not one that can do without"
+    return ""
+
+
+class _Callbacks(ctypes.Structure):
+    """A service_type_support_callbacks_t."""
+
+    _fields_ = (
+        ("namespace", ctypes.c_char_p),
+        ("name", ctypes.c_char_p),
+        ("request", ctypes.c_void_p),
+        ("response", ctypes.c_void_p),
+    )
+
+
+class NamedService:
+    """A service type; see `rsb_bridge.ros.raw_types.NamedType`."""
+
+    def __init__(self) -> None:
+        self._parts = request, response = NamedSupport(), NamedSupport()
+        for part in self._parts:
+            part.callbacks.serialize = ctypes.cast(SERIALIZE, ctypes.c_void_p).value
+            part.callbacks.deserialize = ctypes.cast(DESERIALIZE, ctypes.c_void_p).value
+            part.callbacks.serialized_size = ctypes.cast(SIZE, ctypes.c_void_p).value
+        callbacks = self._callbacks = _Callbacks(
+            request=ctypes.addressof(request.type_support), response=ctypes.addressof(response.type_support)
+        )
+        # rcl files what it makes of the hash and description of a type under that hash; the request's will do for it.
+        like = request.type_support
+        type_support = self._type_support = ServiceTypeSupport(
+            identifier=FASTRTPS,
+            data=ctypes.addressof(callbacks),
+            request=ctypes.pointer(request.type_support),
+            response=ctypes.pointer(response.type_support),
+            get_hash=like.get_hash,
+            get_description=like.get_description,
+            get_description_sources=like.get_description_sources,
+        )
+        answers = {FASTRTPS: ctypes.addressof(type_support)}
+        find = FIND(lambda _, identifier: answers.get(identifier))
+        type_support.find = ctypes.cast(find, ctypes.c_void_p).value
+        self._keep_alive = find
+        metaclass = type("AnyType", (type,), {"_TYPE_SUPPORT": capsule_of(type_support)})
+        self.interface: type = metaclass("AnyService", (), {})
+
+    def rename(self, type_name: str, type_hash: str) -> None:
+        """Be another service."""
+        package, kind, name = split_type_name(type_name)
+        self._callbacks.namespace, self._callbacks.name = f"{package}::{kind}".encode(), name.encode()
+        for part, ending, each in zip(self._parts, ("_Request", "_Response"), type_hash.split("+"), strict=True):
+            part.rename(type_name + ending, each)
+
+
+named_services = NamedTypes(NamedService)
+"""The process's."""
+
+
+_HEADER = 4
+"""bytes: the encapsulation before the message, which the middleware writes itself."""
+_WRITTEN = b"\0\1"
+"""How the encapsulation begins that it writes: CDR, little endian."""
+_LIBRARY = "libfastcdr.so.2"
+_SPACE = "_ZN8eprosima7fastcdr"
+_WORD = struct.Struct("@P")
+_ROOM = 1024
+"""bytes that a Cdr certainly fits in; it takes some 200 in fastcdr 2.2.5."""
+
+_address_of = ctypes.pythonapi.PyBytes_AsString
+_address_of.argtypes, _address_of.restype = [ctypes.py_object], ctypes.c_void_p
+
+
+class _Cdr(NamedTuple):
+    """A Cdr seen from outside: it does not export how many bytes it reads, so its memory is looked at.
+
+    Attributes:
+        buffer: place in a Cdr of the address of its FastBuffer.
+        data: place in a FastBuffer of the address of the bytes.
+        size: place in a FastBuffer of their number.
+        write: C function that appends ``length`` bytes at ``data`` to ``cdr``.
+    """
+
+    buffer: int
+    data: int
+    size: int
+    write: Callable[..., int]
+
+
+def _copies_calls() -> bool:
+    """Whether bytes get in and out of this version of fastcdr."""
+    return _cdr() is not None
+
+
+def outgoing(payload: bytes) -> object:
+    """What stands for a message to send.
+
+    It is given by its address (`id`), and it and the payload stay alive until the middleware has returned.
+
+    Raises:
+        RosError: the payload is no message of this kind of machine.
+    """
+    if len(payload) < _HEADER:
+        raise RosError(f"a serialized message has at least 4 bytes, not {len(payload)}")
+    if not payload.startswith(_WRITTEN):
+        raise RosError(f"a message that is encapsulated as {payload[:2].hex()} cannot be sent in a call, only 0001 can")
+    cdr = _cdr()
+    assert cdr is not None
+    length = len(payload) - _HEADER
+    writing = partial(cdr.write, data=_address_of(payload) + _HEADER, length=length)
+    vars(writing)["size"] = length
+    return writing
+
+
+def _deserialize(address: int, taken: list[bytes]) -> bool:
+    """Put the payload that a Cdr reads into a list."""
+    cdr = _cdr()
+    assert cdr is not None
+    [buffer] = _WORD.unpack(ctypes.string_at(address + cdr.buffer, _WORD.size))
+    [data] = _WORD.unpack(ctypes.string_at(buffer + cdr.data, _WORD.size))
+    [size] = _WORD.unpack(ctypes.string_at(buffer + cdr.size, _WORD.size))
+    taken.append(ctypes.string_at(data, size))
+    return True
+
+
+SERIALIZE = ctypes.PYFUNCTYPE(ctypes.c_bool, ctypes.py_object, ctypes.c_void_p)(operator.call)
+DESERIALIZE = ctypes.PYFUNCTYPE(ctypes.c_bool, ctypes.c_void_p, ctypes.py_object)(_deserialize)
+SIZE = ctypes.PYFUNCTYPE(ctypes.c_uint32, ctypes.py_object)(operator.attrgetter("size"))
+"""The callbacks of a type support (rosidl_typesupport_fastrtps_cpp/message_type_support.h)."""
+
+
+@lru_cache(1)
+def _cdr() -> _Cdr | None:
+    """Find out how a Cdr is laid out, by making one; None: not as it should be."""
+    try:
+        library = ctypes.PyDLL(_LIBRARY)  # the middleware has loaded it
+        new_buffer = library[f"{_SPACE}10FastBufferC1EPcm"]
+        new_cdr = library[f"{_SPACE}3CdrC1ERNS0_10FastBufferENS1_10EndiannessENS0_10CdrVersionE"]
+        bytes_of = library[f"{_SPACE}3Cdr18get_buffer_pointerEv"]
+        write = ctypes.PYFUNCTYPE(ctypes.c_void_p, ctypes.c_void_p, ctypes.c_void_p, ctypes.c_size_t)(
+            (f"{_SPACE}3Cdr15serialize_arrayEPKcm", library), ((1, "cdr"), (1, "data"), (1, "length"))
+        )
+    except (OSError, AttributeError):
+        return None
+    new_buffer.argtypes = [ctypes.c_void_p, ctypes.c_void_p, ctypes.c_size_t]
+    new_cdr.argtypes = [ctypes.c_void_p, ctypes.c_void_p, ctypes.c_int, ctypes.c_int]
+    bytes_of.argtypes, bytes_of.restype = [ctypes.c_void_p], ctypes.c_void_p
+
+    content, buffer, cdr = (ctypes.create_string_buffer(size) for size in (77, _ROOM, _ROOM))
+    new_buffer(buffer, content, len(content))
+    new_cdr(cdr, buffer, 1, 1)  # little endian, XCDR version 1
+    write(cdr, b"here", 4)
+    if bytes_of(cdr) != ctypes.addressof(content) or content.raw[:5] != b"here\0":
+        return None
+    try:
+        return _Cdr(
+            buffer=_place(cdr, ctypes.addressof(buffer)),
+            data=_place(buffer, ctypes.addressof(content)),
+            size=_place(buffer, len(content)),
+            write=write,
+        )
+    except LookupError:
+        return None
+
+
+def _place(memory: ctypes.Array[ctypes.c_char], word: int) -> int:
+    """Where the only such word stands.
+
+    Raises:
+        LookupError: there is none, or not one.
+    """
+    found = [place for place in range(0, _ROOM, _WORD.size) if _WORD.unpack_from(memory, place) == (word,)]
+    if len(found) != 1:
+        raise LookupError(word)
+    return found[0]

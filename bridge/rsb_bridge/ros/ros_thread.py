@@ -1,0 +1,143 @@
+"""The ROS thread as the engine sees it: its turns, and the queue from it to the I/O loop.
+
+A process that was stopped goes on as if nothing had happened, and its thread then takes messages that have waited in
+DDS meanwhile. So the thread notes the time at each turn while anybody has to know how old messages can be.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections import deque
+from typing import TYPE_CHECKING, Any, Protocol, TypeVar
+
+from rsb_bridge.model.clock import Clock
+
+if TYPE_CHECKING:
+    import asyncio
+    from collections.abc import Callable, Hashable, Sequence
+
+LONGEST_WAIT = 0.25
+"""Seconds that the thread waits at most while it is watched."""
+_LATE = 0.5
+"""Seconds between two turns from which on the thread, or the whole process, stood still."""
+_CATCHES_UP = 0.25
+"""Seconds after a standstill in which DDS may still bring what it should have brought before."""
+_BACKLOG = 64
+_PATIENCE = 0.1
+T_contra = TypeVar("T_contra", contravariant=True)
+T = TypeVar("T")
+
+
+class RosTurns:
+    """When the ROS thread turned. The thread writes, any thread reads.
+
+    Args:
+        wake: has the thread turn at once, or None if messages come without a thread, and so without a wait.
+        steady: the clock, in s, or None for the machine's.
+
+    Attributes:
+        watched: whether anybody wants to know; else nothing is noted.
+        at: s, the last turn.
+        since: s; what is taken in this turn came after that.
+        count: turns that were noted.
+    """
+
+    def __init__(self, wake: Callable[[], None] | None = None, steady: Callable[[], float] | None = None) -> None:
+        self._wake = wake
+        self._steady = steady or Clock().steady
+        self._watchers: set[Hashable] = set()
+        self._caught_up_at = 0.0
+        self.watched = False
+        self.count = 0
+        self.at = self.since = float("inf")
+
+    def watch(self, watcher: Hashable) -> None:
+        """Have the thread note its turns. May be called again."""
+        if self._wake is None or watcher in self._watchers:
+            return
+        self._watchers.add(watcher)
+        if not self.watched:
+            self.at = self.since = self._steady()
+            self.watched = True
+            self._wake()
+
+    def leave(self, watcher: Hashable) -> None:
+        """End `watch`."""
+        self._watchers.discard(watcher)
+        if not self._watchers:
+            self.watched = False
+            self.at = self.since = float("inf")
+
+    def turned(self) -> None:
+        """On the ROS thread, while it is watched: its wait is over, and it takes what has come."""
+        now = self._steady()
+        if now - self.at > _LATE:
+            self._caught_up_at = now + _CATCHES_UP
+        if now >= self._caught_up_at:
+            self.since = self.at
+        self.at = now
+        self.count += 1
+
+
+class Receiver(Protocol[T_contra]):
+    """Where an endpoint's messages, requests or responses go on the I/O loop."""
+
+    def offer(self, batch: Sequence[T_contra]) -> None:
+        """Take them, oldest first."""
+        ...
+
+
+class RosToLoopQueue:
+    """Messages on their way from the ROS thread to the I/O loop: no wake-up while the loop waits, else one a drain.
+
+    Whoever has the loop's turn drains it, so messages keep their order whichever way they go. While the loop is
+    `_BACKLOG` batches behind, the ROS thread waits; DDS keeps each topic's newest messages meanwhile.
+    """
+
+    def __init__(
+        self, loop: asyncio.AbstractEventLoop, do_now: Callable[[Callable[[], object]], bool] | None = None
+    ) -> None:
+        """Begin.
+
+        Args:
+            loop: the I/O loop.
+            do_now: does the loop's work on the thread that calls, or says that it cannot; None: the loop has none.
+        """
+        self._loop = loop
+        self._do_now = do_now or _never
+        self._batches: deque[tuple[Receiver[Any], Sequence[Any]]] = deque()
+        self._room = threading.Event()
+        self._scheduled = False
+
+    def put(self, receiver: Receiver[T], batch: Sequence[T]) -> None:
+        """Called on the ROS thread."""
+        self._batches.append((receiver, batch))
+        if self._do_now(self._drain):
+            return
+        if not self._scheduled:
+            self._schedule()
+        if len(self._batches) > _BACKLOG:
+            self._room.clear()
+            self._room.wait(_PATIENCE)
+
+    def _drain(self) -> None:
+        self._scheduled = False
+        try:
+            while self._batches:
+                receiver, batch = self._batches.popleft()
+                receiver.offer(batch)
+        finally:
+            self._room.set()
+            if self._batches:  # a receiver has failed: the others' go on
+                self._schedule()
+
+    def _schedule(self) -> None:
+        self._scheduled = True
+        try:
+            self._loop.call_soon_threadsafe(self._drain)
+        except RuntimeError:  # the loop is closed: the engine has stopped
+            self._batches.clear()
+
+
+def _never(work: Callable[[], object]) -> bool:
+    return False
