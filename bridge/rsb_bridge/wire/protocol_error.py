@@ -49,6 +49,19 @@ class Broken(Wording):
     HOST_NAME_TOO_LONG = "the console's host name is too long"
 
 
+class Misuse(Wording):
+    """Requests of this side's own that the format has no room for."""
+
+    NAME_TOO_LONG = "the name has {length} bytes in UTF-8, and at most {limit} are allowed: choose a shorter one"
+    CONTROL_MESSAGE_TOO_LONG = "a {message} of {length} bytes; a control frame has {limit}"
+    TOO_MANY_DATAGRAMS = "a message of {length} bytes takes more than {limit} datagrams: use tcp"
+    NOT_ESTABLISHED = "nothing can be sent before the connection is established"
+    NOT_ADMITTED = "nothing can be sent before the connection is admitted"
+    KEY_LENGTH = "{suite} takes a key of {expected} bytes"
+    SESSION_KEY_LENGTH = "a session key has {expected} bytes, not {length}"
+    SEALER_TAKEN = "route {route} has a sealer already: a route id is used once in a link's life"
+
+
 class ProtocolError(Exception):
     """The peer broke the format; the message says how.
 
