@@ -125,7 +125,7 @@ def test_a_sealed_frame_played_again_ends_the_connection(suite: Suite) -> None:
 def test_a_sealed_frame_that_is_neither_control_nor_data(frame: bytes, multiplexed: bool) -> None:
     _, server, _, _ = established(multiplexed=multiplexed)
     event = the(Failed, server.receive_data(pack_frame(frame)))
-    assert says(event.reason, Broken.UNEXPECTED_ON_CONTROL)
+    assert event.reason == Broken.UNEXPECTED_ON_CONTROL(header=frame[:14].hex(" "))
 
 
 def test_a_control_frame_too_long_is_refused_before_it_comes() -> None:

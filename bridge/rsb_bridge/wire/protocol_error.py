@@ -46,6 +46,9 @@ class Broken(Wording):
     OPERATOR_TOO_SHORT = "an OPERATOR frame ends before its {field}"
     EMPTY_RECORD = "an empty record"
     UNEXPECTED_FROM_OPERATOR = "unexpected {kind} frame: operators attach here, not links"
+    DATA_AGAINST_ROUTE = "data on route {route}, which goes the other way"
+    DATA_AGAINST_STREAM = "the peer sent data on a stream that goes the other way"
+    FRAME_OF_UNKNOWN_ROUTE = "a frame of type {kind}, route {route} on a stream that does not carry it"
     HOST_NAME_TOO_LONG = "the console's host name is too long"
 
 
