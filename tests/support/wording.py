@@ -18,6 +18,11 @@ def says(text: object, wording: Wording, **parameters: object) -> bool:
     return re.search(pattern(wording, **parameters), " ".join(str(text).split())) is not None
 
 
+def has_text(text: object, about: str | Wording, **parameters: object) -> bool:
+    """Whether a text has these words in it, or what a table has under a code."""
+    return says(text, about, **parameters) if not isinstance(about, str) else about in str(text)
+
+
 def pattern(wording: Wording, **parameters: object) -> str:
     """Return a regular expression, for `pytest.raises(match=...)`."""
     parts = []
