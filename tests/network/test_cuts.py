@@ -65,7 +65,7 @@ def test_what_a_firewall_eats_is_named_and_comes_back_while_the_rest_goes_on(
     )
     bridge.client.happens(EventCode.ROUTE_CHANNEL_LOST, "/odom")
     bridge.client.happens(EventCode.LINK_UDP_BLOCKED, Silence.NO_ANSWER(port=49152, host="10.99.1.1"))
-    bridge.server.happens(EventCode.LINK_UDP_BLOCKED, "nothing more from UDP port")
+    bridge.server.happens(EventCode.LINK_UDP_BLOCKED, Silence.NOTHING_MORE)
     eventually(lambda: bridge.client.route("/scan").get("state") == "down", what="/scan is shown as down")
     bridge.pc.hears("/odom", _BACK_WITHIN)  # on another connection
     assert bridge.client.ledger("/scan").dropped["lost on the way"] > 0
