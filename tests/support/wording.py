@@ -35,6 +35,7 @@ def pattern(wording: Wording, **parameters: object) -> str:
             filled = f"{{{field}{f'!{conversion}' if conversion else ''}{f':{spec}' if spec else ''}}}"
             parts.append(re.escape(" ".join(filled.format(**parameters).split())))
         else:
+            parts[-1] = re.sub(r"\\ $", r"\\ ?", parts[-1])  # an empty parameter leaves one space of two
             parts.append(".*")
     if unknown := parameters.keys() - {
         re.split(r"[.\[]", field)[0] for _, field, _, _ in Formatter().parse(wording.value) if field
