@@ -29,6 +29,8 @@ from rsb_bridge.transport.tcp import Tcp
 from rsb_bridge.transport.udp import Udp
 from rsb_bridge.wire.framing import CONTROL_LIMIT, DATA, HEADER, LENGTH, pack_frame
 from rsb_bridge.wire.preamble import Kind, data_header, preamble_frame
+from rsb_bridge.wire.protocol_error import Broken
+from rsb_bridge.wire.sealing import InvalidSeal
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterator
@@ -308,18 +310,22 @@ def test_all_that_wait_hear_why_there_is_no_connection(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("side", "data", "words"),
     [
-        ("called", _data_frame(9), "a frame of type 1, route 9 on a stream that does not carry it"),
-        ("accepted", _data_frame(9), "a frame of type 1, route 9 on a stream that does not carry it"),
-        ("called", _data_frame(5), "a frame of type 1, route 5 on a stream that does not carry it"),
-        ("called", pack_frame(bytes(HEADER.size)), "a frame of type 0, route 0 on a stream that does not carry it"),
-        ("called", _data_frame(1), "sequence 0 was not sealed with this key"),
-        ("accepted", _data_frame(1), "data on route 1, which goes the other way"),
-        ("called", pack_frame(b"\1"), "a data frame of 1 bytes"),
-        ("called", LENGTH.pack(CONTROL_LIMIT + 1), f"a frame of {CONTROL_LIMIT + 1} bytes"),
+        ("called", _data_frame(9), Broken.FRAME_OF_UNKNOWN_ROUTE(kind=1, route=9)),
+        ("accepted", _data_frame(9), Broken.FRAME_OF_UNKNOWN_ROUTE(kind=1, route=9)),
+        ("called", _data_frame(5), Broken.FRAME_OF_UNKNOWN_ROUTE(kind=1, route=5)),
+        ("called", pack_frame(bytes(HEADER.size)), Broken.FRAME_OF_UNKNOWN_ROUTE(kind=0, route=0)),
+        ("called", _data_frame(1), InvalidSeal.FORGED(sequence=0)),
+        ("accepted", _data_frame(1), Broken.DATA_AGAINST_ROUTE(route=1)),
+        ("called", pack_frame(b"\1"), Broken.DATA_FRAME_TOO_SHORT(length=1, header=HEADER.size)),
+        (
+            "called",
+            LENGTH.pack(CONTROL_LIMIT + 1),
+            Broken.FRAME_TOO_LONG(length=CONTROL_LIMIT + 1, limit=CONTROL_LIMIT),
+        ),
         ("called", pack_frame(data_header(bytes(8), 9), bytes(16)), "unknown route"),
         ("called", pack_frame(data_header(bytes(8), 1), bytes(16)), "unknown route"),
-        ("called", pack_frame(data_header(bytes(8), 7), bytes(16)), "sequence 0 was not sealed with this key"),
-        ("called", pack_frame(preamble_frame(Kind.ACCEPT)), "unexpected ACCEPT frame after the preamble"),
+        ("called", pack_frame(data_header(bytes(8), 7), bytes(16)), InvalidSeal.FORGED(sequence=0)),
+        ("called", pack_frame(preamble_frame(Kind.ACCEPT)), Broken.UNEXPECTED_AFTER_PREAMBLE(kind="ACCEPT")),
         ("accepted", pack_frame(data_header(bytes(8), 7), bytes(16)), "unexpected preamble frame on an open stream"),
     ],
 )

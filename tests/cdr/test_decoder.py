@@ -16,12 +16,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 from rclpy.serialization import deserialize_message, serialize_message
 from tests.support.filled import filled
+from tests.support.wording import pattern, says
 
-from rsb_bridge.cdr.decoder import Decoded, Items, decode
+from rsb_bridge.cdr.decoder import Decoded, Items, Unreadable, decode
 from rsb_bridge.cdr.description import (
     DescriptionError,
     Field,
     FieldType,
+    InvalidDescription,
     MessageType,
     TypeDescription,
     hash_of_text,
@@ -171,7 +173,8 @@ def test_the_beginning_of_a_message_shows_what_is_in_it() -> None:
     decoded = decode(described("sensor_msgs/msg/Image"), payload[:100_000], items=5)
     assert (decoded.message["height"], decoded.message["width"]) == (1080, 1920)
     assert decoded.message["data"] == Items("uint8", 6_220_800, [0, 0, 0, 0, 0])
-    assert decoded.problem.startswith("data: 6,220,800 bytes are expected, and 99,")
+    assert says(decoded.problem, Unreadable.FIELD, field="data")
+    assert says(decoded.problem, Unreadable.ENDS_EARLY, expected=6_220_800)
 
 
 # --- hostile
@@ -188,36 +191,72 @@ EMPTY_ELEMENTS = TypeDescription(
 
 
 @pytest.mark.parametrize(
-    ("description", "payload", "problem"),
+    ("description", "payload", "field", "problem", "parameters"),
     [
-        (of(("a", 6, 0, 0, "")), b"", "does not begin as XCDR1: no bytes"),
-        (of(("a", 6, 0, 0, "")), b"\x00\x07\x00\x00" + bytes(8), "does not begin as XCDR1: 00 07 00 00"),
-        (of(("a", 6, 0, 0, "")), header(b"\x01\x02"), "a: 4 bytes are expected, and 2 are there"),
-        (of(("a", 153, 0, 0, "")), header(b"\xff\xff\xff\x7f"), "a: 17,179,869,176 bytes"),
-        (of(("s", 17, 0, 0, "")), header(b"\xff\xff\xff\xff"), "s: 4,294,967,295 bytes"),
-        (of(("s", 18, 0, 0, "")), header(b"\xff\xff\xff\xff"), "s: 17,179,869,180 bytes"),
-        (of(("s", 17, 0, 0, "")), header(b"\x02\x00\x00\x00ab"), "s: a string without its end"),
-        (of(("s", 18, 0, 0, "")), header(b"\x01\x00\x00\x00\x00\x00\x01\x00"), "beyond 16 bits"),
-        (of(("s", 21, 0, 3, "")), header(b"\x05\x00\x00\x00abcd\x00"), "a string of 4 in a field of at most 3"),
-        (of(("a", 102, 2, 0, "")), header(b"\x03\x00\x00\x00" + bytes(12)), "3 elements in a sequence of at most 2"),
-        (of(("n", 1, 0, 0, "t/msg/None")), header(), "n: its description lacks t/msg/None"),
-        (of(("x", 12, 0, 0, "")), header(bytes(16)), "x: a value of type 12 is not decoded"),
-        (of(("x", 0, 0, 0, "")), header(bytes(16)), "x: a value of type 0 is not decoded"),
-        (of(("x", 250, 0, 0, "")), header(bytes(16)), "x: a value of type 250 is not decoded"),
-        (ENDLESS, header(bytes(8)), "more than 64 levels"),
-        (EMPTY_ELEMENTS, header(b"\xff\xff\xff\xff"), "more values than are read"),
+        (of(("a", 6, 0, 0, "")), b"", "", Unreadable.NO_BYTES, {}),
+        (
+            of(("a", 6, 0, 0, "")),
+            b"\x00\x07\x00\x00" + bytes(8),
+            "",
+            Unreadable.NOT_XCDR1,
+            {"beginning": "00 07 00 00"},
+        ),
+        (of(("a", 6, 0, 0, "")), header(b"\x01\x02"), "a", Unreadable.ENDS_EARLY, {"expected": 4, "left": 2}),
+        (
+            of(("a", 153, 0, 0, "")),
+            header(b"\xff\xff\xff\x7f"),
+            "a",
+            Unreadable.ENDS_EARLY,
+            {"expected": 17_179_869_176},
+        ),
+        (of(("s", 17, 0, 0, "")), header(b"\xff\xff\xff\xff"), "s", Unreadable.ENDS_EARLY, {"expected": 4_294_967_295}),
+        (
+            of(("s", 18, 0, 0, "")),
+            header(b"\xff\xff\xff\xff"),
+            "s",
+            Unreadable.ENDS_EARLY,
+            {"expected": 17_179_869_180},
+        ),
+        (of(("s", 17, 0, 0, "")), header(b"\x02\x00\x00\x00ab"), "s", Unreadable.STRING_WITHOUT_END, {}),
+        (of(("s", 18, 0, 0, "")), header(b"\x01\x00\x00\x00\x00\x00\x01\x00"), "s", Unreadable.CHARACTER_TOO_WIDE, {}),
+        (
+            of(("s", 21, 0, 3, "")),
+            header(b"\x05\x00\x00\x00abcd\x00"),
+            "s",
+            Unreadable.STRING_TOO_LONG,
+            {"length": 4, "limit": 3},
+        ),
+        (
+            of(("a", 102, 2, 0, "")),
+            header(b"\x03\x00\x00\x00" + bytes(12)),
+            "a",
+            Unreadable.SEQUENCE_TOO_LONG,
+            {"length": 3, "limit": 2},
+        ),
+        (of(("n", 1, 0, 0, "t/msg/None")), header(), "n", Unreadable.TYPE_MISSING, {"type": "t/msg/None"}),
+        (of(("x", 12, 0, 0, "")), header(bytes(16)), "x", Unreadable.TYPE_UNKNOWN, {"type": 12}),
+        (of(("x", 0, 0, 0, "")), header(bytes(16)), "x", Unreadable.TYPE_UNKNOWN, {"type": 0}),
+        (of(("x", 250, 0, 0, "")), header(bytes(16)), "x", Unreadable.TYPE_UNKNOWN, {"type": 250}),
+        (ENDLESS, header(bytes(8)), None, Unreadable.TOO_DEEP, {"limit": 64}),
+        (EMPTY_ELEMENTS, header(b"\xff\xff\xff\xff"), None, Unreadable.TOO_MANY_VALUES, {}),
     ],
-)  # fmt: skip
-def test_what_cannot_be_read_is_said(description: TypeDescription, payload: bytes, problem: str) -> None:
+)
+def test_what_cannot_be_read_is_said(
+    description: TypeDescription, payload: bytes, field: str | None, problem: Unreadable, parameters: dict[str, object]
+) -> None:
     began = time.process_time()
-    assert problem in decode(description, payload).problem
+    found = decode(description, payload).problem
+    assert says(found, problem, **parameters)
+    assert field is None or found.startswith(f"{field}: " if field else "it ")
     assert time.process_time() - began < 1.0
 
 
 def test_what_was_read_before_stays() -> None:
     description = of(("a", 3, 0, 0, ""), ("n", 1, 0, 0, "t/msg/Inner"))
     decoded = decode(description, header(b"\x05\x06"))
-    assert decoded == Decoded({"a": 5, "n": {"a": 6}}, "n: 8 bytes are expected, and 0 are there")
+    assert decoded == Decoded(
+        {"a": 5, "n": {"a": 6}}, Unreadable.FIELD(field="n", problem=Unreadable.ENDS_EARLY(expected=8, left=0))
+    )
 
 
 kinds = st.builds(
@@ -252,7 +291,7 @@ def test_a_description_shows_by_its_hash_that_it_is_the_right_one() -> None:
     scan_hash = hash_of_text(text)
     assert scan_hash == hash_of(installed_class("sensor_msgs/msg/LaserScan"))  # type: ignore[arg-type]
     assert text_of(read_description(text, scan_hash)) == text
-    with pytest.raises(DescriptionError, match="another hash"):
+    with pytest.raises(DescriptionError, match=pattern(InvalidDescription.ANOTHER_TYPE)):
         read_description(text.replace("range_min", "range_max"), scan_hash)
 
 

@@ -13,7 +13,14 @@ import pytest
 
 from rsb_bridge.channel.data_keys import DataKeys
 from rsb_bridge.channel.datagram import DatagramSender, datagram_channel
-from rsb_bridge.channel.udp_channel import ClientUdpChannel, PathProbe, ServerUdpChannel, UdpChannel, UdpDemultiplexer
+from rsb_bridge.channel.udp_channel import (
+    ClientUdpChannel,
+    PathProbe,
+    ServerUdpChannel,
+    Silence,
+    UdpChannel,
+    UdpDemultiplexer,
+)
 from rsb_bridge.transport.streams import StreamHandler
 from rsb_bridge.transport.transport import Acceptor
 from rsb_bridge.transport.udp import Udp
@@ -300,9 +307,8 @@ def test_silence_is_named_with_its_port() -> None:
                 server.time += 0.1
                 end.tick()
                 server.time -= 6.1
-            where = f"UDP port {server.port} of {_HOST}"
-            assert client.trouble == f"no answer from {where}: does a firewall drop it?"
-            assert there.trouble == f"nothing more from UDP port {client.socket.port} of {_HOST}"
+            assert client.trouble == Silence.NO_ANSWER(port=server.port, host=_HOST)
+            assert there.trouble == Silence.NOTHING_MORE(port=client.socket.port, host=_HOST)
             heard = client.received_bytes
             client.tick()
             await until(lambda: client.received_bytes > heard)

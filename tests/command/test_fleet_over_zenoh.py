@@ -7,7 +7,10 @@ from typing import TYPE_CHECKING, Any
 import pytest
 from tests.command.test_remote import Ran
 from tests.support.operators import ANNA, BOB, granted
+from tests.support.wording import says
 from tests.support.zenoh_fleet import Fleet
+
+from rsb_bridge.wire.preamble import RefusalText
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -82,7 +85,7 @@ def test_a_key_that_an_engine_does_not_take_is_said(fleet: Fleet, anna: Run) -> 
     fleet.accesses["robot1"].grant(granted("anna", BOB))
     refused = anna("status", "robot1")
     assert refused.code == 3
-    assert "the keys of 'anna' differ" in refused.err
+    assert says(refused.err, RefusalText.KEYS_DIFFER, name="anna")
 
 
 def test_a_router_that_is_lost_is_said_by_every_command(fleet: Fleet, anna: Run) -> None:

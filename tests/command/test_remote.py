@@ -92,7 +92,7 @@ def test_status_says_how_it_is_and_whether_something_is_wrong(ran: Any, engine: 
 
 
 def test_what_is_wrong_with_a_link_is_said_once_and_not_of_each_topic(ran: Any, engine: ScriptedEngine) -> None:
-    reason = "the keys of 'robot1' differ"
+    reason = "its keys differ"
     down = replace(LINK, state=State.DOWN, cause="wrong_key", reason=reason)
     topics = (SCAN, route("/map", outgoing=True))
     routes = tuple(replace(each, state=State.DOWN, cause="link_down", reason=reason) for each in topics)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import errno
 import os
 import resource
 import socket
@@ -22,7 +23,8 @@ from rsb_bridge.control.remote_engine import RemoteEngine
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.model.session import Client, Topic
-from rsb_bridge.transport.streams import Stream, StreamHandler
+from rsb_bridge.transport.descriptors import MORE_DESCRIPTORS, Scarcity
+from rsb_bridge.transport.streams import Stream, StreamHandler, StreamProblem
 from rsb_bridge.transport.tcp import Tcp
 from rsb_bridge.transport.transport import Acceptor
 
@@ -83,10 +85,7 @@ def test_connections_that_cannot_be_accepted_wait() -> None:
         listener.close()
 
     asyncio.run(play())
-    assert shortages[0] == (
-        "Too many open files: this process needs more file descriptors: raise the limit (ulimit -n, or LimitNOFILE in "
-        "a systemd unit)"
-    )
+    assert shortages[0] == StreamProblem.NO_DESCRIPTORS(error=os.strerror(errno.EMFILE), remedy=MORE_DESCRIPTORS)
 
 
 async def until(condition: Callable[[], object], within: float = 20.0) -> None:
@@ -117,7 +116,7 @@ def test_topics_beyond_the_limit(side: str, bridge: Bridge, programs: Programs) 
     short.wait_for("listening" if side == "server" else "connecting")
     other = bridge.start(session)
     message = {
-        "client": "the client may have 150 file descriptors and needs more: raise the limit (ulimit -n",
+        "client": Scarcity.ROUTE_WITHOUT_STREAM(side="client", limit=150, remedy=MORE_DESCRIPTORS),
         "server": "robot1's topics may hold no more of the server's 150 file descriptors than are left for everyone "
         "else: raise the limit (ulimit -n",
     }[side]
@@ -169,5 +168,5 @@ def test_a_client_opens_no_socket_for_datagrams_from_the_reserve(
     with monkeypatch.context() as short:
         short.setattr("rsb_bridge.transport.descriptors.scarce", lambda: True)
         _, client = bridge.both(Topic("/scan", "transmit", protocol="udp"))
-        eventually(lambda: happened(client, EventCode.LINK_UDP_BLOCKED, "file descriptors and needs more"))
+        eventually(lambda: happened(client, EventCode.LINK_UDP_BLOCKED, Scarcity.ROUTE_WITHOUT_STREAM))
     eventually(out.get_subscription_count, what="subscribed")

@@ -10,9 +10,11 @@ from std_msgs.msg import String
 from tests.support.bridge import carries, find, happened, heard, link, linked, protocol_of, route
 from tests.support.domain import LATCHED, text
 from tests.support.waiting import eventually, holds
+from tests.support.wording import pattern
 
 from rsb_bridge.api import EngineError
 from rsb_bridge.model.codes import EventCode
+from rsb_bridge.model.names import TypeNameProblem
 from rsb_bridge.model.operators import acting
 from rsb_bridge.model.session import Client, Topic
 from rsb_bridge.model.verdict import LinkCause
@@ -37,7 +39,7 @@ def test_topics_are_added_edited_paused_and_removed(operator: str, bridge: Bridg
     assert heard(there, 1) == [text("tcp")]
     with pytest.raises(EngineError, match="/chat is bridged in that direction already: edit or remove"):
         engine.add_topic(Topic("/chat", "transmit")).result(60)
-    with pytest.raises(EngineError, match="'LaserScam' is not a known short type name"):
+    with pytest.raises(EngineError, match=pattern(TypeNameProblem.SHORT_NAME_MISSPELT, name="LaserScam")):
         engine.edit_topic(key, Topic("/chat", "transmit", type="LaserScam")).result(60)
 
     key = engine.edit_topic(key, Topic("/chat", "transmit", protocol="udp", qos=3)).result(60)

@@ -19,6 +19,7 @@ from rsb_bridge.model.operators import OWN_CONSOLE, acting
 from rsb_bridge.model.session import Client, Session, Topic
 from rsb_bridge.model.snapshot import Level
 from rsb_bridge.model.verdict import LinkCause
+from rsb_bridge.wire.preamble import RefusalText
 
 if TYPE_CHECKING:
     from concurrent.futures import Future
@@ -243,7 +244,7 @@ def test_a_client_whose_key_changes_comes_back_with_the_new_one(bridge: Bridge, 
     new = link(server, "robot2").fingerprint
     closed = "its link is closed, and comes back once the client has the new key"
     assert change == f"client robot2: key {old} → {new}: {closed}"
-    differ = f"the keys of 'robot2' differ: {old} on the client, {new} on the server"
+    differ = RefusalText.KEYS_DIFFER(name="robot2", theirs=old, there="client", ours=new, here="server")
     eventually(lambda: happened(second, EventCode.LINK_REFUSED, differ))
     assert happened(second, EventCode.LINK_CLOSED_BY_PEER, "the server has another key for robot2 now")
     assert happened(server, EventCode.LINK_WRONG_KEY, differ)

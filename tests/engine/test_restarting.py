@@ -9,10 +9,12 @@ from typing import TYPE_CHECKING
 import pytest
 from tests.support.bridge import STOPS_WITHIN, happened, link, linked
 from tests.support.waiting import eventually, holds
+from tests.support.wording import pattern
 
 from rsb_bridge.api import EngineError
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.snapshot import State
+from rsb_bridge.transport.listening import ListenProblem
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -66,7 +68,7 @@ def thief(bridge: Bridge) -> Iterator[Thief]:
 
 
 def restart_in_vain(server: Engine, thief: Thief) -> None:
-    with pytest.raises(EngineError, match=r"is taken by another process.*The server keeps trying"):
+    with pytest.raises(EngineError, match=pattern(ListenProblem.TAKEN) + ".*The server keeps trying"):
         server.restart(thief).result(60)
 
 
@@ -75,7 +77,7 @@ def test_a_restart_whose_bind_fails_is_tried_again(kind: type[Thief], bridge: Br
     server, client = bridge.both()
     thief = kind(bridge.port)
     restart_in_vain(server, thief)
-    assert happened(server, EventCode.ENGINE_NOT_LISTENING, "is taken by another process")
+    assert happened(server, EventCode.ENGINE_NOT_LISTENING, ListenProblem.TAKEN)
     eventually(lambda: "the server is not listening" in link(server).reason)
     assert link(server).state is State.DOWN
     holds(lambda: not linked(client), 1.0)

@@ -20,7 +20,7 @@ from rsb_bridge.model.session import Client, Topic
 from rsb_bridge.wire.connection import ClientConnection
 from rsb_bridge.wire.events import Refused
 from rsb_bridge.wire.messages import Hello
-from rsb_bridge.wire.preamble import RefusalCode
+from rsb_bridge.wire.preamble import RefusalCode, RefusalText
 from rsb_bridge.wire.sealing import Suite
 
 if TYPE_CHECKING:
@@ -122,7 +122,7 @@ def test_a_key_is_replaced_while_the_link_stays(
 
     copy(bridge, "old.key")
     here.reload()
-    differ = f"the keys of 'robot1' differ: {old} on the client, {new} on the server"
+    differ = RefusalText.KEYS_DIFFER(name="robot1", theirs=old, there="client", ours=new, here="server")
     eventually(lambda: happened(client, EventCode.LINK_REFUSED, differ) and happened(server, EventCode.LINK_WRONG_KEY))
     assert shown(server) == (new, "")
 

@@ -15,6 +15,7 @@ from tests.support.bridge import STOPS_WITHIN, carries, happened, link, linked, 
 from tests.support.domain import text
 from tests.support.resources import resources
 from tests.support.waiting import eventually
+from tests.support.wording import pattern
 
 from rsb_bridge.api import EngineError
 from rsb_bridge.engine import Engine
@@ -22,6 +23,7 @@ from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import State
 from rsb_bridge.ros.node import RosNode
+from rsb_bridge.transport.listening import ListenProblem
 
 if TYPE_CHECKING:
     from concurrent.futures import Future
@@ -240,7 +242,7 @@ def test_a_start_that_fails_leaves_nothing(bridge: Bridge) -> None:
     with socket.socket(type=socket.SOCK_DGRAM) as squatter:
         squatter.bind(("127.0.0.1", bridge.port))
         for _ in range(3):
-            with pytest.raises(EngineError, match="is taken by another process"):
+            with pytest.raises(EngineError, match=pattern(ListenProblem.TAKEN)):
                 bridge.server()
     gc.collect()
     eventually(lambda: resources()[:2] <= before, what=f"threads and descriptors {resources()} as {before}")

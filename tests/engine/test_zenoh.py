@@ -6,6 +6,11 @@ import signal
 from typing import TYPE_CHECKING, Any
 
 import pytest
+from tests.support.wording import says
+
+from rsb_bridge.transport.zenoh.endpoint import EndpointProblem
+from rsb_bridge.transport.zenoh.transport import FleetText
+from rsb_bridge.wire.preamble import RefusalText
 
 pytest.importorskip("zenoh")  # an extra
 
@@ -156,7 +161,7 @@ def test_without_a_router_both_sides_say_so_and_link_once_there_is_one(bridge: B
 def test_without_a_server_the_client_says_so(bridge: Bridge, router: Router) -> None:
     client = bridge.client(**over(router, fleet="harbour"))
     eventually(lambda: link(client).cause == LinkCause.UNREACHABLE)
-    assert "no server of the fleet 'harbour'" in link(client).reason
+    assert says(link(client).reason, FleetText.NO_SERVER, fleet="harbour")
     server = bridge.server(**over(router, fleet="harbour"))
     both_linked(server, client)
 
@@ -186,7 +191,7 @@ def test_two_servers_with_other_clients_share_a_fleet(bridge: Bridge, router: Ro
 def test_fleets_do_not_meet(bridge: Bridge, router: Router) -> None:
     bridge.server(**over(router, fleet="a"))
     client = bridge.client(**over(router, fleet="b"))
-    eventually(lambda: "no server of the fleet 'b'" in link(client).reason)
+    eventually(lambda: says(link(client).reason, FleetText.NO_SERVER, fleet="b"))
 
 
 def test_a_server_that_is_restarted_is_found_at_its_new_address(bridge: Bridge, router: Router) -> None:
@@ -204,14 +209,14 @@ def test_a_client_that_is_killed_is_missed_at_once(bridge: Bridge, router: Route
     program.signal(signal.SIGKILL)
     eventually(lambda: not linked(server))
     lost = eventually(lambda: happened(server, EventCode.LINK_LOST))
-    assert "left the Zenoh network" in lost.text
+    assert EndpointProblem.PEER_LEFT() in lost.text
 
 
 def test_a_wrong_key_is_named_on_both_sides(bridge: Bridge, router: Router) -> None:
     server = bridge.server(**over(router))
     client = bridge.client(key_file=bridge.make_key("other"), **over(router))
     eventually(lambda: link(client).cause == link(server).cause == LinkCause.WRONG_KEY)
-    assert "the keys of 'robot1' differ" in link(client).reason
+    assert says(link(client).reason, RefusalText.KEYS_DIFFER, name="robot1")
 
 
 def test_a_name_that_the_server_does_not_know(bridge: Bridge, router: Router) -> None:

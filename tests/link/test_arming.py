@@ -26,6 +26,7 @@ from rsb_bridge.route.arming import CONSOLE_SILENT_AFTER, PEER_GRACE, SAID, Disa
 from rsb_bridge.route.blocking_rules import gated
 from rsb_bridge.route.lease import LASTS, SLOW
 from rsb_bridge.route.topic_verdict import Facts
+from rsb_bridge.transport.streams import CLOSED_BY_PEER
 from rsb_bridge.wire.messages import Arm, Armed, Close, Describe, Disarm, Lease, Pause, Propose, Provide
 from rsb_bridge.wire.records import LaneEntry
 from rsb_bridge.wire.records import Source as Origin
@@ -305,7 +306,7 @@ def test_the_data_connection_of_a_disarmed_opening_may_end_before_the_next_one_i
             robot.table.arming.disarm(route(robot), Disarmed.OPERATOR)
         pc.table.handle(pc.inbox.popleft())
         assert route(pc).arming.spent
-        route(pc).channel_lost("closed by the other side")
+        route(pc).channel_lost(CLOSED_BY_PEER)
         hear_all(pair)
     assert not route(pc).losses.repeated
 

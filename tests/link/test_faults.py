@@ -23,6 +23,7 @@ from rsb_bridge.transport.streams import CLOSED_BY_PEER
 from rsb_bridge.wire.connection import ClientConnection
 from rsb_bridge.wire.events import Refused
 from rsb_bridge.wire.messages import Hello
+from rsb_bridge.wire.preamble import RefusalText
 from rsb_bridge.wire.sealing import Suite
 from rsb_console.command.formatting import json_status
 
@@ -50,7 +51,7 @@ def test_a_wrong_key_is_a_fault_of_the_link_on_both_sides(bridge: Bridge) -> Non
     client = bridge.client(key_file=theirs)
     eventually(lambda: link(client).cause == link(server).cause == LinkCause.WRONG_KEY)
     marks = [fingerprint(read_key(bridge.folder / name)) for name in (theirs, bridge.key_file)]
-    words = f"the keys of 'robot1' differ: {marks[0]} on the client, {marks[1]} on the server"
+    words = RefusalText.KEYS_DIFFER(name="robot1", theirs=marks[0], there="client", ours=marks[1], here="server")
     for engine in (client, server):
         assert link(engine).state is State.DOWN
         assert words in link(engine).reason

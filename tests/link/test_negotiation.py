@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import errno
+import os
 import socket
 from typing import TYPE_CHECKING, Any
 
@@ -15,6 +17,7 @@ from tests.support.domain import BEST_EFFORT, LATCHED, text
 from tests.support.participants import KnownNode
 from tests.support.ports import free_port
 from tests.support.waiting import eventually, holds
+from tests.support.wording import pattern
 
 from rsb_bridge.api import EngineError
 from rsb_bridge.config.keys import fingerprint, read_key, write_key
@@ -23,6 +26,8 @@ from rsb_bridge.model.qos import PROFILES, Qos, parse_qos
 from rsb_bridge.model.session import Client, Topic
 from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.verdict import Cause
+from rsb_bridge.transport.listening import ListenProblem
+from rsb_bridge.transport.streams import StreamProblem
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -228,7 +233,7 @@ def test_a_topic_port_that_is_taken(protocol: Any, bridge: Bridge, robot: Domain
         for engine in (server, client):
             eventually(
                 lambda engine=engine: says(
-                    engine, "/chat", f":{port} is taken by another process", "choose another port"
+                    engine, "/chat", ListenProblem.TAKEN(kind=protocol.upper(), address=f"127.0.0.1:{port}")
                 )
             )
     client.retry().result(60)
@@ -248,22 +253,25 @@ def test_a_server_whose_port_is_taken(kind: Any, bridge: Bridge) -> None:
         squatter.bind(("127.0.0.1", bridge.port))
         if kind is socket.SOCK_STREAM:
             squatter.listen()
-        with pytest.raises(EngineError, match=f"127.0.0.1:{bridge.port} is taken by another process: stop it, or"):
+        with pytest.raises(EngineError, match=pattern(ListenProblem.TAKEN, address=f"127.0.0.1:{bridge.port}")):
             bridge.server()
     bridge.server()
 
 
 def test_addresses_that_will_not_do(bridge: Bridge) -> None:
-    with pytest.raises(EngineError, match=r"192\.0\.2\.1:.* is not an address of this machine"):
+    with pytest.raises(
+        EngineError, match=pattern(ListenProblem.NOT_OF_THIS_MACHINE, address=f"192.0.2.1:{bridge.port}")
+    ):
         bridge.server(server_ip="192.0.2.1")
-    with pytest.raises(EngineError, match=r"the name is not known .*: set server_ip in this side's session file to"):
+    with pytest.raises(EngineError, match=pattern(ListenProblem.NAME_UNKNOWN)):
         bridge.server(server_ip="no-such-host.invalid")
     client = bridge.client(server_ip="no-such-host.invalid")
     eventually(lambda: happened(client, EventCode.LINK_UNREACHABLE, f"no-such-host.invalid:{bridge.port}: "))
     assert "correct server_ip in this side's session file" in link(client).reason
     nobody = bridge.client(server_ip="localhost")
     eventually(lambda: link(nobody).attempts > 1)
-    refused = f"localhost:{bridge.port}: Connection refused: is the server running there?"
+    why = StreamProblem.REFUSED(error=os.strerror(errno.ECONNREFUSED))
+    refused = f"localhost:{bridge.port}: {why}"
     eventually(lambda: refused in link(nobody).reason)
 
 

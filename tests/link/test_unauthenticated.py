@@ -16,6 +16,7 @@ from tests.support.bridge import carries, happened, heard, link, linked, now, se
 from tests.support.domain import text
 from tests.support.relay import message_number
 from tests.support.waiting import eventually
+from tests.support.wording import has_text
 
 from rsb_bridge.config.keys import read_key
 from rsb_bridge.model.codes import EventCode
@@ -23,8 +24,9 @@ from rsb_bridge.model.session import Client, Topic
 from rsb_bridge.model.verdict import LinkCause
 from rsb_bridge.wire.connection import ClientConnection
 from rsb_bridge.wire.messages import Hello
-from rsb_bridge.wire.preamble import Kind
-from rsb_bridge.wire.sealing import Suite
+from rsb_bridge.wire.preamble import Kind, RefusalText
+from rsb_bridge.wire.protocol_error import Broken
+from rsb_bridge.wire.sealing import InvalidSeal, Suite
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -35,6 +37,7 @@ if TYPE_CHECKING:
     from tests.support.relay import Relay
 
     from rsb_bridge.engine import Engine
+    from rsb_bridge.model.wording import Wording
 
 HZ = 50
 
@@ -71,7 +74,7 @@ def friend(bridge: Bridge, robot: Domain, pc: Domain) -> Iterator[tuple[Engine, 
         (
             {"name": "robot2"},
             EventCode.LINK_WRONG_KEY,
-            "the keys of 'robot2' differ: ",
+            "'robot2'",
             ("", ""),
         ),
         (
@@ -83,7 +86,7 @@ def friend(bridge: Bridge, robot: Domain, pc: Domain) -> Iterator[tuple[Engine, 
         (
             {"name": "robot2", "use_encryption": False},
             EventCode.LINK_REJECTED,
-            "the server requires encryption for 'robot2'",
+            RefusalText.ENCRYPTION_REQUIRED(name="robot2"),
             ("", ""),
         ),
     ],
@@ -149,7 +152,7 @@ def test_a_refused_client_that_is_added_is_shown_no_more(friend: Any, bridge: Br
 def test_a_key_against_none(bridge: Bridge) -> None:
     server = bridge.server(use_encryption=False)
     stranger = bridge.client()
-    words = "the client encrypts, and the server has no key for 'robot1'"
+    words = RefusalText.ENCRYPTION_NOT_POSSIBLE(name="robot1")
     eventually(lambda: happened(stranger, EventCode.LINK_REFUSED) and happened(server, EventCode.LINK_REJECTED, words))
     plain = bridge.client(use_encryption=False)
     eventually(lambda: linked(plain))
@@ -175,31 +178,33 @@ def frame(content: bytes) -> bytes:
     return struct.pack(">I", len(content)) + content
 
 
-NO_HANDSHAKES = [
-    (os.urandom(64) + b"\xff" * 64, "the other side is not an rsb-console"),
-    (b"GET / HTTP/1.1\r\nHost: robot\r\n\r\n", "the other side is not an rsb-console"),
-    (struct.pack(">I", 2**32 - 1), "the other side is not an rsb-console"),
-    (frame(b"rsb\x09\x01whatever comes later"), "the peer version 9: update rsb-console on this side"),
-    (frame(b"rsb\x02\x63"), "unknown preamble kind 99"),
-    (frame(b"rsb\x02\x01\x01\xffname"), "a CONTROL frame ends before its name or its fingerprint does"),
-    (frame(b"rsb\x02\x01\x07\x01x" + bytes(8)), "unknown cipher suite"),
-    (frame(b"rsb\x02\x01\x01\x06robot1" + bytes(200)), "the keys of 'robot1' differ"),
-    (frame(b"rsb\x02\x02short"), "a DATA frame ends before its route does"),
-    (frame(b"rsb\x02\x02" + bytes(28)), "unknown route"),
+NO_HANDSHAKES: list[tuple[bytes, str | Wording, dict[str, object]]] = [
+    (os.urandom(64) + b"\xff" * 64, Broken.FOREIGN, {}),
+    (b"GET / HTTP/1.1\r\nHost: robot\r\n\r\n", Broken.FOREIGN_KNOWN, {"protocol": "HTTP"}),
+    (struct.pack(">I", 2**32 - 1), Broken.FOREIGN, {}),
+    (frame(b"rsb\x09\x01whatever comes later"), RefusalText.THIS_SIDE_OLDER, {"theirs": 9}),
+    (frame(b"rsb\x02\x63"), Broken.UNKNOWN_PREAMBLE, {"kind": 99}),
+    (frame(b"rsb\x02\x01\x01\xffname"), Broken.CONTROL_TOO_SHORT, {}),
+    (frame(b"rsb\x02\x01\x07\x01x" + bytes(8)), Broken.UNKNOWN_SUITE, {}),
+    (frame(b"rsb\x02\x01\x01\x06robot1" + bytes(200)), RefusalText.KEYS_DIFFER, {"name": "robot1"}),
+    (frame(b"rsb\x02\x02short"), Broken.DATA_TOO_SHORT, {}),
+    (frame(b"rsb\x02\x02" + bytes(28)), "unknown route", {}),
 ]
 
 
 def test_what_is_no_handshake(friend: Any, bridge: Bridge) -> None:
     """Answered with a reason, closed, and logged with the same words."""
     server, *_ = friend
-    for number, (sent, words) in enumerate(NO_HANDSHAKES, 1):
+    for number, (sent, why, parameters) in enumerate(NO_HANDSHAKES, 1):
         # each from an address of its own: five failures from one would slow the sixth down
         answer = talk(("127.0.0.1", bridge.port), sent, source=f"127.0.1.{number}")
         assert answer[4:9] == b"rsb\x02\x04"
-        assert words.encode() in answer
+        assert has_text(answer.decode(errors="replace"), why, **parameters)
         codes = EventCode.LINK_REJECTED, EventCode.LINK_WRONG_KEY
         event = eventually(
-            lambda codes=codes, words=words: next(filter(None, (happened(server, code, words) for code in codes)), None)
+            lambda codes=codes, why=why, parameters=parameters: next(
+                filter(None, (happened(server, code, why, **parameters) for code in codes)), None
+            )
         )
         assert event.text.startswith(f"rejected a client at 127.0.1.{number}:")
 
@@ -315,7 +320,7 @@ def test_an_authenticated_peer_that_breaks_the_format(bridge: Bridge, relay: Rel
         relay.connections[connection].damage()
         out.publish(text("hurt"))
         eventually(
-            lambda code=code: happened(server, code, "damaged or forged") or happened(client, code, "damaged or forged")
+            lambda code=code: happened(server, code, InvalidSeal.FORGED) or happened(client, code, InvalidSeal.FORGED)
         )
         relay.connections[connection].damage(False)
         eventually(lambda: linked(server) and linked(client))
@@ -367,7 +372,7 @@ def test_a_replayed_connection(bridge: Bridge, relay: Relay, robot: Domain, pc: 
     heard(there, 1)
     peer = link(server).peer
     control, data = (bytes(connection.sent) for connection in relay.connections[:2])
-    for recording, words in ((control, "somebody has recorded it"), (data, "unknown route")):
+    for recording, words in ((control, Broken.HANDSHAKE_REPLAYED(name="robot1")), (data, "unknown route")):
         talk((relay.SERVER, bridge.port), recording)
         eventually(lambda words=words: happened(server, EventCode.LINK_REJECTED, words))
     assert (link(server).peer, linked(server)) == (peer, True)

@@ -7,7 +7,16 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from rsb_bridge.model.demands import Demand, Demands, RunningDemands, as_armed, describe, sources_of, sources_of_entries
+from rsb_bridge.model.demands import (
+    Demand,
+    Demands,
+    OriginText,
+    RunningDemands,
+    as_armed,
+    describe,
+    sources_of,
+    sources_of_entries,
+)
 from rsb_bridge.model.session import DEADMAN, Armed, Client, Kind, Session, Topic
 
 if TYPE_CHECKING:
@@ -137,7 +146,9 @@ def test_what_has_to_be_kept(before: tuple[Topic, ...], after: tuple[Topic, ...]
 def test_the_line_is_named() -> None:
     (one,), (other,) = client(CMD).sources, client(PATTERN).sources
     assert describe(one, {one.key: "robot.yaml:14"}) == "robot.yaml:14"
-    assert describe(other, {other.key: "robot.yaml:20"}) == "pattern /cmd* in robot.yaml:20"
+    assert describe(other, {other.key: "robot.yaml:20"}) == OriginText.PATTERN_IN_FILE(
+        pattern="/cmd*", place="robot.yaml:20"
+    )
     assert one.deadman == DEADMAN
     assert client(CMD).of("topic", "/cmd") == Demand(DEADMAN, 1.0, (one,))
 

@@ -7,9 +7,21 @@ from typing import Any
 
 import pytest
 from tests.console.scripted import LINK, NOW, route
+from tests.support.wording import says
 
 from rsb_bridge.model.capacity import LASTS, Capacity, CapacitySource, newer
-from rsb_bridge.model.link_budget import PER_MESSAGE, TYPICAL, Load, LoadSource, as_report, cost_of, load_of, told
+from rsb_bridge.model.link_budget import (
+    PER_MESSAGE,
+    TYPICAL,
+    CostText,
+    Load,
+    LoadSource,
+    amount,
+    as_report,
+    cost_of,
+    load_of,
+    told,
+)
 from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import RouteSnapshot, Snapshot, State
 from rsb_bridge.model.verdict import Cause
@@ -147,16 +159,15 @@ def test_what_crosses_now_has_been_seen_and_more_may_be_carried() -> None:
     assert cost.capacity.bytes_per_second == cost.used
     assert cost.over == pytest.approx(cost.load.bytes_per_second)
     _, second = told(cost, NOW)
-    assert "If the link carries no more" in second
-    assert "too much" not in second
+    assert says(second, CostText.PERHAPS_TOO_MUCH, amount=amount(cost.over))
     assert "/camera" in second
 
 
 def test_a_topic_that_is_thinned_brings_more_than_crosses() -> None:
     now = snapshot(sent("/camera", "low", 2.0, 60_000, cause=Cause.THINNED), carries=1e6)
     thinned, given = (cost_of(now, "robot1", Topic("/camera", "transmit"), rate=rate) for rate in (None, 30.0))
-    assert "brings more" in told(thinned, NOW)[0]
-    assert "brings more" not in told(given, NOW)[0]
+    assert says(told(thinned, NOW)[0], CostText.THINNED_NOW)
+    assert not says(told(given, NOW)[0], CostText.THINNED_NOW)
 
 
 @pytest.mark.parametrize("state", [State.DISARMED, State.PAUSED, State.WAITING])

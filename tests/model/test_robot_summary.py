@@ -9,6 +9,7 @@ from typing import Any
 import msgspec
 import pytest
 from tests.console.scripted import LINK, NOW, route
+from tests.support.wording import pattern, says
 
 from rsb_bridge.model import robot_summary
 from rsb_bridge.model.robot_summary import (
@@ -16,10 +17,12 @@ from rsb_bridge.model.robot_summary import (
     SUMMARY_BYTES,
     WHY_LENGTH,
     Battery,
+    InvalidSummary,
     Loss,
     LossWindow,
     RobotState,
     RobotSummary,
+    SummaryText,
     decode,
     drop_repeated_faults,
     encode,
@@ -44,7 +47,7 @@ SERVER = Session(
     clients=(Client("robot1", group="hall"), Client("robot2")),
 )  # fmt: skip
 UP = replace(LINK, state=State.OK, since=NOW - 100.0, reason="", cause="", warning="")
-DOWN = replace(UP, state=State.DOWN, cause=LinkCause.LOST, reason="the peer is silent")
+DOWN = replace(UP, state=State.DOWN, cause=LinkCause.LOST, reason="gone")
 
 
 def on_server(*routes: RouteSnapshot, link: LinkSnapshot = UP, running: bool = True) -> RobotSummary:
@@ -173,7 +176,7 @@ def test_several_faults() -> None:
     long = "x" * 400
     summary = on_server(*(a(f"/t{number}", State.DOWN, reason=long) for number in range(3)), a("/u", State.SLOW))
     assert summary.why.startswith("/t0 ")
-    assert "3 more" in summary.why
+    assert says(summary.why, SummaryText.MORE_FAULTS, count=3)
     assert len(summary.why) == WHY_LENGTH
 
 
@@ -187,7 +190,7 @@ def test_a_warning_of_a_link() -> None:
 def test_a_link_that_is_down() -> None:
     summary = on_server(a("/scan", State.DOWN, reason="no link"), link=DOWN)
     assert (summary.state, summary.why, summary.since, summary.seen) == (
-        RobotState.MISSING, "the peer is silent", DOWN.since, DOWN.since,
+        RobotState.MISSING, "gone", DOWN.since, DOWN.since,
     )  # fmt: skip
     assert (summary.links_up, summary.flowing, summary.messages_from_robot) == (0, 0, 0.0)
     never = on_server(link=replace(DOWN, peer_domain=None))
@@ -284,12 +287,17 @@ def test_a_newer_version() -> None:
 
 
 @pytest.mark.parametrize(
-    "data",
-    [b"", b"\x93\x01\x02\x03", msgspec.msgpack.encode({"name": " "}), msgspec.msgpack.encode({"group": "hall"}),
-     msgspec.msgpack.encode({"name": "robot1", "why": "x" * SUMMARY_BYTES})],
-)  # fmt: skip
-def test_what_is_no_summary(data: bytes) -> None:
-    with pytest.raises(ValueError, match="summary"):
+    ("data", "problem"),
+    [
+        (b"", InvalidSummary.UNREADABLE),
+        (b"\x93\x01\x02\x03", InvalidSummary.UNREADABLE),
+        (msgspec.msgpack.encode({"name": " "}), InvalidSummary.NAMELESS),
+        (msgspec.msgpack.encode({"group": "hall"}), InvalidSummary.UNREADABLE),
+        (msgspec.msgpack.encode({"name": "robot1", "why": "x" * SUMMARY_BYTES}), InvalidSummary.TOO_LONG),
+    ],
+)
+def test_what_is_no_summary(data: bytes, problem: InvalidSummary) -> None:
+    with pytest.raises(ValueError, match=pattern(problem)):
         decode(data)
 
 

@@ -16,6 +16,7 @@ import yaml
 from tests.network.node import Heard, Node
 from tests.support.bridge import balance
 from tests.support.waiting import eventually
+from tests.support.wording import has_text
 
 from rsb_bridge.config.keys import write_key
 from rsb_bridge.model.codes import EventCode
@@ -23,6 +24,8 @@ from rsb_bridge.model.snapshot import Ledger
 
 if TYPE_CHECKING:
     from tests.network.hosts import Host
+
+    from rsb_bridge.model.wording import Wording
 
 PORT = 49152
 EACH_WAY = (
@@ -69,12 +72,12 @@ class Program:
         assert all(line.startswith("{") for line in lines), "\n".join(lines)
         return [json.loads(line) for line in lines]
 
-    def happened(self, code: EventCode, about: str = "", since: float = 0.0) -> dict[str, Any] | None:
-        """The first event of a kind since a moment (s since the epoch); with `about`, the first with these words."""
+    def happened(self, code: EventCode, about: str | Wording = "", since: float = 0.0) -> dict[str, Any] | None:
+        """The first event of a kind since a moment (s since the epoch); with `about`, the first that `has_text`."""
         events = (each for each in self.log if each.get("code") == code and each["time"] >= since)
-        return next((each for each in events if about in each["text"]), None)
+        return next((each for each in events if has_text(each["text"], about)), None)
 
-    def happens(self, code: EventCode, about: str = "", *, within: float = 60.0, since: float = 0.0) -> float:
+    def happens(self, code: EventCode, about: str | Wording = "", *, within: float = 60.0, since: float = 0.0) -> float:
         """Wait until it happens. Returns when it did, in s since the epoch."""
         try:
             when: float = eventually(lambda: self.happened(code, about, since), within)["time"]

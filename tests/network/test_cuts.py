@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 from tests.network.bridging import EACH_WAY
 from tests.support.waiting import eventually
 
+from rsb_bridge.channel.udp_channel import Silence
 from rsb_bridge.model.codes import EventCode
 
 if TYPE_CHECKING:
@@ -63,10 +64,8 @@ def test_what_a_firewall_eats_is_named_and_comes_back_while_the_rest_goes_on(
         "add rule inet wall in iif eth0 meta l4proto udp drop"
     )
     bridge.client.happens(EventCode.ROUTE_CHANNEL_LOST, "/odom")
-    bridge.client.happens(
-        EventCode.LINK_UDP_BLOCKED, "no answer from UDP port 49152 of 10.99.1.1: does a firewall drop it?"
-    )
-    bridge.server.happens(EventCode.LINK_UDP_BLOCKED, "nothing more from UDP port")
+    bridge.client.happens(EventCode.LINK_UDP_BLOCKED, Silence.NO_ANSWER(port=49152, host="10.99.1.1"))
+    bridge.server.happens(EventCode.LINK_UDP_BLOCKED, Silence.NOTHING_MORE)
     eventually(lambda: bridge.client.route("/scan").get("state") == "down", what="/scan is shown as down")
     bridge.pc.hears("/odom", _BACK_WITHIN)  # on another connection
     assert bridge.client.ledger("/scan").dropped["lost on the way"] > 0

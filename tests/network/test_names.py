@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 from tests.network.bridging import Program, Sessions
 
 from rsb_bridge.model.codes import EventCode
+from rsb_bridge.transport.tcp import LookUpProblem
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -24,6 +25,6 @@ def test_a_silent_name_server_is_named_and_holds_up_no_stop(robot: Host, tmp_pat
         "add rule inet wall in udp dport 53 drop"
     )
     client = Program(robot, Sessions(tmp_path, "pc.example", domains=(80, 81)).client)
-    client.happens(EventCode.LINK_UNREACHABLE, "no name server answers within 3 s")
+    client.happens(EventCode.LINK_UNREACHABLE, LookUpProblem.NO_NAME_SERVER(seconds=3))
     client.happens(EventCode.LINK_CONNECTING)
     client.close()

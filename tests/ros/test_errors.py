@@ -8,7 +8,9 @@ from typing import TYPE_CHECKING
 
 import pytest
 from tests.ros.domains import ANOTHER
+from tests.support.wording import pattern
 
+from rsb_bridge.model.names import TypeNameProblem
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.ros.node import RosNode
 from rsb_bridge.ros.rcl import Participant
@@ -39,7 +41,7 @@ def test_errors_say_what_and_what_to_do(open_node: Callable[..., RosNode], capfd
     with pytest.raises(RosError, match=r"^/taken: .*incompatible type std_msgs::msg::dds_::Int8_$"):
         node.advertise("/taken", "std_msgs/msg/Int8", "", Qos(), "link")
     assert capfd.readouterr() == ("", "")
-    with pytest.raises(RosError, match=r"'String' is not a message type: write it as package/msg/Name"):
+    with pytest.raises(RosError, match=pattern(TypeNameProblem.INVALID, name="String")):
         node.subscribe("/chat", "String", "", Qos(), print, "link")
     assert node.installed_hash("String") is None
     assert node.installed_hash("no_such_msgs/msg/Name") is None

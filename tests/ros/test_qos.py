@@ -7,7 +7,7 @@ from itertools import product
 import pytest
 from rclpy.qos import QoSCompatibility, qos_check_compatible
 
-from rsb_bridge.model.qos import PROFILES, Durability, Qos, Reliability, incompatible, match_publishers
+from rsb_bridge.model.qos import PROFILES, Durability, Qos, QosMismatch, Reliability, incompatible, match_publishers
 from rsb_bridge.ros.librcl import rcl_profile
 
 RELIABILITIES: tuple[Reliability, ...] = ("reliable", "best_effort")
@@ -28,14 +28,13 @@ def test_incompatible_agrees_with_the_middleware(offered: Qos) -> None:
 def test_incompatible_says_every_reason() -> None:
     offered = Qos(reliability="best_effort", deadline=2.0)
     requested = Qos(durability="transient_local", deadline=1.0)
-    assert incompatible(offered, requested) == (
-        "the publisher offers best_effort, the subscription asks for reliable; "
-        "the publisher offers volatile, the subscription asks for transient_local; "
-        "the publisher offers a deadline of 2 s, the subscription asks for a deadline of 1 s"
+    deadlines = [QosMismatch.DEADLINE(seconds=seconds) for seconds in (2, 1)]
+    pairs = ("best_effort", "reliable"), ("volatile", "transient_local"), deadlines
+    assert incompatible(offered, requested) == "; ".join(
+        QosMismatch.POLICY(offer=offer, request=request) for offer, request in pairs
     )
-    assert (
-        incompatible(Qos(), Qos(deadline=1.5))
-        == "the publisher offers no deadline, the subscription asks for a deadline of 1.5 s"
+    assert incompatible(Qos(), Qos(deadline=1.5)) == QosMismatch.POLICY(
+        offer=QosMismatch.NO_DEADLINE(), request=QosMismatch.DEADLINE(seconds=1.5)
     )
 
 

@@ -12,8 +12,9 @@ import pytest
 from rclpy.serialization import deserialize_message, serialize_message
 from tests.ros.domains import DOMAIN
 from tests.support.filled import filled
+from tests.support.wording import pattern
 
-from rsb_bridge.model.names import SHORT_NAMES
+from rsb_bridge.model.names import SHORT_NAMES, TypeNameProblem
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.ros import raw_types, typesupport
 from rsb_bridge.ros.ros_interface import RosError
@@ -234,7 +235,7 @@ def test_an_endpoint_that_cannot_be_made_keeps_no_type(
     [
         ("no_such_msgs/msg/Name", "", "install ros-jazzy-no-such-msgs"),
         ("no_such_msgs/msg/Name", "RIHS01_12", "'RIHS01_12' is not a type hash"),
-        ("nonsense", MADE_UP_HASH, "'nonsense' is not a message type"),
+        ("nonsense", MADE_UP_HASH, pattern(TypeNameProblem.INVALID, name="nonsense")),
         ("std_msgs/msg/String", MADE_UP_HASH, r"another message here \(RIHS01_df668c.*there \(RIHS01_5a5a"),
     ],
 )

@@ -7,8 +7,9 @@ import subprocess
 import sys
 
 import pytest
+from tests.support.wording import pattern
 
-from rsb_bridge.model.names import SHORT_NAMES, expand_type_name, split_type_name
+from rsb_bridge.model.names import SHORT_NAMES, TypeNameProblem, expand_type_name, split_type_name
 from rsb_bridge.ros.typesupport import hash_of, installed_class
 
 COMMON_INTERFACES = [
@@ -40,19 +41,20 @@ def test_expands(name: str, full: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "said"),
+    ("name", "problem"),
     [
-        ("LaserScann", "did you mean sensor_msgs/msg/LaserScan"),
-        ("Xyzzy", "write it as package/msg/Name"),
-        ("a/b/c/d", "write it as package/msg/Name"),
-        ("Pkg/msg/Name", "'Pkg/msg/Name' is not a message type"),
-        ("pkg/msgs/Name", "is not a message type"),
-        ("", "''"),
+        ("LaserScann", TypeNameProblem.SHORT_NAME_MISSPELT),
+        ("Xyzzy", TypeNameProblem.SHORT_NAME_UNKNOWN),
+        ("a/b/c/d", TypeNameProblem.INVALID),
+        ("Pkg/msg/Name", TypeNameProblem.INVALID),
+        ("pkg/msgs/Name", TypeNameProblem.INVALID),
+        ("", TypeNameProblem.SHORT_NAME_UNKNOWN),
     ],
 )
-def test_refuses_with_a_remedy(name: str, said: str) -> None:
-    with pytest.raises(ValueError, match=said):
+def test_refuses_with_a_remedy(name: str, problem: TypeNameProblem) -> None:
+    with pytest.raises(ValueError, match=pattern(problem, name=name)) as raised:
         expand_type_name(name)
+    assert problem is not TypeNameProblem.SHORT_NAME_MISSPELT or "sensor_msgs/msg/LaserScan" in str(raised.value)
 
 
 @pytest.mark.parametrize("package", COMMON_INTERFACES)

@@ -10,6 +10,7 @@ from weakref import WeakSet
 from tests.support.participants import KnownNode, agree
 from tests.support.ports import free_port
 from tests.support.waiting import eventually
+from tests.support.wording import has_text
 
 from rsb_bridge.config.keys import write_key
 from rsb_bridge.engine import Engine
@@ -31,6 +32,7 @@ if TYPE_CHECKING:
     from rsb_bridge.api import EngineApi
     from rsb_bridge.model.session import Protocol
     from rsb_bridge.model.snapshot import Event, Ledger, LinkSnapshot, RouteSnapshot, Snapshot
+    from rsb_bridge.model.wording import Wording
     from rsb_bridge.ros.ros_interface import RosInterface
     from rsb_bridge.route.route import Route
 
@@ -292,9 +294,12 @@ def balance(ledger: Ledger) -> int:
     return settled + ledger.unknown + ledger.in_flight
 
 
-def happened(engine: Engine, code: EventCode, about: str = "") -> Event | None:
-    """The newest event of a kind; with `about`, the newest that has these words in it."""
-    return next((event for event in reversed(engine.events()) if event.code == code and about in event.text), None)
+def happened(engine: Engine, code: EventCode, about: str | Wording = "", **parameters: object) -> Event | None:
+    """The newest event of a kind; with `about`, the newest that has these words in it, or the text of a table."""
+    for event in reversed(engine.events()):
+        if event.code == code and has_text(event.text, about, **parameters):
+            return event
+    return None
 
 
 def heard(listener: Listener, count: int, within: float = 60.0) -> list[bytes]:

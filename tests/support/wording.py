@@ -18,6 +18,11 @@ def says(text: object, wording: Wording, **parameters: object) -> bool:
     return re.search(pattern(wording, **parameters), " ".join(str(text).split())) is not None
 
 
+def has_text(text: object, about: str | Wording, **parameters: object) -> bool:
+    """Whether a text has these words in it, or what a table has under a code."""
+    return says(text, about, **parameters) if not isinstance(about, str) else about in str(text)
+
+
 def pattern(wording: Wording, **parameters: object) -> str:
     """Return a regular expression, for `pytest.raises(match=...)`."""
     parts = []
@@ -30,6 +35,7 @@ def pattern(wording: Wording, **parameters: object) -> str:
             filled = f"{{{field}{f'!{conversion}' if conversion else ''}{f':{spec}' if spec else ''}}}"
             parts.append(re.escape(" ".join(filled.format(**parameters).split())))
         else:
+            parts[-1] = re.sub(r"\\ $", r"\\ ?", parts[-1])  # an empty parameter leaves one space of two
             parts.append(".*")
     if unknown := parameters.keys() - {
         re.split(r"[.\[]", field)[0] for _, field, _, _ in Formatter().parse(wording.value) if field

@@ -24,6 +24,7 @@ from tests.support.waiting import eventually
 from rsb_bridge.config.keys import fingerprint, read_key
 from rsb_bridge.config.session_file import save
 from rsb_bridge.model.codes import EventCode
+from rsb_bridge.wire.preamble import RefusalText
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -146,7 +147,7 @@ def test_the_keys_differ(sides: Sides, bridge: Bridge) -> None:
     other = bridge.make_key("other")
     server, client = sides.server(), sides.client(key_file=other)
     marks = [fingerprint(read_key(bridge.folder / name)) for name in (other, bridge.key_file)]
-    words = f"the keys of 'robot1' differ: {marks[0]} on the client, {marks[1]} on the server"
+    words = RefusalText.KEYS_DIFFER(name="robot1", theirs=marks[0], there="client", ours=marks[1], here="server")
     for program, code in ((server, EventCode.LINK_WRONG_KEY), (client, EventCode.LINK_REFUSED)):
         shown = has_cause(program, "wrong_key")
         assert (shown["state"], words in shown["reason"]) == ("down", True)

@@ -7,9 +7,10 @@ from types import SimpleNamespace
 from typing import TYPE_CHECKING, cast
 
 import pytest
+from tests.support.wording import pattern
 
 from rsb_bridge.model.session import Session
-from rsb_bridge.transport.ports import Ports
+from rsb_bridge.transport.ports import PortProblem, Ports
 from rsb_bridge.transport.registry import Transports
 from rsb_bridge.transport.transport import Acceptor, Listener, ListenError
 from rsb_bridge.transport.udp import Udp
@@ -48,7 +49,7 @@ def test_a_port_that_is_closed_while_it_is_opened_stays_closed() -> None:
         ports.close()
         udp.goes_on.set()
         for each in (opening, waiting):
-            with pytest.raises(ListenError, match="closed again"):
+            with pytest.raises(ListenError, match=pattern(PortProblem.CLOSED_AGAIN)):
                 await each
         assert udp.listening == 0
         release = await ports.open("udp", 9000)

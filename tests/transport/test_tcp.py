@@ -12,10 +12,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
+from tests.support.wording import pattern, says
 
 from rsb_bridge.transport import tcp
-from rsb_bridge.transport.streams import Stream, StreamHandler, os_error_message
-from rsb_bridge.transport.tcp import Tcp
+from rsb_bridge.transport.streams import Stream, StreamHandler, StreamProblem, os_error_message
+from rsb_bridge.transport.tcp import LookUpProblem, Tcp
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -97,7 +98,7 @@ def test_all_that_are_silent_time_out(monkeypatch: pytest.MonkeyPatch, port: int
     async def main() -> None:
         with pytest.raises(TimeoutError) as failure:
             await Tcp().connect("robot", port, StreamHandler())
-        assert os_error_message(failure.value) == "timed out"
+        assert os_error_message(failure.value) == StreamProblem.TIMED_OUT()
 
     asyncio.run(main())
     assert _open_sockets() <= before
@@ -112,14 +113,14 @@ def test_where_some_cannot_be_reached_a_refusal_is_told(addresses: list[str], po
         with pytest.raises(OSError, match=r".+") as failure:
             await Tcp().connect("robot", port, StreamHandler())
         assert failure.value.errno == errno.ECONNREFUSED
-        assert os_error_message(failure.value) == "Connection refused: is the server running there?"
+        assert says(os_error_message(failure.value), StreamProblem.REFUSED)
 
     asyncio.run(main())
 
 
 def test_a_name_without_an_address(port: int, resolves: list[str]) -> None:
     async def main() -> None:
-        with pytest.raises(OSError, match="robot: the name has no address"):
+        with pytest.raises(OSError, match=pattern(LookUpProblem.NO_ADDRESS, host="robot")):
             await Tcp().connect("robot", port, StreamHandler())
 
     asyncio.run(main())

@@ -5,6 +5,7 @@ import struct
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from tests.support.wording import says
 from tests.wire.links import (
     CONTROL_HEADER,
     HELLO,
@@ -25,7 +26,8 @@ from rsb_bridge.wire.events import DataFrame, Event, Failed, Received, Refused
 from rsb_bridge.wire.framing import CONTROL_LIMIT, pack_frame
 from rsb_bridge.wire.messages import Ping
 from rsb_bridge.wire.preamble import Kind, RefusalCode, control_header, preamble_frame, refuse_frame
-from rsb_bridge.wire.sealing import Sealer, SessionKeys, Suite
+from rsb_bridge.wire.protocol_error import Broken
+from rsb_bridge.wire.sealing import InvalidSeal, Sealer, SessionKeys, Suite
 
 End = ClientConnection | ServerConnection | DataConnection
 
@@ -35,58 +37,57 @@ def control(body: bytes) -> bytes:
 
 
 @pytest.mark.parametrize(
-    ("stream", "words"),
+    ("stream", "broken", "parameters"),
     [
-        (b"GET / HTTP/1.1\r\n\r\n", "not an rsb-console"),
-        (b"\x00\x00\x10\x01", "not an rsb-console"),
-        (pack_frame(b""), "not an rsb-console"),
-        (pack_frame(b"rsb\x02"), "not an rsb-console"),
-        (pack_frame(b"RSB\x01\x01"), "not an rsb-console"),
-        (pack_frame(preamble_frame(Kind.ACCEPT)), "unexpected ACCEPT frame"),
-        (pack_frame(b"rsb\x02\x63"), "unknown preamble kind 99"),
-        (control(b""), "ends before its name or its fingerprint does"),
-        (control(b"\x01\x05robo"), "ends before its name or its fingerprint does"),
-        (control(b"\x01\x06robot1" + bytes(7)), "ends before its name or its fingerprint does"),
-        (control(b"\x01\x02\xff\xfe" + bytes(8)), "not UTF-8"),
-        (control(b"\x01\x03\xe2\x80\xae" + bytes(8)), "the name in a CONTROL frame has unprintable characters"),
-        (control(b"\x07\x01a" + bytes(8)), "unknown cipher suite"),
-        (control(b"\x01\x06robot1" + fingerprint_of(KEY) + b"short"), "too short"),
-        (pack_frame(preamble_frame(Kind.DATA, bytes(11))), "ends before its route does"),
+        (b"GET / HTTP/1.1\r\n\r\n", Broken.FOREIGN_KNOWN, {"protocol": "HTTP"}),
+        (b"\x00\x00\x10\x01", Broken.FOREIGN, {}),
+        (pack_frame(b""), Broken.FOREIGN, {}),
+        (pack_frame(b"rsb\x02"), Broken.FOREIGN, {}),
+        (pack_frame(b"RSB\x01\x01"), Broken.FOREIGN, {}),
+        (pack_frame(preamble_frame(Kind.ACCEPT)), Broken.UNEXPECTED_IN_PREAMBLE, {"kind": "ACCEPT"}),
+        (pack_frame(b"rsb\x02\x63"), Broken.UNKNOWN_PREAMBLE, {"kind": 99}),
+        (control(b""), Broken.CONTROL_TOO_SHORT, {}),
+        (control(b"\x01\x05robo"), Broken.CONTROL_TOO_SHORT, {}),
+        (control(b"\x01\x06robot1" + bytes(7)), Broken.CONTROL_TOO_SHORT, {}),
+        (control(b"\x01\x02\xff\xfe" + bytes(8)), Broken.NAME_NOT_UTF8, {"frame": "CONTROL"}),
+        (control(b"\x01\x03\xe2\x80\xae" + bytes(8)), Broken.NAME_UNPRINTABLE, {"frame": "CONTROL"}),
+        (control(b"\x07\x01a" + bytes(8)), Broken.UNKNOWN_SUITE, {}),
+        (control(b"\x01\x06robot1" + fingerprint_of(KEY) + b"short"), Broken.HANDSHAKE_TOO_SHORT, {"length": 5}),
+        (pack_frame(preamble_frame(Kind.DATA, bytes(11))), Broken.DATA_TOO_SHORT, {}),
     ],
 )
-def test_what_is_no_preamble_is_refused_in_words(stream: bytes, words: str) -> None:
+def test_what_is_no_preamble_is_refused_in_words(stream: bytes, broken: Broken, parameters: dict[str, object]) -> None:
     server = make_server()
     event = the(Failed, server.receive_data(stream))
-    assert isinstance(event, Failed)
-    assert words in event.reason
+    assert event.reason == broken(**parameters)
     assert server.data_to_send() == pack_frame(refuse_frame(RefusalCode.BAD_FORMAT, event.reason))
 
 
 @pytest.mark.parametrize("hello", [b"", b"\xc1", encode(Ping(1, 1)), encode(WELCOME)])
 def test_a_first_message_that_holds_no_hello(hello: bytes) -> None:
     event = the(Failed, make_server(Suite.PLAIN).receive_data(pack_frame(control_header(Suite.PLAIN, "robot1"), hello)))
-    assert "invalid control message" in event.reason
+    assert says(event.reason, Broken.INVALID_CONTROL_MESSAGE)
 
 
 def test_a_client_with_two_names() -> None:
     (event,) = make_server(Suite.PLAIN).receive_data(pack_frame(control_header(Suite.PLAIN, "robot2"), encode(HELLO)))
-    assert event == Failed("the client's name is 'robot2' in the preamble and 'robot1' in its Hello")
+    assert event == Failed(Broken.NAMES_DIFFER(preamble="robot2", hello="robot1"))
 
 
 @pytest.mark.parametrize(
-    ("frame", "words"),
+    ("frame", "broken", "parameters"),
     [
-        (preamble_frame(Kind.DATA), "unexpected DATA frame"),
-        (preamble_frame(Kind.REFUSE), "unknown refusal code"),
-        (preamble_frame(Kind.REFUSE, b"\x63words"), "unknown refusal code"),
-        (preamble_frame(Kind.ACCEPT, b"short"), "too short"),
-        (b"SSH-2.0-OpenSSH", "not an rsb-console"),
+        (preamble_frame(Kind.DATA), Broken.UNEXPECTED_IN_PREAMBLE, {"kind": "DATA"}),
+        (preamble_frame(Kind.REFUSE), Broken.UNKNOWN_REFUSAL, {}),
+        (preamble_frame(Kind.REFUSE, b"\x63words"), Broken.UNKNOWN_REFUSAL, {}),
+        (preamble_frame(Kind.ACCEPT, b"short"), Broken.HANDSHAKE_TOO_SHORT, {"length": 5}),
+        (b"SSH-2.0-OpenSSH", Broken.FOREIGN, {}),
     ],
 )
-def test_a_client_hears_nonsense(frame: bytes, words: str) -> None:
+def test_a_client_hears_nonsense(frame: bytes, broken: Broken, parameters: dict[str, object]) -> None:
     client, _ = ready_to_accept()
     event = the(Failed, client.receive_data(pack_frame(frame)))
-    assert words in event.reason
+    assert event.reason == broken(**parameters)
     assert client.data_to_send() == b""
 
 
@@ -106,7 +107,7 @@ def test_damage_to_a_sealed_frame_ends_the_connection(suite: Suite) -> None:
     frame = bytearray(client.send(Ping(1, 1)))
     frame[-1] ^= 1
     event = the(Failed, server.receive_data(frame))
-    assert "damaged or forged" in event.reason
+    assert event.reason == InvalidSeal.FORGED(sequence=1)
     assert server.data_to_send() == b""
     assert server.receive_data(client.send(Ping(2, 2))) == []
 
@@ -124,13 +125,13 @@ def test_a_sealed_frame_played_again_ends_the_connection(suite: Suite) -> None:
 def test_a_sealed_frame_that_is_neither_control_nor_data(frame: bytes, multiplexed: bool) -> None:
     _, server, _, _ = established(multiplexed=multiplexed)
     event = the(Failed, server.receive_data(pack_frame(frame)))
-    assert "unexpected frame on the control connection" in event.reason
+    assert event.reason == Broken.UNEXPECTED_ON_CONTROL(header=frame[:14].hex(" "))
 
 
 def test_a_control_frame_too_long_is_refused_before_it_comes() -> None:
     _, server, _, _ = established()
     (event,) = server.receive_data(struct.pack(">I", CONTROL_LIMIT + 1))
-    assert event == Failed(f"a frame of {CONTROL_LIMIT + 1} bytes; the limit is {CONTROL_LIMIT}")
+    assert event == Failed(Broken.FRAME_TOO_LONG(length=CONTROL_LIMIT + 1, limit=CONTROL_LIMIT))
 
 
 def test_an_empty_control_frame_later_is_no_message() -> None:
@@ -138,7 +139,7 @@ def test_an_empty_control_frame_later_is_no_message() -> None:
     sealer = Sealer(Suite.PLAIN, None)
     sealer.sequence = 1
     event = the(Failed, server.receive_data(pack_frame(CONTROL_HEADER, sealer.seal(b"", CONTROL_HEADER))))
-    assert "invalid control message" in event.reason
+    assert says(event.reason, Broken.INVALID_CONTROL_MESSAGE)
 
 
 @st.composite

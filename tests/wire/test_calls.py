@@ -7,9 +7,10 @@ import struct
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from tests.support.wording import pattern
 
 from rsb_bridge.wire.headers import CALL_HEADER_LENGTH, MOST_TOOK, CallFrame, What, unpack_call
-from rsb_bridge.wire.protocol_error import ProtocolError
+from rsb_bridge.wire.protocol_error import Broken, ProtocolError
 
 FRAMES = [
     CallFrame(What.CALL, 0, 1, 0, b"\0\1\0\0request"),
@@ -28,21 +29,21 @@ def test_a_frame_reads_as_it_was_written(frame: CallFrame) -> None:
 
 
 @pytest.mark.parametrize(
-    ("payload", "words"),
+    ("payload", "broken", "parameters"),
     [
-        (b"", "at least 18 bytes, not 0"),
-        (FRAMES[0].pack()[: CALL_HEADER_LENGTH - 1], "at least 18 bytes, not 17"),
-        (struct.pack(">BBQQ", 0, 0, 1, 0), "kind 0"),
-        (struct.pack(">BBQQ", 6, 0, 1, 0), "kind 6"),
-        (struct.pack(">BBQQ", What.CALL, 0, 0, 0), "kind 1 with the number 0"),
-        (struct.pack(">BBQQ", What.MESSAGE, 0, 1, 0), "kind 4 with the number 1"),
-        (struct.pack(">BBQQ", What.ANSWER, 0, 1, MOST_TOOK + 1), "kind 2 that took"),
-        (struct.pack(">BBQQ", What.CALL, 0, 1, 1), "kind 1 that took 1 ns"),
-        (struct.pack(">BBQQ", What.MESSAGE, 0, 0, 1), "kind 4 that took 1 ns"),
+        (b"", Broken.CALL_FRAME_TOO_SHORT, {"length": 0, "header": 18}),
+        (FRAMES[0].pack()[: CALL_HEADER_LENGTH - 1], Broken.CALL_FRAME_TOO_SHORT, {"length": 17}),
+        (struct.pack(">BBQQ", 0, 0, 1, 0), Broken.CALL_KIND_UNKNOWN, {"kind": 0}),
+        (struct.pack(">BBQQ", 6, 0, 1, 0), Broken.CALL_KIND_UNKNOWN, {"kind": 6}),
+        (struct.pack(">BBQQ", What.CALL, 0, 0, 0), Broken.CALL_NUMBER_INVALID, {"kind": 1, "number": 0}),
+        (struct.pack(">BBQQ", What.MESSAGE, 0, 1, 0), Broken.CALL_NUMBER_INVALID, {"kind": 4, "number": 1}),
+        (struct.pack(">BBQQ", What.ANSWER, 0, 1, MOST_TOOK + 1), Broken.CALL_DURATION_INVALID, {"kind": 2}),
+        (struct.pack(">BBQQ", What.CALL, 0, 1, 1), Broken.CALL_DURATION_INVALID, {"kind": 1, "took": 1}),
+        (struct.pack(">BBQQ", What.MESSAGE, 0, 0, 1), Broken.CALL_DURATION_INVALID, {"kind": 4, "took": 1}),
     ],
 )
-def test_what_is_no_frame_is_refused_in_words(payload: bytes, words: str) -> None:
-    with pytest.raises(ProtocolError, match=words):
+def test_what_is_no_frame_is_refused_in_words(payload: bytes, broken: Broken, parameters: dict[str, object]) -> None:
+    with pytest.raises(ProtocolError, match=pattern(broken, **parameters)):
         unpack_call(payload)
 
 

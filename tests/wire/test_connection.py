@@ -6,6 +6,7 @@ import msgspec
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from tests.support.wording import pattern, says
 from tests.wire.links import (
     CONTROL_HEADER,
     HELLO,
@@ -28,9 +29,10 @@ from rsb_bridge.wire.events import Established, Event, Failed, Received, Refused
 from rsb_bridge.wire.framing import CONTROL_LIMIT, LENGTH, DataWriter, pack_frame
 from rsb_bridge.wire.handshake import NoiseHandshake, ReplayCache
 from rsb_bridge.wire.messages import Hello, Ping, Pong, Ready, TopicList, Welcome
-from rsb_bridge.wire.preamble import Kind, Refusal, RefusalCode, preamble_frame, refuse_frame
+from rsb_bridge.wire.preamble import Kind, Refusal, RefusalCode, RefusalText, preamble_frame, refuse_frame
+from rsb_bridge.wire.protocol_error import Broken, Misuse
 from rsb_bridge.wire.records import TopicEntry
-from rsb_bridge.wire.sealing import Role, Sealer, Suite
+from rsb_bridge.wire.sealing import InvalidSeal, Role, Sealer, Suite
 
 ROLES: tuple[Role, ...] = ("client", "server")
 
@@ -106,7 +108,7 @@ def refused(client: ClientConnection, server: ServerConnection) -> Refused:
 def test_another_key(suite: Suite) -> None:
     refusal = refused(make_client(suite), make_server(suite, keys=(OTHER_KEY,)))
     ours, theirs = (format_fingerprint(fingerprint_of(key)) for key in (KEY, OTHER_KEY))
-    words = f"the keys of 'robot1' differ: {ours} on the client, {theirs} on the server"
+    words = RefusalText.KEYS_DIFFER(name="robot1", theirs=ours, there="client", ours=theirs, here="server")
     assert refusal == Refused(RefusalCode.WRONG_KEY, words)
 
 
@@ -127,8 +129,10 @@ def test_a_key_that_is_neither_of_two() -> None:
     third = bytes(range(1, 33))
     refusal = refused(make_client(key=third), make_server(keys=(KEY, OTHER_KEY)))
     current, following, theirs = (format_fingerprint(fingerprint_of(key)) for key in (KEY, OTHER_KEY, third))
-    words = f"the keys of 'robot1' differ: {theirs} on the client, {current} or {following} on the server"
-    assert refusal == Refused(RefusalCode.WRONG_KEY, words)
+    assert refusal.code is RefusalCode.WRONG_KEY
+    assert says(refusal.message, RefusalText.KEYS_DIFFER, name="robot1", theirs=theirs, there="client")
+    assert current in refusal.message
+    assert following in refusal.message
 
 
 def test_a_first_message_that_claims_the_other_valid_key_does_not_open() -> None:
@@ -137,7 +141,7 @@ def test_a_first_message_that_claims_the_other_valid_key_does_not_open() -> None
     ours, other = fingerprint_of(KEY), fingerprint_of(OTHER_KEY)
     refusal = the(Refused, make_server(keys=(KEY, OTHER_KEY)).receive_data(frame.replace(ours, other)))
     assert refusal.code is RefusalCode.WRONG_KEY
-    assert "damaged or forged" in refusal.message
+    assert refusal.message == RefusalText.FIRST_MESSAGE_FORGED(name="robot1")
 
 
 def test_an_unencrypted_client_has_no_key_whatever_it_says() -> None:
@@ -154,19 +158,19 @@ def test_a_first_message_that_claims_the_right_key_and_does_not_open() -> None:
     frame[-1] ^= 1
     refusal = the(Refused, server.receive_data(bytes(frame)))
     assert refusal.code is RefusalCode.WRONG_KEY
-    assert "damaged or forged" in refusal.message
+    assert refusal.message == RefusalText.FIRST_MESSAGE_FORGED(name="robot1")
 
 
 def test_no_key_against_a_key() -> None:
     refusal = refused(make_client(Suite.PLAIN), make_server())
     assert refusal.code is RefusalCode.ENCRYPTION_REQUIRED
-    assert refusal.message == "the server requires encryption for 'robot1', and the client came without"
+    assert refusal.message == RefusalText.ENCRYPTION_REQUIRED(name="robot1")
 
 
 def test_a_key_against_none() -> None:
     refusal = refused(make_client(), make_server(Suite.PLAIN))
     assert refusal.code is RefusalCode.ENCRYPTION_NOT_POSSIBLE
-    assert refusal.message == "the client encrypts, and the server has no key for 'robot1'"
+    assert refusal.message == RefusalText.ENCRYPTION_NOT_POSSIBLE(name="robot1")
 
 
 def test_an_unknown_name() -> None:
@@ -188,8 +192,8 @@ def test_a_busy_server() -> None:
 def test_a_server_that_answers_with_another_key() -> None:
     client, _ = ready_to_accept()
     answer = pack_frame(preamble_frame(Kind.ACCEPT, NoiseHandshake(Suite.AESGCM, OTHER_KEY, b"").write(b"")))
-    words = "this side's key does not open the server's answer"
-    assert client.receive_data(answer) == [Refused(RefusalCode.WRONG_KEY, words)]
+    text = RefusalText.ANSWER_SEALED_WITH_ANOTHER_KEY()
+    assert client.receive_data(answer) == [Refused(RefusalCode.WRONG_KEY, text)]
 
 
 def test_a_plain_answer_to_an_encrypting_client_is_not_taken() -> None:
@@ -201,11 +205,6 @@ def test_a_plain_answer_to_an_encrypting_client_is_not_taken() -> None:
 # --- another version
 
 
-OTHER_VERSION = (
-    "this side speaks version 2 of the wire format, the peer version {}: update rsb-console on {}, which is older"
-)
-
-
 def other_version(frame: bytes, version: int = 9) -> bytes:
     return pack_frame(b"rsb" + bytes((version,)) + frame[4:])
 
@@ -213,12 +212,12 @@ def other_version(frame: bytes, version: int = 9) -> bytes:
 def test_an_older_client() -> None:
     server = make_server()
     (event,) = server.receive_data(other_version(preamble_frame(Kind.CONTROL, b"whatever"), 1))
-    assert event == Refused(RefusalCode.WRONG_VERSION, OTHER_VERSION.format(1, "the peer"))
+    assert event == Refused(RefusalCode.WRONG_VERSION, RefusalText.PEER_OLDER(ours=2, theirs=1))
 
 
 def test_a_client_of_another_version() -> None:
     server = make_server()
-    words = OTHER_VERSION.format(9, "this side")
+    words = RefusalText.THIS_SIDE_OLDER(ours=2, theirs=9)
     (event,) = server.receive_data(other_version(preamble_frame(Kind.CONTROL, b"whatever that means in version 9")))
     assert event == Refused(RefusalCode.WRONG_VERSION, words)
     assert server.data_to_send() == pack_frame(refuse_frame(RefusalCode.WRONG_VERSION, words))
@@ -228,7 +227,7 @@ def test_a_client_of_another_version() -> None:
 def test_a_server_of_another_version(kind: Kind) -> None:
     client = make_client()
     client.start()
-    words = OTHER_VERSION.format(9, "this side")
+    words = RefusalText.THIS_SIDE_OLDER(ours=2, theirs=9)
     events = client.receive_data(other_version(preamble_frame(kind, b"\x01whatever")))
     assert events == [Refused(RefusalCode.WRONG_VERSION, words)]
     assert client.data_to_send() == b""
@@ -249,7 +248,7 @@ def test_a_forged_retry_does_not_take_the_encryption_away(body: bytes) -> None:
 def test_a_retry_without_cause_is_a_format_error(suite: Suite) -> None:
     client, _ = ready_to_accept(suite)
     retry = pack_frame(preamble_frame(Kind.RETRY, bytes((Suite.CHACHAPOLY,))))
-    assert client.receive_data(retry) == [Failed("unexpected RETRY frame in the preamble")]
+    assert client.receive_data(retry) == [Failed(Broken.UNEXPECTED_IN_PREAMBLE(kind="RETRY"))]
 
 
 def test_a_client_takes_one_retry() -> None:
@@ -264,7 +263,7 @@ def test_a_client_that_does_not_follow_a_retry() -> None:
     client, server = make_client(), make_server(aes=False)
     assert server.receive_data(client.start()) == []
     (event,) = server.receive_data(client.start())
-    assert event == Failed("the client offers AES-GCM again after a RETRY with ChaCha20-Poly1305")
+    assert event == Failed(Broken.RETRY_IGNORED())
 
 
 # --- a client is proven by its confirmation
@@ -280,7 +279,7 @@ def test_a_recorded_first_message_played_again_establishes_nothing(suite: Suite)
 
     event = the(Failed, make_server(suite).receive_data(recording))
     assert isinstance(event, Failed)
-    assert "damaged or forged" in event.reason
+    assert event.reason == InvalidSeal.FORGED(sequence=0)
 
 
 @pytest.mark.parametrize("key", [KEY, OTHER_KEY])
@@ -294,7 +293,7 @@ def test_a_first_message_is_answered_once(key: bytes) -> None:
     recording = make_client(key=key).start()
     assert server().receive_data(recording) == []
     (event,) = server().receive_data(recording)
-    assert event == Failed("the first message of 'robot1' came before: somebody has recorded it")
+    assert event == Failed(Broken.HANDSHAKE_REPLAYED(name="robot1"))
     for _ in range(512):
         assert server().receive_data(make_client().start()) == []
     assert server().receive_data(recording) == []  # so many are remembered
@@ -342,14 +341,14 @@ def test_a_first_frame_with_content_confirms_nothing() -> None:
     client.receive_data(server.data_to_send())
     sealed = Sealer(Suite.PLAIN, None).seal(encode(Ping(1, 1)), CONTROL_HEADER)
     (event,) = server.receive_data(pack_frame(CONTROL_HEADER, sealed))
-    assert event == Failed("the client did not confirm the handshake")
+    assert event == Failed(Broken.NOT_CONFIRMED(peer="client"))
 
 
 def test_data_before_the_confirmation_have_no_place() -> None:
     client, server = make_client(multiplexed=True), make_server(multiplexed=True)
     server.receive_data(client.start())
     event = the(Failed, server.receive_data(DataWriter(Sealer(Suite.AESGCM, KEY), 1).write(b"x", 0)))
-    assert event == Failed("the client did not confirm the handshake")
+    assert event == Failed(Broken.NOT_CONFIRMED(peer="client"))
 
 
 def test_who_has_not_confirmed_gets_the_room_of_a_handshake() -> None:
@@ -377,12 +376,12 @@ def test_what_follows_the_confirmation_at_once_may_be_long() -> None:
 
 def test_a_name_too_long_is_refused_with_the_remedy() -> None:
     client = ClientConnection(Hello("0.1.0", "ü" * 128, "abc", 0), KEY, Suite.AESGCM)
-    with pytest.raises(ValueError, match="256 bytes in UTF-8, and at most 255 are allowed: choose a shorter one"):
+    with pytest.raises(ValueError, match=pattern(Misuse.NAME_TOO_LONG, length=256, limit=255)):
         client.start()
 
 
 def test_nothing_is_sent_before_the_connection_is_established() -> None:
-    with pytest.raises(RuntimeError, match="before the connection is established"):
+    with pytest.raises(RuntimeError, match=pattern(Misuse.NOT_ESTABLISHED)):
         make_client().send(Ping(1, 1))
 
 
@@ -402,7 +401,7 @@ def test_a_message_may_fill_a_control_frame_and_no_more(suite: Suite) -> None:
     room = CONTROL_LIMIT - 14 - 16
     message = topic_list_of(room)
     assert server.receive_data(client.send(message)) == [Received(message)]
-    with pytest.raises(ValueError, match="a TopicList of"):
+    with pytest.raises(ValueError, match=pattern(Misuse.CONTROL_MESSAGE_TOO_LONG, message="TopicList")):
         client.send(topic_list_of(room + 1))
     assert server.receive_data(client.send(Ping(1, 1))) == [Received(Ping(1, 1))]
 
@@ -412,8 +411,8 @@ def test_a_server_that_waited_in_vain_for_the_confirmation_is_understood() -> No
     client, server = make_client(), make_server()
     server.receive_data(client.start())
     the(Established, client.receive_data(server.data_to_send()))
-    refusal = server.refuse(RefusalCode.BUSY, "no handshake within 5 s")
-    assert client.receive_data(refusal) == [Refused(RefusalCode.BUSY, "no handshake within 5 s")]
+    refusal = server.refuse(RefusalCode.BUSY, "too slow")
+    assert client.receive_data(refusal) == [Refused(RefusalCode.BUSY, "too slow")]
     assert client.receive_data(refusal) == []
 
 

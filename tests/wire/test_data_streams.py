@@ -1,14 +1,16 @@
 """Streams of a route's own, and data frames that share the control stream."""
 
 import pytest
+from tests.support.wording import pattern, says
 from tests.wire.links import OTHER_KEY, SUITES, WELCOME, established, make_server, the
 
+from rsb_bridge.model.wording import Wording
 from rsb_bridge.wire.connection import DataConnection
 from rsb_bridge.wire.events import Accepted, Attach, DataFrame, Failed, Received, Refused
 from rsb_bridge.wire.framing import LENGTH, DataReader, DataWriter, pack_frame
 from rsb_bridge.wire.messages import Ping
-from rsb_bridge.wire.preamble import Kind, Refusal, RefusalCode, parse_further, preamble_frame
-from rsb_bridge.wire.protocol_error import ProtocolError
+from rsb_bridge.wire.preamble import Kind, Refusal, RefusalCode, RefusalText, parse_further, preamble_frame
+from rsb_bridge.wire.protocol_error import Broken, ProtocolError
 from rsb_bridge.wire.sealing import SealError, SessionKeys, Suite
 
 
@@ -42,16 +44,18 @@ def test_a_further_route_is_attached_by_the_same_frame(suite: Suite) -> None:
 
 
 @pytest.mark.parametrize(
-    ("frame", "error", "words"),
+    ("frame", "error", "wording", "parameters"),
     [
-        (preamble_frame(Kind.RETRY), ProtocolError, "unexpected RETRY frame after the preamble"),
-        (preamble_frame(Kind.DATA), ProtocolError, "ends before its route does"),
-        (b"rsb\x02\x63", ProtocolError, "unknown preamble kind 99"),
-        (b"rsb\x09\x02", Refusal, "the peer version 9"),
+        (preamble_frame(Kind.RETRY), ProtocolError, Broken.UNEXPECTED_AFTER_PREAMBLE, {"kind": "RETRY"}),
+        (preamble_frame(Kind.DATA), ProtocolError, Broken.DATA_TOO_SHORT, {}),
+        (b"rsb\x02\x63", ProtocolError, Broken.UNKNOWN_PREAMBLE, {"kind": 99}),
+        (b"rsb\x09\x02", Refusal, RefusalText.THIS_SIDE_OLDER, {"ours": 2, "theirs": 9}),
     ],
 )
-def test_what_is_no_further_data_frame(frame: bytes, error: type[Exception], words: str) -> None:
-    with pytest.raises(error, match=words):
+def test_what_is_no_further_data_frame(
+    frame: bytes, error: type[Exception], wording: Wording, parameters: dict[str, object]
+) -> None:
+    with pytest.raises(error, match=pattern(wording, **parameters)):
         parse_further(frame)
 
 
@@ -90,7 +94,7 @@ def test_a_data_stream_is_offered_a_retry() -> None:
     data = DataConnection(keys, 5)
     data.start()
     assert data.receive_data(pack_frame(preamble_frame(Kind.RETRY, b"\x02"))) == [
-        Failed("unexpected RETRY frame in the preamble")
+        Failed(Broken.UNEXPECTED_IN_PREAMBLE(kind="RETRY"))
     ]
 
 
@@ -113,4 +117,4 @@ def test_a_multiplexed_stream_carries_control_and_data(suite: Suite) -> None:
 def test_elsewhere_data_frames_have_no_place_on_the_control_stream() -> None:
     _, server, keys, _ = established()
     event = the(Failed, server.receive_data(DataWriter(keys.route_sealer(3, "client"), 3).write(b"x", 0)))
-    assert "unexpected frame on the control connection" in event.reason
+    assert says(event.reason, Broken.UNEXPECTED_ON_CONTROL)

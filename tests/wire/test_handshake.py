@@ -6,9 +6,10 @@ The second ciphertext depends on that hash, and the third and fourth on the fina
 
 import pytest
 from cryptography.hazmat.primitives.asymmetric.x25519 import X25519PrivateKey
+from tests.support.wording import pattern
 
 from rsb_bridge.wire.handshake import NoiseHandshake, PlainHandshake
-from rsb_bridge.wire.protocol_error import ProtocolError
+from rsb_bridge.wire.protocol_error import Broken, Misuse, ProtocolError
 from rsb_bridge.wire.sealing import Sealer, SealError, StreamOpener, Suite
 
 PSK = bytes.fromhex("54686973206973206d7920417573747269616e20706572737065637469766521")
@@ -122,19 +123,19 @@ def test_every_byte_of_a_message_counts(suite: Suite) -> None:
 
 def test_a_message_too_short_is_a_format_error() -> None:
     for length in range(48):
-        with pytest.raises(ProtocolError, match=f"of {length} bytes is too short"):
+        with pytest.raises(ProtocolError, match=pattern(Broken.HANDSHAKE_TOO_SHORT, length=length)):
             NoiseHandshake(Suite.AESGCM, PSK, b"").read(bytes(length))
 
 
 def test_a_low_order_ephemeral_is_refused() -> None:
     client = NoiseHandshake(Suite.AESGCM, PSK, b"")
     client.write(b"")
-    with pytest.raises(ProtocolError, match="ephemeral key is invalid"):
+    with pytest.raises(ProtocolError, match=pattern(Broken.EPHEMERAL_KEY_INVALID)):
         client.read(bytes(48))
 
 
 def test_a_key_of_another_length_is_refused() -> None:
-    with pytest.raises(ValueError, match="32 bytes, not 0"):
+    with pytest.raises(ValueError, match=pattern(Misuse.SESSION_KEY_LENGTH, expected=32, length=0)):
         NoiseHandshake(Suite.AESGCM, b"", b"")
 
 

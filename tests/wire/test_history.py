@@ -5,9 +5,10 @@ from __future__ import annotations
 import struct
 
 import pytest
+from tests.support.wording import pattern
 
 from rsb_bridge.wire.headers import HistoryHeader, publisher_id, split_history
-from rsb_bridge.wire.protocol_error import ProtocolError
+from rsb_bridge.wire.protocol_error import Broken, ProtocolError
 
 PUBLISHER = bytes(range(16))
 
@@ -19,16 +20,16 @@ def test_a_header_and_its_content_come_apart_again() -> None:
 
 
 @pytest.mark.parametrize(
-    ("payload", "words"),
+    ("payload", "broken", "parameters"),
     [
-        (b"", "a history header of 0 bytes"),
-        (bytes(27), "a history header of 27 bytes"),
-        (struct.pack(">16sQI", PUBLISHER, 1, 0), "a depth of 0"),
-        (struct.pack(">16sQI", PUBLISHER, 2**63, 1), "message number 9223372036854775808"),
+        (b"", Broken.HISTORY_HEADER_TOO_SHORT, {"length": 0}),
+        (bytes(27), Broken.HISTORY_HEADER_TOO_SHORT, {"length": 27}),
+        (struct.pack(">16sQI", PUBLISHER, 1, 0), Broken.HISTORY_HEADER_INVALID, {"depth": 0}),
+        (struct.pack(">16sQI", PUBLISHER, 2**63, 1), Broken.HISTORY_HEADER_INVALID, {"number": 2**63}),
     ],
 )
-def test_what_is_no_header_is_refused_in_words(payload: bytes, words: str) -> None:
-    with pytest.raises(ProtocolError, match=words):
+def test_what_is_no_header_is_refused_in_words(payload: bytes, broken: Broken, parameters: dict[str, object]) -> None:
+    with pytest.raises(ProtocolError, match=pattern(broken, **parameters)):
         split_history(payload)
 
 

@@ -6,6 +6,7 @@ import msgspec
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from tests.support.wording import pattern
 
 from rsb_bridge.model.qos import PROFILES, Qos
 from rsb_bridge.model.text import sanitize_text
@@ -49,7 +50,7 @@ from rsb_bridge.wire.messages import (
     TypeText,
     Welcome,
 )
-from rsb_bridge.wire.protocol_error import ProtocolError
+from rsb_bridge.wire.protocol_error import Broken, ProtocolError
 from rsb_bridge.wire.records import (
     CallsReport,
     LaneEntry,
@@ -258,7 +259,7 @@ def test_a_damaged_message_reads_or_gives_words(example: ControlMessage | Hello 
 @given(st.binary())
 def test_garbage_gives_words(garbage: bytes) -> None:
     for read in (decode, decode_hello, decode_welcome):
-        with pytest.raises(ProtocolError, match="invalid control message"):
+        with pytest.raises(ProtocolError, match=pattern(Broken.INVALID_CONTROL_MESSAGE)):
             read(garbage)
 
 
@@ -290,7 +291,7 @@ def test_nesting_without_end_gives_words() -> None:
     ],
 )
 def test_a_field_out_of_its_range_gives_words(fields: dict[str, Any]) -> None:
-    with pytest.raises(ProtocolError, match="invalid control message"):
+    with pytest.raises(ProtocolError, match=pattern(Broken.INVALID_CONTROL_MESSAGE)):
         decode(msgspec.msgpack.encode(fields))
 
 
@@ -323,7 +324,7 @@ def test_a_field_out_of_its_range_gives_words(fields: dict[str, Any]) -> None:
     ],
 )
 def test_a_proposal_out_of_its_range_gives_words(change: Any) -> None:
-    with pytest.raises(ProtocolError, match="invalid control message"):
+    with pytest.raises(ProtocolError, match=pattern(Broken.INVALID_CONTROL_MESSAGE)):
         decode(msgspec.msgpack.encode(msgspec.to_builtins(PROPOSE) | change))
 
 

@@ -5,6 +5,7 @@ import struct
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from tests.support.wording import pattern
 from tests.wire.links import KEY, OTHER_KEY, make_client, make_server, the
 
 from rsb_bridge.model.fingerprints import fingerprint_of
@@ -31,7 +32,7 @@ from rsb_bridge.wire.preamble import (
     preamble_frame,
     refuse_frame,
 )
-from rsb_bridge.wire.protocol_error import ProtocolError
+from rsb_bridge.wire.protocol_error import Broken, Misuse, ProtocolError
 
 VERSION = 7
 TAG = SUITE.tag_length
@@ -121,7 +122,7 @@ def test_a_host_name_that_is_too_long_is_refused() -> None:
 
 @pytest.mark.parametrize("names", [("a" * 256, "robot1"), ("anna", "r" * 256)])
 def test_a_name_that_is_too_long(names: tuple[str, str]) -> None:
-    with pytest.raises(ValueError, match="256 bytes"):
+    with pytest.raises(ValueError, match=pattern(Misuse.NAME_TOO_LONG, length=256)):
         operator_header(VERSION, *names, fingerprint_of(KEY))
 
 
@@ -289,7 +290,7 @@ def test_a_preamble_reads_as_it_was_written() -> None:
 
 @pytest.mark.parametrize("length", range(5, len(GOOD)))
 def test_a_preamble_that_ends_early(length: int) -> None:
-    with pytest.raises(ProtocolError, match="ends before"):
+    with pytest.raises(ProtocolError, match=pattern(Broken.OPERATOR_TOO_SHORT)):
         parse_operator(GOOD[:length])
 
 

@@ -6,11 +6,14 @@ import pytest
 from cryptography.hazmat.primitives.ciphers.aead import AESGCM, ChaCha20Poly1305
 from hypothesis import given
 from hypothesis import strategies as st
+from tests.support.wording import pattern
 
+from rsb_bridge.wire.protocol_error import Misuse
 from rsb_bridge.wire.sealing import (
     EPOCH_BITS,
     EPOCHS_AHEAD,
     DatagramOpener,
+    InvalidSeal,
     Role,
     Sealer,
     SealError,
@@ -62,7 +65,7 @@ def test_every_byte_counts(suite: Suite) -> None:
     for at in range(len(sealed)):
         damaged = bytearray(sealed)
         damaged[at] ^= 0x10
-        with pytest.raises(SealError, match="damaged or forged"):
+        with pytest.raises(SealError, match=pattern(InvalidSeal.FORGED)):
             StreamOpener(suite, key_for(suite)).open(damaged, b"header")
     with pytest.raises(SealError):
         StreamOpener(suite, key_for(suite)).open(sealed, b"Header")
@@ -90,7 +93,7 @@ def test_a_stream_opens_nothing_out_of_order_and_goes_on_after_it(suite: Suite) 
 @pytest.mark.parametrize("key", [None, b"", KEY[1:]])
 @ENCRYPTED
 def test_a_cipher_takes_a_whole_key(suite: Suite, key: bytes | None) -> None:
-    with pytest.raises(ValueError, match="32 bytes"):
+    with pytest.raises(ValueError, match=pattern(Misuse.KEY_LENGTH, expected=32)):
         Sealer(suite, key)
 
 
@@ -136,9 +139,9 @@ def test_datagrams_open_across_an_epoch_in_any_order(suite: Suite) -> None:
 @SUITES
 def test_a_datagram_too_many_epochs_ahead_is_refused_unopened(suite: Suite) -> None:
     opener = DatagramOpener(suite, key_for(suite))
-    with pytest.raises(SealError, match="too far ahead"):
+    with pytest.raises(SealError, match=pattern(InvalidSeal.EPOCH_TOO_FAR_AHEAD)):
         opener.open((EPOCHS_AHEAD + 1) * EPOCH, b"", b"header")
-    with pytest.raises(SealError, match="too far ahead"):
+    with pytest.raises(SealError, match=pattern(InvalidSeal.EPOCH_TOO_FAR_AHEAD)):
         opener.open(2**64 - 1, b"", b"header")
     far = EPOCHS_AHEAD * EPOCH
     assert opener.open(far, sealed_at(suite, far), b"header") == b"content"
@@ -149,7 +152,7 @@ def test_a_forged_datagram_moves_nothing(suite: Suite) -> None:
     opener = DatagramOpener(suite, key_for(suite))
     opener.open(7, sealed_at(suite, 7), b"header")
     for sequence in (9, 2000, 3 * EPOCH, 6):
-        with pytest.raises(SealError, match="damaged or forged"):
+        with pytest.raises(SealError, match=pattern(InvalidSeal.FORGED)):
             opener.open(sequence, b"forged, and long enough", b"header")
     for sequence in (6, 8, 9):
         assert opener.open(sequence, sealed_at(suite, sequence), b"header") == b"content"
@@ -174,7 +177,9 @@ def test_each_sequence_opens_once_and_only_within_the_window(
             opened.add(sequence)
             newest = sequence if newest is None else max(newest, sequence)
         else:
-            with pytest.raises(SealError, match="replayed"):
+            late = newest is not None and sequence <= newest - window
+            why = InvalidSeal.TOO_LATE if late else InvalidSeal.REPLAYED
+            with pytest.raises(SealError, match=pattern(why, sequence=sequence)):
                 opener.open(sequence, sealed, b"header")
 
 
@@ -234,7 +239,7 @@ def test_a_route_has_one_sealer_each_way() -> None:
     keys = session_keys()
     keys.route_sealer(1, "client")
     keys.route_sealer(1, "server")
-    with pytest.raises(ValueError, match="route 1 has a sealer already"):
+    with pytest.raises(ValueError, match=pattern(Misuse.SEALER_TAKEN, route=1)):
         keys.route_sealer(1, "client")
 
 

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple, NoReturn, TypeAlias
 
 from rsb_bridge.cdr.decoder import DEPTH, HEADER_LENGTH
 from rsb_bridge.model.text import sanitize_text
+from rsb_bridge.model.wording import Wording
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -38,6 +39,30 @@ _LENGTHS_INLINED = 16
 _READERS: Final = (struct.Struct(">I").unpack_from, struct.Struct("<I").unpack_from)
 """By the second byte of the encapsulation header: CDR_BE, CDR_LE (DDSI-RTPS 2.5 section 10.2)."""
 _NATIVE: Final = int(sys.byteorder == "little")
+
+
+class Malformed(Wording):
+    """How a message does not fit its type."""
+
+    NOT_XCDR1 = "it does not begin as XCDR1: {beginning}"
+    NO_BYTES = "it does not begin as XCDR1: no bytes"
+    SHORTER_THAN_TYPE = "it has {length:,} bytes, and its type at least {least:,}"
+    LENGTHS = "its lengths do not fit together"
+    ENDS_EARLY = "the message ends before its end"
+    ENDS_BEFORE = "the message ends before it"
+    ABOVE_BOUND = "its length is above its bound of {bound:,}"
+    BEYOND_MESSAGE = "its length is more than the message holds"
+    TOO_MANY_LENGTHS = "the message has more than {limit:,} strings and sequences"
+
+
+class Uncheckable(Wording):
+    """What keeps messages of a type from being checked."""
+
+    TOO_DEEP = "{type} has more than {limit} levels"
+    TYPE_MISSING = "the description lacks {type}"
+    EMPTY_ARRAY = "{field} is an array of none"
+    FIELD_TYPE_UNKNOWN = "{field} is of type {type}"
+    TYPE_UNKNOWN = "a value of type {type}"
 
 
 class MalformedError(ValueError):
@@ -203,7 +228,7 @@ class Checker:
         elif self._fits(payload, end):
             return 0
         _Explainer(_words_of(payload), end, spent[0]).explain(self._body, 1, 0, "")
-        raise MalformedError("", "its lengths do not fit together", spent[0])
+        raise MalformedError("", Malformed.LENGTHS(), spent[0])
 
     def _fits(self, payload: bytes, end: int) -> bool:
         """Whether the lengths of a message without elements that vary fit; it is as `_walk`, and quicker."""
@@ -221,9 +246,9 @@ class Checker:
 
     def _explain_beginning(self, payload: bytes) -> NoReturn:
         if len(payload) < HEADER_LENGTH or payload[0] or payload[1] > 1:
-            text = f"it does not begin as XCDR1: {payload[:HEADER_LENGTH].hex(' ') or 'no bytes'}"
-            raise MalformedError("", text)
-        raise MalformedError("", f"it has {len(payload):,} bytes, and its type at least {self._shortest:,}")
+            text = Malformed.NOT_XCDR1 if payload else Malformed.NO_BYTES
+            raise MalformedError("", text(beginning=payload[:HEADER_LENGTH].hex(" ")))
+        raise MalformedError("", Malformed.SHORTER_THAN_TYPE(length=len(payload), least=self._shortest))
 
 
 # --- walking
@@ -292,7 +317,7 @@ def _walk(words: memoryview | _Words, body: tuple[Any, ...], count: int, at: int
                 if length * least > end - at:
                     raise _TooLongError
                 if spent[0] > STEPS:
-                    raise TooComplexError(f"the message has more than {STEPS:,} strings and sequences")
+                    raise TooComplexError(Malformed.TOO_MANY_LENGTHS(limit=STEPS))
                 at = _walk(words, content, length, at, end, spent)
         at += tail[at & 7]
     return at
@@ -375,24 +400,24 @@ class _Explainer:
                 at = self._step(step, at, prefix)
             at += body.tail[at % 8]
             if at > self._end:
-                self._fail(prefix + body.last, "the message ends before its end")
+                self._fail(prefix + body.last, Malformed.ENDS_EARLY())
         return at
 
     def _step(self, step: _Step, at: int, prefix: str) -> int:
         name = prefix + step.name
         at += step.sizes[at % 8]
         if at > self._end:
-            self._fail(name, "the message ends before it")
+            self._fail(name, Malformed.ENDS_BEFORE())
         length = step.bound if step.kind is _Kind.ARRAY else self._words[at >> 2]
         if length > step.bound:
-            self._fail(name, f"its length is above its bound of {step.bound:,}")
+            self._fail(name, Malformed.ABOVE_BOUND(bound=step.bound))
         if step.kind in (_Kind.VARYING, _Kind.ARRAY):
             assert step.body is not None
             needed = length * step.body.least
         else:
             needed = step.repeated[at % 8].size(length) if step.kind is _Kind.FIXED else length * step.unit
         if needed > self._end - at:
-            self._fail(name, "its length is more than the message holds")
+            self._fail(name, Malformed.BEYOND_MESSAGE())
         if step.body is None:
             return at + needed
         alone = step.kind is _Kind.ARRAY and step.bound == 1
@@ -422,10 +447,10 @@ class _Compiler:
         if (known := self._bodies.get(type_name)) is not None:
             return known
         if depth == 0:
-            raise UncheckableError(f"{type_name} has more than {DEPTH} levels")
+            raise UncheckableError(Uncheckable.TOO_DEEP(type=type_name, limit=DEPTH))
         fields = self._fields.get(type_name)
         if fields is None:
-            raise UncheckableError(f"the description lacks {type_name}")
+            raise UncheckableError(Uncheckable.TYPE_MISSING(type=type_name))
         building = _Building()
         for each in fields:
             self._add(building, each.name, each.type, depth)
@@ -441,12 +466,12 @@ class _Compiler:
             building.inline(name, element)
         elif container == _ARRAY:
             if kind.capacity == 0:
-                raise UncheckableError(f"{name} is an array of none")
+                raise UncheckableError(Uncheckable.EMPTY_ARRAY(field=name))
             building.array(name, element, kind.capacity)
         elif container in (_BOUNDED, _UNBOUNDED):
             building.sequence(name, element, kind.capacity if container == _BOUNDED else _ANY_LENGTH)
         else:
-            raise UncheckableError(f"{name} is of type {kind.type_id}")
+            raise UncheckableError(Uncheckable.FIELD_TYPE_UNKNOWN(field=name, type=kind.type_id))
 
     def _element(self, kind: FieldType, base: int, depth: int) -> _Body:
         building = _Building()
@@ -460,7 +485,7 @@ class _Compiler:
                 bound = kind.string_capacity + (unit == 1)  # with its terminating zero
             building.step(_Step(_Kind.UNITS, _LENGTH, bound, "", unit), 4)
         else:
-            raise UncheckableError(f"a value of type {kind.type_id}")
+            raise UncheckableError(Uncheckable.TYPE_UNKNOWN(type=kind.type_id))
         return building.body()
 
 

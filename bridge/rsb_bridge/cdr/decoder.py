@@ -10,6 +10,8 @@ import struct
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, TypeAlias, Union
 
+from rsb_bridge.model.wording import Wording
+
 if TYPE_CHECKING:
     from rsb_bridge.cdr.description import FieldType, TypeDescription
 
@@ -76,6 +78,23 @@ class Decoded:
     problem: str = ""
 
 
+class Unreadable(Wording):
+    """Why the next part of a message cannot be read."""
+
+    NOT_XCDR1 = "it does not begin as XCDR1: {beginning}"
+    NO_BYTES = "it does not begin as XCDR1: no bytes"
+    TOO_DEEP = "its type has more than {limit} levels"
+    TYPE_MISSING = "its description lacks {type}"
+    FIELD = "{field}: {problem}"
+    TYPE_UNKNOWN = "a value of type {type} is not decoded"
+    SEQUENCE_TOO_LONG = "{length:,} elements in a sequence of at most {limit:,}"
+    STRING_TOO_LONG = "a string of {length:,} in a field of at most {limit:,}"
+    STRING_WITHOUT_END = "a string without its end"
+    CHARACTER_TOO_WIDE = "a wide string has characters beyond 16 bits"
+    ENDS_EARLY = "{expected:,} bytes are expected, and {left:,} are there"
+    TOO_MANY_VALUES = "it has more values than are read"
+
+
 class _UnreadableError(Exception):
     """What comes next cannot be read; the message says why."""
 
@@ -104,7 +123,8 @@ class _Reader:
     def __init__(self, payload: bytes, description: TypeDescription, items: int, steps: int) -> None:
         order = _BYTE_ORDERS.get(payload[:2])
         if order is None or len(payload) < HEADER_LENGTH:
-            raise _UnreadableError(f"it does not begin as XCDR1: {payload[:HEADER_LENGTH].hex(' ') or 'no bytes'}")
+            text = Unreadable.NOT_XCDR1 if payload else Unreadable.NO_BYTES
+            raise _UnreadableError(text(beginning=payload[:HEADER_LENGTH].hex(" ")))
         self._order = order
         self._payload = payload
         self._at = HEADER_LENGTH
@@ -116,21 +136,22 @@ class _Reader:
     def read_message(self, type_name: str, message: Message, depth: int) -> None:
         """Read the fields of a message into `message`, one by one."""
         if depth == 0:
-            raise _UnreadableError(f"its type has more than {DEPTH} levels")
+            raise _UnreadableError(Unreadable.TOO_DEEP(limit=DEPTH))
         fields = self._fields.get(type_name)
         if fields is None:
-            raise _UnreadableError(f"its description lacks {type_name}")
+            raise _UnreadableError(Unreadable.TYPE_MISSING(type=type_name))
         for each in fields:
             try:
                 self._read_field(each.name, each.type, message, depth)
             except _UnreadableError as error:
-                raise _UnreadableError(f"{each.name}: {error}" if depth == DEPTH else str(error)) from None
+                text = Unreadable.FIELD(field=each.name, problem=error) if depth == DEPTH else str(error)
+                raise _UnreadableError(text) from None
 
     def _read_field(self, name: str, kind: FieldType, message: Message, depth: int) -> None:
         container, base = divmod(kind.type_id - 1, _KINDS)
         base += 1
         if container not in _CONTAINERS:
-            raise _UnreadableError(f"a value of type {kind.type_id} is not decoded")
+            raise _UnreadableError(Unreadable.TYPE_UNKNOWN(type=kind.type_id))
         if container == _PLAIN:
             if base == _NESTED:
                 inner: Message = {}
@@ -142,7 +163,7 @@ class _Reader:
             return
         total = kind.capacity if container == _ARRAY else self._length()
         if container == _BOUNDED and total > kind.capacity:
-            raise _UnreadableError(f"{total:,} elements in a sequence of at most {kind.capacity:,}")
+            raise _UnreadableError(Unreadable.SEQUENCE_TOO_LONG(length=total, limit=kind.capacity))
         if base in _PRIMITIVES:
             items = message[name] = Items(_PRIMITIVES[base][1], total)
             self._primitives(base, items)
@@ -172,7 +193,7 @@ class _Reader:
             return value
         if base in _STRINGS or base in _WIDE_STRINGS:
             return self._string(kind.string_capacity if base in _BOUNDED_STRINGS else None, wide=base in _WIDE_STRINGS)
-        raise _UnreadableError(f"a value of type {kind.type_id} is not decoded")
+        raise _UnreadableError(Unreadable.TYPE_UNKNOWN(type=kind.type_id))
 
     def _primitives(self, base: int, items: Items) -> None:
         """Read the elements of an array; where some are missing, those that are there."""
@@ -195,15 +216,15 @@ class _Reader:
         if wide:
             units = struct.unpack(f"{self._order}{length}I", content)
             if any(unit > 0xFFFF for unit in units):
-                raise _UnreadableError("a wide string has characters beyond 16 bits")
+                raise _UnreadableError(Unreadable.CHARACTER_TOO_WIDE())
             text = struct.pack(f"<{length}H", *units).decode("utf-16-le", "replace")
         else:
             if content[-1:] not in (b"", b"\x00"):
-                raise _UnreadableError("a string without its end")
+                raise _UnreadableError(Unreadable.STRING_WITHOUT_END())
             length = max(0, length - 1)
             text = content[:-1].decode("utf-8", "replace")
         if capacity is not None and length > capacity:
-            raise _UnreadableError(f"a string of {length:,} in a field of at most {capacity:,}")
+            raise _UnreadableError(Unreadable.STRING_TOO_LONG(length=length, limit=capacity))
         return text
 
     def _length(self) -> int:
@@ -216,7 +237,7 @@ class _Reader:
         start = self._aligned(alignment)
         left = len(self._payload) - start
         if size > left:
-            raise _UnreadableError(f"{size:,} bytes are expected, and {max(0, left):,} are there")
+            raise _UnreadableError(Unreadable.ENDS_EARLY(expected=size, left=max(0, left)))
         self._at = start + size
         return start
 
@@ -225,5 +246,5 @@ class _Reader:
 
     def _step(self) -> None:
         if self._steps <= 0:
-            raise _UnreadableError("it has more values than are read")
+            raise _UnreadableError(Unreadable.TOO_MANY_VALUES())
         self._steps -= 1

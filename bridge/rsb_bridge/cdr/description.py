@@ -13,11 +13,20 @@ import msgspec
 from msgspec import Meta
 
 from rsb_bridge.model.text import sanitize_text
+from rsb_bridge.model.wording import Wording
 
 HASH_PREFIX = "RIHS01_"
 DESCRIPTION_LIMIT = 64 << 10
 """Bytes of a description; the longest of the common interfaces has 10 kB."""
 _NAME_LENGTH = 255
+
+
+class InvalidDescription(Wording):
+    """Why a text does not describe a type."""
+
+    TOO_LONG = "the description has {length:,} characters; at most {limit:,} are read"
+    ANOTHER_TYPE = "the description has another hash than the type"
+    INVALID = "the description is invalid: {error}"
 
 
 class DescriptionError(ValueError):
@@ -90,10 +99,10 @@ def read_description(text: str, type_hash: str) -> TypeDescription:
         DescriptionError: it is none, or another type's.
     """
     if len(text) > DESCRIPTION_LIMIT:
-        raise DescriptionError(f"the description has {len(text):,} characters; at most {DESCRIPTION_LIMIT:,} are read")
+        raise DescriptionError(InvalidDescription.TOO_LONG(length=len(text), limit=DESCRIPTION_LIMIT))
     try:
         if hash_of_text(text) != type_hash:
-            raise DescriptionError("the description has another hash than the type")
+            raise DescriptionError(InvalidDescription.ANOTHER_TYPE())
         return _decoder.decode(text)
     except (msgspec.DecodeError, UnicodeEncodeError, RecursionError) as error:
-        raise DescriptionError(sanitize_text(f"the description is invalid: {error}")) from None
+        raise DescriptionError(sanitize_text(InvalidDescription.INVALID(error=error))) from None

@@ -17,7 +17,7 @@ from rsb_bridge.model.session import weight_of
 from rsb_bridge.transport.streams import Stream, StreamHandler
 from rsb_bridge.wire.framing import CONTROL_LIMIT, DATA, HEADER, LENGTH, FrameReader
 from rsb_bridge.wire.preamble import MAGIC, Refusal
-from rsb_bridge.wire.protocol_error import ProtocolError
+from rsb_bridge.wire.protocol_error import Broken, ProtocolError
 from rsb_bridge.wire.sealing import SealError
 
 if TYPE_CHECKING:
@@ -180,7 +180,7 @@ class MultiplexedSender(_MultiplexedChannel, WindowedSender):
         Raises:
             ProtocolError: always.
         """
-        raise ProtocolError(f"data on route {self._route_id}, which goes the other way")
+        raise ProtocolError(Broken.DATA_AGAINST_ROUTE(route=self._route_id))
 
     def close(self, reason: str) -> None:
         self._chunks.clear()
@@ -272,13 +272,13 @@ class SharedStream(Multiplexer, StreamHandler):
             self._owner.join_stream(self, bytes(frame))
             return
         if len(frame) < HEADER.size:
-            raise ProtocolError(f"a data frame of {len(frame)} bytes: its header alone has {HEADER.size}")
+            raise ProtocolError(Broken.DATA_FRAME_TOO_SHORT(length=len(frame), header=HEADER.size))
         kind, _, route_id, _ = HEADER.unpack(frame[: HEADER.size])
         channel = self.channels.get(route_id)
         if channel is not None:
             channel.received(frame)
         elif kind != DATA or not self._owner.is_closed_id(route_id):  # else it was closed while the frame was under way
-            raise ProtocolError(f"a frame of type {kind}, route {route_id} on a stream that does not carry it")
+            raise ProtocolError(Broken.FRAME_OF_UNKNOWN_ROUTE(kind=kind, route=route_id))
 
     def writable(self) -> None:
         """The stream takes more again."""

@@ -6,8 +6,9 @@ from typing import TYPE_CHECKING
 
 from rsb_bridge.channel.large_messages import LARGE, LargeMessages
 from rsb_bridge.channel.receipts import ReceiptSender, WindowedSender
+from rsb_bridge.model.wording import Wording
 from rsb_bridge.transport.streams import Stream, StreamHandler
-from rsb_bridge.wire.protocol_error import ProtocolError
+from rsb_bridge.wire.protocol_error import Broken, ProtocolError
 from rsb_bridge.wire.sealing import SealError
 
 if TYPE_CHECKING:
@@ -19,10 +20,13 @@ if TYPE_CHECKING:
     from rsb_bridge.wire.framing import Message
 
 
-_STUCK = (
-    "nothing gets through its data connection now; if the link stays up, large packets are lost on the way: set a "
-    "lower MTU on both sides (ip link set DEVICE mtu 1280), or make messages smaller"
-)
+class StreamTrouble(Wording):
+    """Troubles of a route that has a stream of its own."""
+
+    STUCK = (
+        "nothing gets through its data connection now; if the link stays up, large packets are lost on the way: set a "
+        "lower MTU on both sides (ip link set DEVICE mtu 1280), or make messages smaller"
+    )
 
 
 class _StreamChannel(StreamHandler):
@@ -47,7 +51,7 @@ class _StreamChannel(StreamHandler):
         stream.handler = self
 
     def trouble(self) -> str:
-        return _STUCK if self.carrier.stuck else ""
+        return StreamTrouble.STUCK() if self.carrier.stuck else ""
 
     def close(self, reason: str) -> None:
         if self._book is not None:
@@ -109,7 +113,7 @@ class StreamSender(_StreamChannel, WindowedSender):
 
     def received(self, data: bytes) -> None:
         """Bytes came, although the peer has nothing to say here."""
-        self._fail("the peer sent data on a stream that goes the other way")
+        self._fail(Broken.DATA_AGAINST_STREAM())
 
 
 class StreamReceiver(_StreamChannel, ReceiptSender):

@@ -9,6 +9,7 @@ from __future__ import annotations
 import os
 from typing import TYPE_CHECKING, NamedTuple, Protocol
 
+from rsb_bridge.model.wording import Wording
 from rsb_bridge.wire.datagram import PROBE_ROUTE, Probe, Receipt, addressee, unpack_probe
 from rsb_bridge.wire.protocol_error import ProtocolError
 
@@ -50,7 +51,17 @@ class PathProbe:
 
 _SILENT = 6.0
 """s; more than a whole link may be silent (`keepalive.DEAD_AFTER`), or a firewall would be blamed for a cut cable."""
-_NO_DATAGRAMS = "no datagram comes through the Zenoh network: is it congested, or does its access control forbid them?"
+
+
+class Silence(Wording):
+    """Silences of a UDP channel, by what may cause them."""
+
+    NO_ANSWER = "no answer from UDP port {port} of {host}: does a firewall drop it?"
+    NOTHING_FROM_CLIENT = "no UDP from the client: does a firewall drop it?"
+    NOTHING_MORE = "nothing more from UDP port {port} of {host}"
+    NOTHING_OVER_ZENOH = (
+        "no datagram comes through the Zenoh network: is it congested, or does its access control forbid them?"
+    )
 
 
 _CHALLENGED_FOR, _MOST_CHALLENGED = 10.0, 4
@@ -285,8 +296,8 @@ class ClientUdpChannel(UdpChannel):
     def _silence(self) -> str:
         assert self._peer is not None
         if not self.socket.port:
-            return _NO_DATAGRAMS
-        return f"no answer from UDP port {self._peer[1]} of {self._peer[0]}: does a firewall drop it?"
+            return Silence.NOTHING_OVER_ZENOH()
+        return Silence.NO_ANSWER(port=self._peer[1], host=self._peer[0])
 
     def _free(self) -> None:
         self.socket.close()
@@ -350,10 +361,10 @@ class ServerUdpChannel(UdpChannel):
 
     def _silence(self) -> str:
         if not self.socket.port:
-            return _NO_DATAGRAMS
+            return Silence.NOTHING_OVER_ZENOH()
         if self._peer is None:
-            return "no UDP from the client: does a firewall drop it?"
-        return f"nothing more from UDP port {self._peer[1]} of {self._peer[0]}"
+            return Silence.NOTHING_FROM_CLIENT()
+        return Silence.NOTHING_MORE(port=self._peer[1], host=self._peer[0])
 
 
 class UdpDemultiplexer:

@@ -7,6 +7,7 @@ from enum import StrEnum
 import msgspec
 
 from rsb_bridge.model.text import join_first
+from rsb_bridge.model.wording import Wording
 
 
 class CapacitySource(StrEnum):
@@ -53,6 +54,14 @@ def newer(known: Capacity | None, found: Capacity) -> Capacity:
 _NAMED = 2
 
 
+class LinkFull(Wording):
+    """Texts about a direction of a link that is full."""
+
+    SHARE = "carries {rates}"
+    WARNING = "link full {way}: {share}; set max_rate, compression: zstd or priority"
+    WARNING_WITH_TOPICS = "link full {way}: {share} (most: {topics}); set max_rate, compression: zstd or priority"
+
+
 class Fullness(msgspec.Struct, frozen=True, array_like=True, gc=False):
     """One direction of a link that is full.
 
@@ -69,7 +78,7 @@ class Fullness(msgspec.Struct, frozen=True, array_like=True, gc=False):
     @property
     def share(self) -> str:
         """Text such as ``carries 25 of 48 kB/s``."""
-        return f"carries {rates_text(self.carried, self.asked)}"
+        return LinkFull.SHARE(rates=rates_text(self.carried, self.asked))
 
     def warning(self, way: str) -> str:
         """Return the warning for an operator.
@@ -77,8 +86,8 @@ class Fullness(msgspec.Struct, frozen=True, array_like=True, gc=False):
         Args:
             way: ``to`` or ``from`` and the peer.
         """
-        most = f" (most: {join_first(self.topics, _NAMED)})" if self.topics else ""
-        return f"link full {way}: {self.share}{most}; set max_rate, compression: zstd or priority"
+        text = LinkFull.WARNING_WITH_TOPICS if self.topics else LinkFull.WARNING
+        return text(way=way, share=self.share, topics=join_first(self.topics, _NAMED))
 
 
 def rates_text(part: float, whole: float) -> str:

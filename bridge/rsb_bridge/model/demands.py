@@ -14,12 +14,26 @@ from rsb_bridge.model.names import expand_type_name, server_topic
 from rsb_bridge.model.patterns import Pattern, is_pattern
 from rsb_bridge.model.qos import AUTO
 from rsb_bridge.model.session import DEADMAN, Armed, Client, Identity, Kind, Session, Topic
+from rsb_bridge.model.wording import Wording
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 
 PEER_DEMANDS: Final = "the other side's session"
 """The origin of a demand that the other side makes."""
+
+
+class OriginText(Wording):
+    """Where a demand comes from, for operators."""
+
+    THIS_SESSION = "this session"
+    PEER = "the other side"
+    ADDED = "added by {who}"
+    KEPT = "kept since a change by {who}"
+    PATTERN = "pattern {pattern} {place}"
+    PATTERN_IN_FILE = "pattern {pattern} in {place}"
+
+
 _KINDS_OF_SERVICES: Final[tuple[Kind, ...]] = ("action", "parameters")
 
 SourceKey: TypeAlias = tuple[str, Identity | str]
@@ -345,10 +359,11 @@ def describe(source: Source, places: Mapping[SourceKey, str]) -> str:
         source: the line.
         places: where the lines are, by their keys.
     """
-    place = places.get(source.key, "this session")
+    place = places.get(source.key, OriginText.THIS_SESSION())
     if not source.is_pattern:
         return place
-    return f"pattern {source.on_client or source.name} {'in ' if ':' in place else ''}{place}"
+    text = OriginText.PATTERN_IN_FILE if ":" in place else OriginText.PATTERN
+    return text(pattern=source.on_client or source.name, place=place)
 
 
 ARMED = 1.0
@@ -565,7 +580,7 @@ class RunningDemands:
             if (entry := as_armed(source)) not in armed:
                 armed = (*armed, entry)
                 (new,) = sources_of_names([entry])
-                self._changed_by[new.key] = who or "the other side"
+                self._changed_by[new.key] = who or OriginText.PEER()
         self._set_armed(armed)
 
     # --- where the lines are
@@ -580,6 +595,6 @@ class RunningDemands:
     def origin(self, source: Source) -> str:
         """Return the line that demands arming, for an operator."""
         if (who := self._changed_by.get(source.key)) is not None:
-            by = f"added by {who}" if isinstance(source.key[1], tuple) else f"kept since a change by {who}"
-            return describe(source, {source.key: by})
+            text = OriginText.ADDED if isinstance(source.key[1], tuple) else OriginText.KEPT
+            return describe(source, {source.key: text(who=who)})
         return describe(source, self._places)

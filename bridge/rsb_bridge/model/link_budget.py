@@ -16,6 +16,7 @@ from rsb_bridge.model.capacity import Capacity, CapacitySource
 from rsb_bridge.model.session import RANKS
 from rsb_bridge.model.text import join_first
 from rsb_bridge.model.verdict import Cause, about
+from rsb_bridge.model.wording import Wording
 
 if TYPE_CHECKING:
     from collections.abc import Hashable, Iterable, Mapping, Sequence
@@ -312,48 +313,70 @@ def as_report(cost: Cost) -> dict[str, object]:
 # --- in words
 
 
+class CostText(Wording):
+    """What a topic brings, what it would cost on a link, and what would suffer."""
+
+    UNKNOWN = "cost on the link: not known: nothing of its type is bridged here (--rate and --size give it)"
+    LOAD = "about {amount} ({rate:.3g} Hz × {size}, {source})"
+    CAPACITY_UNKNOWN = "{load}; what the link carries is not known yet"
+    IN_USE = "{load}; the link {capacity}, {used} in use"
+    GIVEN = "as given"
+    HERE = "measured on {topic}"
+    ALIKE = "as {topic} of the same type"
+    TYPICAL = "usual for its type, not measured"
+    THINNED_NOW = "{source}, which is thinned now and brings more"
+    CARRIED = "has carried {rate} at most"
+    CARRIES = "carries {rate} (measured {age} ago)"
+    CARRIES_BY_BENCH = "carries {rate} (measured by a bench {age} ago)"
+    THINS = "thins {topics}"
+    CROWDS = "crowds {topics}: give what matters priority: high"
+    CROSSES = "{share:.0%} of its own messages would cross"
+    TOO_MUCH = "{amount} too much: {effects}"
+    PERHAPS_TOO_MUCH = "{amount} more than has crossed yet. If the link carries no more: {effects}"
+    PERHAPS_CARRIED = "{amount} more than has crossed yet: it may carry that, or not"
+
+
 def told(cost: Cost, now: float) -> tuple[str, ...]:
     """One or two lines for an operator, at `now` (s since the epoch)."""
     if cost.load.source is LoadSource.UNKNOWN:
-        return ("cost on the link: not known: nothing of its type is bridged here (--rate and --size give it)",)
+        return (CostText.UNKNOWN(),)
     load, capacity = cost.load, cost.capacity
-    what = f"about {amount(load.bytes_per_second)} ({load.rate:.3g} Hz × {_size(load.size)}, {_how(load)})"
+    what = CostText.LOAD(
+        amount=amount(load.bytes_per_second), rate=load.rate, size=_size(load.size), source=_source(load)
+    )
     if capacity is None:
-        return (f"{what}; what the link carries is not known yet",)
-    first = f"{what}; the link {_carries(capacity, now)}, {amount(cost.used)} in use"
+        return (CostText.CAPACITY_UNKNOWN(load=what),)
+    first = CostText.IN_USE(load=what, capacity=_carries(capacity, now), used=amount(cost.used))
     if not cost.over:
         return (first,)
     names = join_first([f"{each.topic} to {each.after / each.before:.0%}" for each in cost.sufferers], _NAMED)
     parts = []
     if cost.sufferers:
         thinned = all(each.thinned for each in cost.sufferers)
-        parts.append(f"thins {names}" if thinned else f"crowds {names}: give what matters priority: high")
+        parts.append((CostText.THINS if thinned else CostText.CROWDS)(topics=names))
     if cost.gets < _SUFFERS * load.bytes_per_second:
-        parts.append(f"{cost.gets / load.bytes_per_second:.0%} of its own messages would cross")
-    then = "; ".join(parts)
-    if capacity.source == CapacitySource.SEEN:
-        more = f"{amount(cost.over)} more than has crossed yet"
-        return first, f"{more}. If the link carries no more: {then}" if then else f"{more}: it may carry that, or not"
-    return first, f"{amount(cost.over)} too much: {then}"
+        parts.append(CostText.CROSSES(share=cost.gets / load.bytes_per_second))
+    effects, over = "; ".join(parts), amount(cost.over)
+    if capacity.source != CapacitySource.SEEN:
+        return first, CostText.TOO_MUCH(amount=over, effects=effects)
+    return first, (CostText.PERHAPS_TOO_MUCH if effects else CostText.PERHAPS_CARRIED)(amount=over, effects=effects)
 
 
-def _how(load: Load) -> str:
-    how = {
-        LoadSource.GIVEN: "as given",
-        LoadSource.HERE: f"measured on {load.like}",
-        LoadSource.ALIKE: f"as {load.like} of the same type",
-        LoadSource.TYPICAL: "usual for its type, not measured",
-    }.get(load.source, "")
-    return f"{how}, which is thinned now and brings more" if load.thinned else how
+def _source(load: Load) -> str:
+    text = CostText[load.source.name](topic=load.like)
+    return CostText.THINNED_NOW(source=text) if load.thinned else text
 
 
 def _carries(capacity: Capacity, now: float) -> str:
-    when = f"{about(capacity.age(now))} ago"
     rate = amount(capacity.bytes_per_second)
-    if capacity.source == CapacitySource.SEEN:
-        return f"has carried {rate} at most"
-    by = "by a bench " if capacity.source == CapacitySource.BENCH else ""
-    return f"carries {rate} (measured {by}{when})"
+    match capacity.source:
+        case CapacitySource.SEEN:
+            return CostText.CARRIED(rate=rate)
+        case CapacitySource.BENCH:
+            text = CostText.CARRIES_BY_BENCH
+        case _:
+            text = CostText.CARRIES
+    return text(rate=rate, age=about(capacity.age(now)))
 
 
 def _size(size: float) -> str:

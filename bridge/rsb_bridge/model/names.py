@@ -6,6 +6,8 @@ import difflib
 import re
 from functools import lru_cache
 
+from rsb_bridge.model.wording import Wording
+
 _PART = r"[A-Za-z_][A-Za-z0-9_]*"
 _TOPIC = re.compile(rf"(/{_PART})+")
 _PREFIX = re.compile(rf"{_PART}(/{_PART})*")
@@ -100,6 +102,14 @@ SHORT_NAMES: dict[str, str] = {
 _TYPE_NAME = re.compile(r"([a-z][a-z0-9_]*)/(msg|srv|action)/([A-Za-z][A-Za-z0-9_]*)")
 
 
+class TypeNameProblem(Wording):
+    """Why a text names no type of messages."""
+
+    INVALID = "{name!r} is not a message type: write it as package/msg/Name"
+    SHORT_NAME_UNKNOWN = "{name!r} is not a known short type name: write it as package/msg/Name"
+    SHORT_NAME_MISSPELT = "{name!r} is not a known short type name: did you mean {names}?"
+
+
 def split_type_name(type_name: str) -> tuple[str, str, str]:
     """Take ``pkg/msg/Name`` apart.
 
@@ -111,7 +121,7 @@ def split_type_name(type_name: str) -> tuple[str, str, str]:
     """
     match = _TYPE_NAME.fullmatch(type_name)
     if match is None:
-        raise ValueError(f"{type_name!r} is not a message type: write it as package/msg/Name")
+        raise ValueError(TypeNameProblem.INVALID(name=type_name))
     package, kind, name = match.groups()
     return package, kind, name
 
@@ -132,8 +142,8 @@ def expand_type_name(name: str) -> str:
         if name in SHORT_NAMES:
             return SHORT_NAMES[name]
         close = [SHORT_NAMES[match] for match in difflib.get_close_matches(name, SHORT_NAMES)]
-        remedy = f"did you mean {' or '.join(close)}?" if close else "write it as package/msg/Name"
-        raise ValueError(f"{name!r} is not a known short type name: {remedy}")
+        problem = TypeNameProblem.SHORT_NAME_MISSPELT if close else TypeNameProblem.SHORT_NAME_UNKNOWN
+        raise ValueError(problem(name=name, names=" or ".join(close)))
     if name.count("/") == 1:
         name = name.replace("/", "/msg/")
     split_type_name(name)

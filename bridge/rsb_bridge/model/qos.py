@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import msgspec
 
 from rsb_bridge.model.limits import DEPTH, QOS_TIME
+from rsb_bridge.model.wording import Wording
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -62,6 +63,24 @@ _LEAST_AUTO, _MOST_AUTO = 10, 10_000
 _MOST_AUTO_BYTES = 32 << 20
 
 
+class QosProblem(Wording):
+    """Why a value is no QoS."""
+
+    UNKNOWN_NAME = "{value!r} is not one of {names}"
+    UNKNOWN_PROFILE = "profile: {value!r} is not one of {names}"
+    NO_QOS = "{value!r} is not a QoS: give a profile's name, a depth, or a mapping"
+    DEPTH_OUT_OF_RANGE = "depth: {depth} is out of range: {range}"
+    TIME_OUT_OF_RANGE = "{policy}: {seconds:g} s is out of range: {range} s, or 0 for none"
+
+
+class QosMismatch(Wording):
+    """Policies that keep a publisher and a subscription apart."""
+
+    POLICY = "the publisher offers {offer}, the subscription asks for {request}"
+    DEADLINE = "a deadline of {seconds:g} s"
+    NO_DEADLINE = "no deadline"
+
+
 def parse_qos(value: object) -> Qos | None:
     """The QoS that a session file means: a profile's name, a depth, or a mapping of policies.
 
@@ -91,17 +110,17 @@ def _qos_of(value: object) -> Qos:
     if isinstance(value, str):
         if value in PROFILES:
             return PROFILES[value]
-        raise ValueError(f"{value!r} is not one of {AUTO}, {', '.join(PROFILES)}")
+        raise ValueError(QosProblem.UNKNOWN_NAME(value=value, names=", ".join((AUTO, *PROFILES))))
     if isinstance(value, dict):
         return _from_mapping(value)
-    raise ValueError(f"{value!r} is not a QoS: give a profile's name, a depth, or a mapping")
+    raise ValueError(QosProblem.NO_QOS(value=value))
 
 
 def _from_mapping(value: dict[str, Any]) -> Qos:
     policies = dict(value)
     profile = policies.pop("profile", "default")
     if profile not in PROFILES:
-        raise ValueError(f"profile: {profile!r} is not one of {', '.join(PROFILES)}")
+        raise ValueError(QosProblem.UNKNOWN_PROFILE(value=profile, names=", ".join(PROFILES)))
     try:
         return msgspec.convert(msgspec.to_builtins(PROFILES[profile]) | policies, Qos)
     except msgspec.ValidationError as error:
@@ -116,10 +135,10 @@ def qos_problem(qos: Qos, *, depth_known: bool = True) -> str:
         depth_known: False allows 0, which stands for the depth of somebody else's endpoint: ROS does not tell it.
     """
     if qos.depth not in DEPTH and (depth_known or qos.depth):
-        return f"depth: {qos.depth} is out of range: {DEPTH}"
+        return QosProblem.DEPTH_OUT_OF_RANGE(depth=qos.depth, range=DEPTH)
     for policy, seconds in (("deadline", qos.deadline), ("lifespan", qos.lifespan)):
         if seconds and seconds not in QOS_TIME:
-            return f"{policy}: {seconds:g} s is out of range: {QOS_TIME} s, or 0 for none"
+            return QosProblem.TIME_OUT_OF_RANGE(policy=policy, seconds=seconds, range=QOS_TIME)
     return ""
 
 
@@ -204,14 +223,11 @@ def clashes(offered: Qos, requested: Qos) -> list[tuple[str, str]]:
     if offered.durability == "volatile" and requested.durability == "transient_local":
         found.append(("volatile", "transient_local"))
     if requested.deadline and not 0 < offered.deadline <= requested.deadline:
-        offer = f"a deadline of {offered.deadline:g} s" if offered.deadline else "no deadline"
-        found.append((offer, f"a deadline of {requested.deadline:g} s"))
+        offer = QosMismatch.DEADLINE(seconds=offered.deadline) if offered.deadline else QosMismatch.NO_DEADLINE()
+        found.append((offer, QosMismatch.DEADLINE(seconds=requested.deadline)))
     return found
 
 
 def incompatible(offered: Qos, requested: Qos) -> str:
     """Why a publisher and a subscription do not match; empty if they do."""
-    return "; ".join(
-        f"the publisher offers {offer}, the subscription asks for {request}"
-        for offer, request in clashes(offered, requested)
-    )
+    return "; ".join(QosMismatch.POLICY(offer=offer, request=request) for offer, request in clashes(offered, requested))

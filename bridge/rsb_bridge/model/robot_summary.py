@@ -25,6 +25,7 @@ from rsb_bridge.model.limits import TEXT_LENGTH
 from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.text import join_first, plural, sanitize_text
 from rsb_bridge.model.verdict import Cause, LinkCause
+from rsb_bridge.model.wording import Wording
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
@@ -47,6 +48,17 @@ _NAMED = 3
 _MARK_EVERY = 1.0
 _COUNT = 1 << 31
 _FIGURE = 1e15
+
+
+class SummaryText(Wording):
+    """Reasons for a robot's state."""
+
+    STOPPED = "the bridge is stopped"
+    WRONG_CLIENTS = "something is wrong with {names}"
+    MORE_CLIENTS = "{count} more {clients}"
+    ROUTE = "{topic} {state}: {reason}"
+    UNHEARD = "{count} unheard: {reason}"
+    MORE_FAULTS = " (and {count} more {faults})"
 
 
 class RobotState(StrEnum):
@@ -310,8 +322,10 @@ def _drop_repeated_faults(summary: RobotSummary, wrong: Collection[str]) -> Robo
         return msgspec.structs.replace(summary, state=RobotState.OK, why="")
     if len(left) == len(summary.wrong_clients):
         return summary
-    names = join_first(left, _NAMED) if left else f"{others} more {plural(others, 'client')}"
-    return msgspec.structs.replace(summary, why=sanitize_text(f"something is wrong with {names}", WHY_LENGTH))
+    names = (
+        join_first(left, _NAMED) if left else SummaryText.MORE_CLIENTS(count=others, clients=plural(others, "client"))
+    )
+    return msgspec.structs.replace(summary, why=sanitize_text(SummaryText.WRONG_CLIENTS(names=names), WHY_LENGTH))
 
 
 def _summary(
@@ -374,7 +388,7 @@ def _state(
 ) -> tuple[RobotState, str, float]:
     """The state, why, and since when."""
     if not snapshot.running and not any(link.state is State.DOWN for link in links):
-        return RobotState.MISSING, "the bridge is stopped", snapshot.time
+        return RobotState.MISSING, SummaryText.STOPPED(), snapshot.time
     if down := [link for link in links if link.state is State.DOWN and link.acknowledged is None]:
         first = min(down, key=lambda link: link.since)
         return RobotState.MISSING, _and_more(first.reason, len(down)), first.since
@@ -394,7 +408,7 @@ def _state(
     if links and all(link.state is State.WAITING for link in links):
         return RobotState.WAITING, links[0].reason, links[0].since
     unheard = [route for route in routes if route.state is State.UNHEARD]
-    why = f"{len(unheard)} unheard: {unheard[0].reason}" if unheard else ""
+    why = SummaryText.UNHEARD(count=len(unheard), reason=unheard[0].reason) if unheard else ""
     return RobotState.OK, why, max((link.since for link in links if link.state is State.OK), default=snapshot.time)
 
 
@@ -410,7 +424,7 @@ def _acknowledged_faults(
                 yield f"{pattern.spec.topic}: {pattern.reason}", link.since
     for route in sorted(routes, key=lambda route: (route.state.rank, called(route))):
         if route.acknowledged is not None and route.cause != Cause.LINK_DOWN and route_is_wrong(route):
-            yield f"{called(route)} {route.state.upper()}: {route.reason}", route.since
+            yield SummaryText.ROUTE(topic=called(route), state=route.state.upper(), reason=route.reason), route.since
 
 
 def _acknowledged(links: Sequence[LinkSnapshot], routes: Sequence[RouteSnapshot]) -> int:
@@ -420,14 +434,16 @@ def _acknowledged(links: Sequence[LinkSnapshot], routes: Sequence[RouteSnapshot]
 def _worst(routes: Iterable[RouteSnapshot], count: int, called: Callable[[RouteSnapshot], str]) -> tuple[str, float]:
     """The worst of some routes in words, and since when; of equals, the first by name."""
     worst = min(routes, key=lambda route: (route.state.rank, called(route)))
-    return _and_more(f"{called(worst)} {worst.state.upper()}: {worst.reason}", count), worst.since
+    return _and_more(
+        SummaryText.ROUTE(topic=called(worst), state=worst.state.upper(), reason=worst.reason), count
+    ), worst.since
 
 
 def _and_more(text: str, count: int) -> str:
     """A text, cut so that the number of others fits behind it."""
     if count < 2:
         return text
-    more = f" (and {count - 1} more {plural(count - 1, 'fault')})"
+    more = SummaryText.MORE_FAULTS(count=count - 1, faults=plural(count - 1, "fault"))
     return text[: WHY_LENGTH - len(more)] + more
 
 
@@ -438,6 +454,15 @@ def _seen(link: LinkSnapshot, now: float) -> float | None:
 
 
 # --- summaries from elsewhere
+
+
+class InvalidSummary(Wording):
+    """Why bytes are no summary of a robot."""
+
+    TOO_LONG = "a summary of {length:,} bytes; at most {limit:,} are allowed"
+    UNREADABLE = "no summary of a robot: {error}"
+    NAMELESS = "a summary without a name"
+
 
 _encoder = msgspec.msgpack.Encoder()
 _decoder = msgspec.msgpack.Decoder(RobotSummary)
@@ -455,13 +480,13 @@ def decode(data: bytes) -> RobotSummary:
         ValueError: it is none, or too long.
     """
     if len(data) > SUMMARY_BYTES:
-        raise ValueError(f"a summary of {len(data):,} bytes; at most {SUMMARY_BYTES:,} are allowed")
+        raise ValueError(InvalidSummary.TOO_LONG(length=len(data), limit=SUMMARY_BYTES))
     try:
         summary = _decoder.decode(data)
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
-        raise ValueError(f"no summary of a robot: {error}") from None
+        raise ValueError(InvalidSummary.UNREADABLE(error=error)) from None
     if not summary.name.strip():
-        raise ValueError("a summary without a name")
+        raise ValueError(InvalidSummary.NAMELESS())
     loss, battery = summary.loss, summary.battery
     return msgspec.structs.replace(
         summary,

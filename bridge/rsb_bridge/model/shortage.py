@@ -7,8 +7,20 @@ import os
 from pathlib import Path
 from typing import Final
 
+from rsb_bridge.model.wording import Wording
+
 SHORTAGES: Final = frozenset({errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EFBIG})
 """The errors that are no mistake of a path or of rights: there is no room, or none for this user."""
+
+
+class Shortage(Wording):
+    """Lacks that keep a file from being written, and their remedies."""
+
+    DISK_FULL = "{error}: the disk is full; free space on {mount} (df -h {mount})"
+    NO_INODES = "{error}: the disk has no room for more files (df -i); free space on {mount} (df -h {mount})"
+    QUOTA = "{error}: this user may have no more on {mount} (quota -s); remove files of yours there"
+    READ_ONLY = "{error}: {mount} may only be read; if nobody meant that, its disk has failed (dmesg)"
+    FILE_SIZE = "{error}: this process may write no larger files (ulimit -f, LimitFSIZE)"
 
 
 def why_not_written(error: OSError, path: Path) -> str:
@@ -24,14 +36,13 @@ def why_not_written(error: OSError, path: Path) -> str:
     mount = _mount_of(path)
     match error.errno:
         case errno.ENOSPC:
-            what = "the disk is full" if _has_inodes(mount) else "the disk has no room for more files (df -i)"
-            return f"{reason}: {what}; free space on {mount} (df -h {mount})"
+            return (Shortage.DISK_FULL if _has_inodes(mount) else Shortage.NO_INODES)(error=reason, mount=mount)
         case errno.EDQUOT:
-            return f"{reason}: this user may have no more on {mount} (quota -s); remove files of yours there"
+            return Shortage.QUOTA(error=reason, mount=mount)
         case errno.EROFS:
-            return f"{reason}: {mount} may only be read; if nobody meant that, its disk has failed (dmesg)"
+            return Shortage.READ_ONLY(error=reason, mount=mount)
         case _:
-            return f"{reason}: this process may write no larger files (ulimit -f, LimitFSIZE)"
+            return Shortage.FILE_SIZE(error=reason)
 
 
 def _mount_of(path: Path) -> Path:

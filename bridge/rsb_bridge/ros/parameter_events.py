@@ -11,6 +11,7 @@ import struct
 from typing import TYPE_CHECKING, NamedTuple
 
 from rsb_bridge.cdr.decoder import HEADER_LENGTH
+from rsb_bridge.model.wording import Wording
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Hashable, Sequence
@@ -26,6 +27,15 @@ _NO_OPTIONS = b"\x00\x00"  # of the encapsulation header: they tell how many byt
 _STAMP = 8
 _LISTS = 3  # of parameters: new, changed, deleted
 _ARRAYS = (1, 1, 8, 8)  # of a ParameterValue: bytes, bools, integers, doubles; bytes of an element
+
+
+class InvalidEvent(Wording):
+    """Why a message is no parameter event."""
+
+    NAME_WITHOUT_END = "the node's name has no end"
+    TOO_LONG = "it has {length:,} bytes, and at most {limit:,} are looked through"
+    NOT_XCDR1 = "it does not begin as XCDR1"
+    ENDS_EARLY = "it ends after {length:,} bytes, before its content does"
 
 
 class ParameterEventError(ValueError):
@@ -45,7 +55,7 @@ def node_of(payload: bytes) -> str:
     reader.take(_STAMP, 4)
     name = reader.string()
     if name[-1:] != b"\0":
-        raise ParameterEventError("the node's name has no end")
+        raise ParameterEventError(InvalidEvent.NAME_WITHOUT_END())
     return name[:-1].decode("utf-8", "replace")
 
 
@@ -60,7 +70,7 @@ def with_node(payload: bytes, node: str) -> bytes:
         ParameterEventError: it is none, or longer than `LONGEST`.
     """
     if len(payload) > LONGEST:
-        raise ParameterEventError(f"it has {len(payload):,} bytes, and at most {LONGEST:,} are looked through")
+        raise ParameterEventError(InvalidEvent.TOO_LONG(length=len(payload), limit=LONGEST))
     name = node.encode() + b"\0"
     reader = _Reader(payload)
     stamp = reader.take(_STAMP, 4)
@@ -88,7 +98,7 @@ class _Reader:
     def __init__(self, payload: bytes) -> None:
         order = _BYTE_ORDERS.get(payload[:2])
         if order is None or len(payload) < HEADER_LENGTH:
-            raise ParameterEventError("it does not begin as XCDR1")
+            raise ParameterEventError(InvalidEvent.NOT_XCDR1())
         self.order = order
         self.payload = payload
         self.at = HEADER_LENGTH
@@ -96,7 +106,7 @@ class _Reader:
     def take(self, size: int, alignment: int) -> bytes:
         start = self.at + (HEADER_LENGTH - self.at) % alignment
         if size > len(self.payload) - start:
-            raise ParameterEventError(f"it ends after {len(self.payload):,} bytes, before its content does")
+            raise ParameterEventError(InvalidEvent.ENDS_EARLY(length=len(self.payload)))
         self.at = start + size
         return self.payload[start : self.at]
 

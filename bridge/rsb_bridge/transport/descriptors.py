@@ -8,6 +8,8 @@ import resource
 import socket
 import sys
 
+from rsb_bridge.model.wording import Wording
+
 RESERVE = 64
 """Descriptors that routes' streams leave to control connections, DDS, key files and whatever else must not fail."""
 
@@ -18,6 +20,15 @@ _OWN = "/proc/self/fd"
 
 MORE_DESCRIPTORS = "raise the limit (ulimit -n, or LimitNOFILE in a systemd unit)"
 """What an operator does when they run out."""
+
+
+class Scarcity(Wording):
+    """Shortages of file descriptors."""
+
+    ROUTE_WITHOUT_STREAM = (
+        "the {side} may have {limit:,} file descriptors and needs more: {remedy} there, "
+        "or use protocol: udp, whose topics share one"
+    )
 
 
 def scarce() -> bool:
@@ -56,7 +67,4 @@ def scarcity_message(side: str) -> str:
         side: whose process is meant, ``client`` or ``server``.
     """
     limit = resource.getrlimit(resource.RLIMIT_NOFILE)[0]
-    return (
-        f"the {side} may have {limit:,} file descriptors and needs more: {MORE_DESCRIPTORS} there, "
-        "or use protocol: udp, whose topics share one"
-    )
+    return Scarcity.ROUTE_WITHOUT_STREAM(side=side, limit=limit, remedy=MORE_DESCRIPTORS)

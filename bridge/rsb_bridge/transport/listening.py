@@ -7,6 +7,7 @@ import errno
 import socket
 from typing import TYPE_CHECKING
 
+from rsb_bridge.model.wording import Wording
 from rsb_bridge.transport.descriptors import SHORTAGES
 from rsb_bridge.transport.streams import os_error_message
 from rsb_bridge.transport.transport import ListenError
@@ -21,6 +22,21 @@ _AT_ONCE = 16
 enough that a client which has spoken is read before those behind it are too many (`link.pending_connections`)."""
 _SHORT_FOR = 0.25
 """s until accepting is tried again where descriptors or memory are lacking."""
+
+
+class ListenProblem(Wording):
+    """Why an address cannot be bound, and the remedy."""
+
+    TAKEN = "{kind} {address} is taken by another process: stop it, or choose another port (ss -lntup shows whose)"
+    NOT_OF_THIS_MACHINE = (
+        "{address} is not an address of this machine: use one that `ip addr` shows, or 0.0.0.0 for all"
+    )
+    NEEDS_ROOT = "{kind} {address}: ports below 1024 need root; choose a higher one"
+    NAME_UNKNOWN = (
+        "{address}: the name is not known ({error}): set server_ip in this side's session file to an address that "
+        "`ip addr` shows, or 0.0.0.0 for all"
+    )
+    OTHER = "{kind} {address}: {error}"
 
 
 async def bind(host: str, port: int, kind: socket.SocketKind) -> list[socket.socket]:
@@ -119,12 +135,11 @@ class StreamListener:
 def _listen_error_message(error: OSError, address: str, kind: str) -> str:
     """Why an address can't be bound, and the remedy."""
     if error.errno == errno.EADDRINUSE:
-        return f"{kind} {address} is taken by another process: stop it, or choose another port (ss -lntup shows whose)"
+        return ListenProblem.TAKEN(kind=kind, address=address)
     if error.errno == errno.EADDRNOTAVAIL:
-        return f"{address} is not an address of this machine: use one that `ip addr` shows, or 0.0.0.0 for all"
+        return ListenProblem.NOT_OF_THIS_MACHINE(address=address)
     if error.errno == errno.EACCES:
-        return f"{kind} {address}: ports below 1024 need root; choose a higher one"
+        return ListenProblem.NEEDS_ROOT(kind=kind, address=address)
     if isinstance(error, socket.gaierror):
-        remedy = "set server_ip in this side's session file to an address that `ip addr` shows, or 0.0.0.0 for all"
-        return f"{address}: the name is not known ({error.strerror}): {remedy}"
-    return f"{kind} {address}: {os_error_message(error)}"
+        return ListenProblem.NAME_UNKNOWN(address=address, error=error.strerror)
+    return ListenProblem.OTHER(kind=kind, address=address, error=os_error_message(error))

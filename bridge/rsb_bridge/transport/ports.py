@@ -6,6 +6,7 @@ import asyncio
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from rsb_bridge.model.wording import Wording
 from rsb_bridge.transport.transport import ListenError
 
 if TYPE_CHECKING:
@@ -14,6 +15,12 @@ if TYPE_CHECKING:
     from rsb_bridge.model.session import Session
     from rsb_bridge.transport.registry import Transports
     from rsb_bridge.transport.transport import Acceptor, Listener
+
+
+class PortProblem(Wording):
+    """Why a port is not open."""
+
+    CLOSED_AGAIN = "{kind} {number} was closed again while it was opened"
 
 
 @dataclass(slots=True)
@@ -50,7 +57,7 @@ class Ports:
                 port = _Port(await transport.listen(transport.host(self._session), number, self._acceptor))
                 if closed != self._closed:
                     port.listener.close()
-                    raise ListenError(f"{transport.port_kind} {number} was closed again while it was opened")
+                    raise ListenError(PortProblem.CLOSED_AGAIN(kind=transport.port_kind, number=number))
                 self._ports[key] = port
         port.users += 1
         return lambda: self._release(key, port)

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING
 
 from rsb_bridge.bluetooth import hci
 from rsb_bridge.model.transports import RfcommTraits
+from rsb_bridge.model.wording import Wording
 from rsb_bridge.transport.listening import StreamListener
 from rsb_bridge.transport.streams import Address, Stream, StreamHandler, os_error_message
 from rsb_bridge.transport.transport import Acceptor, Listener, ListenError, StreamTransport
@@ -31,6 +32,20 @@ _RETRY_FOR = 1.0
 _RETRY_EVERY = 0.1
 _BACKLOG = 8
 _BUFFER = 4096
+
+
+class RfcommProblem(Wording):
+    """Why an RFCOMM channel is not listened on or connected to, and the remedy."""
+
+    ANOTHER_ADAPTER = "{host} is no Bluetooth adapter of this machine: this machine's are {adapters}"
+    NO_ADAPTER = "{host} is no Bluetooth adapter of this machine: it has none"
+    CHANNEL_TAKEN = "RFCOMM channel {channel} is taken: choose one that rsb-console bt-scan shows as free"
+    CHANNEL_NOT_BOUND = "RFCOMM channel {channel} of {host}: {error}"
+    NO_ANSWER = "no answer: is it on, near, and is the MAC right? (rsb-console bt-scan, on that machine)"
+    NOBODY_LISTENS = "nobody listens on channel {channel} there: is the server running, with that server_port?"
+    CHANNEL_IN_USE = "channel {channel} there is in use by another program of this machine"
+    NOT_PAIRED = "pairing failed: remove the other machine on both (bluetoothctl remove MAC), then pair them again"
+    ADAPTERS_OFF = "no Bluetooth adapter of this machine is on: rsb-console bt-scan"
 
 
 class RfcommStream(Stream):
@@ -76,8 +91,8 @@ class Rfcomm(RfcommTraits, StreamTransport):
         try:
             own = {adapter.address for adapter in hci.adapters()}
             if host.upper() not in own | {hci.ANY_ADAPTER}:
-                here = f"this machine's are {', '.join(sorted(own))}" if own else "it has none"
-                raise ListenError(f"{host} is no Bluetooth adapter of this machine: {here}")
+                problem = RfcommProblem.ANOTHER_ADAPTER if own else RfcommProblem.NO_ADAPTER
+                raise ListenError(problem(host=host, adapters=", ".join(sorted(own))))
             sock = hci.rfcomm_socket()
         except hci.NoBluetoothError as error:
             raise ListenError(str(error)) from None
@@ -87,10 +102,9 @@ class Rfcomm(RfcommTraits, StreamTransport):
         except OSError as error:
             sock.close()
             if error.errno == errno.EADDRINUSE:
-                raise ListenError(
-                    f"RFCOMM channel {port} is taken: choose one that rsb-console bt-scan shows as free"
-                ) from None
-            raise ListenError(f"RFCOMM channel {port} of {host}: {os_error_message(error)}") from None
+                raise ListenError(RfcommProblem.CHANNEL_TAKEN(channel=port)) from None
+            text = RfcommProblem.CHANNEL_NOT_BOUND(channel=port, host=host, error=os_error_message(error))
+            raise ListenError(text) from None
 
 
 async def _connected(address: str, channel: int) -> socket.socket:
@@ -115,15 +129,15 @@ async def _connected(address: str, channel: int) -> socket.socket:
 
 def _connect_error_message(error: int | None, channel: int) -> str:
     if error == errno.EHOSTDOWN:
-        return "no answer: is it on, near, and is the MAC right? (rsb-console bt-scan, on that machine)"
+        return RfcommProblem.NO_ANSWER()
     if error == errno.ECONNREFUSED:
-        return f"nobody listens on channel {channel} there: is the server running, with that server_port?"
+        return RfcommProblem.NOBODY_LISTENS(channel=channel)
     if error == errno.EBUSY:
-        return f"channel {channel} there is in use by another program of this machine"
+        return RfcommProblem.CHANNEL_IN_USE(channel=channel)
     if error == errno.EACCES:
-        return "pairing failed: remove the other machine on both (bluetoothctl remove MAC), then pair them again"
+        return RfcommProblem.NOT_PAIRED()
     if error in (errno.EHOSTUNREACH, errno.ENETUNREACH):
-        return "no Bluetooth adapter of this machine is on: rsb-console bt-scan"
+        return RfcommProblem.ADAPTERS_OFF()
     return os.strerror(error or 0)
 
 

@@ -10,6 +10,7 @@ import socket
 import struct
 from typing import TYPE_CHECKING, Any, ClassVar, Protocol, TypeAlias, runtime_checkable
 
+from rsb_bridge.model.wording import Wording
 from rsb_bridge.transport.descriptors import MORE_DESCRIPTORS
 
 if TYPE_CHECKING:
@@ -32,10 +33,18 @@ _RETRANSMITS = struct.Struct("2xB")
 """The third field of the kernel's tcp_info: how often in a row it has sent the oldest bytes again."""
 _IN_VAIN = 3
 """Times, which take 1.4 s at the least."""
-_REMEDIES = {
-    errno.ECONNREFUSED: "is the server running there?",
-    errno.EMFILE: f"this process needs more file descriptors: {MORE_DESCRIPTORS}",
-}
+
+
+class StreamProblem(Wording):
+    """Why a stream ended or was not opened; the kernel has texts for the rest."""
+
+    CLOSED_HERE = "closed here"
+    TIMED_OUT = "timed out"
+    REFUSED = "{error}: is the server running there?"
+    NO_DESCRIPTORS = "{error}: this process needs more file descriptors: {remedy}"
+
+
+_CLOSED_HERE = StreamProblem.CLOSED_HERE()
 
 
 @runtime_checkable
@@ -116,7 +125,7 @@ class Stream(asyncio.Protocol):
             self.sent_bytes += len(data)
             self._transport.write(data)
 
-    def close(self, reason: str = "closed here") -> None:
+    def close(self, reason: str = _CLOSED_HERE) -> None:
         """Send what waits, then close; a peer that takes nothing is not waited for longer than 2 s."""
         if self._transport is not None:
             self._reason = self._reason or reason
@@ -275,11 +284,14 @@ def format_address(address: Address) -> str:
 def os_error_message(error: BaseException) -> str:
     """The kernel's message for an OS error, without its number, and with a remedy where there is one."""
     if isinstance(error, TimeoutError) and not error.args:
-        return "timed out"
+        return StreamProblem.TIMED_OUT()
     if isinstance(error, OSError) and error.errno and not isinstance(error, socket.gaierror):
         message = os.strerror(error.errno)  # asyncio puts its own text into strerror
-        remedy = _REMEDIES.get(error.errno)
-        return f"{message}: {remedy}" if remedy else message
+        if error.errno == errno.ECONNREFUSED:
+            return StreamProblem.REFUSED(error=message)
+        if error.errno == errno.EMFILE:
+            return StreamProblem.NO_DESCRIPTORS(error=message, remedy=MORE_DESCRIPTORS)
+        return message
     if isinstance(error, OSError) and error.strerror:
         return error.strerror
     return str(error) or type(error).__name__

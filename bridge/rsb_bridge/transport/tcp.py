@@ -14,6 +14,7 @@ from typing import Any
 from aiohappyeyeballs import start_connection
 
 from rsb_bridge.model.transports import TcpTraits
+from rsb_bridge.model.wording import Wording
 from rsb_bridge.transport.listening import StreamListener, bind
 from rsb_bridge.transport.streams import Address, Stream, StreamHandler
 from rsb_bridge.transport.threads import in_thread
@@ -21,6 +22,13 @@ from rsb_bridge.transport.transport import Acceptor, Listener, StreamTransport
 from rsb_bridge.wire.framing import MESSAGE_LIMIT
 
 Found = Sequence[tuple[int | socket.AddressFamily, int | socket.SocketKind, int, str, tuple[Any, ...]]]
+
+
+class LookUpProblem(Wording):
+    """Why a host's name gives no address."""
+
+    NO_NAME_SERVER = "the name can't be looked up: no name server answers within {seconds:g} s"
+    NO_ADDRESS = "{host}: the name has no address"
 
 
 async def look_up(host: str, port: int, within: float) -> Found:
@@ -39,7 +47,7 @@ async def look_up(host: str, port: int, within: float) -> Found:
     try:
         return await in_thread("look-up", lambda: socket.getaddrinfo(host, port, type=socket.SOCK_STREAM), within)
     except TimeoutError:
-        raise OSError(f"the name can't be looked up: no name server answers within {within:g} s") from None
+        raise OSError(LookUpProblem.NO_NAME_SERVER(seconds=within)) from None
 
 
 CONNECT_TIMEOUT = 3.0
@@ -75,7 +83,7 @@ class Tcp(TcpTraits, StreamTransport):
         """Connect to the first of the host's addresses that answers, within `CONNECT_TIMEOUT` (RFC 8305)."""
         found = await look_up(host, port, CONNECT_TIMEOUT)
         if not found:
-            raise OSError(f"{host}: the name has no address")
+            raise OSError(LookUpProblem.NO_ADDRESS(host=host))
         try:
             async with asyncio.timeout(CONNECT_TIMEOUT):
                 sock = await start_connection(found, happy_eyeballs_delay=_NEXT_ADDRESS_AFTER)

@@ -30,6 +30,7 @@ from rsb_bridge.wire.preamble import (
     PreambleStream,
     Refusal,
     RefusalCode,
+    RefusalText,
     control_header,
     data_header,
     key_of,
@@ -41,7 +42,7 @@ from rsb_bridge.wire.preamble import (
     preamble_frame,
     take_frame,
 )
-from rsb_bridge.wire.protocol_error import Broken, ForeignProtocolError, ProtocolError
+from rsb_bridge.wire.protocol_error import Broken, ForeignProtocolError, Misuse, ProtocolError
 from rsb_bridge.wire.sealing import Buffer, Sealer, SealError, SessionKeys, StreamOpener, Suite
 
 if TYPE_CHECKING:
@@ -93,7 +94,11 @@ class _Control(PreambleStream):
         """
         content = encode(message)
         if HEADER.size + len(content) + Suite.AESGCM.tag_length > CONTROL_LIMIT:
-            raise ValueError(f"a {type(message).__name__} of {len(content)} bytes; a control frame has {CONTROL_LIMIT}")
+            raise ValueError(
+                Misuse.CONTROL_MESSAGE_TOO_LONG(
+                    message=type(message).__name__, length=len(content), limit=CONTROL_LIMIT
+                )
+            )
         self._write(content)
         return self.data_to_send()
 
@@ -104,7 +109,7 @@ class _Control(PreambleStream):
 
     def _write(self, content: bytes) -> None:
         if self._sealer is None:
-            raise RuntimeError("nothing can be sent before the connection is established")
+            raise RuntimeError(Misuse.NOT_ESTABLISHED())
         self._outbox += pack_frame(_CONTROL_HEADER, self._sealer.seal(content, _CONTROL_HEADER))
 
     def _take_in(self, data: Buffer) -> None:
@@ -224,7 +229,7 @@ class ClientConnection(_Control):
         try:
             welcome = decode_welcome(self._handshake.read(message))
         except SealError:
-            raise Refusal(RefusalCode.WRONG_KEY, "this side's key does not open the server's answer") from None
+            raise Refusal(RefusalCode.WRONG_KEY, RefusalText.ANSWER_SEALED_WITH_ANOTHER_KEY()) from None
         keys = self._handshake.split()
         self._proven, self._at = self._key is not None, welcome.at
         if keys.export is not None and all(
@@ -316,12 +321,12 @@ class ServerConnection(_Control):
         if not keys and offer.suite is not Suite.PLAIN:
             raise Refusal(
                 RefusalCode.ENCRYPTION_NOT_POSSIBLE,
-                f"the client encrypts, and the server has no key for {offer.name!r}",
+                RefusalText.ENCRYPTION_NOT_POSSIBLE(name=offer.name),
             )
         if keys and offer.suite is Suite.PLAIN:
             raise Refusal(
                 RefusalCode.ENCRYPTION_REQUIRED,
-                f"the server requires encryption for {offer.name!r}, and the client came without",
+                RefusalText.ENCRYPTION_REQUIRED(name=offer.name),
             )
         if offer.suite is Suite.AESGCM and not self._aes:
             self._retry()
@@ -342,8 +347,7 @@ class ServerConnection(_Control):
         except SealError:
             raise Refusal(
                 RefusalCode.WRONG_KEY,
-                f"the first message of {offer.name!r} is damaged or forged: "
-                "the fingerprints of both sides' keys are equal",
+                RefusalText.FIRST_MESSAGE_FORGED(name=offer.name),
             ) from None
         if key is not None and not replays.is_new(offer.message):
             raise ProtocolError(Broken.HANDSHAKE_REPLAYED(name=offer.name))

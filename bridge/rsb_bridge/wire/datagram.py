@@ -16,7 +16,7 @@ from rsb_bridge.wire.framing import (
     Budget,
     Message,
 )
-from rsb_bridge.wire.protocol_error import Broken, ProtocolError
+from rsb_bridge.wire.protocol_error import Broken, Misuse, ProtocolError
 from rsb_bridge.wire.sealing import Buffer, DatagramOpener, Sealer, SealError
 
 MAGIC = 0xB5
@@ -143,7 +143,7 @@ class DatagramWriter:
         """
         count = self.datagrams(len(payload), max_datagram)
         if count > FRAGMENTS_LIMIT:
-            raise ValueError(f"a message of {len(payload)} bytes takes more than {FRAGMENTS_LIMIT} datagrams: use tcp")
+            raise ValueError(Misuse.TOO_MANY_DATAGRAMS(length=len(payload), limit=FRAGMENTS_LIMIT))
         self.number += 1
         size = -(-len(payload) // count)
         sealer, view, datagrams = self._sealer, memoryview(payload), []

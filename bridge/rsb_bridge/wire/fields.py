@@ -14,6 +14,7 @@ from rsb_bridge.model.limits import LATE_AFTER, MAX_AGE, PORT, RATE, REASON_LENG
 from rsb_bridge.model.session import HIGHEST, LOWEST
 from rsb_bridge.model.sources import HOP_LENGTH, MOST_BRIDGES, MOST_HOPS
 from rsb_bridge.model.text import UNPRINTABLE
+from rsb_bridge.model.wording import Wording
 
 PRINTABLE = rf"\A[^{UNPRINTABLE}]*\Z"
 
@@ -54,6 +55,16 @@ Compression = Literal["none", "zstd"]
 RefuseCode = Literal["type_differs", "denied", "port_taken"]
 
 
+class OutOfRange(Wording):
+    """Limits of a route that are neither 0 nor in their range."""
+
+    RATE = "a rate is 0 or {range} Hz"
+    STALE_AFTER = "stale_after is 0 or {range} s"
+    LATE_AFTER = "late_after is 0 or {range} s"
+    MAX_AGE = "max_age is 0 or {range} s"
+    DEADMAN = "deadman is 0 or {range} s"
+
+
 def check_limits(
     max_rate: float,
     expected_rate: float = 0.0,
@@ -67,11 +78,11 @@ def check_limits(
         ValueError: one is out of its range.
     """
     if any(rate and rate not in RATE for rate in (max_rate, expected_rate)):
-        raise ValueError(f"a rate is 0 or {RATE} Hz")
+        raise ValueError(OutOfRange.RATE(range=RATE))
     if stale_after and stale_after not in STALE_AFTER:
-        raise ValueError(f"stale_after is 0 or {STALE_AFTER} s")
+        raise ValueError(OutOfRange.STALE_AFTER(range=STALE_AFTER))
     if late_after and late_after not in LATE_AFTER:
-        raise ValueError(f"late_after is 0 or {LATE_AFTER} s")
+        raise ValueError(OutOfRange.LATE_AFTER(range=LATE_AFTER))
     check_max_age(max_age)
 
 
@@ -82,4 +93,4 @@ def check_max_age(max_age: float | UnsetType | None) -> None:
         ValueError: it is neither 0 nor in its range.
     """
     if max_age and max_age not in MAX_AGE:
-        raise ValueError(f"max_age is 0 or {MAX_AGE} s")
+        raise ValueError(OutOfRange.MAX_AGE(range=MAX_AGE))

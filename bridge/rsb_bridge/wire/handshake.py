@@ -9,7 +9,7 @@ from typing import NamedTuple, Protocol
 
 from cryptography.hazmat.primitives.asymmetric.x25519 import X25519PrivateKey, X25519PublicKey
 
-from rsb_bridge.wire.protocol_error import Broken, ProtocolError
+from rsb_bridge.wire.protocol_error import Broken, Misuse, ProtocolError
 from rsb_bridge.wire.sealing import KEY_LENGTH, Sealer, StreamOpener, Suite
 
 _NAMES = {
@@ -88,7 +88,7 @@ class NoiseHandshake:
             ValueError: the psk is not 32 bytes long.
         """
         if len(psk) != KEY_LENGTH:
-            raise ValueError(f"a session key has {KEY_LENGTH} bytes, not {len(psk)}")
+            raise ValueError(Misuse.SESSION_KEY_LENGTH(expected=KEY_LENGTH, length=len(psk)))
         self._suite = suite
         self._ephemeral = ephemeral or X25519PrivateKey.generate()
         self._written = False

@@ -29,6 +29,7 @@ from rsb_bridge.wire.fields import (
     Nanoseconds,
     NewestNumbers,
     NodeNames,
+    OutOfRange,
     Port,
     PublisherIds,
     Rank,
@@ -470,7 +471,7 @@ class Pause(ControlMessageBase, frozen=True):
 def check_deadman(seconds: float) -> None:
     """Raise ValueError where a deadman time is out of range."""
     if seconds and seconds not in DEADMAN_TIME:
-        raise ValueError(f"deadman is 0 or {DEADMAN_TIME} s")
+        raise ValueError(OutOfRange.DEADMAN(range=DEADMAN_TIME))
 
 
 class Arm(ControlMessageBase, frozen=True):

@@ -22,11 +22,12 @@ from rsb_bridge.wire.preamble import (
     PreambleStream,
     Refusal,
     RefusalCode,
+    RefusalText,
     key_of,
     preamble_frame,
     take_frame,
 )
-from rsb_bridge.wire.protocol_error import Broken, ProtocolError
+from rsb_bridge.wire.protocol_error import Broken, Misuse, ProtocolError
 from rsb_bridge.wire.sealing import Sealer, SealError, StreamOpener, Suite, derive_sample_secret
 
 if TYPE_CHECKING:
@@ -80,7 +81,7 @@ def operator_header(version: int, operator: str, engine: str, fingerprint: bytes
     for name in (operator, engine):
         encoded = name.encode()
         if len(encoded) > NAME_BYTES:
-            raise ValueError(f"a name has {len(encoded)} bytes in UTF-8, and at most {NAME_BYTES} are allowed")
+            raise ValueError(Misuse.NAME_TOO_LONG(length=len(encoded), limit=NAME_BYTES))
         body += bytes((len(encoded),)) + encoded
     return preamble_frame(Kind.OPERATOR, body + fingerprint)
 
@@ -144,7 +145,7 @@ class _Sealed(PreambleStream):
             RuntimeError: the connection was never `Admitted`.
         """
         if self._sealer is None:
-            raise RuntimeError("nothing can be sent before the connection is admitted")
+            raise RuntimeError(Misuse.NOT_ADMITTED())
         view, seal = memoryview(content), self._sealer.seal
         return b"".join(
             pack_frame(seal(view[at : at + RECORD_CONTENT], b"")) for at in range(0, len(content), RECORD_CONTENT)
@@ -228,8 +229,7 @@ class OperatorConsole(_Sealed):
         except SealError:
             raise Refusal(
                 RefusalCode.WRONG_KEY,
-                f"the answer is not sealed with this console's key, {self._mark}: the engine has another one, or "
-                "somebody on the way answers in its place",
+                RefusalText.ENGINE_SEALED_WITH_ANOTHER_KEY(fingerprint=self._mark),
             ) from None
         keys = self._handshake.split()
         self._start_sealing(keys.client, keys.server)
@@ -280,7 +280,7 @@ class OperatorEngine(_Sealed):
             raise ProtocolError(Broken.UNEXPECTED_FROM_OPERATOR(kind=kind.name))
         offer = parse_operator(frame)
         if offer.engine != self._engine:
-            raise Refusal(RefusalCode.UNKNOWN_NAME, f"this is not the engine {offer.engine!r}")
+            raise Refusal(RefusalCode.UNKNOWN_NAME, RefusalText.ANOTHER_ENGINE(name=offer.engine))
         keys, replays = self._identity(offer.operator)
         self.operator = offer.operator
         key = key_of(keys, offer.fingerprint, offer.operator, "console", "engine")
@@ -290,8 +290,7 @@ class OperatorEngine(_Sealed):
         except SealError:
             raise Refusal(
                 RefusalCode.WRONG_KEY,
-                f"the first message of {offer.operator!r} is damaged or forged: "
-                "the fingerprints of both sides' keys are equal",
+                RefusalText.FIRST_MESSAGE_FORGED(name=offer.operator),
             ) from None
         if len(host) > HOST_BYTES:
             raise ProtocolError(Broken.HOST_NAME_TOO_LONG())

@@ -11,9 +11,10 @@ from typing import TYPE_CHECKING, NamedTuple
 from rsb_bridge.model.fingerprints import FINGERPRINT_LENGTH, fingerprint_of, format_fingerprint
 from rsb_bridge.model.limits import NAME_BYTES
 from rsb_bridge.model.text import is_clean, sanitize_text
+from rsb_bridge.model.wording import Wording
 from rsb_bridge.wire.events import Event, Failed, Refused
 from rsb_bridge.wire.framing import LENGTH, PREAMBLE_LIMIT, pack_frame
-from rsb_bridge.wire.protocol_error import Broken, ForeignProtocolError, ProtocolError
+from rsb_bridge.wire.protocol_error import Broken, ForeignProtocolError, Misuse, ProtocolError
 from rsb_bridge.wire.sealing import SealError, Suite
 
 if TYPE_CHECKING:
@@ -92,6 +93,31 @@ class RefusalCode(IntEnum):
     SHUT_DOWN = 10
 
 
+class RefusalText(Wording):
+    """Sentences that a stream is refused with, each true on either side."""
+
+    PEER_OLDER = (
+        "this side speaks version {ours} of the wire format, the peer version {theirs}: "
+        "update rsb-console on the peer, which is older"
+    )
+    THIS_SIDE_OLDER = (
+        "this side speaks version {ours} of the wire format, the peer version {theirs}: "
+        "update rsb-console on this side, which is older"
+    )
+    KEYS_DIFFER = "the keys of {name!r} differ: {theirs} on the {there}, {ours} on the {here}"
+    FIRST_MESSAGE_FORGED = (
+        "the first message of {name!r} is damaged or forged: the fingerprints of both sides' keys are equal"
+    )
+    ANSWER_SEALED_WITH_ANOTHER_KEY = "this side's key does not open the server's answer"
+    ENGINE_SEALED_WITH_ANOTHER_KEY = (
+        "the answer is not sealed with this console's key, {fingerprint}: the engine has another one, or somebody on "
+        "the way answers in its place"
+    )
+    ENCRYPTION_NOT_POSSIBLE = "the client encrypts, and the server has no key for {name!r}"
+    ENCRYPTION_REQUIRED = "the server requires encryption for {name!r}, and the client came without"
+    ANOTHER_ENGINE = "this is not the engine {name!r}"
+
+
 class Refusal(Exception):  # noqa: N818 - an answer, not an error of this side's
     """This side refuses a stream.
 
@@ -125,7 +151,7 @@ def key_of(keys: tuple[bytes, ...], offered: bytes, name: str, there: str, here:
     if offered not in by_fingerprint:
         ours = " or ".join(map(format_fingerprint, by_fingerprint))
         theirs = format_fingerprint(offered)
-        message = f"the keys of {name!r} differ: {theirs} on the {there}, {ours} on the {here}"
+        message = RefusalText.KEYS_DIFFER(name=name, theirs=theirs, there=there, ours=ours, here=here)
         raise Refusal(RefusalCode.WRONG_KEY, message)
     return by_fingerprint[offered]
 
@@ -198,9 +224,7 @@ def control_header(suite: Suite, name: str, fingerprint: bytes = bytes(FINGERPRI
     """
     encoded = name.encode()
     if len(encoded) > NAME_BYTES:
-        raise ValueError(
-            f"the name has {len(encoded)} bytes in UTF-8, and at most {NAME_BYTES} are allowed: choose a shorter one"
-        )
+        raise ValueError(Misuse.NAME_TOO_LONG(length=len(encoded), limit=NAME_BYTES))
     return preamble_frame(Kind.CONTROL, bytes((suite, len(encoded))) + encoded + fingerprint)
 
 
@@ -229,12 +253,8 @@ def parse_preamble(frame: bytes) -> tuple[Kind, bytes]:
         raise ForeignProtocolError
     version, kind = frame[3], frame[4]
     if version != VERSION:
-        older = "this side" if version > VERSION else "the peer"
-        raise Refusal(
-            RefusalCode.WRONG_VERSION,
-            f"this side speaks version {VERSION} of the wire format, the peer version {version}: "
-            f"update rsb-console on {older}, which is older",
-        )
+        text = RefusalText.THIS_SIDE_OLDER if version > VERSION else RefusalText.PEER_OLDER
+        raise Refusal(RefusalCode.WRONG_VERSION, text(ours=VERSION, theirs=version))
     try:
         return Kind(kind), frame[PREFIX_LENGTH:]
     except ValueError:

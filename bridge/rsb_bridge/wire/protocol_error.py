@@ -46,7 +46,23 @@ class Broken(Wording):
     OPERATOR_TOO_SHORT = "an OPERATOR frame ends before its {field}"
     EMPTY_RECORD = "an empty record"
     UNEXPECTED_FROM_OPERATOR = "unexpected {kind} frame: operators attach here, not links"
+    DATA_AGAINST_ROUTE = "data on route {route}, which goes the other way"
+    DATA_AGAINST_STREAM = "the peer sent data on a stream that goes the other way"
+    FRAME_OF_UNKNOWN_ROUTE = "a frame of type {kind}, route {route} on a stream that does not carry it"
     HOST_NAME_TOO_LONG = "the console's host name is too long"
+
+
+class Misuse(Wording):
+    """Requests of this side's own that the format has no room for."""
+
+    NAME_TOO_LONG = "the name has {length} bytes in UTF-8, and at most {limit} are allowed: choose a shorter one"
+    CONTROL_MESSAGE_TOO_LONG = "a {message} of {length} bytes; a control frame has {limit}"
+    TOO_MANY_DATAGRAMS = "a message of {length} bytes takes more than {limit} datagrams: use tcp"
+    NOT_ESTABLISHED = "nothing can be sent before the connection is established"
+    NOT_ADMITTED = "nothing can be sent before the connection is admitted"
+    KEY_LENGTH = "{suite} takes a key of {expected} bytes"
+    SESSION_KEY_LENGTH = "a session key has {expected} bytes, not {length}"
+    SEALER_TAKEN = "route {route} has a sealer already: a route id is used once in a link's life"
 
 
 class ProtocolError(Exception):

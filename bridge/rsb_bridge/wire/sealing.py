@@ -13,6 +13,9 @@ from cryptography.hazmat.primitives.ciphers.aead import AESGCM, ChaCha20Poly1305
 from cryptography.hazmat.primitives.hashes import SHA256
 from cryptography.hazmat.primitives.kdf.hkdf import HKDFExpand
 
+from rsb_bridge.model.wording import Wording
+from rsb_bridge.wire.protocol_error import Misuse
+
 Buffer: TypeAlias = bytes | bytearray | memoryview
 Role = Literal["client", "server"]
 
@@ -36,6 +39,15 @@ class Suite(IntEnum):
     def tag_length(self) -> int:
         """Bytes that sealing adds."""
         return 4 if self is Suite.PLAIN else 16
+
+
+class InvalidSeal(Wording):
+    """Why a seal does not open."""
+
+    FORGED = "sequence {sequence} was not sealed with this key: damaged or forged"
+    REPLAYED = "sequence {sequence} is replayed"
+    TOO_LATE = "sequence {sequence} is {late} datagrams late: replayed, or delayed too long"
+    EPOCH_TOO_FAR_AHEAD = "key epoch {epoch} is too far ahead"
 
 
 class SealError(Exception):
@@ -92,7 +104,7 @@ def _cipher(suite: Suite, key: bytes | None) -> _Cipher:
     if suite is Suite.PLAIN:
         return _Checksum()
     if key is None or len(key) != KEY_LENGTH:
-        raise ValueError(f"{suite.name} takes a key of {KEY_LENGTH} bytes")
+        raise ValueError(Misuse.KEY_LENGTH(suite=suite.name, expected=KEY_LENGTH))
     return AESGCM(key) if suite is Suite.AESGCM else ChaCha20Poly1305(key)
 
 
@@ -113,7 +125,7 @@ class _Epochs:
         ciphers = self._ciphers
         index = epoch - self._first
         if index > EPOCHS_AHEAD:
-            raise SealError(f"key epoch {epoch} is too far ahead")
+            raise SealError(InvalidSeal.EPOCH_TOO_FAR_AHEAD(epoch=epoch))
         while index >= len(ciphers):
             ciphers.append(self._rekeyed(ciphers[-1]))
         return ciphers[index]
@@ -216,7 +228,7 @@ class StreamOpener(_StreamState):
         return self._nonce(sequence)
 
     def _forged(self) -> SealError:
-        return SealError(f"sequence {self.sequence} was not sealed with this key: damaged or forged")
+        return SealError(InvalidSeal.FORGED(sequence=self.sequence))
 
 
 class DatagramOpener:
@@ -248,15 +260,15 @@ class DatagramOpener:
         ahead = sequence - self._newest
         if ahead <= 0:
             if ahead <= -self._window:
-                raise SealError(f"sequence {sequence} is {-ahead} datagrams late: replayed, or delayed too long")
+                raise SealError(InvalidSeal.TOO_LATE(sequence=sequence, late=-ahead))
             if self._seen >> -ahead & 1:
-                raise SealError(f"sequence {sequence} is replayed")
+                raise SealError(InvalidSeal.REPLAYED(sequence=sequence))
         epoch = sequence >> EPOCH_BITS
         cipher = self._epochs.cipher(epoch)
         try:
             content = cipher.decrypt(self._nonce(sequence), sealed, associated)
         except InvalidTag:
-            raise SealError(f"sequence {sequence} was not sealed with this key: damaged or forged") from None
+            raise SealError(InvalidSeal.FORGED(sequence=sequence)) from None
         if ahead <= 0:
             self._seen |= 1 << -ahead
             return content
@@ -290,7 +302,7 @@ class SessionKeys:
             ValueError: it was requested before.
         """
         if (route, sending_role) in self._sealing:
-            raise ValueError(f"route {route} has a sealer already: a route id is used once in a link's life")
+            raise ValueError(Misuse.SEALER_TAKEN(route=route))
         self._sealing.add((route, sending_role))
         return Sealer(self.suite, self._data_key(route, sending_role))
 

@@ -10,10 +10,11 @@ from contextlib import asynccontextmanager
 from typing import TYPE_CHECKING
 
 import pytest
+from tests.support.wording import pattern
 
 from rsb_bridge.bluetooth.hci import ANY_ADAPTER
 from rsb_bridge.transport import rfcomm
-from rsb_bridge.transport.rfcomm import Rfcomm
+from rsb_bridge.transport.rfcomm import Rfcomm, RfcommProblem
 from rsb_bridge.transport.streams import Stream, StreamHandler
 from rsb_bridge.transport.transport import Acceptor, ListenError
 
@@ -165,12 +166,12 @@ def test_reconnecting_at_once(addresses: tuple[str, str]) -> None:
 def test_refusals_are_explained(addresses: tuple[str, str]) -> None:
     async def main() -> None:
         started = time.monotonic()
-        with pytest.raises(OSError, match="nobody listens on channel 9 there: is the server running"):
+        with pytest.raises(OSError, match=pattern(RfcommProblem.NOBODY_LISTENS, channel=9)):
             await Rfcomm().connect(addresses[0], 9, Recorder())
         assert 1.0 < time.monotonic() - started < 5.0
         async with listening(addresses[0], 7) as pair:
             await pair.connect()
-            with pytest.raises(OSError, match="channel 7 there is in use by another program of this machine"):
+            with pytest.raises(OSError, match=pattern(RfcommProblem.CHANNEL_IN_USE, channel=7)):
                 await Rfcomm().connect(addresses[0], 7, Recorder())
 
     asyncio.run(main())
@@ -181,7 +182,7 @@ def test_an_absent_peer_is_not_waited_for(addresses: tuple[str, str], monkeypatc
 
     async def main() -> None:
         started = time.monotonic()
-        with pytest.raises(OSError, match="no answer: is it on, near, and is the MAC right"):
+        with pytest.raises(OSError, match=pattern(RfcommProblem.NO_ANSWER)):
             await Rfcomm().connect("00:11:22:33:44:55", 5, Recorder())
         assert time.monotonic() - started < 4.0
         async with listening(addresses[0], 5) as pair:  # and it leaves nothing behind that would be in the way
@@ -192,9 +193,13 @@ def test_an_absent_peer_is_not_waited_for(addresses: tuple[str, str], monkeypatc
 
 def test_what_cannot_be_bound(addresses: tuple[str, str]) -> None:
     async def main() -> None:
-        with pytest.raises(ListenError, match=f"00:11:22:33:44:55 is no .* this machine's are {', '.join(addresses)}"):
+        absent = RfcommProblem.ANOTHER_ADAPTER(host="00:11:22:33:44:55", adapters=", ".join(addresses))
+        with pytest.raises(ListenError, match=absent):
             await Rfcomm().listen("00:11:22:33:44:55", 3, _streams_to(Recorder))
-        with holding((addresses[0], 3, "listen")), pytest.raises(ListenError, match="channel 3 is taken: choose one"):
+        with (
+            holding((addresses[0], 3, "listen")),
+            pytest.raises(ListenError, match=pattern(RfcommProblem.CHANNEL_TAKEN, channel=3)),
+        ):
             await Rfcomm().listen(addresses[0].lower(), 3, _streams_to(Recorder))
 
     asyncio.run(main())

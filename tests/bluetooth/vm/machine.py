@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 
 _PROJECT = Path(__file__).parents[3]
 _TAKEN_ALONG = ("bridge/rsb_bridge", "console/rsb_console", "tests/bluetooth")
+_FILES_TAKEN_ALONG = ("pyproject.toml", "tests/support/wording.py")
 # What is switched off costs start-up time, or hides a fault (a kernel oops ends it).
 _KERNEL_OPTIONS = (
     "console=ttyS0 loglevel=5 panic=-1 oops=panic mitigations=off nokaslr random.trust_cpu=on audit=0"
@@ -98,7 +99,8 @@ def _write_initrd(path: Path, base: Path, commands: list[str]) -> None:
     shutil.copyfile(base, path)
     with path.open("ab") as file, Archive(file) as archive:
         archive.add(PurePosixPath("commands"), "".join(f"{command}\n" for command in commands).encode())
-        archive.add(PurePosixPath("project/pyproject.toml"), (_PROJECT / "pyproject.toml").read_bytes())
+        for name in _FILES_TAKEN_ALONG:
+            archive.add(PurePosixPath("project", name), (_PROJECT / name).read_bytes())
         for folder in _TAKEN_ALONG:
             for source in sorted((_PROJECT / folder).rglob("*.py")):
                 archive.add(PurePosixPath("project", source.relative_to(_PROJECT)), source.read_bytes())

@@ -22,6 +22,7 @@ from typing import TYPE_CHECKING, NamedTuple, Protocol
 from urllib.parse import quote, unquote
 
 from rsb_bridge.model.text import sanitize_text
+from rsb_bridge.model.wording import Wording
 from rsb_bridge.transport.threads import in_thread
 from rsb_bridge.transport.zenoh.outbox import Outbox
 from rsb_bridge.transport.zenoh.sample import LENGTHS, Header, Kind
@@ -43,6 +44,15 @@ MOST_SEEN = 10_000
 """Announcements that are kept; who is in a network may make any number of them."""
 
 ROUTER_LOST = "the connection to the Zenoh router is lost"
+
+
+class EndpointProblem(Wording):
+    """Problems of an endpoint with the Zenoh network and its peers."""
+
+    ERROR = "Zenoh: {error}"
+    NOBODY_TOLD = "the Zenoh network does not say who is in it: is its router busy?"
+    PEER_LEFT = "the other side has left the Zenoh network"
+
 
 DATAGRAM = 60_000
 """Bytes of a datagram: with its key it fits one batch of Zenoh's, which loses it whole or not at all."""
@@ -194,14 +204,14 @@ class Endpoint:
             try:
                 replies = self._session.liveliness().get(key, timeout=ASKED_WITHIN)
             except self._closed_error as error:
-                raise OSError(f"Zenoh: {error}") from None
+                raise OSError(EndpointProblem.ERROR(error=error)) from None
             found = (_seen(str(reply.ok.key_expr)) for reply in replies if reply.ok is not None)
             return [seen for seen in itertools.islice(found, MOST_SEEN) if seen is not None]
 
         try:
             return await in_thread("zenoh-ask", collect, 2 * ASKED_WITHIN)
         except TimeoutError:
-            raise OSError("the Zenoh network does not say who is in it: is its router busy?") from None
+            raise OSError(EndpointProblem.NOBODY_TOLD()) from None
 
     # --- streams
 
@@ -383,7 +393,7 @@ class Endpoint:
 
     def _gone(self, address: str) -> None:
         """Have the streams of an endpoint ask whether it is there: anybody may declare its token, and undeclare it."""
-        reason = "the other side has left the Zenoh network" if self._session.info.transports() else ROUTER_LOST
+        reason = EndpointProblem.PEER_LEFT() if self._session.info.transports() else ROUTER_LOST
         for (peer, _), end in tuple(self._streams.items()):
             if peer == address:
                 end.doubt(reason)

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 from rsb_bridge.model.strangers import Strangers
 from rsb_bridge.model.transports import HOW_TO_INSTALL_ZENOH
+from rsb_bridge.model.wording import Wording
 from rsb_bridge.transport.threads import in_thread
 from rsb_bridge.transport.zenoh.endpoint import ROUTER_LOST, Endpoint
 
@@ -32,11 +33,53 @@ UNABLE = "Unable to connect"
 """What Zenoh says where it reaches nobody."""
 
 _WITHIN = 2.0
-_REMEDY = "is it a Zenoh router, and does it let this side in?"
 _MOST = 4
 """Endpoints that are looked at, one after another."""
 _EXPIRED, _NOT_YET_VALID, _WRONG_NAMES = 10, 9, (62, 64)
 """X509_V_ERR_… of OpenSSL's x509_vfy.h: the host and the IP address do not match."""
+
+
+class Unreachable(Wording):
+    """Why Zenoh reaches nobody at an endpoint, and the remedy."""
+
+    NO_ROUTER = "no Zenoh router answers: {endpoints}"
+    MORE = "and {count} more"
+    ERROR = "Zenoh: {error}"
+    NO_ANSWER = "no answer: is it a Zenoh router, and does it let this side in?"
+    NO_ANSWER_OVER_UDP = "no answer: is the router running there, and does no firewall drop UDP?"
+    NO_ANSWER_WITHIN = "no answer within {seconds:g} s: is it on, and does no firewall drop it?"
+    NAME_UNKNOWN = "the name is not known ({error})"
+    NAME_INVALID = "no host can be called so: correct the name"
+    NOBODY_LISTENS = "nobody listens there: is the router running?"
+    NO_ZENOH = (
+        "somebody listens there, and does not speak Zenoh with this side: is it a Zenoh router, and does it let this "
+        "side in?"
+    )
+    NO_ZENOH_OVER_TLS = "TLS works there, and Zenoh does not: is it a Zenoh router, and does it let this side in?"
+    NO_TLS = "no TLS there: is it a Zenoh router, and does it listen for tls? Else the endpoint is tcp/{host}:…"
+    CERTIFICATES_UNREADABLE = "the certificates of zenoh.config can't be read: {error}"
+    CERTIFICATE_REFUSED = "its certificate is refused: {error}; {remedy}"
+    OWN_CERTIFICATE_REFUSED = "it refuses this side's certificate ({error}): connect_certificate in zenoh.config"
+    OWN_CERTIFICATE_MISSING = "it asks for a certificate ({error}): enable_mtls and connect_certificate in zenoh.config"
+
+
+class CertificateRemedy(Wording):
+    """Changes that help where a router's certificate is refused."""
+
+    EXPIRED = "renew the router's listen_certificate, or set this machine's clock"
+    NOT_YET_VALID = "set this machine's clock"
+    WRONG_NAME = "connect by a name that it has, or verify_name_on_connect: false in zenoh.config"
+    UNTRUSTED = "root_ca_certificate in zenoh.config says whose are trusted"
+
+
+class NetworkProblem(Wording):
+    """Problems of the whole process with its Zenoh network."""
+
+    NO_ANSWER = "{place}: no answer within {seconds:g} s"
+    ROUTER_LOST = "{place}: {lost}: check that it runs, and firewalls"
+    CLOSED = "{place}: closed meanwhile"
+    CONFIG = "zenoh.config: {path}: {error}"
+    PLACE_OF_CONFIG = "the endpoints of {config}"
 
 
 def why_unreachable(settings: ZenohSettings, config: zenoh.Config, error: str) -> str:
@@ -49,11 +92,11 @@ def why_unreachable(settings: ZenohSettings, config: zenoh.Config, error: str) -
     """
     endpoints = settings.connect or tuple(_endpoints(json.loads(config.get_json("connect/endpoints"))))
     if not endpoints or UNABLE not in error:
-        return f"Zenoh: {first_sentence(error)}"
+        return Unreachable.ERROR(error=first_sentence(error))
     found = [f"{endpoint}: {_why(endpoint, config)}" for endpoint in endpoints[:_MOST]]
     if len(endpoints) > _MOST:
-        found.append(f"and {len(endpoints) - _MOST} more")
-    return f"no Zenoh router answers: {'; '.join(found)}"
+        found.append(Unreachable.MORE(count=len(endpoints) - _MOST))
+    return Unreachable.NO_ROUTER(endpoints="; ".join(found))
 
 
 def first_sentence(text: str) -> str:
@@ -73,24 +116,24 @@ def _why(endpoint: str, config: zenoh.Config) -> str:
     host, _, port = address.partition("?")[0].partition("#")[0].rpartition(":")
     host = host.strip("[]")
     if protocol in {"quic", "udp"}:
-        return "no answer: is the router running there, and does no firewall drop UDP?"
+        return Unreachable.NO_ANSWER_OVER_UDP()
     if protocol not in {"tcp", "tls", "ws"} or not port.isdecimal():
-        return f"no answer: {_REMEDY}"
+        return Unreachable.NO_ANSWER()
     try:
         with socket.create_connection((host, int(port)), _WITHIN) as connection:
             if protocol == "tls":
                 return _tls(connection, host, json.loads(config.get_json(TLS)) or {})
     except TimeoutError:
-        return f"no answer within {_WITHIN:g} s: is it on, and does no firewall drop it?"
+        return Unreachable.NO_ANSWER_WITHIN(seconds=_WITHIN)
     except socket.gaierror as error:
-        return f"the name is not known ({error.strerror})"
+        return Unreachable.NAME_UNKNOWN(error=error.strerror)
     except UnicodeError:
-        return "no host can be called so: correct the name"
+        return Unreachable.NAME_INVALID()
     except ConnectionRefusedError:
-        return "nobody listens there: is the router running?"
+        return Unreachable.NOBODY_LISTENS()
     except (OSError, OverflowError) as error:
         return getattr(error, "strerror", None) or str(error)
-    return f"somebody listens there, and does not speak Zenoh with this side: {_REMEDY}"
+    return Unreachable.NO_ZENOH()
 
 
 def _tls(connection: socket.socket, host: str, settings: dict[str, Any]) -> str:
@@ -99,25 +142,25 @@ def _tls(connection: socket.socket, host: str, settings: dict[str, Any]) -> str:
     try:
         context = _context(settings, shows_own=shows_own)
     except (OSError, ValueError) as error:
-        return f"the certificates of zenoh.config can't be read: {getattr(error, 'strerror', None) or error}"
+        return Unreachable.CERTIFICATES_UNREADABLE(error=getattr(error, "strerror", None) or error)
     try:
         encrypted = context.wrap_socket(connection, server_hostname=host)
     except ssl.SSLCertVerificationError as error:
-        return f"its certificate is refused: {error.verify_message}; {_remedy(error.verify_code)}"
+        return Unreachable.CERTIFICATE_REFUSED(error=error.verify_message, remedy=_remedy(error.verify_code)())
     except OSError:
-        return f"no TLS there: is it a Zenoh router, and does it listen for tls? Else the endpoint is tcp/{host}:…"
+        return Unreachable.NO_TLS(host=host)
     try:
         encrypted.settimeout(_WITHIN)
         encrypted.recv(1)  # a router that wants a certificate of ours refuses now
     except ssl.SSLError as error:
         if shows_own:
-            return f"it refuses this side's certificate ({_plain(error)}): connect_certificate in zenoh.config"
-        return f"it asks for a certificate ({_plain(error)}): enable_mtls and connect_certificate in zenoh.config"
+            return Unreachable.OWN_CERTIFICATE_REFUSED(error=_plain(error))
+        return Unreachable.OWN_CERTIFICATE_MISSING(error=_plain(error))
     except OSError:
         pass
     finally:
         encrypted.close()
-    return f"TLS works there, and Zenoh does not: {_REMEDY}"
+    return Unreachable.NO_ZENOH_OVER_TLS()
 
 
 def _context(settings: dict[str, Any], *, shows_own: bool) -> ssl.SSLContext:
@@ -138,15 +181,15 @@ def _context(settings: dict[str, Any], *, shows_own: bool) -> ssl.SSLContext:
     return context
 
 
-def _remedy(code: int) -> str:
+def _remedy(code: int) -> CertificateRemedy:
     """What to change where the router's certificate is refused."""
     if code == _EXPIRED:
-        return "renew the router's listen_certificate, or set this machine's clock"
+        return CertificateRemedy.EXPIRED
     if code == _NOT_YET_VALID:
-        return "set this machine's clock"
+        return CertificateRemedy.NOT_YET_VALID
     if code in _WRONG_NAMES:
-        return "connect by a name that it has, or verify_name_on_connect: false in zenoh.config"
-    return "root_ca_certificate in zenoh.config says whose are trusted"
+        return CertificateRemedy.WRONG_NAME
+    return CertificateRemedy.UNTRUSTED
 
 
 def _plain(error: ssl.SSLError) -> str:
@@ -178,7 +221,6 @@ _FILES = (
     "connect_certificate",
 )
 _RETRY = {"period_init_ms": 500, "period_max_ms": 4000, "period_increase_factor": 2}
-_ROUTER_REMEDY = "check that it runs, and firewalls"
 
 
 class Network:
@@ -220,13 +262,13 @@ class Network:
         try:
             await in_thread("zenoh-open", self._open, _OPEN_WITHIN)
         except TimeoutError:
-            raise OSError(f"{self.place}: no answer within {_OPEN_WITHIN:g} s") from None
+            raise OSError(NetworkProblem.NO_ANSWER(place=self.place, seconds=_OPEN_WITHIN)) from None
 
     @property
     def place(self) -> str:
         """Where the network is reached, for an operator."""
         settings = self.settings
-        return ", ".join(settings.connect or settings.listen) or f"the endpoints of {settings.config}"
+        return ", ".join(settings.connect or settings.listen) or NetworkProblem.PLACE_OF_CONFIG(config=settings.config)
 
     @property
     def connected(self) -> bool:
@@ -237,7 +279,7 @@ class Network:
     @property
     def problem(self) -> str:
         """The lost router and the remedy, or an empty string."""
-        return f"{self.place}: {ROUTER_LOST}: {_ROUTER_REMEDY}" if self._cut_off else ""
+        return NetworkProblem.ROUTER_LOST(place=self.place, lost=ROUTER_LOST) if self._cut_off else ""
 
     async def endpoint(self, service: str, label: str, watched: Sequence[str]) -> Endpoint:
         """A new endpoint on the running loop, announced to all of the fleet.
@@ -254,7 +296,7 @@ class Network:
         with self._lock:
             session = self._session
             if session is None:
-                raise OSError(f"{self.place}: closed meanwhile")
+                raise OSError(NetworkProblem.CLOSED(place=self.place))
             endpoint = Endpoint(session, self.settings.fleet, service, label, watched, self.strangers, self._left)
             self._endpoints.append(endpoint)
         try:
@@ -305,7 +347,7 @@ class Network:
         try:
             config = self._config(zenoh)
         except zenoh.ZError as error:  # it takes no such endpoint
-            raise OSError(f"Zenoh: {first_sentence(str(error))}") from None
+            raise OSError(Unreachable.ERROR(error=first_sentence(str(error)))) from None
         try:
             session = zenoh.open(config)
         except zenoh.ZError as error:
@@ -324,7 +366,7 @@ class Network:
     def _why_lost(self) -> str:
         """Why nobody is reached by a session that is open; it looks for them by itself."""
         if self._config_used is None:
-            return f"{self.place}: closed meanwhile"
+            return NetworkProblem.CLOSED(place=self.place)
         return why_unreachable(self.settings, self._config_used, UNABLE)
 
     def _config(self, package: Any) -> zenoh.Config:
@@ -335,9 +377,9 @@ class Network:
             try:
                 config = package.Config.from_json5(path.read_text(encoding="utf-8"))
             except OSError as error:
-                raise OSError(f"zenoh.config: {path}: {os.strerror(error.errno or 0)}") from None
+                raise OSError(NetworkProblem.CONFIG(path=path, error=os.strerror(error.errno or 0))) from None
             except (package.ZError, ValueError) as error:
-                raise OSError(f"zenoh.config: {path}: {first_sentence(str(error))}") from None
+                raise OSError(NetworkProblem.CONFIG(path=path, error=first_sentence(str(error)))) from None
             _from_its_folder(config, path.parent)
         for key, usual in _UNLESS_SAID.items():
             if json.loads(config.get_json(key)) is None:

@@ -19,6 +19,7 @@ from collections import deque
 from typing import TYPE_CHECKING
 
 from rsb_bridge.model.text import sanitize_text
+from rsb_bridge.model.wording import Wording
 from rsb_bridge.transport.zenoh.sample import Header, Kind
 from rsb_bridge.wire.framing import STRANGER_LIMIT
 from rsb_bridge.wire.sealing import SampleTags
@@ -47,6 +48,15 @@ _UNDER_WAY = 0.5
 """s after such an end in which samples may come that the peer sent before."""
 _ANSWERS = 64
 """Answers to a first sample that are tried; anybody can send them, and one costs about 0.1 ms."""
+
+
+class PipeProblem(Wording):
+    """Why a stream over a Zenoh network ends on both sides."""
+
+    SAMPLE_LOST = "a sample was lost in the Zenoh network"
+    SAMPLES_LOST = "{count} samples were lost in the Zenoh network"
+    TOO_MUCH_BEFORE_HANDSHAKE = "more than {limit:,} bytes came before the handshake"
+    WINDOW_IGNORED = "the other side sends more than the {limit:,} bytes that may be under way"
 
 
 class Pipe(asyncio.Transport):
@@ -285,12 +295,12 @@ class Pipe(asyncio.Transport):
         self._received_samples += 1
         self._received += len(payload)
         if self._received > STRANGER_LIMIT == self.longest:
-            error = f"more than {STRANGER_LIMIT:,} bytes came before the handshake"
+            error = PipeProblem.TOO_MUCH_BEFORE_HANDSHAKE(limit=STRANGER_LIMIT)
             self._end(error, OSError(error))
         elif not payload:
             self._say_soon()
         elif self._received - self._taken > WINDOW + SAMPLE:
-            error = f"the other side sends more than the {WINDOW:,} bytes that may be under way"
+            error = PipeProblem.WINDOW_IGNORED(limit=WINDOW)
             self._end(error, OSError(error))
         elif self._closing:
             self._taken += len(payload)
@@ -410,4 +420,4 @@ def _reason(payload: bytes) -> str:
 
 
 def _missing(count: int) -> str:
-    return f"{count} samples were lost in the Zenoh network" if count > 1 else "a sample was lost in the Zenoh network"
+    return PipeProblem.SAMPLES_LOST(count=count) if count > 1 else PipeProblem.SAMPLE_LOST()

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 from rsb_bridge.model.text import join_first
 from rsb_bridge.model.transports import ZenohDropTraits, ZenohTraits
+from rsb_bridge.model.wording import Wording
 from rsb_bridge.transport.streams import Address, Stream, StreamHandler
 from rsb_bridge.transport.transport import (
     RECEIVE_BUFFER,
@@ -39,6 +40,29 @@ _NAMED = 3
 _TOLD_EVERY = 3600.0
 """s between two messages about other servers: strangers may announce any number."""
 _RANKS = {1: 1, 0: 2, -1: 3}
+
+
+class FleetText(Wording):
+    """Texts about the servers that a fleet announces, or does not."""
+
+    NOT_IN_NETWORK = "not in the Zenoh network"
+    NO_SERVER = "the Zenoh network has no server of the fleet {fleet!r}: is it running, with that fleet?"
+    SERVER_PRESENT = (
+        "the fleet {fleet!r} has a server already: {names}: stop one, or give this one's sessions another fleet "
+        "(zenoh: {{fleet: NAME}})"
+    )
+    SEVERAL_SERVERS = (
+        "the fleet {fleet!r} has several servers: {names}: stop one, or give this one's sessions another fleet "
+        "(zenoh: {{fleet: NAME}})"
+    )
+    OTHER_SERVER = (
+        "another server is announced in the fleet {fleet!r}: {names}: clients try each, and link with the one that has "
+        "their key; if they are none of yours, set access control on the router (docs/zenoh.md)"
+    )
+    OTHER_SERVERS = (
+        "{count} other servers are announced in the fleet {fleet!r}: {names}: clients try each, and link with the one "
+        "that has their key; if they are none of yours, set access control on the router (docs/zenoh.md)"
+    )
 
 
 class ZenohStream(Stream):
@@ -89,7 +113,7 @@ class Links:
             OSError: none is announced.
         """
         if self._endpoint is None:
-            raise OSError("not in the Zenoh network")
+            raise OSError(FleetText.NOT_IN_NETWORK())
         return self._endpoint
 
     @property
@@ -147,7 +171,7 @@ class Zenoh(ZenohTraits, StreamTransport):
         fleet = self._links.network.settings.fleet
         servers = _servers(endpoint)
         if not servers:
-            raise OSError(f"the Zenoh network has no server of the fleet {fleet!r}: is it running, with that fleet?")
+            raise OSError(FleetText.NO_SERVER(fleet=fleet))
         return servers
 
     def _server(self, endpoint: Endpoint) -> str:
@@ -297,19 +321,13 @@ def _servers(endpoint: Endpoint) -> list[Seen]:
 
 def _others(fleet: str, servers: Sequence[Seen]) -> str:
     names = join_first(sorted(seen.label for seen in servers), _NAMED)
-    count = f"{len(servers)} other servers are" if len(servers) > 1 else "another server is"
-    return (
-        f"{count} announced in the fleet {fleet!r}: {names}: clients try each, and link with the one that has their "
-        "key; if they are none of yours, set access control on the router (docs/zenoh.md)"
-    )
+    text = FleetText.OTHER_SERVERS if len(servers) > 1 else FleetText.OTHER_SERVER
+    return text(count=len(servers), fleet=fleet, names=names)
 
 
 def _several(fleet: str, servers: Iterable[Seen], *, own: bool = False) -> str:
     names = join_first(sorted(seen.label for seen in servers), _NAMED)
-    remedy = "stop one, or give this one's sessions another fleet (zenoh: {fleet: NAME})"
-    if own:
-        return f"the fleet {fleet!r} has a server already: {names}: {remedy}"
-    return f"the fleet {fleet!r} has several servers: {names}: {remedy}"
+    return (FleetText.SERVER_PRESENT if own else FleetText.SEVERAL_SERVERS)(fleet=fleet, names=names)
 
 
 def _format_address(address: Address) -> str:
