@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import msgspec
 import pytest
-from tests.console.driving import NARROW, NOWHERE, WIDE, shown, text, until
+from tests.console.driving import NARROW, NOWHERE, WIDE, settled, shown, text, until
 from tests.console.scripted import NOW, SESSION, ScriptedEngine
 from tests.console.tmux import Tmux
 from tests.support.fleet import ScriptedSource, ServerEngine, fleet_of, robot, topics
@@ -457,8 +457,10 @@ def test_a_mistake_is_said_as_it_is_typed() -> None:
 def test_a_topic_is_picked_with_the_mouse() -> None:
     async def steps(bed: Bed) -> None:
         screen = await picking(bed)
-        await bed.pilot.click(screen._change.list, offset=(3, 1))
-        await bed.pilot.click(screen._change.list, offset=(3, 1))
+        await settled(bed.pilot)  # a topic that is listed already may be drawn later
+        assert await bed.pilot.click(screen._change.list, offset=(3, 1))
+        await bed.until(lambda: screen._change.list.cursor_key == "/scan", "the cursor on the second topic")
+        assert await bed.pilot.click(screen._change.list, offset=(3, 1))
         await bed.until(lambda: screen._change.control.value == "/scan ", "the second topic")
 
     with_different_cameras().run(steps)
