@@ -30,15 +30,19 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     parser.addoption("--share", metavar="K/N", help="run every N-th file, from the K-th on")
 
 
-def pytest_pycollect_makemodule(module_path: Path) -> None:
+def pytest_pycollect_makemodule(module_path: Path, parent: pytest.Collector) -> None:
     """Let Hypothesis's examples take their time: by itself it fails a test of which one takes 0.2 s.
 
-    To be said before a test is made of them, and only where there are any: to import it takes 0.1 s.
+    `make test` takes fewer of them. To be said before a test is made of them, and only where there are any: to import
+    it takes 0.1 s.
     """
     if b"hypothesis" in module_path.read_bytes():
         from hypothesis import HealthCheck, settings
 
-        settings.register_profile("patient", deadline=None, suppress_health_check=[HealthCheck.too_slow])
+        examples = 30 if parent.config.getoption("markexpr") == "not long" else 100
+        settings.register_profile(
+            "patient", deadline=None, max_examples=examples, suppress_health_check=[HealthCheck.too_slow]
+        )
         settings.load_profile("patient")
 
 

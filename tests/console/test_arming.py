@@ -17,6 +17,7 @@ from tests.console.live import COMMAND, Pair, running, talker
 from tests.console.scripted import route
 from tests.console.side import every_so_often
 from tests.console.tmux import Tmux
+from tests.support.long import long
 
 from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import ArmingSnapshot, State
@@ -211,7 +212,7 @@ def robot(pair: Pair, tmp_path: Path) -> Iterator[Robot]:
 
 
 @pytest.mark.skipif(shutil.which("tmux") is None, reason="needs tmux")
-@pytest.mark.parametrize("end", ["killed", "terminal gone"])
+@pytest.mark.parametrize("end", ["killed", *long("terminal gone")])
 def test_a_console_that_dies_disarms(end: str, robot: Robot, tmp_path: Path) -> None:
     tmux = Tmux(tmp_path, *robot.command("attach"), size=(160, 40))
     try:

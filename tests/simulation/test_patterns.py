@@ -157,6 +157,7 @@ def test_a_link_that_is_down_is_no_reason_to_take_topics_for_gone(play: Play) ->
     lived(play, yard, live(), 5 * GONE_AFTER)
 
 
+@pytest.mark.long
 def test_a_pattern_ends_at_its_limit_and_says_so(play: Play) -> None:
     yard = Yard(Topic("/a/*", "transmit"), Topic("/b/**", "transmit"), Topic("/c/*", "transmit"))
 
