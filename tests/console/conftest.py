@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 from textual.cache import LRUCache
+from textual.css.model import RuleSet
 from textual.css.stylesheet import Stylesheet
 
 if TYPE_CHECKING:
@@ -36,6 +37,7 @@ def _parsed_once() -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(Stylesheet, "__init__", init)
         patch.setattr(Stylesheet, "set_variables", change)
+        patch.setattr(RuleSet, "__hash__", object.__hash__)  # the same, but not in Python: there are 100,000 in a test
         yield
 
 
