@@ -46,7 +46,7 @@ SAMPLE = (
     "throttled on purpose",
     "a publisher that hangs",
 )
-"""What `make test` plays of the causes; `tests.engine.test_verdicts` brings each about without screens."""
+"""What `make test` has of the causes; `tests.engine.test_verdicts` brings most of the others about, without screens."""
 
 
 class Row(NamedTuple):
