@@ -287,6 +287,7 @@ def test_what_a_pattern_has_made_is_listed_as_long_as_it_is_there(play: Play) ->
     lived(play, yard, live(), 60.0)
 
 
+@pytest.mark.long
 def test_many_patterns_cost_nothing_while_nothing_changes(play: Play) -> None:
     """500 topics and 20 patterns: a name is held against patterns once, and a graph that rests is not looked at."""
     yard = Yard(*(Topic(f"/group{n}/**/none", "transmit") for n in range(19)), Topic("/group0/*", "transmit"))

@@ -60,7 +60,7 @@ def test_a_seed_is_a_world() -> None:
 def played(hash_seed: str) -> str:
     """What the command says of a world, without the CPU time."""
     done = subprocess.run(
-        [sys.executable, "-m", "tests.simulation", "4", "--days", "0.01"],
+        [sys.executable, "-m", "tests.simulation", "4", "--days", "0.005"],
         cwd=Path(__file__).parents[2],
         env={"PYTHONHASHSEED": hash_seed, "PYTHONPATH": ":".join(sys.path)},
         capture_output=True,
