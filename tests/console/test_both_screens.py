@@ -39,16 +39,6 @@ if TYPE_CHECKING:
 pytestmark = pytest.mark.skipif(shutil.which("tmux") is None, reason="it needs tmux (apt install tmux)")
 
 
-SAMPLE = (
-    "a far subscriber that asks for reliable",
-    "2 Hz of 20 expected",
-    "a name that is typed wrong",
-    "throttled on purpose",
-    "a publisher that hangs",
-)
-"""What `make test` has of the causes; `tests.engine.test_verdicts` brings most of the others about, without screens."""
-
-
 class Row(NamedTuple):
     """A cause, and what is said of it.
 
@@ -326,11 +316,7 @@ def world(tmp_path_factory: pytest.TempPathFactory, _domains: int) -> Iterator[W
         yield World(folder, (_domains, _domains + 1), nodes)
 
 
-@pytest.mark.parametrize(
-    "row",
-    [row if row.name in SAMPLE else pytest.param(row, marks=pytest.mark.long) for row in ROWS],
-    ids=lambda row: row.name,
-)
+@pytest.mark.parametrize("row", ROWS, ids=lambda row: row.name)
 def test_both_sides_name_the_cause(world: World, row: Row) -> None:
     world.act(row)
     gone = row.leaves if row.cause is Cause.NO_SUBSCRIBER else ""
