@@ -25,14 +25,14 @@ demo-fleet: $(STAMP)
 # The tests by folder, or by several that are short, since each start of pytest takes a second. Most wait for most of their
 # time, so MANY are run at once, the longest first and the largest in shares (K of N takes every N-th file); what only
 # computes gives way to them, in one process after another. What runs at once shares no ROS domain, port or file.
-#   make test        everything but the next two
-#   make test-all    that, and tests marked as long, simulated networks (tests/network) and a machine with the real kernel's
-#                    Bluetooth (tests/bluetooth, docs/bluetooth.md)
+#   make test        lint and all tests but those that make test-all adds
+#   make test-all    these, tests that are marked as long, simulated networks (tests/network), and a machine with the real
+#                    kernel's Bluetooth (tests/bluetooth, docs/bluetooth.md)
 #   make test-quick  lint without mypy, and what is tested without ROS, processes and screens
 #   make test-link   one folder, long tests included
-MANY := 9
-LONGEST := engine.1 engine.2 engine.3 engine.4 engine.5 engine.6 system.1 system.2 link.1 link.2 calls.1 calls.2 calls.3 \
-  console.1 console.2 console.3 console.4 command.1 command.2
+MANY := 10
+LONGEST := console.1 console.2 console.3 engine.1 engine.2 engine.3 engine.4 engine.5 engine.6 command.1 command.2 link.1 \
+  link.2 calls.1 calls.2 calls.3 system.1 system.2 control
 PURE := cdr channel config fleet fuzz history model route
 QUICK := $(PURE) wire
 COMPUTING := lint simulation wire pure
