@@ -25,11 +25,11 @@ DAYS = {
 happens every few seconds (8), and many robots on one server (58)."""
 
 BEGINNINGS = {
-    1: 0.03,
-    3: 0.05,
-    6: 0.1,
-    8: 0.02,
-    58: 0.003,
+    1: 0.02,
+    3: 0.02,
+    6: 0.05,
+    8: 0.01,
+    58: 0.002,
 }
 """What `make test` plays of these worlds."""
 
