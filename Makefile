@@ -14,7 +14,7 @@ unexport PYTHONDONTWRITEBYTECODE
 # Nothing that runs from here leaves this machine.
 export ROS_AUTOMATIC_DISCOVERY_RANGE := LOCALHOST
 
-.PHONY: demo demo-fleet test test-wire lint bench soak fuzz lock screenshots man texts clean system
+.PHONY: demo demo-fleet test test-all test-quick test-wire test-pure quick-lint lint bench soak fuzz lock screenshots man texts clean system
 
 demo: $(STAMP)
 	$(BIN)/rsb-console demo
@@ -22,39 +22,66 @@ demo: $(STAMP)
 demo-fleet: $(STAMP)
 	$(BIN)/rsb-console demo --fleet
 
-# The tests by folder, the longest first. Five folders at a time, since many wait for most of their time, and beside them
-# those that only compute, one after another. The largest folders are run in shares. Folders share no ROS domain, port or
-# file. `make test-link` runs one of them, `make test-bluetooth` those that boot a machine with the real kernel's Bluetooth
-# (docs/bluetooth.md).
-COMPUTING := bluetooth simulation lint wire
-LONGEST := engine.1 engine.2 engine.3 console.1 console.2 console.3 link calls.1 calls.2 system network command
+# The tests by folder, or by several that are short, since each start of pytest takes a second. Most wait for most of their
+# time, so MANY are run at once, the longest first and the largest in shares (K of N takes every N-th file); what only
+# computes gives way to them, in one process after another. What runs at once shares no ROS domain, port or file.
+#   make test        lint and all tests but those that make test-all adds
+#   make test-all    these, tests that are marked as long, simulated networks (tests/network), and a machine with the real
+#                    kernel's Bluetooth (tests/bluetooth, docs/bluetooth.md)
+#   make test-quick  lint without mypy, and what is tested without ROS, processes and screens
+#   make test-link   one folder, long tests included
+MANY := 10
+LONGEST := console.1 console.2 console.3 engine.1 engine.2 engine.3 engine.4 engine.5 engine.6 command.1 command.2 link.1 \
+  link.2 calls.1 calls.2 calls.3 system.1 system.2 control
+PURE := cdr channel config fleet fuzz history model route
+QUICK := $(PURE) wire
+COMPUTING := lint simulation wire pure
+ALONE := network bluetooth
 FOLDERS := $(sort $(patsubst tests/%/,%,$(dir $(wildcard tests/*/test_*.py))))
-PARTS := $(addprefix test-,$(LONGEST) $(filter-out $(COMPUTING) $(basename $(LONGEST)),$(FOLDERS)))
+WAITING := $(LONGEST) $(filter-out $(sort $(basename $(LONGEST))) $(COMPUTING) $(PURE) $(ALONE),$(FOLDERS))
+AT_ONCE := $(MAKE) --no-print-directory --keep-going --output-sync=target --jobs
 
 test: $(STAMP) system
-	$(MAKE) --no-print-directory --keep-going --jobs=6 --output-sync=target computing $(PARTS)
+	$(AT_ONCE)=$(MANY) ONLY="-m 'not long'" computing $(addprefix test-,$(WAITING))
+
+test-all: $(STAMP) system
+	$(AT_ONCE)=$(MANY) computing $(addprefix test-,$(WAITING) $(ALONE))
+
+test-quick: $(STAMP)
+	$(AT_ONCE)=3 quick-lint quick.1 quick.2
 
 # What only computes gives way to what talks by DDS: where that starves, one participant of a process may discover another
 # without being discovered by it, for good (seen once in 700 starts on a core shared by eight).
 GIVES_WAY := nice -n 5
+PYTEST = timeout -k 5 1800 $(BIN)/python -m pytest -p no:cacheprovider
+ONLY :=
 
 .PHONY: computing
 computing: $(STAMP) system
 	@failed=; for part in $(patsubst test-lint,lint,$(addprefix test-,$(COMPUTING))); do \
 	  $(MAKE) --no-print-directory $$part || failed=1; done; [ -z "$$failed" ]
 
+# Coverage wants all of Hypothesis's examples.
 test-wire: $(STAMP)
-	$(GIVES_WAY) timeout -k 5 1800 $(BIN)/python -m pytest -p no:cacheprovider tests/wire --cov=rsb_bridge.wire --cov-branch --cov-fail-under=100
+	$(GIVES_WAY) $(PYTEST) -p no:textual-snapshot tests/wire --cov=rsb_bridge.wire --cov-branch --cov-fail-under=100
+
+test-pure: $(STAMP)
+	$(GIVES_WAY) $(PYTEST) -p no:textual-snapshot $(ONLY) $(addprefix tests/,$(PURE))
 
 test-%: $(STAMP) system
-	$(if $(filter bluetooth simulation,$*),$(GIVES_WAY)) timeout -k 5 1800 \
-	  $(BIN)/python -m pytest -p no:cacheprovider tests/$(basename $*) $(addprefix --share=,$(addsuffix /$(words $(filter $(basename $*).%,$(LONGEST))),$(subst .,,$(suffix $*))))
+	$(if $(filter bluetooth simulation,$*),$(GIVES_WAY)) $(PYTEST) $(if $(filter console,$(basename $*)),,-p no:textual-snapshot) \
+	  $(ONLY) tests/$(basename $*) $(addprefix --share=,$(addsuffix /$(words $(filter $(basename $*).%,$(LONGEST))),$(subst .,,$(suffix $*))))
 
-lint: $(STAMP)
+quick.%: $(STAMP)
+	$(PYTEST) -q -p no:textual-snapshot -m 'not long' $(addprefix tests/,$(QUICK)) --share=$*/2
+
+quick-lint: $(STAMP)
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
+	$(BIN)/lint-imports --no-cache
+
+lint: quick-lint
 	$(GIVES_WAY) $(BIN)/mypy
-	$(GIVES_WAY) $(BIN)/lint-imports --no-cache
 
 bench: $(STAMP)
 	$(BIN)/python -m bench.run

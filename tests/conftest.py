@@ -7,6 +7,7 @@ import sys
 from typing import TYPE_CHECKING, Any
 
 import pytest
+from _pytest.unraisableexception import gc_collect_iterations_key
 from tests.support.locks import two_domains
 
 if TYPE_CHECKING:
@@ -20,9 +21,13 @@ if TYPE_CHECKING:
     from tests.support.relay import Relay
 
 
-def pytest_configure() -> None:
-    """Have the cycle collector run less often: a Textual app makes so many objects that it took 15 % of the time."""
-    gc.set_threshold(50_000, 20, 20)
+def pytest_configure(config: pytest.Config) -> None:
+    """Have the cycle collector run less often: a Textual app makes so many objects that it took 15 % of the time.
+
+    At the end pytest would collect five times (for PyPy), which takes seconds after the console's tests.
+    """
+    gc.set_threshold(100_000, 20, 20)
+    config.stash[gc_collect_iterations_key] = 2
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
@@ -30,25 +35,29 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     parser.addoption("--share", metavar="K/N", help="run every N-th file, from the K-th on")
 
 
-def pytest_pycollect_makemodule(module_path: Path) -> None:
+def pytest_pycollect_makemodule(module_path: Path, parent: pytest.Collector) -> None:
     """Let Hypothesis's examples take their time: by itself it fails a test of which one takes 0.2 s.
 
-    To be said before a test is made of them, and only where there are any: to import it takes 0.1 s.
+    `make test` takes fewer of them. To be said before a test is made of them, and only where there are any: to import
+    it takes 0.1 s.
     """
     if b"hypothesis" in module_path.read_bytes():
         from hypothesis import HealthCheck, settings
 
-        settings.register_profile("patient", deadline=None, suppress_health_check=[HealthCheck.too_slow])
+        examples = 30 if parent.config.getoption("markexpr") == "not long" else 100
+        settings.register_profile(
+            "patient", deadline=None, max_examples=examples, suppress_health_check=[HealthCheck.too_slow]
+        )
         settings.load_profile("patient")
 
 
-def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Keep the tests of some of the files, where that is asked for."""
-    if share := config.getoption("share"):
-        first, every = map(int, share.split("/"))
-        files = sorted({item.path for item in items})[first - 1 :: every]
-        config.hook.pytest_deselected(items=[item for item in items if item.path not in files])
-        items[:] = [item for item in items if item.path in files]
+def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
+    """Leave out the files of other shares, without reading them."""
+    share = config.getoption("share")
+    if not share or not collection_path.match("test_*.py"):
+        return None
+    first, every = map(int, share.split("/"))
+    return collection_path not in sorted(collection_path.parent.glob("test_*.py"))[first - 1 :: every] or None
 
 
 def pytest_collection_finish(session: pytest.Session) -> None:

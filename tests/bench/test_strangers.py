@@ -5,9 +5,12 @@ from __future__ import annotations
 import pytest
 from bench.strangers import FLAT, SHORT, Flood, measure
 from tests.support.locks import two_domains
+from tests.support.long import long
 
 
-@pytest.mark.parametrize("flood", SHORT, ids=[flood.transport for flood in SHORT])
+@pytest.mark.parametrize(
+    "flood", [*long(SHORT[0]), SHORT[1], *long(SHORT[2])], ids=[flood.transport for flood in SHORT]
+)
 def test_a_flood_leaves_the_memory_as_it_was_and_a_robot_links(flood: Flood) -> None:
     if flood.transport == "zenoh":
         pytest.importorskip("zenoh")

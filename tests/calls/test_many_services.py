@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+import pytest
 from tests.calls.ledgers import balanced, called, nothing_left
 from tests.support.bridge import now
 from tests.support.waiting import eventually, holds
@@ -18,6 +19,7 @@ _NODES, _EACH = 10, 20
 _FORGOTTEN_AFTER = 15.0
 
 
+@pytest.mark.long
 def test_two_hundred_services_of_ten_nodes_are_there_at_once_and_stay(
     bridge: Bridge, near: CallNode, far: CallNode, service: str
 ) -> None:

@@ -17,6 +17,7 @@ from tests.console.live import COMMAND, Pair, running, talker
 from tests.console.scripted import route
 from tests.console.side import every_so_often
 from tests.console.tmux import Tmux
+from tests.support.long import long
 
 from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import ArmingSnapshot, State
@@ -211,7 +212,7 @@ def robot(pair: Pair, tmp_path: Path) -> Iterator[Robot]:
 
 
 @pytest.mark.skipif(shutil.which("tmux") is None, reason="needs tmux")
-@pytest.mark.parametrize("end", ["killed", "terminal gone"])
+@pytest.mark.parametrize("end", ["killed", *long("terminal gone")])
 def test_a_console_that_dies_disarms(end: str, robot: Robot, tmp_path: Path) -> None:
     tmux = Tmux(tmp_path, *robot.command("attach"), size=(160, 40))
     try:
@@ -253,7 +254,7 @@ def test_the_robot_s_own_console_that_dies_disarms_the_other_side(pair: Pair, tm
         assert there.why_disarmed() in ("link_lost", "channel_lost"), "whichever connection is seen to end first"
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGKILL], ids=["Ctrl-C", "kill -9"])
+@pytest.mark.parametrize("number", [signal.SIGKILL, *long(signal.SIGINT)], ids=["kill -9", "Ctrl-C"])
 def test_the_command_holds_it_armed_while_it_runs(number: signal.Signals, robot: Robot) -> None:
     command = robot.command("arm", CHATTER)
     with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as arming:

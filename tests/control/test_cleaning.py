@@ -14,7 +14,7 @@ from tests.support.operators import BOB, Reachable, Stranger
 from tests.support.waiting import eventually
 
 from rsb_bridge.api import EngineError
-from rsb_bridge.control import protocol
+from rsb_bridge.control import cleaning, protocol
 from rsb_bridge.control.cleaning import MOST_ITEMS, ROUTE_BYTES, TEXT, UntrustedMessages, check_routes, clean
 from rsb_bridge.control.protocol import BridgeInfo, ProtocolError, ToConsole
 from rsb_bridge.control.states import Receiver
@@ -137,12 +137,13 @@ def test_too_much_is_refused() -> None:
         tell_for_long()
 
 
-def test_routes_that_are_never_listed_are_bounded() -> None:
+def test_routes_that_are_never_listed_are_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(cleaning, "MOST_ITEMS", 3000)
     receiver = Receiver(BRIDGE, trusted=False)
-    for first in range(0, MOST_ITEMS, 1000):
+    for first in range(0, 3000, 1000):
         assert not receiver.take(some_routes(first))
     with pytest.raises(ProtocolError):
-        receiver.take(some_routes(MOST_ITEMS))
+        receiver.take(some_routes(3000))
 
 
 def some_routes(first: int) -> protocol.State:

@@ -57,7 +57,7 @@ def fed(data: bytes, cuts: list[int], *, to_bridge: bool) -> list[Any]:
 
 
 @pytest.mark.parametrize("name", MESSAGES)
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=settings().max_examples * 3 // 5, deadline=None)
 @given(data=st.data(), cuts=st.lists(st.integers(0, 10_000), max_size=5))
 def test_every_message_comes_through_whole(name: str, data: st.DataObject, cuts: list[int]) -> None:
     messages = data.draw(st.lists(MESSAGES[name], min_size=1, max_size=3))
@@ -65,7 +65,7 @@ def test_every_message_comes_through_whole(name: str, data: st.DataObject, cuts:
     assert fed(b"".join(map(protocol.encode, messages)), cuts, to_bridge=to_bridge) == messages
 
 
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=settings().max_examples * 3, deadline=None)
 @given(data=st.binary(max_size=200), to_bridge=st.booleans())
 def test_whatever_comes_is_a_message_or_refused(data: bytes, to_bridge: bool) -> None:
     with contextlib.suppress(ProtocolError):  # some bytes are a message

@@ -223,6 +223,7 @@ def test_a_day_is_kept_and_no_more() -> None:
     assert abs(track.out - 24 * 60) <= 60
 
 
+@pytest.mark.long
 def test_a_fifth_of_500_topics_takes_a_fifth_of_30_mb() -> None:
     names = [f"/robot/topic_{number}" for number in range(100)]
     world, now = World(*names), EPOCH

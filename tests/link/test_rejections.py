@@ -6,6 +6,7 @@ from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
 import pytest
+from tests.support.long import long
 
 from rsb_bridge.link.refused_clients import Refusals
 from rsb_bridge.model.codes import EventCode
@@ -50,7 +51,7 @@ def test_a_refusal_that_goes_on(loop: VirtualLoop, make_context: Callable[..., C
     assert tries(_TRIED_EVERY, "the keys differ") == 1
 
 
-@pytest.mark.parametrize("hosts", [["10.0.0.9"], [f"2001:db8::{number:x}" for number in range(1000)]])
+@pytest.mark.parametrize("hosts", [["10.0.0.9"], *long([f"2001:db8::{number:x}" for number in range(1000)])])
 def test_ever_new_words_from_one_host(
     hosts: list[str], loop: VirtualLoop, make_context: Callable[..., Context]
 ) -> None:

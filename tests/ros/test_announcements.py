@@ -183,6 +183,7 @@ def test_many_nodes_are_looked_at_once_each(domain: Domain) -> None:
     assert domain.ros.asked - before == 500
 
 
+@pytest.mark.long
 def test_strangers_fill_no_memory_and_do_not_drown_a_bridge(domain: Domain) -> None:
     """A hundred of them announce 1 MiB of garbage each, and then thousands of publishers each."""
     other, chat = endpoint("rsb_other", b"other"), endpoint("rsb_other", b"chat")

@@ -12,7 +12,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 from rcl_interfaces.msg import Parameter, ParameterEvent, ParameterValue
 from rclpy.serialization import deserialize_message, serialize_message
-from rsb_bridge.cdr.parameter_event import LONGEST, node_of
 from tests.support.wording import pattern
 
 from rsb_bridge.ros.parameter_events import LONGEST, InvalidEvent, ParameterEventError, node_of, with_node

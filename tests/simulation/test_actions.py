@@ -16,6 +16,7 @@ from tests.simulation.action_server import Plan
 from tests.simulation.climate import STILL
 from tests.simulation.services import Server
 from tests.simulation.world import World
+from tests.support.long import long
 
 from rsb_bridge.model.session import Topic
 from rsb_bridge.route.calls import calling_action, kept_calls, providing_action
@@ -278,7 +279,7 @@ def test_a_server_that_is_replaced_unseen_leaves_nothing_behind(provider: str, p
     lived(play, court, live())
 
 
-@pytest.mark.parametrize("seed", range(1, 7))
+@pytest.mark.parametrize("seed", [1, 2, *long(3, 4, 5, 6)])
 def test_nothing_is_left_over_after_a_course_of_faults(seed: int, play: Play) -> None:
     """Links drop, bridges and servers are killed, at either end, while goals are sent, and cancelled, all the time."""
     court = Court(SIDES[seed % 2], seed, timeout=(None, 5.0)[seed // 2 % 2])

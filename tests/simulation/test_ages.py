@@ -12,6 +12,7 @@ from tests.simulation.climate import STILL
 from tests.simulation.episodes import aged, linked_by_a_slow_way
 from tests.simulation.mutations import Mutation
 from tests.simulation.world import Violation, World
+from tests.support.long import long
 
 from rsb_bridge.channel.stream import StreamSender
 from rsb_bridge.link import roles
@@ -43,7 +44,7 @@ def aging_world(seed: int, protocol: Protocol = "tcp", max_rate: float | None = 
 
 
 @pytest.mark.parametrize("protocol", ["tcp", "udp"])
-@pytest.mark.parametrize("seed", range(1, 7))
+@pytest.mark.parametrize("seed", [1, 2, *long(3, 4, 5, 6)])
 def test_nothing_old_is_published(seed: int, protocol: Protocol, play: Play) -> None:
     world, flow = aging_world(seed, protocol, None if seed % 2 else 10.0)
     play(world, _SECONDS, aged(world))

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import pytest
 from tests.simulation.climate import ACTIONS, CALLS
 from tests.simulation.world import Violation, World
+from tests.support.long import long
 
 if TYPE_CHECKING:
     from tests.simulation.conftest import Play
@@ -16,7 +17,7 @@ _HOURS = dict.fromkeys((1, 2, 3, 4), 0.3)
 _OF_ACTIONS = {1: 0.35, 4: 0.5, 5: 0.35}
 
 
-@pytest.mark.parametrize("seed", _HOURS)
+@pytest.mark.parametrize("seed", [2, *long(1, 3, 4)])
 def test_no_answer_is_wrong_and_nothing_is_left_over(seed: int, play: Play) -> None:
     world = World(seed, CALLS if seed % 2 else replace(CALLS, faults=10.0, commands=60.0))
     try:
@@ -26,7 +27,7 @@ def test_no_answer_is_wrong_and_nothing_is_left_over(seed: int, play: Play) -> N
     assert sum(exchange.answered for exchange in world.exchanges.values()) > 100
 
 
-@pytest.mark.parametrize("seed", _OF_ACTIONS)
+@pytest.mark.parametrize("seed", [1, *long(4, 5)])
 def test_goals_outlive_whatever_goes_wrong(seed: int, play: Play) -> None:
     world = World(seed, replace(ACTIONS, faults=20.0) if seed == 1 else ACTIONS)
     try:

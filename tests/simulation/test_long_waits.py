@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
+import pytest
 from tests.simulation.climate import STILL
 from tests.simulation.episodes import server_away, slow_motion, type_differs_for
 from tests.simulation.world import World
@@ -20,6 +21,7 @@ _TICK = 600.0
 _SLOW = replace(STILL, checks=(_TICK, _TICK), patience=_TICK)
 
 
+@pytest.mark.long
 def test_a_server_that_is_away_for_two_days(play: Play) -> None:
     """Its clients call for all that time, and are linked soon after it is back."""
     world = World(1, _SLOW)
@@ -29,6 +31,7 @@ def test_a_server_that_is_away_for_two_days(play: Play) -> None:
     assert world.invariants.worst_recovery <= _TICK  # when it is looked at next
 
 
+@pytest.mark.long
 def test_a_topic_that_is_refused_for_a_month(play: Play) -> None:
     """It is asked for all that time, and flows soon after the reason is gone."""
     world = World(1, _SLOW)

@@ -156,6 +156,7 @@ def test_a_link_that_is_down_is_no_reason_to_take_topics_for_gone(play: Play) ->
     lived(play, yard, live(), 5 * GONE_AFTER)
 
 
+@pytest.mark.long
 def test_a_pattern_ends_at_its_limit_and_says_so(play: Play) -> None:
     yard = Yard(Topic("/a/*", "transmit"), Topic("/b/**", "transmit"), Topic("/c/*", "transmit"))
 
@@ -285,6 +286,7 @@ def test_what_a_pattern_has_made_is_listed_as_long_as_it_is_there(play: Play) ->
     lived(play, yard, live(), 60.0)
 
 
+@pytest.mark.long
 def test_many_patterns_cost_nothing_while_nothing_changes(play: Play) -> None:
     """500 topics and 20 patterns: a name is held against patterns once, and a graph that rests is not looked at."""
     yard = Yard(*(Topic(f"/group{n}/**/none", "transmit") for n in range(19)), Topic("/group0/*", "transmit"))

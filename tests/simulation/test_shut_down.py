@@ -11,6 +11,7 @@ import pytest
 from tests.simulation.climate import STILL
 from tests.simulation.episodes import shut_down_for
 from tests.simulation.world import World
+from tests.support.long import long
 
 from rsb_bridge.link.link import Link
 from rsb_bridge.link.server_link import ServerLink
@@ -25,7 +26,7 @@ _SHUT_DOWN = 3 * 3600.0
 _PLAYED = _SHUT_DOWN + 300.0
 
 
-@pytest.mark.parametrize("cuts", [0, 5])
+@pytest.mark.parametrize("cuts", [5, *long(0)])
 def test_a_client_that_is_shut_down_for_hours_asks_all_that_time_and_comes_back(cuts: int, play: Play) -> None:
     """Nobody walks to the robot: its engine stays up, also where the network fails meanwhile."""
     world = World(1, replace(STILL, topics=(1,)))

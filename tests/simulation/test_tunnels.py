@@ -10,13 +10,14 @@ from tests.simulation.climate import STILL
 from tests.simulation.episodes import tunnelled
 from tests.simulation.invariants import route_of
 from tests.simulation.world import World
+from tests.support.long import long
 
 if TYPE_CHECKING:
     from tests.simulation.conftest import Play
 
 
-@pytest.mark.parametrize("topics", [1, 3])
-@pytest.mark.parametrize("speed", [2_000.0, 5_000.0, 50_000.0])
+@pytest.mark.parametrize("topics", [3, *long(1)])
+@pytest.mark.parametrize("speed", [2_000.0, 5_000.0, *long(50_000.0)])
 def test_messages_stay_fresh(topics: int, speed: float, play: Play) -> None:
     """Several topics and the link's own stream share the tunnel's one queue; the link stays up all the time."""
     world = World(1, replace(STILL, topics=(topics,)))

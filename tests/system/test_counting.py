@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import pytest
 from tests.support.counting import TOPIC, CountedBridge
 from tests.support.locks import two_domains
+from tests.support.long import long
 from tests.support.ports import free_port
 from tests.support.waiting import eventually
 
@@ -65,7 +66,7 @@ def more(counted: CountedBridge) -> None:
     eventually(lambda: counted.listener.ask()["newest"] > published + RATE / 2)
 
 
-@pytest.mark.parametrize("protocol", ["tcp", "udp"])
+@pytest.mark.parametrize("protocol", ["udp", *long("tcp")])
 def test_a_freeze_a_cut_and_a_kill(protocol: Any, tmp_path: Path, domains: tuple[int, int]) -> None:
     from tests.support.relay import Relay
 

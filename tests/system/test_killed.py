@@ -7,8 +7,10 @@ import random
 import time
 from typing import TYPE_CHECKING
 
+import pytest
 from tests.support.bridge import linked
 from tests.support.domain import Domain, text
+from tests.support.long import long
 from tests.support.resources import resources
 from tests.support.waiting import eventually
 
@@ -23,10 +25,9 @@ if TYPE_CHECKING:
 
     from rsb_bridge.engine import Engine
 
-CYCLES = 50
 
-
-def test_fifty_times(bridge: Bridge, programs: Programs, robot: Domain, pc: Domain) -> None:
+@pytest.mark.parametrize("times", [12, *long(50)])
+def test_again_and_again(times: int, bridge: Bridge, programs: Programs, robot: Domain, pc: Domain) -> None:
     """Two bridges at once, one whose client dies and one whose server does; the other halves live in this process.
 
     The victims are killed while they link, or once their topics are open, or while messages cross; each time the
@@ -66,10 +67,11 @@ def test_fifty_times(bridge: Bridge, programs: Programs, robot: Domain, pc: Doma
         rebooted.close()
         eventually(lambda: not linked(server) and not linked(client))
 
-    for number in range(10):
+    settled = times // 5
+    for number in range(settled):
         cycle(number)
     before = resources()
-    for number in range(10, CYCLES):
+    for number in range(settled, times):
         cycle(number)
     eventually(
         lambda: all(now <= then for now, then in zip(resources()[:2], before[:2], strict=True)),

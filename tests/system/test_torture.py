@@ -57,6 +57,7 @@ def test_nothing_reaches_the_robot_after_an_operator_was_told_that_it_is_disarme
     check(attacks.attack(nodes, "disarm-data-held", "tcp"))
 
 
+@pytest.mark.long
 def test_no_demand_is_lost(nodes: Nodes) -> None:
     """Nobody arms anything; a case that crosses has lost what a session demands."""
     found = demands.run(nodes, (*demands.CASES, *demands.EDITS), watched=1.0)
@@ -65,6 +66,7 @@ def test_no_demand_is_lost(nodes: Nodes) -> None:
     assert {name: crossed for name, crossed in found.items() if crossed.wrong} == {}
 
 
+@pytest.mark.long
 @pytest.mark.skipif(not ages.KNOWN, reason="this version does not know max_age")
 def test_nothing_older_than_max_age_reaches_the_robot(nodes: Nodes) -> None:
     check(ages.run(nodes, "add-up", "tcp", "pc-pattern"))

@@ -98,7 +98,7 @@ def of_link(server: Engine, name: str) -> list[Event]:
 @pytest.mark.parametrize(
     ("flood", "codes"),
     [
-        (come_and_go, {EventCode.ROUTE_REMOVED}),
+        pytest.param(come_and_go, {EventCode.ROUTE_REMOVED}, marks=pytest.mark.long),
         (are_refused, {EventCode.ROUTE_REFUSED}),
         (pause_and_resume, {EventCode.ROUTE_PAUSED, EventCode.ROUTE_RESUMED}),
     ],
@@ -126,6 +126,7 @@ def test_lines_at_line_speed(
     again.close()
 
 
+@pytest.mark.long
 def test_a_link_that_is_made_and_broken_at_full_speed(bridge: Bridge, server: Engine) -> None:
     """What became of it last is told nevertheless, and the lines of its topics have not lost their room."""
     key = read_key(bridge.folder / bridge.key_file).secret
