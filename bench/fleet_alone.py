@@ -12,8 +12,7 @@ import msgspec
 
 from rsb_bridge.model.clock import Clock
 from rsb_bridge.model.robot_summary import Loss, RobotState, RobotSummary
-from rsb_console.fleet.fleet import Fleet
-from rsb_console.fleet.memory import Memory
+from rsb_console.fleet.fleet import Fleet, Memory
 from rsb_console.fleet_app import FleetApp
 from rsb_console.widgets.fleet_table import FleetView
 

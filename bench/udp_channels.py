@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING
 from rsb_bridge.channel.data_keys import DataKeys
 from rsb_bridge.channel.datagram import DatagramSender, datagram_channel
 from rsb_bridge.channel.udp_channel import ClientUdpChannel, PathProbe, ServerUdpChannel, UdpDemultiplexer
-from rsb_bridge.route.topic_outbox import QueueLimits, SendQueue
+from rsb_bridge.route.sending import QueueLimits, SendQueue
 from rsb_bridge.transport import udp
 from rsb_bridge.transport.streams import StreamHandler
 from rsb_bridge.transport.transport import Acceptor

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, cast
 
 import pytest
 
-from rsb_console.bench.over_link import loads_of_all
 from rsb_console.bench.presentation import USUAL, capacity, in_words, judge
 from rsb_console.bench.results import Load, Point, Run
+from rsb_console.bench.suite import loads_of_all
 
 if TYPE_CHECKING:
     from rsb_bridge.model.snapshot import Snapshot

@@ -20,7 +20,7 @@ from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import RouteSnapshot, State
 from rsb_console.command.arguments import parser_and_commands
 from rsb_console.command.remote_arguments import IN_FLEET
-from rsb_console.fleet.memory import Memory, Remembered, memory_path
+from rsb_console.fleet.fleet import Memory, Remembered, memory_path
 
 if TYPE_CHECKING:
     from tests.support.control import Machine

@@ -7,8 +7,8 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from rsb_bridge.config.granted_operators import Granted, granted_operators, operator_changes
 from rsb_bridge.config.keys import Key, KeyFileError, copy_key, key_users, unshared_keys, write_key
+from rsb_bridge.config.rights import Granted, granted_operators, operator_changes
 from rsb_bridge.config.session_file import SessionError, dump, load_file, parse, save, validate
 from rsb_bridge.model.limits import OPERATORS
 from rsb_bridge.model.session import Operator, Session

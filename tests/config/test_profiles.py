@@ -15,7 +15,7 @@ from rsb_bridge.model.qos import Qos
 from rsb_bridge.model.session import Session, Topic
 from rsb_bridge.route.ledger import RouteLedger
 from rsb_bridge.route.rate_limit import AllowedRates, RateLimit
-from rsb_bridge.route.topic_outbox import Outbox
+from rsb_bridge.route.sending import Outbox
 from rsb_bridge.transport.registry import default_transports
 from rsb_console.command.check import summary
 

@@ -19,9 +19,9 @@ from rsb_bridge.config.keys import Key
 from rsb_bridge.control import attached_console, protocol, sealed
 from rsb_bridge.control.protocol import CONSOLES, Failed, Hello, Look, Refused, Request, encode
 from rsb_bridge.model.benchmark import Order
+from rsb_bridge.model.budgets import CONNECTION, Strangers
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.session import Client, Topic
-from rsb_bridge.model.strangers import CONNECTION, Strangers
 from rsb_bridge.wire import events
 from rsb_bridge.wire.operators import OperatorConsole
 
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
     from tests.support.control import Machine
 
-    from rsb_bridge.config.granted_operators import Granted
+    from rsb_bridge.config.rights import Granted
 
 TOPIC = Topic("/scan", "transmit")
 CHANGES: tuple[protocol.Command, ...] = (

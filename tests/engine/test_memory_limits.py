@@ -19,10 +19,10 @@ from tests.support.waiting import eventually
 
 from rsb_bridge.config.keys import read_key
 from rsb_bridge.link import control_channel
+from rsb_bridge.model.budgets import TokenBucket
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.model.session import Topic
-from rsb_bridge.model.token_bucket import TokenBucket
 from rsb_bridge.route.incoming import IncomingRoute
 from rsb_bridge.route.latched import PUBLISHER_COST
 from rsb_bridge.wire.framing import MESSAGE_LIMIT, UNFINISHED_LIMIT

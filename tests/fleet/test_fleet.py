@@ -12,8 +12,7 @@ from tests.support.fleet import ScriptedSource, SetClock, fleet_of, robot
 
 from rsb_bridge.api import EngineError
 from rsb_bridge.model.robot_summary import RobotState
-from rsb_console.fleet.fleet import UnknownRobotError
-from rsb_console.fleet.memory import LIMIT, Memory, Remembered
+from rsb_console.fleet.fleet import LIMIT, Memory, Remembered, UnknownRobotError
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -19,8 +19,7 @@ from tests.history.world import World, brief
 from tests.support.waiting import eventually
 
 from rsb_bridge.history import history_files
-from rsb_bridge.history.disk import Disk
-from rsb_bridge.history.history_files import EventFile, HistoryFileError
+from rsb_bridge.history.history_files import Disk, EventFile, HistoryFileError
 from rsb_bridge.history.state_folder import Claim, Files, kept_bridges, searched_folders, state_folder
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.snapshot import Event, Level, State
@@ -376,7 +375,7 @@ RUNS = """
 import sys, time
 from pathlib import Path
 from dataclasses import replace
-from rsb_bridge.history.disk import Disk
+from rsb_bridge.history.history_files import Disk
 from tests.history.world import World
 from tests.history.clocks import HandClock
 from rsb_bridge.model.codes import EventCode

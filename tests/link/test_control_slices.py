@@ -16,7 +16,7 @@ from tests.support.waiting import eventually
 from rsb_bridge.config.keys import read_key
 from rsb_bridge.link import control_channel
 from rsb_bridge.link.control_channel import BYTES, ENTRIES, ControlChannel, in_slices
-from rsb_bridge.link.reporting import take_report
+from rsb_bridge.link.link import take_report
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.limits import ROUTES_PER_LINK
 from rsb_bridge.model.qos import Qos

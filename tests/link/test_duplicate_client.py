@@ -5,7 +5,7 @@ from __future__ import annotations
 from types import SimpleNamespace
 from typing import TYPE_CHECKING
 
-from rsb_bridge.link.duplicate_client import DUPLICATES_KEPT, DuplicateClients
+from rsb_bridge.link.refused_clients import DUPLICATES_KEPT, DuplicateClients
 from rsb_bridge.link.roles import ClientRole
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.wire.messages import Duplicate

@@ -9,8 +9,7 @@ import pytest
 from tests.support.slices import finish
 
 from rsb_bridge.link.errors import LinkError
-from rsb_bridge.link.questions import QUESTIONS_KEPT, Questions
-from rsb_bridge.link.topic_lists import TopicLists
+from rsb_bridge.link.questions import QUESTIONS_KEPT, Questions, TopicLists
 from rsb_bridge.ros.ros_graph import CALLED
 from rsb_bridge.ros.stand_in import NoRos
 from rsb_bridge.wire.messages import AskType, ListTopics, TopicList, TypeText

@@ -19,9 +19,9 @@ from tests.support.waiting import eventually
 
 from rsb_bridge.config.keys import read_key
 from rsb_bridge.link.pending_connections import PendingConnections
+from rsb_bridge.model.budgets import CONNECTION, Strangers
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.session import ZenohSettings
-from rsb_bridge.model.strangers import CONNECTION, Strangers
 from rsb_bridge.model.verdict import LinkCause
 from rsb_bridge.transport.streams import Stream, StreamHandler
 from rsb_bridge.transport.tcp import Tcp

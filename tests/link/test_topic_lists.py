@@ -9,7 +9,7 @@ import msgspec
 import pytest
 from tests.support.slices import finish
 
-from rsb_bridge.link.topic_lists import TopicLists
+from rsb_bridge.link.questions import TopicLists
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.ros.ros_graph import MOST_ENTRIES
 from rsb_bridge.ros.ros_interface import Endpoint

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 from tests.route.test_unpacking import OnePublisher, opened
 from tests.support.offline import FakePeer
 
-from rsb_bridge.link.reporting import EarlyReports
+from rsb_bridge.link.link import EarlyReports
 
 if TYPE_CHECKING:
     from collections.abc import Callable

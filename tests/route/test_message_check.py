@@ -12,9 +12,9 @@ import pytest
 
 from rsb_bridge.cdr.checker import STEPS, MalformedError, TooComplexError
 from rsb_bridge.cdr.description import Field, FieldType, MessageType, TypeDescription, hash_of_text, text_of
+from rsb_bridge.model.budgets import TokenBucket
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.model.session import Session
-from rsb_bridge.model.token_bucket import TokenBucket
 from rsb_bridge.ros import type_descriptions
 from rsb_bridge.ros.ros_interface import Endpoint
 from rsb_bridge.ros.type_descriptions import TypeCheckers, TypeDescriptions

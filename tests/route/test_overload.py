@@ -9,12 +9,12 @@ import pytest
 from rsb_bridge.channel.receipts import Pace
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.route.ledger import RouteLedger
-from rsb_bridge.route.topic_outbox import Outbox, Overload
+from rsb_bridge.route.sending import Outbox, Overload
 from rsb_bridge.transport.registry import default_transports
 from rsb_bridge.wire.messages import Propose
 
 if TYPE_CHECKING:
-    from rsb_bridge.route.topic_outbox import QueueLimits
+    from rsb_bridge.route.sending import QueueLimits
 
 AUTO = Qos(depth=500)
 """As the engine chooses it before it knows the rate."""

@@ -8,7 +8,7 @@ from collections import deque
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from rsb_bridge.route.pause import PauseState, Revisions
+from rsb_bridge.route.lifecycle import PauseState, Revisions
 
 
 class Side:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from rsb_bridge.route.topic_outbox import QueueLimits, SendQueue
+from rsb_bridge.route.sending import QueueLimits, SendQueue
 
 if TYPE_CHECKING:
     from rsb_bridge.wire.framing import Message

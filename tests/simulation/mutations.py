@@ -39,7 +39,7 @@ from rsb_bridge.route.combined_verdict import CombinedVerdict
 from rsb_bridge.route.incoming import IncomingRoute
 from rsb_bridge.route.lateness import LateWatch
 from rsb_bridge.route.ledger import RouteLedger
-from rsb_bridge.route.topic_outbox import SendQueue
+from rsb_bridge.route.sending import SendQueue
 from rsb_bridge.tasks import Tasks
 
 if TYPE_CHECKING:

@@ -12,8 +12,7 @@ from rsb_bridge.api import EngineError
 from rsb_bridge.model.robot_summary import RobotState, RobotSummary
 from rsb_bridge.model.session import Client, Session, Topic
 from rsb_bridge.model.snapshot import RouteSnapshot, Snapshot
-from rsb_console.fleet.fleet import Fleet
-from rsb_console.fleet.memory import Memory
+from rsb_console.fleet.fleet import Fleet, Memory
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -14,7 +14,7 @@ from rsb_bridge.model.profiles import PLAIN
 from rsb_bridge.model.session import Session
 from rsb_bridge.ros.ros_thread import RosToLoopQueue
 from rsb_bridge.ros.stand_in import NoRos
-from rsb_bridge.route.pause import Revisions
+from rsb_bridge.route.lifecycle import Revisions
 from rsb_bridge.route.peer import PeerBudget
 from rsb_bridge.telemetry.event_log import EventLog
 from rsb_bridge.transport.registry import Transports, default_transports

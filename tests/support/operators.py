@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any, Self
 from tests.console.scripted import ScriptedEngine
 
 from rsb_bridge import __version__
-from rsb_bridge.config.granted_operators import Granted
 from rsb_bridge.config.keys import Key
+from rsb_bridge.config.rights import Granted
 from rsb_bridge.control.protocol import VERSION, Hello, Welcome, encode, frames_to_console
 from rsb_bridge.control.remote_engine import RemoteEngine
 from rsb_bridge.control.sealed import OperatorConnector, SealedAcceptor

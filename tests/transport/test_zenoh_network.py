@@ -16,8 +16,8 @@ from tests.support.ports import free_port
 from tests.support.waiting import eventually
 from tests.support.wording import pattern, says
 
+from rsb_bridge.model.budgets import Strangers
 from rsb_bridge.model.session import ZenohSettings
-from rsb_bridge.model.strangers import Strangers
 from rsb_bridge.model.transports import HOW_TO_INSTALL_ZENOH
 from rsb_bridge.transport.zenoh import endpoint as endpoints
 from rsb_bridge.transport.zenoh.endpoint import ROOT, Seen

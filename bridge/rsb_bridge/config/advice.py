@@ -14,10 +14,9 @@ from rsb_bridge.config.decoding import join
 from rsb_bridge.config.file_form import LISTS, NOUNS, locations
 from rsb_bridge.config.rights import Rights, Use, rights_of_client, rights_of_server, uses
 from rsb_bridge.config.topic_rules import transport_of
-from rsb_bridge.config.validation import domain_of
+from rsb_bridge.config.validation import domain_of, host_and_port, is_loopback
 from rsb_bridge.model import transports
 from rsb_bridge.model.demands import Demands, demand_on_entry, sources_of
-from rsb_bridge.model.http_address import host_and_port, is_loopback
 from rsb_bridge.model.limits import (
     KEPT_DEPTH,
     LATCHED_DEPTH,

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, NamedTuple
 import msgspec
 
 from rsb_bridge.config.decoding import read
-from rsb_bridge.config.granted_operators import operator_name_problem
 from rsb_bridge.config.keys import Key, key_path, read_key
+from rsb_bridge.config.rights import operator_name_problem
 from rsb_bridge.config.validation import settings_problems
 from rsb_bridge.config.yaml_text import SessionError, read_text, read_yaml
 from rsb_bridge.model.session import Problem, ZenohSettings

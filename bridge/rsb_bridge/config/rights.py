@@ -13,22 +13,24 @@ import msgspec
 
 from rsb_bridge.config.decoding import join, read, show
 from rsb_bridge.config.file_form import LISTS
+from rsb_bridge.config.keys import KeyFileError, fingerprint, key_path, read_key
 from rsb_bridge.config.topic_rules import rate_problems, service_names
 from rsb_bridge.config.yaml_text import SessionError, inline, read_yaml
 from rsb_bridge.model import transports
 from rsb_bridge.model.benchmark import is_bench_topic
 from rsb_bridge.model.calls import LANES
-from rsb_bridge.model.limits import PORTS_PER_CLIENT
+from rsb_bridge.model.limits import NAME_BYTES, OPERATORS, PORTS_PER_CLIENT
 from rsb_bridge.model.names import client_topic
 from rsb_bridge.model.patterns import Pattern, is_pattern
 from rsb_bridge.model.session import Grant, May, Problem
-from rsb_bridge.model.text import join_first
+from rsb_bridge.model.text import is_clean, join_first
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence, Set
+    from collections.abc import Collection, Hashable, Iterator, Mapping, Sequence, Set
 
+    from rsb_bridge.config.keys import Key
     from rsb_bridge.model.benchmark import Leave
-    from rsb_bridge.model.session import Client, Direction, Identity, Kind, Session
+    from rsb_bridge.model.session import Client, Direction, Identity, Kind, Operator, Session
 
 TOPIC_USES: Final[tuple[May, May]] = ("publish", "read")
 CALL_USES: Final[tuple[May, May]] = ("call", "serve")
@@ -502,3 +504,93 @@ def _ports(session: Session) -> str:
     if session.ports is None:
         return f"any {PORTS_PER_CLIENT}"
     return "none" if session.ports == "none" else join_first([str(port) for port in session.ports], _NAMED) or "none"
+
+
+@dataclass(frozen=True, slots=True)
+class Granted:
+    """What an operator may do, and what they prove themselves with.
+
+    Attributes:
+        operator: as the session has them.
+        key: what is in their key file.
+    """
+
+    operator: Operator
+    key: Key
+
+    def __str__(self) -> str:
+        return f"may {self.operator.may}, key {fingerprint(self.key)}"
+
+
+def operator_problems(session: Session) -> Iterator[Problem]:
+    """All mistakes in a session's operators, as far as can be told without reading their keys."""
+    if len(session.operators) > OPERATORS:
+        yield Problem("operators", f"{len(session.operators)} are too many: at most {OPERATORS}")
+    firsts: dict[str, int] = {}
+    for at, operator in enumerate(session.operators):
+        location = join("operators", at)
+        name, file = operator.name, operator.key_file
+        if problem := operator_name_problem(name):
+            yield Problem(join(location, "name"), problem)
+        elif (first := firsts.setdefault(name, at)) != at:
+            text = f"{show(name)} is the name of operator number {first + 1} already"
+            yield Problem(join(location, "name"), text)
+        if not (file.strip() and file.isprintable()):
+            text = f"{show(file)} is not a file name: give the file of the operator's key"
+            yield Problem(join(location, "key_file"), text)
+
+
+def operator_name_problem(name: str) -> str:
+    """Why no operator can be called so; empty: one can."""
+    if not name.strip() or not (name.isprintable() and is_clean(name)):
+        return f"{show(name)} is not a name: give printable characters"
+    if len(name.encode()) > NAME_BYTES:
+        return f"has {len(name.encode())} bytes in UTF-8; at most {NAME_BYTES}"
+    return ""
+
+
+def granted_operators(session: Session, base: Path, keys: Mapping[str, tuple[Key, ...]]) -> dict[str, Granted]:
+    """What the operators of a session may do, by their names.
+
+    Args:
+        session: whose.
+        base: the folder that its key files are relative to.
+        keys: of its links, by the clients' names.
+
+    Raises:
+        KeyFileError: a key file is not there or holds no key, or an operator has somebody else's key.
+    """
+    own = {each.name: read_key(key_path(base, each.key_file)) for each in session.operators}
+    if problem := operator_key_problem(own, keys):
+        raise KeyFileError(problem)
+    return {each.name: Granted(each, own[each.name]) for each in session.operators}
+
+
+def operator_key_problem(own: Mapping[str, Hashable], of_links: Mapping[str, Collection[Hashable]]) -> str:
+    """Why operators must not have these keys, and what to do; empty: they may.
+
+    Args:
+        own: what is the same for two operators if their keys are, by their names.
+        of_links: likewise for each key that is valid on a link, by the clients' names.
+    """
+    owners = {key: f"the link of {name}" for name, valid in of_links.items() for key in valid}
+    for name, key in own.items():
+        if other := owners.get(key):
+            return (
+                f"operator {name} has the key of {other}, and whoever has it could take either's place: "
+                f"make a key of its own with `rsb-console keygen`"
+            )
+        owners[key] = f"operator {name}"
+    return ""
+
+
+def operator_changes(old: Mapping[str, Granted], new: Mapping[str, Granted]) -> list[str]:
+    """How the operators differ, in words: who is detached by that."""
+    texts = [f"operator {name}: removed, and detached" for name in old if name not in new]
+    for name, granted in new.items():
+        before = old.get(name)
+        if before is None:
+            texts.append(f"operator {name}: added, {granted}")
+        elif before != granted:
+            texts.append(f"operator {name}: {before} → {granted}; detached, and attaches again")
+    return texts

@@ -23,9 +23,8 @@ from rsb_bridge.config.file_form import (
     key_of,
     locations,
 )
-from rsb_bridge.config.granted_operators import operator_problems
 from rsb_bridge.config.keys import conceal
-from rsb_bridge.config.rights import grant_problems, leave_problems
+from rsb_bridge.config.rights import grant_problems, leave_problems, operator_problems
 from rsb_bridge.config.topic_rules import (
     A_KIND,
     form_problems,
@@ -40,17 +39,54 @@ from rsb_bridge.config.topic_rules import (
 )
 from rsb_bridge.model import transports
 from rsb_bridge.model.demands import local_name
-from rsb_bridge.model.http_address import host_and_port
-from rsb_bridge.model.limits import DEADMAN_TIME, DOMAIN, MAX_AGE, NAME_BYTES, TOPIC_PORT
+from rsb_bridge.model.limits import DEADMAN_TIME, DOMAIN, MAX_AGE, NAME_BYTES, PORT, TOPIC_PORT
 from rsb_bridge.model.names import is_prefix, well_formed
 from rsb_bridge.model.patterns import is_pattern
 from rsb_bridge.model.session import Armed, Identity, Problem, Session, Topic, is_mac
 from rsb_bridge.model.text import is_clean
+from rsb_bridge.model.wording import Wording
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
     from rsb_bridge.model.session import Client, Kind, ZenohSettings
+
+
+class AddressProblem(Wording):
+    """Why a text is no address of an HTTP server."""
+
+    NOT_ADDRESS_AND_PORT = '{address!r} is not ADDRESS:PORT, as in 127.0.0.1:9464, or "[::1]:9464" in quotes'
+    NO_ADDRESS = (
+        "{address!r} names no address: give 127.0.0.1:{port} for programs of this machine, 0.0.0.0:{port} for every "
+        "network"
+    )
+    NO_BRACKETS = '{address!r}: an IPv6 address stands in brackets, as in 127.0.0.1:9464, or "[::1]:9464" in quotes'
+    INVALID_PORT = "{port!r} is not a port: {range}"
+
+
+def host_and_port(text: str) -> tuple[str, int]:
+    """The parts of an address; an IPv6 address stands in brackets.
+
+    Raises:
+        ValueError: it is not one; the message says what would be.
+    """
+    host, colon, port = text.rpartition(":")
+    if not colon:
+        raise ValueError(AddressProblem.NOT_ADDRESS_AND_PORT(address=text))
+    if not host:
+        raise ValueError(AddressProblem.NO_ADDRESS(address=text, port=port))
+    bracketed = host.startswith("[") and host.endswith("]")
+    if ":" in host and not bracketed:
+        raise ValueError(AddressProblem.NO_BRACKETS(address=text))
+    if not (port.isascii() and port.isdecimal() and len(port) <= 5 and int(port) in PORT):
+        raise ValueError(AddressProblem.INVALID_PORT(port=port, range=PORT))
+    return (host[1:-1] if bracketed else host), int(port)
+
+
+def is_loopback(host: str) -> bool:
+    """Whether only programs of this machine reach it."""
+    return host in ("localhost", "::1") or host.startswith("127.")
+
 
 _ANY_ADDRESS = ("0.0.0.0", "::", "00:00:00:00:00:00")  # noqa: S104 (refused, not bound)
 _ENTRY = re.compile(rf"(?P<list>{'|'.join(NOUNS)})\[(?P<at>\d{{1,9}})\]")

@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING, Any, Final, TypeVar, cast
 import msgspec
 
 from rsb_bridge.control.protocol import Events, Failed, Goodbye, ProtocolError, Refused, Reply
+from rsb_bridge.model.budgets import TokenBucket
 from rsb_bridge.model.text import UNPRINTABLE, sanitize_text
-from rsb_bridge.model.token_bucket import TokenBucket
 from rsb_bridge.telemetry.event_log import KEPT
 
 if TYPE_CHECKING:

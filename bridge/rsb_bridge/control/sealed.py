@@ -23,11 +23,10 @@ from rsb_bridge.control.attached_console import Console
 from rsb_bridge.control.control_sockets import ControlError
 from rsb_bridge.control.protocol import ProtocolError
 from rsb_bridge.link.refused_clients import Refusals
+from rsb_bridge.model.budgets import CONNECTION, TokenBucket
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.snapshot import Level
-from rsb_bridge.model.strangers import CONNECTION
 from rsb_bridge.model.text import sanitize_text
-from rsb_bridge.model.token_bucket import TokenBucket
 from rsb_bridge.transport.streams import OpenNetworkTransport
 from rsb_bridge.wire.connection import Credential
 from rsb_bridge.wire.events import Admitted, Failed, Opened, Refused
@@ -36,8 +35,8 @@ from rsb_bridge.wire.operators import OperatorConsole, OperatorEngine
 from rsb_bridge.wire.preamble import Refusal, RefusalCode
 
 if TYPE_CHECKING:
-    from rsb_bridge.config.granted_operators import Granted
     from rsb_bridge.config.keys import Key
+    from rsb_bridge.config.rights import Granted
     from rsb_bridge.control.control_server import ControlServer
     from rsb_bridge.control.ways import Connection
     from rsb_bridge.engine.access import Access

@@ -23,7 +23,7 @@ from rsb_bridge.engine.access import Access, load_keys
 from rsb_bridge.engine.bridge import Bridge
 from rsb_bridge.engine.io_loop import IoLoop
 from rsb_bridge.engine.pending_commands import PendingCommands, not_running
-from rsb_bridge.history.disk import Disk
+from rsb_bridge.history.history_files import Disk
 from rsb_bridge.history.recorder import Recorder
 from rsb_bridge.model.clock import Clock
 from rsb_bridge.model.codes import EventCode

@@ -12,7 +12,7 @@ from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.demands import PEER_DEMANDS, local_name
 from rsb_bridge.model.operators import console, operator
 from rsb_bridge.route.arming import Disarmed
-from rsb_bridge.route.pause import pause_word
+from rsb_bridge.route.lifecycle import pause_word
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -12,9 +12,8 @@ from rsb_bridge.config.keys import Key, fingerprint
 from rsb_bridge.config.rights import rights_of_server
 from rsb_bridge.link.connecting import ConnectAttempt, Failure, LetIn
 from rsb_bridge.link.control_channel import ControlChannel
-from rsb_bridge.link.duplicate_client import NAME_TRIED_EVERY, DuplicateClients
 from rsb_bridge.link.link import Link
-from rsb_bridge.link.refused_clients import ASKED_EVERY, told_by_server, with_remedy
+from rsb_bridge.link.refused_clients import ASKED_EVERY, NAME_TRIED_EVERY, DuplicateClients, told_by_server, with_remedy
 from rsb_bridge.link.server_search import ServerSearch, failure_of_search, unproven_servers
 from rsb_bridge.model.backoff import Backoff
 from rsb_bridge.model.codes import EventCode

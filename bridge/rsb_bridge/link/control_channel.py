@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Protocol, TypeAlias, TypeVar
 import msgspec
 
 from rsb_bridge.channel.multiplexer import Multiplexer
+from rsb_bridge.model.budgets import TokenBucket
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.text import sanitize_text
-from rsb_bridge.model.token_bucket import TokenBucket
 from rsb_bridge.transport.streams import Stream, StreamHandler
 from rsb_bridge.wire.codec import decode_in_parts, invalid
 from rsb_bridge.wire.events import DataFrame, Event, Failed, Received, Refused, Undecoded

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from rsb_bridge.model.token_bucket import TokenBucket
+from rsb_bridge.model.budgets import TokenBucket
 from rsb_bridge.telemetry.meters import ClockOffset, Smoothed
 from rsb_bridge.transport.streams import Stream
 from rsb_bridge.wire.messages import Ping, Pong

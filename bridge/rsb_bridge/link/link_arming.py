@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, Any, Final
 from rsb_bridge.link.errors import LinkError
 from rsb_bridge.link.peer_operators import acting_operator
 from rsb_bridge.model.benchmark import is_bench_topic
+from rsb_bridge.model.budgets import TokenBucket
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.demands import NO_DEMAND, PEER_DEMANDS, Demands, Source, default_max_age, smallest_max_age
 from rsb_bridge.model.snapshot import Level
-from rsb_bridge.model.token_bucket import TokenBucket
 from rsb_bridge.route.arming import SAID, Disarmed
 from rsb_bridge.route.lease import BEAT, Lease, Standstill
 from rsb_bridge.wire import messages as wire

@@ -6,9 +6,9 @@ from enum import IntEnum, auto
 from typing import TYPE_CHECKING, Protocol
 
 from rsb_bridge.link.refused_clients import CAUSES, Refusals, network
+from rsb_bridge.model.budgets import CONNECTION
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.snapshot import Level
-from rsb_bridge.model.strangers import CONNECTION
 from rsb_bridge.model.verdict import LinkCause
 from rsb_bridge.transport import descriptors
 from rsb_bridge.transport.streams import Stream, StreamHandler
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
     from rsb_bridge.context import Context
     from rsb_bridge.link.control_channel import ControlChannel
-    from rsb_bridge.model.strangers import Strangers
+    from rsb_bridge.model.budgets import Strangers
     from rsb_bridge.wire.connection import ServerConnection
 
 _MOST = 256

@@ -11,9 +11,8 @@ import msgspec
 
 from rsb_bridge.channel.udp_channel import ServerUdpChannel
 from rsb_bridge.config.keys import fingerprint
-from rsb_bridge.link.duplicate_client import DuplicateClients, name_taken
 from rsb_bridge.link.link import Link
-from rsb_bridge.link.refused_clients import ASKED_EVERY, ShutDown
+from rsb_bridge.link.refused_clients import ASKED_EVERY, DuplicateClients, ShutDown, name_taken
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.fingerprints import format_fingerprint
 from rsb_bridge.model.limits import PORTS_PER_CLIENT, dds_ports, discovery_domain

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import zstandard
 
 from rsb_bridge.cdr.checker import STEPS, MalformedError, TooComplexError
-from rsb_bridge.model.token_bucket import TokenBucket
+from rsb_bridge.model.budgets import TokenBucket
 from rsb_bridge.ros.ros_interface import RosError
 from rsb_bridge.wire.framing import HISTORY, MESSAGE_LIMIT, ZSTD
 from rsb_bridge.wire.headers import split_history

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from typing import TYPE_CHECKING, Protocol
 
-from rsb_bridge.model.token_bucket import TokenBucket
+from rsb_bridge.model.budgets import TokenBucket
 from rsb_bridge.ros.ros_interface import RosError
 from rsb_bridge.route.calls.pending_calls import PEERS_SHARE, CallBudget
 from rsb_bridge.route.message_check import CHECKED_A_SECOND, CHECKED_AT_ONCE, ExpansionBudget
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from rsb_bridge.model.capacity import Fullness
     from rsb_bridge.model.profiles import LinkProfile
     from rsb_bridge.ros.ros_interface import RosInterface
-    from rsb_bridge.route.pause import Revisions
+    from rsb_bridge.route.lifecycle import Revisions
     from rsb_bridge.wire.messages import ControlMessage
 
 TYPES_PER_LINK = 256

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from rsb_bridge.model.budgets import TokenBucket
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.limits import ROUTES_PER_LINK
 from rsb_bridge.model.session import priority_of
 from rsb_bridge.model.snapshot import Level
-from rsb_bridge.model.token_bucket import TokenBucket
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -23,9 +23,8 @@ from rsb_bridge.model.text import sanitize_text
 from rsb_bridge.route.age import MessageAge
 from rsb_bridge.route.arming import SAID, Arming, Disarmed, Settling
 from rsb_bridge.route.combined_verdict import CombinedVerdict
-from rsb_bridge.route.lifecycle import Event, Lifecycle
+from rsb_bridge.route.lifecycle import Event, Lifecycle, PauseState
 from rsb_bridge.route.notices import ChannelLosses, Notices, timed_out
-from rsb_bridge.route.pause import PauseState
 from rsb_bridge.route.peer import Peer
 from rsb_bridge.route.rate_limit import RateLimit, limits_changed
 from rsb_bridge.telemetry.meters import RateMeter

@@ -8,11 +8,11 @@ from collections import deque
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, NamedTuple, TypedDict, Unpack
 
+from rsb_bridge.model.budgets import TokenBucket
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.limits import REASON_LENGTH
 from rsb_bridge.model.snapshot import Event, Level
 from rsb_bridge.model.text import encodable, plural, sanitize_text
-from rsb_bridge.model.token_bucket import TokenBucket
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from rsb_bridge.model.strangers import Strangers
+from rsb_bridge.model.budgets import Strangers
 from rsb_bridge.transport.rfcomm import Rfcomm
 from rsb_bridge.transport.tcp import Tcp
 from rsb_bridge.transport.transport import StreamTransport

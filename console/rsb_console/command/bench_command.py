@@ -19,10 +19,9 @@ from rsb_bridge.model.shortage import why_not_written
 from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.text import one_line
 from rsb_console.bench.loopback import Loopback, machine, ros_problem
-from rsb_console.bench.over_link import OverLink, loads_of, loads_of_all, ways_of
 from rsb_console.bench.presentation import USUAL, as_svg, in_terminal, in_words, judge, lines_of
 from rsb_console.bench.results import BenchError, Report, as_json
-from rsb_console.bench.suite import FULL, QUICK, Plan, Suite
+from rsb_console.bench.suite import FULL, QUICK, OverLink, Plan, Suite, loads_of, loads_of_all, ways_of
 from rsb_console.command.shell import FAILURE, INTERRUPTED, OK, TERMINATED, USAGE, print_error, print_line, print_lines
 from rsb_console.command.target import UsageError, attached, check_link, failed, reported
 

@@ -13,7 +13,6 @@ import msgspec
 from rsb_bridge.config.advice import advise, uninstalled_types, without_max_age
 from rsb_bridge.config.fault_command import command_words, fault_command_warnings
 from rsb_bridge.config.file_form import LISTS, NOUNS
-from rsb_bridge.config.granted_operators import operator_key_problem
 from rsb_bridge.config.keys import (
     Key,
     KeyFileError,
@@ -26,7 +25,7 @@ from rsb_bridge.config.keys import (
     shared_key_problem,
     written,
 )
-from rsb_bridge.config.rights import listings
+from rsb_bridge.config.rights import listings, operator_key_problem
 from rsb_bridge.config.session_file import SessionError, demand_places, load
 from rsb_bridge.config.topic_rules import transport_of
 from rsb_bridge.config.validation import domain_of

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Collection
 
     from rsb_bridge.control.remote_engine import RemoteEngine
-    from rsb_console.fleet.memory import Remembered
+    from rsb_console.fleet.fleet import Remembered
 
 _PATHS = ("PATH", "FILE", "FILE.svg")
 """The metavars of arguments that are paths, and still texts."""
@@ -118,7 +118,7 @@ def groups(**_: object) -> list[str]:
 
 
 def _remembered() -> list[Remembered]:
-    from rsb_console.fleet.memory import Memory, memory_path  # noqa: PLC0415 (only for the commands of a fleet)
+    from rsb_console.fleet.fleet import Memory, memory_path  # noqa: PLC0415 (only for the commands of a fleet)
 
     return Memory(memory_path()).all()
 

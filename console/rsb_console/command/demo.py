@@ -21,8 +21,7 @@ from rsb_console.bench.results import BenchError
 from rsb_console.bench.simulated_fleet import WITH_BATTERY, fleet, listening
 from rsb_console.command.headless import Signals, bridge_until_told
 from rsb_console.command.shell import FAILURE, HUNG_UP, INTERRUPTED, OK, keep_output_clean, print_error, print_line
-from rsb_console.fleet.fleet import Fleet
-from rsb_console.fleet.memory import Memory
+from rsb_console.fleet.fleet import Fleet, Memory
 from rsb_console.fleet.server_source import ServerFleet
 from rsb_console.fleet.zenoh_source import ZenohFleet
 from rsb_console.session.demo_session import need_ros, own_domain, running_demo

@@ -21,8 +21,7 @@ from rsb_console.command.formatting import json_line
 from rsb_console.command.remote_arguments import IN_FLEET
 from rsb_console.command.shell import FAILURE, OK, USAGE, print_error, print_line
 from rsb_console.command.target import NoBridgeError, UsageError, chosen_bridge, fleet_file, reported
-from rsb_console.fleet.fleet import Fleet, UnknownRobotError
-from rsb_console.fleet.memory import Memory, memory_path
+from rsb_console.fleet.fleet import Fleet, Memory, UnknownRobotError, memory_path
 from rsb_console.fleet.rolling import Rollout, names_of, report, said, way_back
 from rsb_console.fleet.server_source import ServerFleet
 

@@ -5,18 +5,20 @@ from __future__ import annotations
 import math
 import time
 from collections import Counter
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from rsb_bridge.model.snapshot import Ledger, RouteSnapshot
 from rsb_bridge.model.text import plural
 from rsb_bridge.model.verdict import LinkCause
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Iterable, Iterator
 
     from rsb_bridge.model.calls import CallsSnapshot
     from rsb_bridge.model.qos import Qos
     from rsb_bridge.model.session import Kind
-    from rsb_bridge.model.snapshot import LinkSnapshot
+    from rsb_bridge.model.snapshot import LinkSnapshot, PatternSnapshot, Snapshot
 
 KIND_NOUN: dict[Kind, str] = {"topic": "topic", "service": "service", "action": "action", "parameters": "parameters"}
 KIND_SHORT: dict[Kind, str] = {"topic": "msg", "service": "srv", "action": "act", "parameters": "par"}
@@ -180,3 +182,60 @@ def counted_kinds(kinds: Iterable[Kind]) -> str:
 def unanswered(calls: CallsSnapshot) -> int:
     """How many calls will have no answer."""
     return calls.expired + calls.lost + sum(calls.refused.values())
+
+
+@dataclass(frozen=True, slots=True)
+class PatternRow(RouteSnapshot):
+    """A pattern in a list of routes.
+
+    Attributes:
+        routes: that it has made.
+    """
+
+    routes: int = 0
+
+
+def pattern_rows(snapshot: Snapshot) -> Iterator[PatternRow]:
+    """All patterns of a snapshot."""
+    for link in snapshot.links:
+        for pattern in link.patterns:
+            yield _row(pattern, is_client=snapshot.role == "client")
+
+
+def _row(pattern: PatternSnapshot, *, is_client: bool) -> PatternRow:
+    spec = pattern.spec
+    from_client = pattern.here == is_client
+    on_client = spec.topic
+    on_server = (spec.remote_topic or spec.topic) if from_client else pattern.source
+    return PatternRow(
+        key=pattern.key,
+        link=pattern.link,
+        topic=on_client if is_client else on_server,
+        remote_topic=on_server if is_client else on_client,
+        outgoing=(spec.direction == "transmit") == is_client,
+        spec=spec,
+        state=pattern.state,
+        reason=pattern.reason,
+        type_name="" if spec.type == "auto" else spec.type,
+        type_hash="",
+        qos=None,
+        publisher_qos=None,
+        subscriber_qos=None,
+        transport=spec.protocol or "",
+        port=0,
+        stages=(),
+        ledger=Ledger(),
+        rate=0.0,
+        expected_rate=None,
+        bytes_per_second=0.0,
+        bytes_total=0,
+        latency_p50=None,
+        latency_p99=None,
+        latency_uncertainty=None,
+        jitter=None,
+        age=None,
+        history=(),
+        last_error="",
+        acknowledged=pattern.acknowledged,
+        routes=pattern.routes,
+    )

@@ -9,7 +9,7 @@ from textual.events import Key
 
 from rsb_bridge.api import EngineError
 from rsb_bridge.model.snapshot import State
-from rsb_console.look.pattern_rows import PatternRow
+from rsb_console.look.formats import PatternRow
 from rsb_console.session.changes import (
     Added,
     CannotUndoError,

@@ -23,7 +23,7 @@ from rsb_console.look.glyphs import DONE, FAILED, STATE_SIGN, STATE_WORD, UNDER_
 from rsb_console.screens.dialog import ConfirmScreen
 from rsb_console.screens.form_screen import FormScreen
 from rsb_console.session.parameter_values import refusal, set_request
-from rsb_console.terminal.clipboard import copy
+from rsb_console.terminal.driver import copy
 from rsb_console.terminal.input_queue import DIALOG
 from rsb_console.widgets.form import Field, Notice, Spec, TextField
 from rsb_console.widgets.lines import ScrolledLines

@@ -25,7 +25,7 @@ from rsb_console.screens.form_screen import FormScreen
 from rsb_console.session import client_files
 from rsb_console.session.changes import CannotUndoError, Change, Undo
 from rsb_console.session.saving import is_changed
-from rsb_console.terminal.clipboard import copy
+from rsb_console.terminal.driver import copy
 from rsb_console.widgets.form import Field, Spec
 
 if TYPE_CHECKING:

@@ -16,7 +16,7 @@ from rsb_bridge.model.shortage import why_not_written
 from rsb_bridge.model.snapshot import Level
 from rsb_console.actions import ACTIONS, BY_ID, Group, bindings
 from rsb_console.look import formats
-from rsb_console.look.pattern_rows import PatternRow
+from rsb_console.look.formats import PatternRow
 from rsb_console.screens.dialog import Dialog
 from rsb_console.widgets.columns import is_armed
 from rsb_console.widgets.detail import DetailPane
@@ -383,7 +383,7 @@ class MainScreen(Screen[None]):
 
     def action_copy(self) -> None:
         """Copy the line under the cursor."""
-        from rsb_console.terminal.clipboard import copy  # noqa: PLC0415 -- seldom needed
+        from rsb_console.terminal.driver import copy  # noqa: PLC0415 -- seldom needed
 
         event, route = self.log_pane.selected, self.topics.selected
         text = plain(event) if self.log_pane.has_focus and event else route.topic if route else ""

@@ -17,7 +17,7 @@ from rsb_bridge.model.text import escape_text
 from rsb_console.look import formats
 from rsb_console.look.glyphs import STATE_SIGN, STATE_WORD
 from rsb_console.session.reading import KnownTypes, age_text, hex_lines, how_it_came, message_lines, plain, read_message
-from rsb_console.terminal.clipboard import copy
+from rsb_console.terminal.driver import copy
 from rsb_console.widgets.lines import ScrolledLines
 
 if TYPE_CHECKING:

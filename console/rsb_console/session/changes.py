@@ -16,7 +16,7 @@ from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.names import client_topic, server_topic
 from rsb_bridge.model.operators import undoing
 from rsb_bridge.model.patterns import Pattern
-from rsb_console.look.pattern_rows import PatternRow, pattern_rows
+from rsb_console.look.formats import PatternRow, pattern_rows
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Coroutine, Iterator, Sequence

@@ -5,6 +5,8 @@ from __future__ import annotations
 import contextlib
 import os
 import select
+import shutil
+import subprocess
 import sys
 import threading
 from codecs import getincrementaldecoder
@@ -22,6 +24,7 @@ if TYPE_CHECKING:
     from pathlib import Path
     from queue import Queue
 
+    from textual.app import App
     from textual.message import Message
 
 # Textual 8 ends on bytes that are not UTF-8, such as the legacy mouse reports that tmux sends (its issue 6668).
@@ -228,3 +231,30 @@ def prefers_ascii(environ: Mapping[str, str]) -> bool:
     """
     locale = environ.get("LC_ALL") or environ.get("LC_CTYPE") or environ.get("LANG") or "C.UTF-8"
     return "utf" not in locale.lower() or environ.get("TERM") == "linux"
+
+
+_SHOWN = 200  # characters
+
+
+def copy(app: App[object], text: str) -> str:
+    """Copy `text`.
+
+    Returns:
+        What to tell the operator.
+    """
+    tmux = shutil.which("tmux") if os.environ.get("TMUX") else None
+    if tmux is not None:  # tmux passes OSC 52 on only where set-clipboard says so; this always fills its own buffer
+        command = [tmux, "load-buffer", "-w", "-"]
+        try:
+            subprocess.run(command, input=text.encode(), timeout=2, check=True, capture_output=True)  # noqa: S603 -- no shell; the program is tmux
+        except (subprocess.SubprocessError, OSError):  # on a busy machine it may not answer in time
+            pass
+        else:
+            return f"copied to tmux: {_beginning(text)}"
+    app.copy_to_clipboard(text)
+    return f"copied: {_beginning(text)}"
+
+
+def _beginning(text: str) -> str:
+    line = text[: _SHOWN + 1].partition("\n")[0]
+    return line if len(line) <= _SHOWN else f"{line[:_SHOWN]}…"

@@ -9,9 +9,8 @@ from typing import TYPE_CHECKING, Any, Generic, TypeVar
 from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.text import plural
 from rsb_console.look import formats
-from rsb_console.look.formats import KIND_SHORT
+from rsb_console.look.formats import KIND_SHORT, PatternRow
 from rsb_console.look.glyphs import ACK_WORD, ARMED, ARMED_WORD, IN, KNOWN, OUT, STATE_SIGN, STATE_WORD, sparkline
-from rsb_console.look.pattern_rows import PatternRow
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence

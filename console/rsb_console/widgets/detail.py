@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING
 
 from rsb_console.actions import Group, bindings
 from rsb_console.look import formats
+from rsb_console.look.formats import PatternRow
 from rsb_console.look.glyphs import DONE, FAILED, IN, OUT, UNDER_WAY, UNKNOWN
-from rsb_console.look.pattern_rows import PatternRow
 from rsb_console.widgets import detail_parts as parts
 from rsb_console.widgets.lines import Line, LiveLines, fit
 

@@ -11,8 +11,8 @@ from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.text import join_first
 from rsb_bridge.model.verdict import Cause, LinkCause
 from rsb_console.look import formats
+from rsb_console.look.formats import pattern_rows
 from rsb_console.look.glyphs import STATE_SIGN
-from rsb_console.look.pattern_rows import pattern_rows
 from rsb_console.widgets.lines import Line, LiveLines, fit
 
 if TYPE_CHECKING:

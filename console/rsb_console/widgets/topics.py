@@ -6,9 +6,8 @@ import textwrap
 from typing import TYPE_CHECKING
 
 from rsb_bridge.model.snapshot import State
-from rsb_console.look.formats import KIND_SHORT
+from rsb_console.look.formats import KIND_SHORT, pattern_rows
 from rsb_console.look.glyphs import ACK_WORD, STATE_WORD
-from rsb_console.look.pattern_rows import pattern_rows
 from rsb_console.widgets.columns import HISTORY_COLUMN, SIGN, STATE, TOPIC, is_armed, layout, via
 from rsb_console.widgets.lines import clip, fit_middle
 from rsb_console.widgets.selectable_list import SelectableList

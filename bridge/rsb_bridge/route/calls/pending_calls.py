@@ -7,7 +7,7 @@ from collections import deque
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Generic, TypeVar
 
-from rsb_bridge.model.token_bucket import TokenBucket
+from rsb_bridge.model.budgets import TokenBucket
 from rsb_bridge.route.calls.calls_ledger import Refused
 from rsb_bridge.wire.framing import Budget
 

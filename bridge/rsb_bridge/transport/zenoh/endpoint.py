@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 
     import zenoh
 
-    from rsb_bridge.model.strangers import Strangers
+    from rsb_bridge.model.budgets import Strangers
 
 ROOT = "rsb_console"
 RECEIVE_BUFFER = 32 * 1024 * 1024

@@ -13,7 +13,7 @@ import ssl
 import threading
 from typing import TYPE_CHECKING, Any
 
-from rsb_bridge.model.strangers import Strangers
+from rsb_bridge.model.budgets import Strangers
 from rsb_bridge.model.transports import HOW_TO_INSTALL_ZENOH
 from rsb_bridge.model.wording import Wording
 from rsb_bridge.transport.threads import in_thread
