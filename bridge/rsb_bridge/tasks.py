@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, TypeVar
 if TYPE_CHECKING:
     from collections.abc import Callable, Coroutine, Iterable
 
-    from rsb_bridge.model.backoff import Backoff
+    from rsb_bridge.model.budgets import Backoff
 
 SLICE = 20
 """Routes handled in one go: about 1 ms, which no message notices."""

@@ -10,8 +10,8 @@ import pytest
 from tests.console.scripted import SESSION
 
 from rsb_bridge.config.difference import changes
-from rsb_bridge.config.fault_command import command_words, fault_command_warnings, program_path, program_problem
 from rsb_bridge.config.session_file import SessionError, dump, load, parse, save, validate
+from rsb_bridge.config.validation import command_words, fault_command_warnings, program_path, program_problem
 
 if TYPE_CHECKING:
     from pathlib import Path

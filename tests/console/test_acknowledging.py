@@ -24,9 +24,9 @@ from rsb_bridge.model.snapshot import Acknowledgement, LinkSnapshot, RouteSnapsh
 from rsb_console.app import ConsoleApp
 from rsb_console.look.glyphs import ACK_WORD, STATE_WORD
 from rsb_console.screens.links_screen import LinksScreen
+from rsb_console.widgets.bars import acknowledged_count, state_counts, warning_count
 from rsb_console.widgets.faults import faults_of
 from rsb_console.widgets.filter import Pattern
-from rsb_console.widgets.status_bar import acknowledged_count, state_counts, warning_count
 
 KNOWN = Acknowledgement("anna on pts/3", NOW - 60)
 FIRST = next(route for route in ROUTES if route.state is State.DOWN)

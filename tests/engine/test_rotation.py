@@ -18,9 +18,9 @@ from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.model.session import Client, Topic
 from rsb_bridge.wire.connection import ClientConnection
-from rsb_bridge.wire.events import Refused
+from rsb_bridge.wire.events import RefusalCode, Refused
 from rsb_bridge.wire.messages import Hello
-from rsb_bridge.wire.preamble import RefusalCode, RefusalText
+from rsb_bridge.wire.preamble import RefusalText
 from rsb_bridge.wire.sealing import Suite
 
 if TYPE_CHECKING:

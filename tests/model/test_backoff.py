@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from random import Random
 
-from rsb_bridge.model.backoff import Backoff
+from rsb_bridge.model.budgets import Backoff
 
 
 def test_delays_double_up_to_the_longest() -> None:

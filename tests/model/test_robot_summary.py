@@ -40,7 +40,7 @@ from rsb_bridge.model.snapshot import (
     State,
 )
 from rsb_bridge.model.verdict import Cause, LinkCause
-from rsb_console.widgets.status_bar import state_counts
+from rsb_console.widgets.bars import state_counts
 
 SERVER = Session(
     name="control", role="server", server_ip="0.0.0.0", server_port=7060,

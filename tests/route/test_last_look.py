@@ -10,9 +10,8 @@ from tests.route.test_unpacking import OnePublisher, Published, opened
 from tests.route.test_volatile import unwanted
 from tests.support.offline import FakePeer
 
-from rsb_bridge.model.calls import SEND_GOAL
+from rsb_bridge.model.calls import SEND_GOAL, Refused
 from rsb_bridge.ros.ros_thread import RosTurns
-from rsb_bridge.route.calls.calls_ledger import Refused
 from rsb_bridge.route.lease import LASTS, Lease
 from rsb_bridge.route.source_publishers import FREE, VolatileTopic
 from rsb_bridge.wire.framing import LEASED, Budget

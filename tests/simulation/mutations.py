@@ -28,7 +28,7 @@ from rsb_bridge.channel.udp_channel import UdpChannel
 from rsb_bridge.channel.window import Window
 from rsb_bridge.link.keepalive import Keepalive
 from rsb_bridge.link.route_table import RouteTable
-from rsb_bridge.model.backoff import Backoff
+from rsb_bridge.model.budgets import Backoff
 from rsb_bridge.model.calls import CANCEL_GOAL, GET_RESULT, SEND_GOAL
 from rsb_bridge.route.calls import kept_calls
 from rsb_bridge.route.calls.calling import CallingRoute

@@ -10,11 +10,10 @@ from tests.simulation.booths import Booth
 from tests.simulation.test_calls import lived, until
 from tests.support.goals import cancel_request, goal, goal_request
 
-from rsb_bridge.model.calls import CANCEL_GOAL, GET_RESULT, LANES, STATUS
+from rsb_bridge.model.calls import CANCEL_GOAL, GET_RESULT, LANES, STATUS, Refused
 from rsb_bridge.ros.ros_interface import RosError
 from rsb_bridge.route.calls import kept_calls
 from rsb_bridge.route.calls.calling_action import CallingAction
-from rsb_bridge.route.calls.calls_ledger import Refused
 from rsb_bridge.route.calls.providing_action import ProvidingAction
 from rsb_bridge.wire.headers import CallFrame, What
 

@@ -18,12 +18,11 @@ from prometheus_client.openmetrics.parser import text_string_to_metric_families 
 from prometheus_client.parser import text_string_to_metric_families as plain_families
 from tests.console.scripted import LINK, NOW, route
 
-from rsb_bridge.model.calls import CallsSnapshot
+from rsb_bridge.model.calls import CallsSnapshot, Refused
 from rsb_bridge.model.clock import Clock
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import Ledger, Level, Snapshot, State
-from rsb_bridge.route.calls.calls_ledger import Refused
 from rsb_bridge.telemetry.event_log import KEPT, EventLog
 from rsb_bridge.telemetry.metrics import DROPPED, FAMILIES, OTHER, REFUSED, SnapshotCollector
 

@@ -22,10 +22,10 @@ from tests.wire.links import (
 from rsb_bridge.model.fingerprints import fingerprint_of
 from rsb_bridge.wire.codec import encode
 from rsb_bridge.wire.connection import ClientConnection, DataConnection, ServerConnection
-from rsb_bridge.wire.events import DataFrame, Event, Failed, Received, Refused
+from rsb_bridge.wire.events import DataFrame, Event, Failed, Received, RefusalCode, Refused
 from rsb_bridge.wire.framing import CONTROL_LIMIT, pack_frame
 from rsb_bridge.wire.messages import Ping
-from rsb_bridge.wire.preamble import Kind, RefusalCode, control_header, preamble_frame, refuse_frame
+from rsb_bridge.wire.preamble import Kind, control_header, preamble_frame, refuse_frame
 from rsb_bridge.wire.protocol_error import Broken
 from rsb_bridge.wire.sealing import InvalidSeal, Sealer, SessionKeys, Suite
 

@@ -6,10 +6,10 @@ from tests.wire.links import OTHER_KEY, SUITES, WELCOME, established, make_serve
 
 from rsb_bridge.model.wording import Wording
 from rsb_bridge.wire.connection import DataConnection
-from rsb_bridge.wire.events import Accepted, Attach, DataFrame, Failed, Received, Refused
+from rsb_bridge.wire.events import Accepted, Attach, DataFrame, Failed, Received, RefusalCode, Refused
 from rsb_bridge.wire.framing import LENGTH, DataReader, DataWriter, pack_frame
 from rsb_bridge.wire.messages import Ping
-from rsb_bridge.wire.preamble import Kind, Refusal, RefusalCode, RefusalText, parse_further, preamble_frame
+from rsb_bridge.wire.preamble import Kind, Refusal, RefusalText, parse_further, preamble_frame
 from rsb_bridge.wire.protocol_error import Broken, ProtocolError
 from rsb_bridge.wire.sealing import SealError, SessionKeys, Suite
 

@@ -9,12 +9,11 @@ import msgspec
 import pytest
 
 import rsb_bridge
-from rsb_bridge.model.calls import FEATURE, LANES, MOST_LANES
+from rsb_bridge.model.calls import FEATURE, LANES, MOST_LANES, Refused
 from rsb_bridge.model.limits import DEPTH, QOS_TIME, RATE, REASON_LENGTH, STALE_AFTER, TEXT_LENGTH
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.model.session import Kind
-from rsb_bridge.route.calls.calls_ledger import Refused
-from rsb_bridge.wire import headers, messages, preamble, records
+from rsb_bridge.wire import events, headers, messages, preamble, records
 from rsb_bridge.wire.fields import RefuseCode
 
 DOCUMENT = (Path(rsb_bridge.__file__).parent / "PROTOCOL.md").read_text(encoding="utf-8")
@@ -67,8 +66,8 @@ def test_every_preamble_frame_is_documented(kind: preamble.Kind) -> None:
     assert re.search(rf"^\| {kind.value} {kind.name} \| (client|server) \|", DOCUMENT, re.MULTILINE)
 
 
-@pytest.mark.parametrize("code", list(preamble.RefusalCode))
-def test_every_refusal_code_is_documented(code: preamble.RefusalCode) -> None:
+@pytest.mark.parametrize("code", list(events.RefusalCode))
+def test_every_refusal_code_is_documented(code: events.RefusalCode) -> None:
     assert f"| {code.value} | {code.name.replace('_', ' ').lower()} |" in DOCUMENT
 
 

@@ -10,7 +10,7 @@ from tests.wire.links import KEY, OTHER_KEY, make_client, make_server, the
 
 from rsb_bridge.model.fingerprints import fingerprint_of
 from rsb_bridge.wire.connection import Credential
-from rsb_bridge.wire.events import Admitted, Event, Failed, Opened, Refused
+from rsb_bridge.wire.events import Admitted, Event, Failed, Opened, RefusalCode, Refused
 from rsb_bridge.wire.framing import LENGTH, PREAMBLE_LIMIT, pack_frame
 from rsb_bridge.wire.handshake import NoiseHandshake, ReplayCache
 from rsb_bridge.wire.operators import (
@@ -23,15 +23,7 @@ from rsb_bridge.wire.operators import (
     operator_header,
     parse_operator,
 )
-from rsb_bridge.wire.preamble import (
-    Kind,
-    Refusal,
-    RefusalCode,
-    parse_control,
-    parse_preamble,
-    preamble_frame,
-    refuse_frame,
-)
+from rsb_bridge.wire.preamble import Kind, Refusal, parse_control, parse_preamble, preamble_frame, refuse_frame
 from rsb_bridge.wire.protocol_error import Broken, Misuse, ProtocolError
 
 VERSION = 7

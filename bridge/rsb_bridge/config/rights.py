@@ -1,4 +1,4 @@
-"""Rights of the other side of a link: the entries of `allow` and `deny`, what they permit, and a table of that."""
+"""Rights of the other side of a link, and of operators: the entries of a session, and what they permit."""
 
 from __future__ import annotations
 

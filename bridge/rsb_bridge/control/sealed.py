@@ -29,10 +29,10 @@ from rsb_bridge.model.snapshot import Level
 from rsb_bridge.model.text import sanitize_text
 from rsb_bridge.transport.streams import OpenNetworkTransport
 from rsb_bridge.wire.connection import Credential
-from rsb_bridge.wire.events import Admitted, Failed, Opened, Refused
+from rsb_bridge.wire.events import Admitted, Failed, Opened, RefusalCode, Refused
 from rsb_bridge.wire.handshake import ReplayCache
 from rsb_bridge.wire.operators import OperatorConsole, OperatorEngine
-from rsb_bridge.wire.preamble import Refusal, RefusalCode
+from rsb_bridge.wire.preamble import Refusal
 
 if TYPE_CHECKING:
     from rsb_bridge.config.keys import Key

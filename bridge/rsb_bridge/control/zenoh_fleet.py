@@ -12,7 +12,7 @@ from rsb_bridge.control.control_sockets import ControlError, UnclearError
 from rsb_bridge.control.sealed import OperatorConnector, SealedAcceptor
 from rsb_bridge.control.summaries import SummaryBuilder
 from rsb_bridge.engine import Engine
-from rsb_bridge.model.backoff import Backoff
+from rsb_bridge.model.budgets import Backoff
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.limits import NAME_BYTES
 from rsb_bridge.model.snapshot import Level

@@ -29,16 +29,18 @@ from rsb_bridge.link.name_watch import NameWatch
 from rsb_bridge.link.questions import topics_of_peer
 from rsb_bridge.link.reloading import Step
 from rsb_bridge.link.roles import BridgeRole, ClientRole, Keys, ServerRole
-from rsb_bridge.model.backoff import Backoff
 from rsb_bridge.model.benchmark import Outcome, Usage
+from rsb_bridge.model.budgets import Backoff
 from rsb_bridge.model.calls import FieldError
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.demands import Demands, sources_of
 from rsb_bridge.model.operators import is_undo, operator
+from rsb_bridge.model.qos import Qos
 from rsb_bridge.model.snapshot import Level, LinkSnapshot, RouteSnapshot, TopicInfo
+from rsb_bridge.ros.known_messages import STRING, STRING_HASH, string_bytes
+from rsb_bridge.ros.lasting_subscription import LastingSubscription
 from rsb_bridge.ros.ros_graph import CALLED, graph_of
 from rsb_bridge.ros.ros_interface import RosError
-from rsb_bridge.ros.shutdown_topic import watch_shutdown_topic
 from rsb_bridge.ros.synthetic import resources
 from rsb_bridge.route.topic_route import TopicRoute
 from rsb_bridge.tasks import Tasks, in_slices
@@ -56,9 +58,48 @@ if TYPE_CHECKING:
     from rsb_bridge.model.demands import Source
     from rsb_bridge.model.session import Client, Session, Topic
     from rsb_bridge.model.snapshot import RefusedClient
-    from rsb_bridge.ros.lasting_subscription import LastingSubscription
+    from rsb_bridge.ros.ros_interface import OnFailure, RawMessage, RosInterface, Subscription
     from rsb_bridge.route.route import Route
     from rsb_bridge.telemetry.snapshot_publisher import SnapshotPublisher
+
+_WORD = b"shutdown"
+
+
+def watch_shutdown_topic(
+    ros: RosInterface,
+    loop: asyncio.AbstractEventLoop,
+    topic: str,
+    act: Callable[[], None],
+    failed: Callable[[str], None],
+) -> LastingSubscription:
+    """Wait for somebody to publish the word.
+
+    Args:
+        ros: where.
+        loop: the I/O loop.
+        topic: its name.
+        act: called on the ROS thread each time.
+        failed: called on the loop with the reason when the subscription fails; it is opened anew.
+
+    Raises:
+        RosError: the topic can't be subscribed to.
+    """
+
+    def sink(batch: Sequence[RawMessage]) -> None:
+        if any(string_bytes(taken.payload) == _WORD for taken in batch):
+            act()
+
+    def subscribe(on_failure: OnFailure) -> Subscription:
+        type_hash = ros.installed_hash(STRING) or STRING_HASH
+        return ros.subscribe(topic, STRING, type_hash, Qos(), sink, None, on_failure)
+
+    def changed() -> None:
+        if watch.failure:
+            failed(watch.failure)
+
+    watch = LastingSubscription(loop, subscribe, changed)
+    return watch
+
 
 _ERROR_LOGGED_EVERY = 10.0
 _TICK, _LONGEST_PAUSE = 1.0, 10.0

@@ -11,7 +11,7 @@ import threading
 from collections import deque
 from typing import TYPE_CHECKING
 
-from rsb_bridge.config.fault_command import command_words, program_path, program_problem
+from rsb_bridge.config.validation import command_words, program_path, program_problem
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.faults import ChangeKind, FaultChange, FaultWatch
 from rsb_bridge.model.limits import REASON_LENGTH, TEXT_LENGTH

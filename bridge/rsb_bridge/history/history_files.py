@@ -1,4 +1,4 @@
-"""The files of one bridge: its events as lines of JSON, its time line as compressed MessagePack."""
+"""The history on disk: events as lines of JSON, the time line as compressed MessagePack."""
 
 from __future__ import annotations
 

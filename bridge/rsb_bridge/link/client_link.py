@@ -15,7 +15,7 @@ from rsb_bridge.link.control_channel import ControlChannel
 from rsb_bridge.link.link import Link
 from rsb_bridge.link.refused_clients import ASKED_EVERY, NAME_TRIED_EVERY, DuplicateClients, told_by_server, with_remedy
 from rsb_bridge.link.server_search import ServerSearch, failure_of_search, unproven_servers
-from rsb_bridge.model.backoff import Backoff
+from rsb_bridge.model.budgets import Backoff
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.snapshot import Level
 from rsb_bridge.model.verdict import LinkCause
@@ -23,9 +23,8 @@ from rsb_bridge.transport import descriptors
 from rsb_bridge.transport.streams import Stream, os_error_message
 from rsb_bridge.wire import sealing
 from rsb_bridge.wire.connection import ClientConnection, DataConnection
-from rsb_bridge.wire.events import Accepted, Established, Event
+from rsb_bridge.wire.events import Accepted, Established, Event, RefusalCode
 from rsb_bridge.wire.messages import Welcome
-from rsb_bridge.wire.preamble import RefusalCode
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from rsb_bridge.wire.connection import ClientConnection, DataConnection
-    from rsb_bridge.wire.preamble import RefusalCode
+    from rsb_bridge.wire.events import RefusalCode
 
 _EMPTY_LINE = b"\r\n\r\n"
 _PROBED_FOR = 0.5

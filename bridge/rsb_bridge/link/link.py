@@ -1,4 +1,4 @@
-"""One peer: its connection, its routes, its keepalive. `client` and `server` add who connects to whom."""
+"""One peer: its connection, its routes, its keepalive and reports. Clients and servers add who connects."""
 
 from __future__ import annotations
 

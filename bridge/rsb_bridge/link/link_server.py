@@ -24,8 +24,9 @@ from rsb_bridge.transport.ports import Ports
 from rsb_bridge.transport.transport import Acceptor
 from rsb_bridge.wire import sealing
 from rsb_bridge.wire.connection import ClientConnection, Credential, ServerConnection
+from rsb_bridge.wire.events import RefusalCode
 from rsb_bridge.wire.messages import Hello, Welcome
-from rsb_bridge.wire.preamble import LINK_ID_LENGTH, Refusal, RefusalCode
+from rsb_bridge.wire.preamble import LINK_ID_LENGTH, Refusal
 from rsb_bridge.wire.sealing import Suite
 
 if TYPE_CHECKING:

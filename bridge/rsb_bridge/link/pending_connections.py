@@ -12,9 +12,9 @@ from rsb_bridge.model.snapshot import Level
 from rsb_bridge.model.verdict import LinkCause
 from rsb_bridge.transport import descriptors
 from rsb_bridge.transport.streams import Stream, StreamHandler
-from rsb_bridge.wire.events import Attach, Established, Event, Failed, Refused
+from rsb_bridge.wire.events import Attach, Established, Event, Failed, RefusalCode, Refused
 from rsb_bridge.wire.messages import Hello
-from rsb_bridge.wire.preamble import Refusal, RefusalCode
+from rsb_bridge.wire.preamble import Refusal
 
 if TYPE_CHECKING:
     import asyncio

@@ -1,4 +1,4 @@
-"""Questions that the two sides of a link ask each other, and one of them: what the types of their messages are."""
+"""Questions that the two sides of a link ask each other: topic lists, and descriptions of types."""
 
 from __future__ import annotations
 

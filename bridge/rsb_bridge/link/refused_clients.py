@@ -1,4 +1,4 @@
-"""Clients that a server refuses: what both sides are told, how late they are answered, what is logged and shown."""
+"""Clients that a server refuses, such as a second one of the same name: answers, log entries and snapshots."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ from rsb_bridge.model.limits import TEXT_LENGTH
 from rsb_bridge.model.snapshot import Level, RefusedClient
 from rsb_bridge.model.text import sanitize_text
 from rsb_bridge.model.verdict import LinkCause, about
+from rsb_bridge.wire.events import RefusalCode
 from rsb_bridge.wire.messages import Duplicate
-from rsb_bridge.wire.preamble import RefusalCode
 
 if TYPE_CHECKING:
     from rsb_bridge.context import Context

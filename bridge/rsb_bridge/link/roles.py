@@ -20,7 +20,7 @@ from rsb_bridge.link.link_server import Server
 from rsb_bridge.link.reloading import Step, client_steps, server_steps
 from rsb_bridge.link.server_link import ClientEntry
 from rsb_bridge.model import benchmark, calls, patterns
-from rsb_bridge.model.backoff import Backoff
+from rsb_bridge.model.budgets import Backoff
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.limits import LATE_AFTER_FEATURE, MAX_AGE_FEATURE
 from rsb_bridge.model.names import client_topic

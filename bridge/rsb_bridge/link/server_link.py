@@ -23,9 +23,10 @@ from rsb_bridge.model.text import join_first
 from rsb_bridge.model.verdict import LinkCause
 from rsb_bridge.transport import descriptors
 from rsb_bridge.transport.transport import ListenError, StreamTransport
+from rsb_bridge.wire.events import RefusalCode
 from rsb_bridge.wire.handshake import ReplayCache
 from rsb_bridge.wire.messages import Duplicate, Hello, Propose, Shutdown
-from rsb_bridge.wire.preamble import DataPreamble, Refusal, RefusalCode, parse_further
+from rsb_bridge.wire.preamble import DataPreamble, Refusal, parse_further
 from rsb_bridge.wire.sealing import SealError
 
 if TYPE_CHECKING:

@@ -16,8 +16,7 @@ if TYPE_CHECKING:
 
     from rsb_bridge.transport.transport import StreamTransport
     from rsb_bridge.wire.connection import ClientConnection
-    from rsb_bridge.wire.events import Event
-    from rsb_bridge.wire.preamble import RefusalCode
+    from rsb_bridge.wire.events import Event, RefusalCode
     from rsb_bridge.wire.sealing import Suite
 
 _REFUSED_AFTER = 1.5

@@ -299,7 +299,7 @@ class Session(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defa
         diagnostics_topic: the topic of the state of links and routes, as ``diagnostic_msgs/DiagnosticArray``; or None.
         metrics: the address on which Prometheus finds the metrics, ``127.0.0.1:9464``; or None.
         on_fault: the command to run when a fault begins, changes or is over, or None. It is a list of words, or a text
-            that `rsb_bridge.config.fault_command` splits into words as a shell would.
+            that `rsb_bridge.config.validation` splits into words as a shell would.
         topics: a client's topics.
         armed: names and patterns on this side that have to be armed, with or without an entry.
         clients: the clients of a server, or empty for one client with the session's own name and key.

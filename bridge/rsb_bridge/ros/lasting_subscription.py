@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 from typing import TYPE_CHECKING
 
-from rsb_bridge.model.backoff import Backoff
+from rsb_bridge.model.budgets import Backoff
 from rsb_bridge.ros.ros_interface import RosError
 
 if TYPE_CHECKING:

@@ -1,4 +1,4 @@
-"""The life of a route's half as a table: which event leads from which phase to which (after h11's connection states).
+"""The phases of a route's half as a table of events, and whether operators have paused it.
 
 Whether messages flow beyond the last phase is up to the channel, the link and the ROS graph, which come and go without
 either side having to agree on anything.

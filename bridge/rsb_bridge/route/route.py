@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, ClassVar, NamedTuple, Protocol, Unpack
 
 import msgspec
 
-from rsb_bridge.model.backoff import Backoff
+from rsb_bridge.model.budgets import Backoff
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.limits import MAX_AGE_FEATURE
 from rsb_bridge.model.session import HIGHEST, RANKS, priority_of

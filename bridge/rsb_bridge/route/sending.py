@@ -1,4 +1,4 @@
-"""What becomes of a sending half's messages from ROS until its channel takes them: throttled, packed and queued."""
+"""The sender of a route: messages from ROS are throttled, packed and queued until the channel takes them."""
 
 from __future__ import annotations
 

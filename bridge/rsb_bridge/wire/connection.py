@@ -17,6 +17,7 @@ from rsb_bridge.wire.events import (
     DataFrame,
     Established,
     Received,
+    RefusalCode,
     Refused,
     Undecoded,
 )
@@ -29,7 +30,6 @@ from rsb_bridge.wire.preamble import (
     Phase,
     PreambleStream,
     Refusal,
-    RefusalCode,
     RefusalText,
     control_header,
     data_header,

@@ -3,12 +3,27 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from enum import IntEnum
 from typing import TYPE_CHECKING, TypeAlias
 
 if TYPE_CHECKING:
     from rsb_bridge.wire.messages import ControlMessage, Hello, Welcome
-    from rsb_bridge.wire.preamble import RefusalCode
     from rsb_bridge.wire.sealing import SessionKeys
+
+
+class RefusalCode(IntEnum):
+    """Why a stream is refused."""
+
+    WRONG_VERSION = 1
+    WRONG_KEY = 2
+    UNKNOWN_NAME = 3
+    ENCRYPTION_REQUIRED = 4
+    ENCRYPTION_NOT_POSSIBLE = 5
+    BAD_FORMAT = 6
+    NO_SUCH_ROUTE = 7
+    BUSY = 8
+    NAME_TAKEN = 9
+    SHUT_DOWN = 10
 
 
 @dataclass(frozen=True, slots=True)

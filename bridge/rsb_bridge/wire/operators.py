@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, NamedTuple
 from rsb_bridge.model.fingerprints import FINGERPRINT_LENGTH, fingerprint_of, format_fingerprint
 from rsb_bridge.model.limits import NAME_BYTES
 from rsb_bridge.model.text import is_clean, sanitize_text
-from rsb_bridge.wire.events import Admitted, Opened
+from rsb_bridge.wire.events import Admitted, Opened, RefusalCode
 from rsb_bridge.wire.framing import FrameReader, pack_frame
 from rsb_bridge.wire.handshake import NoiseHandshake
 from rsb_bridge.wire.preamble import (
@@ -21,7 +21,6 @@ from rsb_bridge.wire.preamble import (
     Phase,
     PreambleStream,
     Refusal,
-    RefusalCode,
     RefusalText,
     key_of,
     preamble_frame,

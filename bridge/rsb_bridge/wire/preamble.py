@@ -12,7 +12,7 @@ from rsb_bridge.model.fingerprints import FINGERPRINT_LENGTH, fingerprint_of, fo
 from rsb_bridge.model.limits import NAME_BYTES
 from rsb_bridge.model.text import is_clean, sanitize_text
 from rsb_bridge.model.wording import Wording
-from rsb_bridge.wire.events import Event, Failed, Refused
+from rsb_bridge.wire.events import Event, Failed, RefusalCode, Refused
 from rsb_bridge.wire.framing import LENGTH, PREAMBLE_LIMIT, pack_frame
 from rsb_bridge.wire.protocol_error import Broken, ForeignProtocolError, Misuse, ProtocolError
 from rsb_bridge.wire.sealing import SealError, Suite
@@ -76,21 +76,6 @@ class Kind(IntEnum):
     REFUSE = 4
     RETRY = 5
     OPERATOR = 6
-
-
-class RefusalCode(IntEnum):
-    """Why a stream is refused."""
-
-    WRONG_VERSION = 1
-    WRONG_KEY = 2
-    UNKNOWN_NAME = 3
-    ENCRYPTION_REQUIRED = 4
-    ENCRYPTION_NOT_POSSIBLE = 5
-    BAD_FORMAT = 6
-    NO_SUCH_ROUTE = 7
-    BUSY = 8
-    NAME_TAKEN = 9
-    SHUT_DOWN = 10
 
 
 class RefusalText(Wording):

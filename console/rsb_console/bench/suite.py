@@ -1,4 +1,4 @@
-"""The order and the time limits of all measurements, and the search for the highest rate without a loss."""
+"""The measurements of `bench`: their order and time limits, on this machine or over a running link."""
 
 from __future__ import annotations
 

@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING
 import msgspec
 
 from rsb_bridge.config.advice import advise, uninstalled_types, without_max_age
-from rsb_bridge.config.fault_command import command_words, fault_command_warnings
 from rsb_bridge.config.file_form import LISTS, NOUNS
 from rsb_bridge.config.keys import (
     Key,
@@ -28,7 +27,7 @@ from rsb_bridge.config.keys import (
 from rsb_bridge.config.rights import listings, operator_key_problem
 from rsb_bridge.config.session_file import SessionError, demand_places, load
 from rsb_bridge.config.topic_rules import transport_of
-from rsb_bridge.config.validation import domain_of
+from rsb_bridge.config.validation import command_words, domain_of, fault_command_warnings
 from rsb_bridge.config.yaml_text import inline
 from rsb_bridge.model.demands import Demands, demand_on_entry, describe, sources_of
 from rsb_bridge.model.profiles import PROFILES, compression_of, described, profile_of

@@ -1,4 +1,4 @@
-"""All robots of some sources, those too that have gone."""
+"""The robots of all sources, those too that have gone, remembered across restarts."""
 
 from __future__ import annotations
 

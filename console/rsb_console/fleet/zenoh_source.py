@@ -16,7 +16,7 @@ from rsb_bridge.control.control_sockets import ControlError
 from rsb_bridge.control.remote_engine import RemoteEngine
 from rsb_bridge.control.summaries import watch
 from rsb_bridge.control.zenoh_fleet import FleetPresence, FleetWay
-from rsb_bridge.model.backoff import Backoff
+from rsb_bridge.model.budgets import Backoff
 from rsb_bridge.model.robot_summary import WHY_LENGTH, RobotState, RobotSummary, decode
 from rsb_bridge.model.text import sanitize_text
 

@@ -1,4 +1,4 @@
-"""Formats for figures, times and kinds of routes: short, aligned, and with the unit that an operator expects."""
+"""Formats for figures, times and kinds of routes, and for patterns as rows."""
 
 from __future__ import annotations
 

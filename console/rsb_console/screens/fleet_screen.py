@@ -12,9 +12,9 @@ from rsb_bridge.model.text import join_first
 from rsb_console.actions import BY_ID, FLEET_ACTIONS, Group, bindings
 from rsb_console.terminal.driver import copy
 from rsb_console.terminal.input_queue import DIALOG
+from rsb_console.widgets.bars import KeyBar, KeyEntry
 from rsb_console.widgets.filter import Prompt
 from rsb_console.widgets.fleet_table import FleetStatus, FleetTable, FleetView, RobotDetail
-from rsb_console.widgets.keybar import KeyBar, KeyEntry
 
 if TYPE_CHECKING:
     from collections.abc import Callable

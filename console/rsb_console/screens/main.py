@@ -18,13 +18,12 @@ from rsb_console.actions import ACTIONS, BY_ID, Group, bindings
 from rsb_console.look import formats
 from rsb_console.look.formats import PatternRow
 from rsb_console.screens.dialog import Dialog
+from rsb_console.widgets.bars import KeyBar, KeyEntry, StatusBar, View, state_counts, warning_count
 from rsb_console.widgets.columns import is_armed
 from rsb_console.widgets.detail import DetailPane
 from rsb_console.widgets.faults import FaultLines, MoreKeys, faults_of
 from rsb_console.widgets.filter import Prompt
-from rsb_console.widgets.keybar import KeyBar, KeyEntry
 from rsb_console.widgets.log import WORD, LogPane, plain
-from rsb_console.widgets.status_bar import StatusBar, View, state_counts, warning_count
 from rsb_console.widgets.topics import FAULTS, TopicsTable
 
 if TYPE_CHECKING:

@@ -1,4 +1,4 @@
-"""The terminal under the app. If it stops reading, sends broken bytes or goes away, only frames are lost."""
+"""The terminal under the app, and its clipboard. If it stops reading, only frames are lost."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The table of robots, its totals, and the details of the robot or the group under the cursor."""
+"""The table of robots with its columns and totals, and the details of the selected robot or group."""
 
 from __future__ import annotations
 

@@ -9,10 +9,10 @@ from tests.fuzz.editing import behind, edit_bytes
 from tests.fuzz.parser import Parser, check_text
 from tests.wire.test_operators import attached, make_console, make_engine
 
-from rsb_bridge.wire.events import Admitted, Failed, Opened, Refused
+from rsb_bridge.wire.events import Admitted, Failed, Opened, RefusalCode, Refused
 from rsb_bridge.wire.framing import PREAMBLE_LIMIT, pack_frame
 from rsb_bridge.wire.operators import HOST_BYTES, RECORD_CONTENT, OperatorConsole, OperatorEngine
-from rsb_bridge.wire.preamble import MESSAGE_LIMIT, Kind, RefusalCode, preamble_frame, refuse_frame
+from rsb_bridge.wire.preamble import MESSAGE_LIMIT, Kind, preamble_frame, refuse_frame
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -12,16 +12,9 @@ from tests.wire.links import WELCOME, key_for, make_client, make_server
 from rsb_bridge.model.text import is_clean
 from rsb_bridge.wire.codec import encode
 from rsb_bridge.wire.connection import ClientConnection, DataConnection, ServerConnection
-from rsb_bridge.wire.events import Accepted, Attach, DataFrame, Established, Failed, Received, Refused
+from rsb_bridge.wire.events import Accepted, Attach, DataFrame, Established, Failed, Received, RefusalCode, Refused
 from rsb_bridge.wire.framing import PREAMBLE_LIMIT, pack_frame
-from rsb_bridge.wire.preamble import (
-    MESSAGE_LIMIT,
-    Kind,
-    RefusalCode,
-    data_header,
-    preamble_frame,
-    refuse_frame,
-)
+from rsb_bridge.wire.preamble import MESSAGE_LIMIT, Kind, data_header, preamble_frame, refuse_frame
 from rsb_bridge.wire.sealing import SessionKeys, Suite
 
 if TYPE_CHECKING:

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import pytest
 
-from rsb_bridge.route.calls import pending_calls as module
-from rsb_bridge.route.calls.calls_ledger import Refused
-from rsb_bridge.route.calls.pending_calls import CallBudget
+from rsb_bridge.model.calls import Refused
+from rsb_bridge.route import peer as module
+from rsb_bridge.route.peer import CallBudget
 
 
 @pytest.fixture

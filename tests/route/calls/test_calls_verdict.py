@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import pytest
 
+from rsb_bridge.model.calls import Refused
 from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.verdict import Cause
-from rsb_bridge.route.calls.calls_ledger import Refused
 from rsb_bridge.route.calls.calls_verdict import CallsFacts, Trouble, judge_calls
 from rsb_bridge.route.combined_verdict import CombinedVerdict, record_of
 

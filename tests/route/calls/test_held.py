@@ -9,11 +9,11 @@ from tests.support.goals import cancel_request, goal, goal_request
 from tests.support.offline import FakePeer
 
 from rsb_bridge.link.proposals import proposal_of
-from rsb_bridge.model.calls import CANCEL_GOAL, GET_RESULT, SEND_GOAL
+from rsb_bridge.model.calls import CANCEL_GOAL, GET_RESULT, SEND_GOAL, Refused
 from rsb_bridge.model.session import Topic
 from rsb_bridge.ros.ros_thread import RosTurns
 from rsb_bridge.route.calls.calling_action import CallingAction
-from rsb_bridge.route.calls.calls_ledger import REMEDIES, Refused
+from rsb_bridge.route.calls.calls_ledger import REMEDIES
 from rsb_bridge.route.calls.goals import accepted_by
 from rsb_bridge.route.calls.kept_calls import KeptCall
 from rsb_bridge.route.calls.manual_call import CallError

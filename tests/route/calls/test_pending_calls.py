@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from rsb_bridge.route.calls.pending_calls import Call, CallBudget, UnderWay
+from rsb_bridge.route.calls.pending_calls import Call, UnderWay
+from rsb_bridge.route.peer import CallBudget
 
 if TYPE_CHECKING:
     from tests.support.virtual_time import VirtualLoop

@@ -7,13 +7,14 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar
 
 from rsb_bridge.model.budgets import TokenBucket
+from rsb_bridge.model.calls import Refused
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.snapshot import Level, Stage
 from rsb_bridge.model.verdict import Cause
 from rsb_bridge.ros.ros_interface import Request, RosError
 from rsb_bridge.route.calls.call_endpoints import Offers, name_of, type_of
 from rsb_bridge.route.calls.call_servers import LocalServers, others_called, types_clash, way_here
-from rsb_bridge.route.calls.calls_ledger import Refused, refused_as
+from rsb_bridge.route.calls.calls_ledger import refused_as
 from rsb_bridge.route.calls.calls_route import CallsRoute, frame_size
 from rsb_bridge.route.calls.calls_verdict import CallsFacts, Trouble
 from rsb_bridge.route.calls.manual_call import CallError, ManualCall

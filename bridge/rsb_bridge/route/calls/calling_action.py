@@ -12,10 +12,9 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
-from rsb_bridge.model.calls import CANCEL_GOAL, FEEDBACK, GET_RESULT, SEND_GOAL, STATUS
+from rsb_bridge.model.calls import CANCEL_GOAL, FEEDBACK, GET_RESULT, SEND_GOAL, STATUS, Refused
 from rsb_bridge.ros.ros_interface import RosError
 from rsb_bridge.route.calls.calling import CallerCall, CallingRoute
-from rsb_bridge.route.calls.calls_ledger import Refused
 from rsb_bridge.route.calls.calls_route import frame_size
 from rsb_bridge.route.calls.goals import (
     Goals,

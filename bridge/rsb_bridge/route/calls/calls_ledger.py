@@ -3,47 +3,13 @@
 from __future__ import annotations
 
 from collections import Counter, deque
-from enum import StrEnum
 
-from rsb_bridge.model.calls import CallsSnapshot
+from rsb_bridge.model.calls import CallsSnapshot, Refused
 from rsb_bridge.telemetry.meters import LatencyMeter
 from rsb_bridge.wire.records import CallsReport, VerdictRecord
 
 LATELY = 10
 """s: what verdicts look back on."""
-
-
-class Refused(StrEnum):
-    """Why a call was refused, or given up on the other side. Counts are kept by these words, so they are stable."""
-
-    CALLS_UNDER_WAY = "calls under way"
-    """The link has as many as it may."""
-    BYTES_UNDER_WAY = "bytes under way"
-    """Likewise, of what calls and answers hold."""
-    CALLS_A_SECOND = "calls a second"
-    """More come than the link, the entry or the rights allow."""
-    PAUSED = "paused"
-    DISARMED = "disarmed"
-    UNHEARD = "link silent"
-    """It is armed, and the two sides have not heard each other for a second; an older peer reads `OTHER`."""
-    PROVIDER_GONE = "provider gone"
-    """Nobody serves it any more; the call reached nobody."""
-    TOO_LARGE = "too large"
-    """The request or the response is longer than a message may be."""
-    MALFORMED = "malformed"
-    """The request or the response is not one of its type; ROS did not get it."""
-    TOO_COMPLEX = "too complex"
-    """The request or the response has too many strings and sequences to check, or the link's calls have."""
-    NOT_SENT = "not sent"
-    """The middleware refused the request."""
-    NOT_ARRIVED = "not arrived"
-    """A goal was under way when the link went, never arrived, and does not begin late."""
-    TOO_OLD = "too old"
-    """The request was older than `max_age` when it would have been handed on; the call reached nobody."""
-    LOST = "lost"
-    """It was under way when its provider went. Counted as lost, not as refused."""
-    OTHER = "other"
-    """A newer peer's reason."""
 
 
 REMEDIES = {

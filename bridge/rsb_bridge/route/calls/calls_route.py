@@ -23,8 +23,8 @@ import msgspec
 import zstandard
 
 from rsb_bridge.cdr.checker import MalformedError, TooComplexError
-from rsb_bridge.model.backoff import Backoff
-from rsb_bridge.model.calls import LANES
+from rsb_bridge.model.budgets import Backoff
+from rsb_bridge.model.calls import LANES, Refused
 from rsb_bridge.model.clock import shifted
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.session import CALL_TIMEOUT
@@ -32,7 +32,7 @@ from rsb_bridge.model.snapshot import Ledger, Level
 from rsb_bridge.model.verdict import Cause
 from rsb_bridge.ros.ros_interface import RosError
 from rsb_bridge.route.calls.call_endpoints import name_of, route_type_of
-from rsb_bridge.route.calls.calls_ledger import REMEDIES, CallsLedger, Refused
+from rsb_bridge.route.calls.calls_ledger import REMEDIES, CallsLedger
 from rsb_bridge.route.calls.calls_verdict import CallsFacts, Trouble, judge_calls
 from rsb_bridge.route.combined_verdict import lasting, node_names, record_of
 from rsb_bridge.route.message_check import ExpandsTooMuchError, MessageCheck, Unpacker, malformed_text

@@ -7,10 +7,12 @@ from typing import TYPE_CHECKING, NamedTuple
 from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.verdict import FINE, LASTING, Cause, Verdict
 from rsb_bridge.route.blocking_rules import gated, no_path, rank, throttled
-from rsb_bridge.route.calls.calls_ledger import LATELY, REMEDIES, Refused
+from rsb_bridge.route.calls.calls_ledger import LATELY, REMEDIES
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
+
+    from rsb_bridge.model.calls import Refused
 
 
 class Trouble(NamedTuple):

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, ClassVar
 
 import msgspec
 
+from rsb_bridge.model.calls import Refused
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.snapshot import Stage
 from rsb_bridge.model.sources import MOST_HOPS
@@ -14,7 +15,7 @@ from rsb_bridge.model.verdict import Cause
 from rsb_bridge.ros.ros_interface import RosError
 from rsb_bridge.route.calls.call_endpoints import Clients, name_of
 from rsb_bridge.route.calls.call_servers import CallLoopGuard, Provision, provision
-from rsb_bridge.route.calls.calls_ledger import REMEDIES, Refused
+from rsb_bridge.route.calls.calls_ledger import REMEDIES
 from rsb_bridge.route.calls.calls_route import CallsRoute, frame_size
 from rsb_bridge.route.calls.calls_verdict import CallsFacts, Trouble
 from rsb_bridge.route.calls.manual_call import CallError, call_directly

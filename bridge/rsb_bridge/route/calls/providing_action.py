@@ -9,9 +9,8 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import TYPE_CHECKING, ClassVar
 
-from rsb_bridge.model.calls import FEEDBACK, GET_RESULT, SEND_GOAL, STATUS
+from rsb_bridge.model.calls import FEEDBACK, GET_RESULT, SEND_GOAL, STATUS, Refused
 from rsb_bridge.ros.ros_interface import RosError
-from rsb_bridge.route.calls.calls_ledger import Refused
 from rsb_bridge.route.calls.calls_route import frame_size
 from rsb_bridge.route.calls.goals import Goals, accepted_by, goal_of, state_of, statuses_of
 from rsb_bridge.route.calls.kept_calls import (
