@@ -18,7 +18,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 from rsb_bridge.channel.data_keys import DataKeys
-from rsb_bridge.channel.datagram import DatagramSender, datagram_channel
+from rsb_bridge.channel.datagram_channel import DatagramSender, datagram_channel
 from rsb_bridge.channel.udp_channel import ClientUdpChannel, PathProbe, ServerUdpChannel, UdpDemultiplexer
 from rsb_bridge.route.sending import QueueLimits, SendQueue
 from rsb_bridge.transport import udp

@@ -11,8 +11,8 @@ import msgspec
 
 from rsb_bridge.model.clock import Clock, StampClock
 from rsb_bridge.model.codes import EventCode
+from rsb_bridge.model.command_origin import operator
 from rsb_bridge.model.demands import RunningDemands
-from rsb_bridge.model.operators import operator
 from rsb_bridge.model.snapshot import Level
 from rsb_bridge.ros.announcements import Announcements
 from rsb_bridge.ros.parameter_events import ParameterEvents

@@ -6,7 +6,7 @@ from collections import deque
 
 import pytest
 
-from rsb_bridge.channel.datagram import WINDOW, Pacer
+from rsb_bridge.channel.datagram_channel import WINDOW, Pacer
 
 DATAGRAM = 1400
 STEP = 0.0002

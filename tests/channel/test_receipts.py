@@ -5,7 +5,7 @@ from __future__ import annotations
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, cast
 
-from rsb_bridge.channel.datagram import WINDOW, DatagramReceiver
+from rsb_bridge.channel.datagram_channel import WINDOW, DatagramReceiver
 from rsb_bridge.wire.datagram import DatagramReader, DatagramWriter
 from rsb_bridge.wire.sealing import SessionKeys, Suite
 

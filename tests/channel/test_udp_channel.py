@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 from rsb_bridge.channel.data_keys import DataKeys
-from rsb_bridge.channel.datagram import DatagramSender, datagram_channel
+from rsb_bridge.channel.datagram_channel import DatagramSender, datagram_channel
 from rsb_bridge.channel.udp_channel import (
     ClientUdpChannel,
     PathProbe,

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import msgspec
 from tests.console.scripted import ScriptedEngine, route
 
-from rsb_bridge.model.operators import is_undo
+from rsb_bridge.model.command_origin import is_undo
 from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import State
 

@@ -25,7 +25,7 @@ from rsb_console.app import ConsoleApp
 from rsb_console.look.glyphs import ACK_WORD, STATE_WORD
 from rsb_console.screens.links_screen import LinksScreen
 from rsb_console.widgets.bars import acknowledged_count, state_counts, warning_count
-from rsb_console.widgets.faults import faults_of
+from rsb_console.widgets.fault_pane import faults_of
 from rsb_console.widgets.filter import Pattern
 
 KNOWN = Acknowledgement("anna on pts/3", NOW - 60)

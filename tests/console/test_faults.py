@@ -11,7 +11,7 @@ from textual.pilot import Pilot
 from rsb_bridge.model.snapshot import LinkSnapshot, RefusedClient, RouteSnapshot, Snapshot, State
 from rsb_bridge.model.verdict import Cause, Verdict
 from rsb_bridge.route.topic_verdict import no_publisher
-from rsb_console.widgets.faults import Heights, MoreKeys, fault_lines, faults_of, link_fault
+from rsb_console.widgets.fault_pane import Heights, MoreKeys, fault_lines, faults_of, link_fault
 
 QOS = "/camera offers best effort, but this topic asks for reliable: its messages are not received; set qos: auto"
 TYPO = route("/w_tpyo", State.WAITING, cause="similar_name", reason=no_publisher("/w_tpyo", 3, "/w_typo"))

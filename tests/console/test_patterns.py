@@ -11,7 +11,7 @@ from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import PatternSnapshot, State
 from rsb_console.app import ConsoleApp
 from rsb_console.look.formats import pattern_rows
-from rsb_console.widgets.faults import faults_of
+from rsb_console.widgets.fault_pane import faults_of
 
 SPEC = Topic("/aa/**", "transmit", remote_topic="/robot1/**", excepts=("/aa/raw",))
 KEY = "key of /aa/**"

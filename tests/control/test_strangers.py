@@ -23,7 +23,7 @@ from rsb_bridge.model.budgets import CONNECTION, Strangers
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.session import Client, Topic
 from rsb_bridge.wire import events
-from rsb_bridge.wire.operators import OperatorConsole
+from rsb_bridge.wire.operator_connection import OperatorConsole
 
 if TYPE_CHECKING:
     from collections.abc import Callable

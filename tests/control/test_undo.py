@@ -11,7 +11,7 @@ from tests.support.bridge import find, happened, now, route
 from tests.support.waiting import eventually
 
 from rsb_bridge.model.codes import EventCode
-from rsb_bridge.model.operators import acting, is_undo, undoing
+from rsb_bridge.model.command_origin import acting, is_undo, undoing
 from rsb_bridge.model.session import Topic
 from rsb_console.session.changes import Added, CannotUndoError, Edited, Removed, patterns_of
 

@@ -14,8 +14,8 @@ from tests.support.wording import pattern
 
 from rsb_bridge.api import EngineError
 from rsb_bridge.model.codes import EventCode
+from rsb_bridge.model.command_origin import acting
 from rsb_bridge.model.names import TypeNameProblem
-from rsb_bridge.model.operators import acting
 from rsb_bridge.model.session import Client, Topic
 from rsb_bridge.model.verdict import LinkCause
 

@@ -15,7 +15,7 @@ from rsb_bridge.api import EngineError
 from rsb_bridge.config.session_file import load, save
 from rsb_bridge.engine import engine as engine_module
 from rsb_bridge.model.codes import EventCode
-from rsb_bridge.model.operators import OWN_CONSOLE, acting
+from rsb_bridge.model.command_origin import OWN_CONSOLE, acting
 from rsb_bridge.model.session import Client, Session, Topic
 from rsb_bridge.model.snapshot import Level
 from rsb_bridge.model.verdict import LinkCause

@@ -9,7 +9,7 @@ import pytest
 from tests.support.wording import says
 
 from rsb_bridge.transport.zenoh.endpoint import EndpointProblem
-from rsb_bridge.transport.zenoh.transport import FleetText
+from rsb_bridge.transport.zenoh.zenoh_transport import FleetText
 from rsb_bridge.wire.preamble import RefusalText
 
 pytest.importorskip("zenoh")  # an extra

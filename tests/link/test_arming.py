@@ -15,8 +15,8 @@ from rsb_bridge.link.errors import LinkError
 from rsb_bridge.link.proposals import proposal_of
 from rsb_bridge.model import calls
 from rsb_bridge.model.codes import EventCode
+from rsb_bridge.model.command_origin import acting
 from rsb_bridge.model.demands import Source
-from rsb_bridge.model.operators import acting
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.model.session import Armed as ArmedEntry
 from rsb_bridge.model.session import Topic

@@ -14,7 +14,7 @@ from tests.simulation.network import Network
 from tests.simulation.sockets import simulated
 
 from rsb_bridge.channel.data_keys import DataKeys
-from rsb_bridge.channel.datagram import DatagramReceiver, DatagramSender, datagram_channel
+from rsb_bridge.channel.datagram_channel import DatagramReceiver, DatagramSender, datagram_channel
 from rsb_bridge.channel.udp_channel import ClientUdpChannel, PathProbe, ServerUdpChannel, UdpDemultiplexer
 from rsb_bridge.link.data_channels import UdpChannels
 from rsb_bridge.model.codes import EventCode

@@ -19,7 +19,7 @@ from rsb_bridge.model.clock import Clock
 from rsb_bridge.model.session import Operator
 from rsb_bridge.telemetry.event_log import EventLog
 from rsb_bridge.wire.events import Admitted, Opened
-from rsb_bridge.wire.operators import OperatorConsole
+from rsb_bridge.wire.operator_connection import OperatorConsole
 
 if TYPE_CHECKING:
     from tests.support.control import Machine

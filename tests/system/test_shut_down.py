@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 from tests.support.bridge import linked
 from tests.support.waiting import eventually, holds
 
-from rsb_bridge.model.operators import acting
+from rsb_bridge.model.command_origin import acting
 
 if TYPE_CHECKING:
     from tests.support.bridge import Bridge

@@ -13,7 +13,7 @@ from rsb_bridge.wire.connection import Credential
 from rsb_bridge.wire.events import Admitted, Event, Failed, Opened, RefusalCode, Refused
 from rsb_bridge.wire.framing import LENGTH, PREAMBLE_LIMIT, pack_frame
 from rsb_bridge.wire.handshake import NoiseHandshake, ReplayCache
-from rsb_bridge.wire.operators import (
+from rsb_bridge.wire.operator_connection import (
     HOST_BYTES,
     RECORD_CONTENT,
     RECORD_LIMIT,

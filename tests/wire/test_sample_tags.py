@@ -8,7 +8,7 @@ from tests.wire.links import HELLO, KEY, WELCOME
 
 from rsb_bridge.wire.connection import ClientConnection, Credential, ServerConnection
 from rsb_bridge.wire.handshake import ReplayCache
-from rsb_bridge.wire.operators import OperatorConsole, OperatorEngine, operator_header, parse_operator
+from rsb_bridge.wire.operator_connection import OperatorConsole, OperatorEngine, operator_header, parse_operator
 from rsb_bridge.wire.sealing import FEATURE, TAG_LENGTH, SampleTags, Suite
 
 SECRET, STREAM = bytes(range(32)), "5" * 16

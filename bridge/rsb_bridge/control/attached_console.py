@@ -14,8 +14,8 @@ from rsb_bridge.control.features import FEATURES, known_features, knows_all, wit
 from rsb_bridge.control.protocol import CHANGING, ArmTopic, Bench, ProtocolError
 from rsb_bridge.control.states import EncodedRoutes, Sender
 from rsb_bridge.model.benchmark import Outcome
+from rsb_bridge.model.command_origin import acting, on_console, undoing
 from rsb_bridge.model.history import HistoryReport
-from rsb_bridge.model.operators import acting, on_console, undoing
 from rsb_bridge.model.snapshot import PeekedMessage, Reloaded, TopicInfo
 from rsb_bridge.tasks import Tasks
 

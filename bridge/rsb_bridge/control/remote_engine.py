@@ -24,8 +24,8 @@ from rsb_bridge.control.ways import UnixSocket
 from rsb_bridge.model.benchmark import Outcome
 from rsb_bridge.model.clock import Clock
 from rsb_bridge.model.codes import EventCode
+from rsb_bridge.model.command_origin import is_undo
 from rsb_bridge.model.history import HistoryReport
-from rsb_bridge.model.operators import is_undo
 from rsb_bridge.model.snapshot import Level, PeekedMessage, Reloaded
 from rsb_bridge.telemetry.event_log import EventLog
 

@@ -31,7 +31,7 @@ from rsb_bridge.transport.streams import OpenNetworkTransport
 from rsb_bridge.wire.connection import Credential
 from rsb_bridge.wire.events import Admitted, Failed, Opened, RefusalCode, Refused
 from rsb_bridge.wire.handshake import ReplayCache
-from rsb_bridge.wire.operators import OperatorConsole, OperatorEngine
+from rsb_bridge.wire.operator_connection import OperatorConsole, OperatorEngine
 from rsb_bridge.wire.preamble import Refusal
 
 if TYPE_CHECKING:

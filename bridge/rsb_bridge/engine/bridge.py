@@ -33,8 +33,8 @@ from rsb_bridge.model.benchmark import Outcome, Usage
 from rsb_bridge.model.budgets import Backoff
 from rsb_bridge.model.calls import FieldError
 from rsb_bridge.model.codes import EventCode
+from rsb_bridge.model.command_origin import is_undo, operator
 from rsb_bridge.model.demands import Demands, sources_of
-from rsb_bridge.model.operators import is_undo, operator
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.model.snapshot import Level, LinkSnapshot, RouteSnapshot, TopicInfo
 from rsb_bridge.ros.known_messages import STRING, STRING_HASH, string_bytes

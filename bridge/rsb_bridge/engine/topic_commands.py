@@ -9,8 +9,8 @@ import msgspec
 from rsb_bridge.config.difference import changes, described
 from rsb_bridge.link.errors import LinkError
 from rsb_bridge.model.codes import EventCode
+from rsb_bridge.model.command_origin import console, operator
 from rsb_bridge.model.demands import PEER_DEMANDS, local_name
-from rsb_bridge.model.operators import console, operator
 from rsb_bridge.route.arming import Disarmed
 from rsb_bridge.route.lifecycle import pause_word
 

@@ -8,7 +8,7 @@ from functools import partial
 from typing import TYPE_CHECKING
 
 from rsb_bridge.channel import window
-from rsb_bridge.channel.datagram import datagram_channel
+from rsb_bridge.channel.datagram_channel import datagram_channel
 from rsb_bridge.link.contention import Contention, LinkFullness
 from rsb_bridge.link.control_channel import in_slices
 from rsb_bridge.link.data_channels import DataChannels

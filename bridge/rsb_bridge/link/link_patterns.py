@@ -12,9 +12,9 @@ from rsb_bridge.config.rights import Use, as_if_listed, uses
 from rsb_bridge.link.errors import LinkError
 from rsb_bridge.link.proposals import KINDS
 from rsb_bridge.model.codes import EventCode
+from rsb_bridge.model.command_origin import acting
 from rsb_bridge.model.limits import TEXT_LENGTH
 from rsb_bridge.model.names import client_topic, expand_type_name, is_topic_name, server_topic
-from rsb_bridge.model.operators import acting
 from rsb_bridge.model.patterns import (
     EXCEPTIONS_PER_PATTERN,
     FEATURE,

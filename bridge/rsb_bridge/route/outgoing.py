@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, ClassVar, NamedTuple
 
 import msgspec
 
-from rsb_bridge.channel.datagram import DatagramSender
+from rsb_bridge.channel.datagram_channel import DatagramSender
 from rsb_bridge.channel.receipts import WindowedSender
 from rsb_bridge.model.clock import shifted
 from rsb_bridge.model.codes import EventCode

@@ -10,7 +10,7 @@ from rsb_bridge.transport.tcp import Tcp
 from rsb_bridge.transport.transport import StreamTransport
 from rsb_bridge.transport.udp import Udp
 from rsb_bridge.transport.zenoh.network import Network
-from rsb_bridge.transport.zenoh.transport import Links, Zenoh, ZenohDrop
+from rsb_bridge.transport.zenoh.zenoh_transport import Links, Zenoh, ZenohDrop
 
 if TYPE_CHECKING:
     from pathlib import Path

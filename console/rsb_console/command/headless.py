@@ -18,7 +18,7 @@ from rsb_bridge.control.control_sockets import ControlError
 from rsb_bridge.engine import Engine
 from rsb_bridge.history.state_folder import state_folder
 from rsb_bridge.model.codes import EventCode
-from rsb_bridge.model.operators import acting
+from rsb_bridge.model.command_origin import acting
 from rsb_bridge.model.snapshot import Event, Level
 from rsb_bridge.model.text import one_line, plural
 from rsb_console.command.formatting import StatusLines, json_event, json_status, summary, text_event

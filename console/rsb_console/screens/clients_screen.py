@@ -18,7 +18,7 @@ from rsb_bridge.config.client_entries import ClientError, client_named, with_cli
 from rsb_bridge.config.keys import KeyFileError, fingerprint
 from rsb_bridge.config.rights import GrantError, typed_grants
 from rsb_bridge.config.session_file import SessionError, validate
-from rsb_bridge.model.operators import undoing
+from rsb_bridge.model.command_origin import undoing
 from rsb_bridge.model.session import Client, Grant
 from rsb_console.screens.dialog import ConfirmScreen
 from rsb_console.screens.form_screen import FormScreen

@@ -18,7 +18,7 @@ from rsb_console.screens.dialog import Dialog
 from rsb_console.terminal.input_queue import DIALOG
 from rsb_console.widgets.columns import state_order
 from rsb_console.widgets.detail_parts import acknowledged_by
-from rsb_console.widgets.faults import link_fault
+from rsb_console.widgets.fault_pane import link_fault
 from rsb_console.widgets.lines import Line, LiveLines, fit
 from rsb_console.widgets.selectable_list import SelectableList
 from rsb_console.widgets.topics import TopicsTable

@@ -21,7 +21,7 @@ from rsb_console.screens.dialog import Dialog
 from rsb_console.widgets.bars import KeyBar, KeyEntry, StatusBar, View, state_counts, warning_count
 from rsb_console.widgets.columns import is_armed
 from rsb_console.widgets.detail import DetailPane
-from rsb_console.widgets.faults import FaultLines, MoreKeys, faults_of
+from rsb_console.widgets.fault_pane import FaultLines, MoreKeys, faults_of
 from rsb_console.widgets.filter import Prompt
 from rsb_console.widgets.log import WORD, LogPane, plain
 from rsb_console.widgets.topics import FAULTS, TopicsTable

@@ -11,7 +11,7 @@ from tests.wire.test_operators import attached, make_console, make_engine
 
 from rsb_bridge.wire.events import Admitted, Failed, Opened, RefusalCode, Refused
 from rsb_bridge.wire.framing import PREAMBLE_LIMIT, pack_frame
-from rsb_bridge.wire.operators import HOST_BYTES, RECORD_CONTENT, OperatorConsole, OperatorEngine
+from rsb_bridge.wire.operator_connection import HOST_BYTES, RECORD_CONTENT, OperatorConsole, OperatorEngine
 from rsb_bridge.wire.preamble import MESSAGE_LIMIT, Kind, preamble_frame, refuse_frame
 
 if TYPE_CHECKING:
