@@ -67,6 +67,6 @@ def test_exit_codes_stand_in_one_table_and_in_the_help() -> None:
 
 
 def test_every_cause_of_a_link_is_documented() -> None:
-    text = (DOCS / "troubleshooting.md").read_text(encoding="utf-8")
+    text = (DOCS / "states.md").read_text(encoding="utf-8")
     section = text.partition("## Why a link is not up\n")[2].partition("\n## ")[0]
     assert set(re.findall(r"`(\w+)`", section)) == {cause.value for cause in LinkCause if cause}
