@@ -68,7 +68,7 @@ def test_a_session_lists_what_is_called_beside_its_topics() -> None:
 def test_what_the_documents_show_is_right() -> None:
     shown = [
         block.partition("```")[0]
-        for name in ("services", "sessions")
+        for name in ("calls", "services", "sessions")
         for block in (DOCS / f"{name}.md").read_text().split("```yaml\n")[1:]
     ]
     sessions = [parse((SERVER if block.startswith("clients") else CLIENT) + block, FILE) for block in shown]
