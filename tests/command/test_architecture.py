@@ -1,0 +1,107 @@
+"""What docs/architecture.md names is in the program, and the page has every package, in the order of its layers."""
+
+from __future__ import annotations
+
+import ast
+import re
+import tomllib
+from functools import cache
+from pathlib import Path
+
+import pytest
+
+_ROOT = Path(__file__).parents[2]
+_PACKAGES = (_ROOT / "bridge" / "rsb_bridge", _ROOT / "console" / "rsb_console")
+_PAGE = (_ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")
+_TEXT = re.sub(r"^```.*?^```", "", _PAGE, flags=re.MULTILINE | re.DOTALL)
+"""The page without its picture."""
+_LIBRARY = frozenset({"asyncio.to_thread"})
+_EXAMPLES = frozenset({"a.b.C.d", "bridge/rsb_bridge/a/b.py", "console/rsb_console/a/b.py"})
+_NAMES = sorted({name for name in re.findall(r"`([^`\s]+)`", _TEXT) if "." in name or "/" in name} - _EXAMPLES)
+
+
+def is_file(name: str) -> bool:
+    """Whether a path is in the project, from its root or from one of its two programs."""
+    return any((folder / name).exists() for folder in (_ROOT, *_PACKAGES))
+
+
+def is_named(name: str) -> bool:
+    """Whether a dotted name is a package, a module, or something that a module or a class of it defines."""
+    parts = name.split(".")
+    for folder in _PACKAGES:
+        for length in range(len(parts), 0, -1):
+            place = folder.joinpath(*parts[:length])
+            if place.is_dir() and length == len(parts):
+                return True
+            if place.with_suffix(".py").is_file():
+                return defines(place.with_suffix(".py"), tuple(parts[length:]))
+    return False
+
+
+def defines(module: Path, names: tuple[str, ...]) -> bool:
+    """Whether a module has a name, or a class of it a method."""
+    body = _body(module)
+    for name in names:
+        found = next((each for each in body if name in _names_of(each)), None)
+        if found is None:
+            return False
+        body = found.body if isinstance(found, ast.ClassDef) else []
+    return True
+
+
+@cache
+def _body(module: Path) -> list[ast.stmt]:
+    return ast.parse(module.read_text(encoding="utf-8")).body
+
+
+def _names_of(statement: ast.stmt) -> set[str]:
+    match statement:
+        case ast.ClassDef() | ast.FunctionDef() | ast.AsyncFunctionDef():
+            return {statement.name}
+        case ast.Assign(targets=targets):
+            return {each.id for each in targets if isinstance(each, ast.Name)}
+        case ast.AnnAssign(target=ast.Name(id=name)):
+            return {name}
+    return set()
+
+
+@pytest.mark.parametrize("name", _NAMES)
+def test_what_the_page_names_exists(name: str) -> None:
+    is_topic = name.startswith("/")
+    assert is_topic or name in _LIBRARY or is_named(name) or is_file(name)
+
+
+@pytest.mark.parametrize("name", ["route.nowhere", "route.route.Nothing", "route.route.Route.nothing", "nowhere.pause"])
+def test_what_is_not_there_is_found_out(name: str) -> None:
+    assert not is_named(name)
+
+
+@pytest.mark.parametrize("package", ["rsb_bridge", "rsb_console"])
+def test_the_layers_are_those_of_the_contracts(package: str) -> None:
+    settings = tomllib.loads((_ROOT / "pyproject.toml").read_text(encoding="utf-8"))
+    contracts = settings["tool"]["importlinter"]["contracts"]
+    layers = next(each["layers"] for each in contracts if each.get("containers") == [package])
+    table = _TEXT.partition(f"\n| `{package}` | |\n")[2].partition("\n\n")[0]
+    shown = re.findall(r"^\| `(\w+)` \|", table, re.MULTILINE)
+    for layer in layers:
+        peers = layer.split(" | ")
+        assert sorted(shown[: len(peers)]) == sorted(peers)
+        shown = shown[len(peers) :]
+    assert not shown
+
+
+def test_every_package_is_named() -> None:
+    """Packages within packages, too; and all stand in the picture or are named in the text."""
+    named = set(re.findall(r"`([\w.]+)`", _TEXT))
+    packages = {
+        ".".join(each.parent.relative_to(folder).parts) for folder in _PACKAGES for each in folder.rglob("__init__.py")
+    } - {""}
+    assert packages <= named
+
+
+def test_every_thread_is_one_that_the_program_starts() -> None:
+    table = _TEXT.partition("\n| thread |")[2].partition("\n\n")[0]
+    names = [name for row in table.splitlines()[2:] for name in re.findall(r"`([\w-]+)`", row.split("|")[1])]
+    sources = "\n".join(each.read_text(encoding="utf-8") for folder in _PACKAGES for each in folder.rglob("*.py"))
+    assert names
+    assert [name for name in names if f'name="{name}"' not in sources] == []
