@@ -92,6 +92,7 @@ class Screen:
     """What the engine that goes on shows of the topic: when it was seen disarmed."""
 
     def __init__(self, engine: Engine) -> None:
+        eventually(lambda: route(engine, "/cmd").state != "disarmed")  # a snapshot may be from before it was armed
         self.disarmed_at = float("inf")
         self._engine = engine
         self._ended = threading.Event()
