@@ -7,7 +7,7 @@ import json
 import re
 import threading
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 import msgspec
 import pytest
@@ -34,6 +34,8 @@ if TYPE_CHECKING:
     from tests.support.bridge import Bridge
     from tests.support.control import Machine
     from tests.support.domain import Domain
+
+    from rsb_bridge.control.client import RemoteEngine
 
 SCAN = route("/scan", outgoing=True, spec=Topic("/scan", "transmit", expected_rate=10.0), messages_total=7122)
 DOCK = route("/dock", spec=Topic("/dock", "transmit", kind="service"), outgoing=True, calls=CallsSnapshot(asked=2))
@@ -280,6 +282,16 @@ def test_what_a_full_link_delivers_stands_beside_what_it_is_given(
     if name != "info":
         last = objects(ran(name, "/scan", "--count", "3", "--json"))[-1]
         assert (last["delivered_rate"], last["dropped_rate"]) == (2.0, 8.0)
+
+
+def test_figures_begin_with_a_snapshot_of_their_own() -> None:
+    """Not with the route that the command chose, which may be older."""
+    engine = Running(SESSION, routes=(SCAN,))
+    for _ in range(5):
+        engine.snapshot()
+    found = figures.measured(cast("RemoteEngine", engine), SCAN, 1.0)
+    assert found is not None
+    assert found.rate == 10.0
 
 
 def test_info_of_a_service(ran: Any, engine: Running) -> None:
