@@ -42,8 +42,9 @@ class _Process:
     def signal(self, number: int) -> None:
         os.kill(self._process.pid, number)
 
-    def wait_until_stopped(self) -> None:
-        """Wait for all its threads: SIGSTOP reaches them one after another."""
+    def stop(self) -> None:
+        """Stop it, and wait for all its threads: SIGSTOP reaches them one after another."""
+        self.signal(signal.SIGSTOP)
         threads = Path(f"/proc/{self._process.pid}/task")
         eventually(lambda: all(_state(each) == "T" for each in threads.iterdir()))
 
@@ -95,9 +96,8 @@ class Router:
 
     def pause(self) -> None:
         """Have it take nothing any more, with all its connections open; returns once it stands still."""
-        self._signal(signal.SIGSTOP)
         assert self._process is not None
-        self._process.wait_until_stopped()
+        self._process.stop()
 
     def go_on(self) -> None:
         """Undo `pause`."""

@@ -181,8 +181,11 @@ def print_figures(command: FiguresCommand, arguments: Namespace) -> int:
 def measured(engine: RemoteEngine, route: RouteSnapshot, seconds: float) -> Figures | None:
     """Take figures of a topic over some seconds, or None if its bridge has no newer snapshots of it."""
     window, ends = Window(round(seconds) + 1), time.monotonic() + seconds + 1
-    began = moment = engine.snapshot().time
-    found = window.add(moment, route)
+    first = engine.snapshot()
+    if (route_first := _same_route(first, route)) is None:
+        return None
+    began = moment = first.time
+    found = window.add(moment, route_first)
     while moment - began < seconds and time.monotonic() < ends:
         time.sleep(_LOOK_EVERY)
         now = engine.snapshot()

@@ -86,7 +86,7 @@ class LiveLines(ScrollView):
                 self.refresh(Region(0, y, changed_width(old, new, width), 1))
 
     def measure_lines(self) -> None:
-        """Let as many lines be scrolled to as there are now."""
+        """Make the scrollable height that of all lines."""
         size = Size(0, self.line_count)
         if size != self.virtual_size:
             self.virtual_size = size

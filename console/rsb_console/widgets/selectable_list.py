@@ -96,14 +96,10 @@ class SelectableList(LiveLines, can_focus=True):
     def _place(self, position: int) -> None:
         self._cursor = position
         top, page = round(self.scroll_offset.y), self.page
-        if position < top:
-            self._scroll_to_line(position)
-        elif position >= top + page:
-            self._scroll_to_line(position - page + 1)
-
-    def _scroll_to_line(self, top: int) -> None:
-        # Forced: Textual scrolls only where a scrollbar stands, which comes a refresh after what makes it necessary.
-        self.scroll_to(y=top, animate=False, force=True)
+        shown = max(position - page + 1, min(top, position))
+        if shown != top:
+            # Forced: Textual scrolls only a widget that shows a scrollbar, and shows it a refresh after it has grown.
+            self.scroll_to(y=shown, animate=False, force=True)
 
     @property
     def position(self) -> int:
