@@ -169,8 +169,8 @@ class SessionMistake(Wording):
     KEY_FILE_MISSING = "missing: encryption needs a key; make one with `rsb-console keygen` and give its file's name"
     KEY_FILE_INVALID = "{name} is not a file name: give the key file's"
     NEXT_KEY_ON_CLIENT = (
-        "belongs in the server's session file, where two keys may be valid: here, replace the file that key_file names, "
-        "and reload"
+        "belongs in the server's session file, where two keys may be valid: here, replace the file that key_file "
+        "names, and reload"
     )
     NEXT_KEY_ALONE = "there is no key_file beside it, which it would replace: give that one"
     NEXT_KEY_IS_CURRENT = "{name} is the key_file already: give the new key's file"
