@@ -107,6 +107,13 @@ class OperatorChange(Wording):
     CHANGED = "operator {name}: {before} → {after}; detached, and attaches again"
 
 
+class Place(Wording):
+    """The part of a session file that has a peer's `allow` and `deny`."""
+
+    ON_SERVER = "of client {client} in the session file of {server}"
+    ON_CLIENT = "in the session file of {client}"
+
+
 class DeniedText(Wording):
     """The reason why a peer may not use a topic or a service."""
 
@@ -355,7 +362,7 @@ def rights_of_client(client: Client, server: str) -> Rights:
     return Rights(
         client.name,
         "the server",
-        f"of client {client.name} in the session file of {server}",
+        Place.ON_SERVER(client=client.name, server=server),
         tuple(map(allowing, client.allow)),
         tuple(map(denying, client.deny)),
         prefix=client.name,
@@ -375,7 +382,7 @@ def rights_of_server(session: Session, listed: Set[Identity] | None = None) -> R
     return Rights(
         "the server",
         session.name,
-        f"in the session file of {session.name}",
+        Place.ON_CLIENT(client=session.name),
         tuple(map(allowing, session.allow)),
         tuple(map(denying, session.deny)),
         listed=listed,

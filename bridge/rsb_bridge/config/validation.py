@@ -143,7 +143,7 @@ class SessionMistake(Wording):
     KIND_HAS_NONE = "{kind} has none: {remedy}"
     PORT_MISSING = "missing, or 0: give a {kind}, {range}"
     DOMAIN_INVALID = "{domain} is not a ROS domain: {range}"
-    DOMAIN_VARIABLE_INVALID = "ROS_DOMAIN_ID is {text}, which is not a ROS domain: {range}"
+    DOMAIN_VARIABLE_INVALID = "ROS_DOMAIN_ID is {value}, which is not a ROS domain: {range}"
     STALE_WARNINGS_NEGATIVE = "{count} is not a count: 0 or more"
     METRICS_HOST_INVALID = "{host} is not an IPv4 or IPv6 address, or a host name"
     PROFILE_ON_BLUETOOTH = "{profile} is no Bluetooth link (server_ip is a MAC): give bluetooth, or leave profile out"
@@ -343,7 +343,7 @@ def domain_of(session: Session, variable: str | None) -> int:
         return session.domain_id
     text = (variable or "").strip() or "0"
     if not text.isdecimal() or int(text) not in DOMAIN:
-        raise ValueError(SessionMistake.DOMAIN_VARIABLE_INVALID(text=repr(text), range=DOMAIN))
+        raise ValueError(SessionMistake.DOMAIN_VARIABLE_INVALID(value=repr(text), range=DOMAIN))
     return int(text)
 
 
