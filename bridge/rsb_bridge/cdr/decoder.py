@@ -79,7 +79,7 @@ class Decoded:
 
 
 class Unreadable(Wording):
-    """Why the next part of a message cannot be read."""
+    """The reason why the next part of a message cannot be read."""
 
     NOT_XCDR1 = "it does not begin as XCDR1: {beginning}"
     NO_BYTES = "it does not begin as XCDR1: no bytes"
@@ -96,7 +96,7 @@ class Unreadable(Wording):
 
 
 class _UnreadableError(Exception):
-    """What comes next cannot be read; the message says why."""
+    """The next part of a message cannot be read."""
 
 
 def decode(description: TypeDescription, payload: bytes, *, items: int = 128, steps: int = 50_000) -> Decoded:
@@ -196,7 +196,7 @@ class _Reader:
         raise _UnreadableError(Unreadable.TYPE_UNKNOWN(type=kind.type_id))
 
     def _primitives(self, base: int, items: Items) -> None:
-        """Read the elements of an array; where some are missing, those that are there."""
+        """Read the elements of an array up to the first that is missing."""
         code, _ = _PRIMITIVES[base]
         size = struct.calcsize(f"={code}")
         self._step()

@@ -65,7 +65,7 @@ class Advice(Wording):
     LOW_PORT = "ports below {limit} need root, or CAP_NET_BIND_SERVICE"
     NO_BLUETOOTH = "this Python has no Bluetooth sockets; the distribution's own has (/usr/bin/python3)"
     METRICS_NOT_INSTALLED = "none are served without prometheus-client: pip install 'rsb-console[metrics]'"
-    METRICS_OPEN = "no password protects them: who reaches this address reads all names and figures"
+    METRICS_OPEN = "no password protects them: everyone who reaches this address can read all names and figures"
     DOMAIN_INVALID = "{problem}; with that value the bridge does not start"
     PORT_OF_DOMAIN = "{port} belongs to ROS domain {domain} ({ports}): its nodes may fail to discover each other"
     PORT_OF_DISCOVERY = "{port} is reserved for discovery in ROS domain {domain}: give another port"

@@ -28,10 +28,10 @@ class ClientError(ValueError):
 
 
 def with_client(session: Session, client: Client) -> Session:
-    """A server's session with one more client. Those that it lets in already stay.
+    """Add a client to a server's session.
 
     Raises:
-        ClientError: there is one of that name.
+        ClientError: it has a client of that name.
     """
     clients = _clients(session)
     if any(each.name == client.name for each in clients):
@@ -40,10 +40,10 @@ def with_client(session: Session, client: Client) -> Session:
 
 
 def with_changed_client(session: Session, client: Client) -> Session:
-    """A server's session with another entry for a client.
+    """Replace the entry of a client in a server's session.
 
     Raises:
-        ClientError: there is none of that name.
+        ClientError: it has no client of that name.
     """
     old = client_named(session, client.name)
     clients = tuple(client if each == old else each for each in _clients(session))
@@ -64,10 +64,10 @@ def without_client(session: Session, name: str) -> Session:
 
 
 def client_named(session: Session, name: str) -> Client:
-    """One of a server's clients.
+    """Find a client of a server by its name.
 
     Raises:
-        ClientError: there is none of that name.
+        ClientError: the server has no client of that name.
     """
     clients = _clients(session)
     names = [each.name for each in clients]

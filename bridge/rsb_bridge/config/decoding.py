@@ -44,7 +44,7 @@ class Hint(Wording):
     NO_QUOTES = " (leave out the quotes)"
 
 
-# Stands in for a required value that is missing or of the wrong kind, which is reported, so that all rules can run.
+# Replacements for required values that are missing or of the wrong kind, so that all rules can run.
 _STAND_INS = {
     "name": "unnamed",
     "role": "client",
@@ -158,7 +158,7 @@ def _entry(value: object, kind: Any, problems: list[Problem], location: str) -> 
 
 
 def _struct(kind: Any) -> type[msgspec.Struct] | None:
-    """What a mapping in this place is read as; None: there may be none."""
+    """Return the struct for a mapping in this place, or None if no mapping is allowed."""
     kinds = (each for each in _alternatives(kind) if isinstance(each, type))
     return next((each for each in kinds if issubclass(each, msgspec.Struct)), None)
 

@@ -1,4 +1,4 @@
-"""How two sessions differ, in words."""
+"""Differences of two sessions, in words."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ _COMMAND = "on_fault"
 
 
 def is_another(old: Session, new: Session) -> str:
-    """Why one session cannot become the other at all; empty: it can, as far as single values can."""
+    """Return the reason why a running bridge cannot change to another session, or an empty string."""
     differences = changes(old, new, only=_OTHER_SESSION)
     if not differences:
         return ""
@@ -60,9 +60,9 @@ def changes(
 
     Args:
         old: a session, a topic or a client.
-        new: likewise.
-        only: the fields to look at; empty: all.
-        leave_out: fields not to look at.
+        new: the same with changes.
+        only: the fields to compare, or empty for all.
+        leave_out: fields to ignore.
     """
     if isinstance(old, Topic) and isinstance(new, Topic) and old.kind == new.kind:
         old, new = as_written(old), as_written(new)

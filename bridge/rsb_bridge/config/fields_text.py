@@ -38,11 +38,11 @@ _NULL = "tag:yaml.org,2002:null"
 class FieldProblem(Wording):
     """The reason why a text has no fields of a message."""
 
-    TOO_LONG = "the text is too long: {limit} bytes are taken"
+    TOO_LONG = "the text is too long: at most {limit} bytes are allowed"
     ON_LINE = "line {line}: {problem}"
-    TAG = "line {line}: tags (!) are not taken: write the value without"
-    NOT_A_NAME = "line {line}: what stands before the colon is no field's name"
-    TWICE = "line {line}: {name} stands there twice"
+    TAG = "line {line}: tags (!) are not allowed: write the value without the tag"
+    NOT_A_NAME = "line {line}: the text before the colon is no field's name"
+    TWICE = "line {line}: duplicate key {name}"
 
 
 class FieldNote(Wording):
@@ -55,7 +55,7 @@ class FieldNote(Wording):
 
 
 def read_fields(text: str) -> Fields:
-    """What an operator wrote. Empty, it is no field at all.
+    """Read the fields that an operator wrote. An empty text has no fields.
 
     Raises:
         FieldError: it is no YAML, or too much of it.
@@ -89,7 +89,7 @@ def _fields(node: yaml.Node) -> Fields:
 
 
 def write_fields(decoded: Decoded) -> str:
-    """A message as YAML: what is left out, and what could not be read, stands in comments at the end."""
+    """Write a message as YAML. Comments at the end name the parts that are omitted or unreadable."""
     writing = _Writing()
     data = writing.plain(decoded.message, "")
     text = dump_yaml(data, width=_WIDTH)
@@ -99,7 +99,7 @@ def write_fields(decoded: Decoded) -> str:
 
 
 def read_written(text: str) -> Any:
-    """What `write_fields` wrote, as plain data; the comments, which say what is left out, are not in it.
+    """Read the YAML of `write_fields` as plain data, without its comments.
 
     Raises:
         FieldError: it is no YAML.
@@ -122,7 +122,7 @@ def _written(node: yaml.Node) -> Any:
 
 
 class _Writing:
-    """Makes plain data of what was read, and notes what is left out of it."""
+    """Makes plain data of a message, and notes the parts that it omits."""
 
     def __init__(self) -> None:
         self._room = _TEXT_LENGTH
@@ -147,7 +147,7 @@ class _Writing:
         return value
 
     def notes(self, problem: str) -> Iterator[str]:
-        """What is left out, and the problem that a message could not be read further for."""
+        """Yield notes on the omitted parts, and on the problem that ended reading."""
         yield from self._left_out[:_NOTES]
         if (more := len(self._left_out) - _NOTES) > 0:
             yield FieldNote.MORE(count=more)

@@ -1,7 +1,7 @@
 """A session in the form of its file, where services, actions and parameters have lists and keys of their own.
 
-`rsb_bridge.model.session` has all of them as topics of another kind, so that whatever is done with a topic is done with
-them, too. `KEYS` says how the entries of each kind are written; both directions follow from it.
+`rsb_bridge.model.session` has all of them as topics of another kind, so that they share all code for topics. `KEYS`
+defines the entries of each kind, for reading and for writing.
 """
 
 from __future__ import annotations
@@ -68,7 +68,7 @@ class ForeignKey(Wording):
     """A key that entries of another kind have, and this one does not."""
 
     KIND_OF_TOPIC = "not a key: what is no topic is listed under services, actions or parameters instead"
-    KIND_OF_CALLED = "not a key: the list says it"
+    KIND_OF_CALLED = "not a key: the list defines the kind; leave it out"
     TIMEOUT_OF_TOPIC = "a topic has none: leave it out; what is called is listed under services or actions"
     PROVIDER_OF_TOPIC = (
         "a topic has a direction, transmit or receive; what is called is listed under services or actions"
@@ -104,7 +104,7 @@ _NOT_OF_CALLS = {
 
 
 def hints_of(kind: Kind) -> dict[str, str]:
-    """What to say of keys that entries of a kind do not have, and others have."""
+    """Return the remedies for keys that only entries of other kinds have."""
     if kind == "topic":
         return _NOT_OF_TOPICS
     name = NAME_KEYS[LISTS[kind]]
@@ -166,7 +166,7 @@ def field_of(kind: Kind, key: str) -> str:
 
 
 def locations(topics: Sequence[Topic]) -> list[str]:
-    """Where the file lists each topic of a session or a client: ``services[2]``."""
+    """Return the locations of the topics of a session or a client in its file: ``services[2]``."""
     counted = dict.fromkeys(LISTS, 0)
     found = []
     for topic in topics:
@@ -176,7 +176,7 @@ def locations(topics: Sequence[Topic]) -> list[str]:
 
 
 def foreign(topic: Topic) -> dict[str, str]:
-    """What a topic has and its kind cannot have: fields of `Topic`, each with the remedy."""
+    """Return the fields of a topic that its kind cannot have, each with the remedy."""
     own, hints = set(KEYS[topic.kind].values()) | {"kind"}, hints_of(topic.kind)
     return {
         field.name: hints.get(field.name, ForeignKey.OTHER())

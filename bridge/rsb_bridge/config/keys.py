@@ -35,7 +35,7 @@ _MAX_FILE = 4096  # bytes; a key file is 45
 _LIKE_A_KEY = re.compile(r"[A-Za-z0-9+/_-]{43}=|(?<![A-Za-z0-9+/_-])[A-Za-z0-9_-]{43}(?![A-Za-z0-9+/_-])")
 _DAY = 86400.0
 _LONG = 7 * _DAY
-"""s that two keys may be valid: whoever has stolen the old one may use it until then."""
+"""Seconds for which two keys may be valid. A thief of the old key can use it until then."""
 _SPANS = ((_DAY, "day"), (3600.0, "hour"), (60.0, "minute"))
 _NAMED = 5
 
@@ -139,7 +139,7 @@ def write_key(path: Path, *, force: bool = False) -> Key:
 
     Args:
         path: of the new file.
-        force: replace a file that exists. Whoever has only the old key can no longer link.
+        force: replace a file that exists. A side with the old key can no longer link.
 
     Raises:
         KeyFileError: the file exists, or cannot be written.
@@ -186,7 +186,7 @@ def key_path(base: Path, key_file: str) -> Path:
 
 
 def read_key(path: Path) -> Key:
-    """Read a key file. Its last word is the key; whatever comes before it, like the date in the thesis's, is skipped.
+    """Read a key file. Its last word is the key. Words before it, like the date in the thesis's files, are skipped.
 
     Raises:
         KeyFileError: the file does not exist, cannot be read, or holds no key.
@@ -211,11 +211,11 @@ def read_key(path: Path) -> Key:
 
 
 def _risks(path: Path, status: os.stat_result, folder: Path, of_folder: int) -> Iterator[str]:
-    """Who else may read a key or put another in its place; of a symbolic link, what it leads to counts."""
+    """Yield a warning for each way in which other users may read or replace a key. Symbolic links are followed."""
     if status.st_mode & (stat.S_IRWXG | stat.S_IRWXO):
         yield KeyWarning.READABLE(path=path, mode=f"{stat.S_IMODE(status.st_mode):04o}")
     user = os.geteuid()
-    if user and status.st_uid not in (user, 0):  # root reads the files of whoever runs the bridge
+    if user and status.st_uid not in (user, 0):  # root may read the files of any user
         yield KeyWarning.OTHER_OWNER(path=path, uid=status.st_uid)
     if of_folder & stat.S_IWOTH and not of_folder & stat.S_ISVTX:
         yield KeyWarning.REPLACEABLE(path=path, folder=folder)
@@ -270,7 +270,7 @@ def _given(*files: str | None) -> tuple[str, ...]:
 
 
 def key_users(session: Session) -> dict[str, str]:
-    """Whose key is in each of a session's key files."""
+    """Return the users of each of a session's key files."""
     users: dict[str, str] = {}
     for client, files in key_files_by_client(session).items():
         for file, user in zip(files, (client, f"{client} (next)"), strict=False):
@@ -282,14 +282,14 @@ def key_users(session: Session) -> dict[str, str]:
 
 
 def keys_of(session: Session, base: Path) -> dict[str, tuple[Key, ...]]:
-    """The keys that are valid for each client of a session, by its name, the next one last; none: without encryption.
+    """Read the valid keys of each client, by its name, the next one last. Without encryption there are none.
 
     Args:
         session: a server's, or a client's.
         base: the folder that its key files are relative to.
 
     Raises:
-        KeyFileError: one is not there, or holds no key.
+        KeyFileError: a file is missing, or holds no key.
     """
     files = key_files_by_client(session)
     if not session.use_encryption:
@@ -301,7 +301,7 @@ def keys_of(session: Session, base: Path) -> dict[str, tuple[Key, ...]]:
 
 
 def key_warnings(keys: Mapping[str, tuple[Key, ...]], now: float) -> Iterator[str]:
-    """What operators should know of the keys that are valid for each client.
+    """Yield the warnings about the valid keys of each client.
 
     Args:
         keys: by client's name, the next one last.
@@ -336,10 +336,10 @@ def _ago(seconds: float) -> str:
 
 
 def unshared_keys(session: Session, base: Path) -> dict[str, tuple[Key, ...]]:
-    """As `keys_of`, of clients that may have them.
+    """Do as `keys_of`, and refuse shared keys.
 
     Raises:
-        KeyFileError: one is not there or holds no key, or two clients have the same.
+        KeyFileError: a file is missing or holds no key, or two clients have the same key.
     """
     keys = keys_of(session, base)
     if problem := shared_key_problem(session, keys):
@@ -348,11 +348,11 @@ def unshared_keys(session: Session, base: Path) -> dict[str, tuple[Key, ...]]:
 
 
 def shared_key_problem(session: Session, keys: Mapping[str, Collection[Hashable]]) -> str:
-    """Why a server must not let its clients in with these keys, and what to do; empty: it may.
+    """Return the problem and the remedy if clients share a key without permission, or an empty string.
 
     Args:
-        session: a server's; it may say that the clients are meant to share keys.
-        keys: what is the same for two clients if a key of theirs is, for each key that is valid, by the clients' names.
+        session: a server's. It may permit shared keys.
+        keys: the valid keys of each client, or their fingerprints, by the client's name.
     """
     if session.shared_keys:
         return ""

@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 
 TOPIC_USES: Final[tuple[May, May]] = ("publish", "read")
 CALL_USES: Final[tuple[May, May]] = ("call", "serve")
-"""What a peer may do here that sends messages or requests, and that takes them."""
+"""The two rights of a peer: to send messages or requests here, and to take them."""
 _MOST_LEAVE = 1e6
 _ENTRY = re.compile(r"\{[^{}]*\}?|[^\s,{]+")
 """A mapping, or a word: entries have blanks or commas between them."""
@@ -45,7 +45,7 @@ _LISTED_AS: dict[May, tuple[Direction, str]] = {
     "call": ("receive", "provider: client"),
     "serve": ("transmit", "provider: server"),
 }
-"""How a client lists what it has the server do."""
+"""The direction of a client's entry for each right of the server, and its text in a session file."""
 _OF_PARAMETERS = {lane.suffix for lane in LANES["parameters"] if lane.suffix}
 MOVES_A_ROBOT = {
     "/cmd_vel": ("/cmd_vel",),
@@ -61,8 +61,8 @@ ONLY_READ = frozenset(
 )
 """The last parts of the names of ROS's own services that change nothing.
 
-What any other service does cannot be told from its name or its type: ``std_srvs/srv/Trigger`` may dock a robot. So all
-others count as changing it, and every action and every node's parameters, which can be set, do.
+Neither name nor type tells the effect of any other service: ``std_srvs/srv/Trigger`` may dock a robot. So all others
+count as changing it, as do all actions and all nodes' parameters, because these can be set.
 """
 _NOTHING = "nothing"
 EVERY_CALL = "any service, action and parameter"
@@ -139,7 +139,7 @@ class GrantError(ValueError):
 
 
 def protocols_of(grant: Grant) -> tuple[str, ...]:
-    """What may carry the topics of an entry; empty: anything."""
+    """Return the transports that an entry permits, or none if it permits all."""
     return grant.protocol if isinstance(grant.protocol, tuple) else (grant.protocol,) if grant.protocol else ()
 
 
@@ -172,7 +172,7 @@ def allowing(entry: str | Grant) -> Grant:
 
 
 def denying(entry: str | Grant) -> Grant:
-    """An entry of `deny`; a pattern alone is about whatever has such a name."""
+    """An entry of `deny`; a pattern alone is about topics, services, actions and parameters."""
     return Grant(entry, entry) if isinstance(entry, str) else entry
 
 
@@ -232,14 +232,13 @@ def leave_problems(leave: Leave | None, location: str) -> Iterator[Problem]:
 
 
 class Use(NamedTuple):
-    """What a peer wants to do with a topic, a service, an action or a node's parameters.
+    """A peer's use of a topic, a service, an action or a node's parameters.
 
     Attributes:
         topic: its name on this side.
-        may: publish it here or read it here; of what is not a topic, call what this side's nodes provide, or serve:
-            provide what is offered to them.
-        protocol: what carries it; empty: that is not known yet.
-        kind: what it is.
+        may: ``publish`` or ``read`` a topic here; ``call`` a service of this side's nodes, or ``serve`` one to them.
+        protocol: the transport, or an empty string if it is not known yet.
+        kind: topic, service, action or parameters.
     """
 
     topic: str
@@ -253,16 +252,16 @@ class Use(NamedTuple):
 
 
 def uses(kind: Kind) -> tuple[May, May]:
-    """What a peer may do with a kind: where it sends the messages or requests, and where it takes them."""
+    """Return the two rights for a kind: to send messages or requests here, and to take them."""
     return TOPIC_USES if kind == "topic" else CALL_USES
 
 
 class Refusal(NamedTuple):
-    """Why a peer may not do something.
+    """A denied use.
 
     Attributes:
-        reason: what this side says to it.
-        remedy: what in which session file would allow it.
+        reason: the text for the peer.
+        remedy: the change of a session file that would allow it.
     """
 
     reason: str
@@ -274,18 +273,18 @@ class Refusal(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Rights:
-    """What one peer may do here.
+    """The rights of one peer on this side.
 
     Attributes:
-        peer: who: the client's name; on a client: ``the server``.
-        owner: who says so: ``the server``, or the client's name.
-        place: where `allow` and `deny` are: ``under client robot1 in pc's session file``.
-        allow: what it may do; empty: everything, or on a client what `listed` says.
-        deny: what it may not do all the same.
+        peer: the client's name; on a client ``the server``.
+        owner: the side with the session file: ``the server``, or the client's name.
+        place: the part of the session file that has `allow` and `deny`: ``of client robot1 in the session file of pc``.
+        allow: the uses that it permits. If empty, all are permitted; on a client, those of `listed`.
+        deny: the uses that it forbids. It is stronger than `allow`.
         prefix: a client's name, which the names of its topics may have before them here.
         listed: on a client, the identities of its own topics (`Topic.identity`), which say what the server may publish,
             call and serve.
-        bench: whether it may measure the link, and what it may cause by that.
+        bench: the limits within which the peer may measure the link, or None if it may not.
     """
 
     peer: str
@@ -298,7 +297,7 @@ class Rights:
     bench: Leave | None = None
 
     def refusal(self, use: Use) -> Refusal | None:
-        """Why the peer may not do something; None: it may."""
+        """Return the reason why the peer may not do something, or None if it may."""
         if is_bench_topic(use.topic):
             return None if self.bench is not None and use.kind == "topic" else self._no_leave()
         for grant in self._about(self.deny, use, also=_meant_by(use)):
@@ -324,15 +323,15 @@ class Rights:
         return Refusal(reason, DeniedRemedy.ADD_BENCH(place=where))
 
     def max_rate(self, use: Use) -> float:
-        """The most messages or calls a second that may cross, whoever asked for them; 0: there is no limit."""
+        """Return the limit of messages or calls in Hz, or 0 for none. Requests of either side share it."""
         return min((grant.max_rate for grant in self._about(self.allow, use) if grant.max_rate), default=0.0)
 
     def shows(self, topic: str, kind: Kind = "topic") -> bool:
-        """Whether the peer may know of a topic or of what else there is: it may do something with it."""
+        """Whether the peer may know of a name: it has at least one right to use it."""
         return any(self.refusal(Use(topic, may, kind=kind)) is None for may in uses(kind))
 
     def _by_default(self, use: Use) -> bool:
-        """Whether the peer may do what no entry of `allow` is about."""
+        """Whether the peer may do something that no entry of `allow` mentions."""
         if self.listed is not None and use.may != "read":
             return (use.kind, use.topic, _LISTED_AS[use.may][0]) in self.listed
         return not self.allow
@@ -345,7 +344,7 @@ class Rights:
         return remedy(list=LISTS[use.kind], place=self.place, direction=_LISTED_AS[use.may][1], entry=entry)
 
     def _about(self, grants: Sequence[Grant], use: Use, also: Sequence[str] = ()) -> list[Grant]:
-        """The entries that say something about such a use, by its name or by other names."""
+        """Return the entries that apply to a use, by its name or by other names."""
         own = (use.topic, *also)
         names = {*own, *(client_topic(name, self.prefix) or name for name in own if self.prefix)}
         return [
@@ -358,7 +357,7 @@ class Rights:
 
 
 def rights_of_client(client: Client, server: str) -> Rights:
-    """What a client may do on the server of that name."""
+    """Return the rights of a client on the server of that name."""
     return Rights(
         client.name,
         "the server",
@@ -371,11 +370,11 @@ def rights_of_client(client: Client, server: str) -> Rights:
 
 
 def rights_of_server(session: Session, listed: Set[Identity] | None = None) -> Rights:
-    """What the server may do on a client.
+    """Return the rights of the server on a client.
 
     Args:
         session: the client's.
-        listed: the identities of the client's topics as operators have left them; None: as the session says.
+        listed: the identities of the client's topics at present, or None for those of the session.
     """
     if listed is None:
         listed = {topic.identity for topic in session.topics}
@@ -398,20 +397,20 @@ class _Everything(frozenset["Identity"]):
 
 
 def as_if_listed(rights: Rights) -> Rights:
-    """What a peer may do with what this side's session lists, whatever that is."""
+    """Return the rights as if this side's session listed every topic."""
     return rights if rights.listed is None else replace(rights, listed=_Everything())
 
 
 def listed_as(may: May) -> Direction:
-    """The direction of what a client lists, and by that has the server do."""
+    """Return the direction of a client's entry that gives the server a right."""
     return _LISTED_AS[may][0]
 
 
 def _meant_by(use: Use) -> list[str]:
     """The other names by which an entry of `deny` means what is used.
 
-    Who denies one service of an action or of a node's parameters denies what would bridge it with the others, and who
-    denies a node's parameters denies each service of them.
+    An entry that denies one service of an action or of a node's parameters denies all of them, because they are bridged
+    together. An entry that denies a node's parameters denies each service of them.
     """
     if use.kind == "service":
         node, _, last = use.topic.rpartition("/")
@@ -428,15 +427,15 @@ def _text(grant: Grant) -> str:
 
 
 class Row(NamedTuple):
-    """What one peer may do with some topics or services.
+    """The rights of one peer to some topics or services.
 
     Attributes:
-        peer: the client's name; on a client: ``the server``.
+        peer: the client's name; on a client ``the server``.
         may: ``publish``, ``read`` or both; of services, actions and parameters ``call``, ``serve`` or both.
-        topics: which, of this side's domain.
-        transports: what may carry them.
-        rate: the most messages or calls.
-        ports: which ports of their own they may have here; empty: none are bound on this side.
+        topics: patterns of names in this side's domain.
+        transports: the permitted transports.
+        rate: the limit of messages or calls.
+        ports: the ports that they may have here, or an empty string if this side binds none.
     """
 
     peer: str
@@ -448,13 +447,13 @@ class Row(NamedTuple):
 
 
 class Listing(NamedTuple):
-    """What one peer may do here.
+    """All rights of one peer on this side.
 
     Attributes:
         peer: as in `Row`.
         rows: of the table.
         moves: the patterns of `MOVES_A_ROBOT` that it may publish.
-        acts: what it may call, in words, but for `ONLY_READ`.
+        acts: the names that it may call, without those of `ONLY_READ`.
     """
 
     peer: str
@@ -464,7 +463,7 @@ class Listing(NamedTuple):
 
 
 def listings(session: Session) -> Iterator[Listing]:
-    """What each peer of a session may do on this side."""
+    """Yield the rights of each peer of a session on this side."""
     link = transports.of_link(session.server_ip)
     carried = (link.name, *link.companions, *(("bluetooth",) if session.bluetooth_address else ()))
     if session.role == "client":
@@ -487,7 +486,7 @@ def _listing(rights: Rights, carried: Sequence[str], within: str, ports: str) ->
 def _rows(
     rights: Rights, uses: tuple[May, May], carried: Sequence[str], within: str, ports: str
 ) -> Iterator[Row]:  # fmt: skip
-    """What a peer may do with topics, or with what is called: one row where it may do both things with the same."""
+    """Yield the rows of topics or of calls: one row for both rights if they have the same names."""
     first, second = ([*_allowed(rights, may, carried, within)] for may in uses)
     found = {", ".join(uses): first} if first == second else {uses[0]: first, uses[1]: second}
     for may, allowed in found.items():
@@ -496,7 +495,7 @@ def _rows(
 
 
 def _allowed(rights: Rights, may: May, carried: Sequence[str], within: str) -> Iterator[tuple[str, str, str]]:
-    """The topics, transports and rates that a peer may publish or read, or likewise of what is called."""
+    """Yield names, transports and rates for one right."""
     groups: dict[tuple[str, str], list[str]] = {}
     anything = (", ".join(carried), "any")
     if rights.listed is not None and may != "read":
@@ -518,7 +517,7 @@ def _allowed(rights: Rights, may: May, carried: Sequence[str], within: str) -> I
 
 
 def _about(grants: Sequence[Grant], may: May) -> Iterator[tuple[Grant, str]]:
-    """The entries that say something about such a use, each with its pattern."""
+    """Yield the entries that apply to a right, each with its pattern."""
     for grant in grants:
         pattern = grant.topics if may in TOPIC_USES else grant.services
         if pattern is not None and grant.may in (None, may):
@@ -526,7 +525,7 @@ def _about(grants: Sequence[Grant], may: May) -> Iterator[tuple[Grant, str]]:
 
 
 def _listed(rights: Rights, may: May) -> Iterator[str]:
-    """What a client lists, and by that has the server do."""
+    """Yield the names for which a client's entries give the server a right."""
     for kind, name, direction in rights.listed or ():
         if (kind == "topic") == (may in TOPIC_USES) and direction == listed_as(may):
             yield f"{name}{_KINDS.get(kind, '')}"
@@ -547,7 +546,7 @@ def _moves(rights: Rights, carried: Sequence[str]) -> Iterator[str]:
 
 
 def _acts(rights: Rights, carried: Sequence[str]) -> Iterator[str]:
-    """What a peer may call that may change something, as it is allowed."""
+    """Yield the names and patterns of calls that may change something and that a peer may make."""
     if rights.listed is None and not rights.allow and _may(rights, Use("/any", "call", kind="service"), carried):
         yield EVERY_CALL
     for kind, name, direction in sorted(rights.listed or (), key=itemgetter(1)):
@@ -578,11 +577,11 @@ def _ports(session: Session) -> str:
 
 @dataclass(frozen=True, slots=True)
 class Granted:
-    """What an operator may do, and what they prove themselves with.
+    """An operator and their key.
 
     Attributes:
-        operator: as the session has them.
-        key: what is in their key file.
+        operator: the session's entry.
+        key: the contents of their key file.
     """
 
     operator: Operator
@@ -610,7 +609,7 @@ def operator_problems(session: Session) -> Iterator[Problem]:
 
 
 def operator_name_problem(name: str) -> str:
-    """Why no operator can be called so; empty: one can."""
+    """Return the mistake in an operator's name, or an empty string."""
     if not name.strip() or not (name.isprintable() and is_clean(name)):
         return OperatorMistake.NAME_UNPRINTABLE(name=show(name))
     if len(name.encode()) > NAME_BYTES:
@@ -619,10 +618,10 @@ def operator_name_problem(name: str) -> str:
 
 
 def granted_operators(session: Session, base: Path, keys: Mapping[str, tuple[Key, ...]]) -> dict[str, Granted]:
-    """What the operators of a session may do, by their names.
+    """Read the keys of a session's operators.
 
     Args:
-        session: whose.
+        session: the operators' session.
         base: the folder that its key files are relative to.
         keys: of its links, by the clients' names.
 
@@ -636,11 +635,11 @@ def granted_operators(session: Session, base: Path, keys: Mapping[str, tuple[Key
 
 
 def operator_key_problem(own: Mapping[str, Hashable], of_links: Mapping[str, Collection[Hashable]]) -> str:
-    """Why operators must not have these keys, and what to do; empty: they may.
+    """Return the problem and the remedy if an operator shares a key with another or with a link, or an empty string.
 
     Args:
-        own: what is the same for two operators if their keys are, by their names.
-        of_links: likewise for each key that is valid on a link, by the clients' names.
+        own: each operator's key, or its fingerprint, by name.
+        of_links: the keys that are valid on each link, or their fingerprints, by the client's name.
     """
     owners = {key: f"the link of {name}" for name, valid in of_links.items() for key in valid}
     for name, key in own.items():
@@ -651,7 +650,7 @@ def operator_key_problem(own: Mapping[str, Hashable], of_links: Mapping[str, Col
 
 
 def operator_changes(old: Mapping[str, Granted], new: Mapping[str, Granted]) -> list[str]:
-    """How the operators differ, in words: who is detached by that."""
+    """Describe the changes of operators, and name those that are detached."""
     texts = [OperatorChange.REMOVED(name=name) for name in old if name not in new]
     for name, granted in new.items():
         before = old.get(name)

@@ -40,11 +40,11 @@ class ChangedOnDiskError(SessionError):
 
 
 class UnwritableError(SessionError):
-    """The file cannot be written, whatever it is to say."""
+    """The file cannot be written, for a reason outside of its contents."""
 
 
 class UneditableError(SessionError):
-    """A change cannot be put into the text of a file; the file can only be written anew, without its comments."""
+    """A change cannot be put into the text of a file; the file can only be replaced, without its comments."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,7 +54,7 @@ class SessionFile:
     Attributes:
         path: of the file.
         text: all of it.
-        session: what it says.
+        session: its contents.
     """
 
     path: Path
@@ -86,7 +86,7 @@ def load(path: Path) -> Session:
 
 
 def load_file(path: Path) -> SessionFile:
-    """As `load`; what comes back can be saved with changes."""
+    """Do as `load`, and keep the text, so that the session can be saved with changes."""
     text = read_text(path)
     return SessionFile(path, text, parse(text, path))
 
@@ -96,7 +96,7 @@ def parse(text: str, path: Path) -> Session:
 
     Args:
         text: YAML.
-        path: where it is from, for the messages.
+        path: of the file, for the messages.
 
     Raises:
         SessionError: it has mistakes.
@@ -169,8 +169,8 @@ def _sorted(topics: tuple[Topic, ...]) -> tuple[Topic, ...]:
 def save(session: Session, path: Path, opened: SessionFile | None = None) -> SessionFile:
     """Write a session file: whole, or not at all.
 
-    A file that is replaced keeps its mode, owner and group, and what it said is kept beside it (`backup_path`). A new
-    one has mode 0600.
+    A file that is replaced keeps its mode, owner and group, and its previous contents are kept in `backup_path`. A new
+    file has mode 0600.
 
     Args:
         session: what the file is to say.
@@ -200,13 +200,13 @@ def save(session: Session, path: Path, opened: SessionFile | None = None) -> Ses
 
 
 def edited_text(session: Session, path: Path, opened: SessionFile | None = None) -> str:
-    """What `save` writes.
+    """Return the text that `save` writes.
 
     Args:
         session: what the file is to say.
         path: of the file.
-        opened: the file that the session came from. What did not change since stays as it is there: comments, order and
-            layout. None: the file is written anew.
+        opened: the file that the session came from, or None for a new text. Comments, order, layout and all values that
+            did not change are kept.
 
     Raises:
         UneditableError: the changes cannot be put into the opened file's text.

@@ -137,7 +137,7 @@ def port_problems(port: int, location: str, transport: type[TransportTraits]) ->
 
 
 def transport_of(topic: Topic, session: Session | None) -> type[TransportTraits]:
-    """What carries a topic: its own transport, else the link's for its QoS; without a session, an IP link's."""
+    """Return a topic's transport: its own, or the link's for its QoS. Without a session, the link is an IP link."""
     if topic.protocol is not None:
         return transports.named(topic.protocol)
     link = transports.of_link(session.server_ip if session is not None else "")
@@ -157,8 +157,8 @@ def topic_problems(topic: Topic, location: str, session: Session | None, client:
 
     Args:
         topic: to look at.
-        location: of it; the problems' have the key behind it.
-        session: the one it is for, which says what its link can carry; None: not known yet.
+        location: of the topic. The problems' locations have the key behind it.
+        session: the topic's session, or None if it is not known yet. It tells what the link can carry.
         client: the client's name where it is the prefix of the topic's name on the server.
     """
     name, remote = join(location, key_of(topic.kind, "topic")), join(location, key_of(topic.kind, "remote_topic"))
@@ -294,7 +294,7 @@ def pattern_problems(topic: Topic, location: str, transport: type[TransportTrait
     Args:
         topic: whose name is a pattern.
         location: of it.
-        transport: what carries it.
+        transport: of the topic.
     """
     remote_key = key_of(topic.kind, "remote_topic")
     found = list(form_problems(topic.topic, join(location, key_of(topic.kind, "topic"))))
@@ -316,7 +316,7 @@ def pattern_problems(topic: Topic, location: str, transport: type[TransportTrait
 
 
 def exception_problems(topic: Topic, location: str) -> Iterator[Problem]:
-    """Mistakes in what a pattern leaves out."""
+    """Yield the mistakes in a pattern's exceptions."""
     location = join(location, "except")
     if topic.excepts and not topic.is_pattern:
         yield Problem(location, TopicMistake.EXCEPT_OF_NAME(name=show(topic.topic)))
@@ -359,7 +359,7 @@ def _wildcards(kinds: Sequence[str]) -> str:
 
 
 def call_problems(topic: Topic, location: str) -> Iterator[Problem]:
-    """Mistakes in a service, an action or parameters; nothing of a topic."""
+    """Yield the mistakes in a service, an action or parameters, and none for a topic."""
     if topic.kind == "topic":
         return
     for field, name in (("topic", topic.topic), ("remote_topic", topic.remote_topic)):
@@ -399,7 +399,7 @@ def service_names(kind: Kind, name: str) -> list[str]:
 
 
 def overlap(topic: Topic, others: Iterable[Topic]) -> str:
-    """Why a service, an action or parameters cannot be bridged beside others of the same link; empty: they can."""
+    """Return the reason why an entry cannot be bridged together with others of the link, or an empty string."""
     names = set(service_names(topic.kind, topic.topic))
     related = [other for other in others if not names.isdisjoint(service_names(other.kind, other.topic))]
     return next((f"{topic.topic}: {problem.message}" for problem in overlaps([*related, topic], "")), "")

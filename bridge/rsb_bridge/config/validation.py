@@ -216,7 +216,7 @@ class FaultCommandWarning(Wording):
 
 
 class AddressProblem(Wording):
-    """Why a text is no address of an HTTP server."""
+    """A mistake in the address of an HTTP server."""
 
     NOT_ADDRESS_AND_PORT = '{address!r} is not ADDRESS:PORT, as in 127.0.0.1:9464, or "[::1]:9464" in quotes'
     NO_ADDRESS = (
@@ -228,10 +228,10 @@ class AddressProblem(Wording):
 
 
 def host_and_port(text: str) -> tuple[str, int]:
-    """The parts of an address; an IPv6 address stands in brackets.
+    """Split an address into host and port. An IPv6 address is in brackets.
 
     Raises:
-        ValueError: it is not one; the message says what would be.
+        ValueError: it is no address. The message shows the right form.
     """
     host, colon, port = text.rpartition(":")
     if not colon:
@@ -255,7 +255,7 @@ _ANY_ADDRESS = ("0.0.0.0", "::", "00:00:00:00:00:00")  # noqa: S104 (refused, no
 _ENTRY = re.compile(rf"(?P<list>{'|'.join(NOUNS)})\[(?P<at>\d{{1,9}})\]")
 _HOST_LABEL = re.compile(r"[A-Za-z0-9_]([A-Za-z0-9_-]{0,61}[A-Za-z0-9_])?")
 _ZENOH_PROTOCOLS = ("tcp", "tls", "quic", "udp", "ws")
-"""What endpoints may begin with, of what the wheel knows."""
+"""Protocols of endpoints. The wheel knows more."""
 _ZENOH_HOST = r"\[[0-9A-Fa-f:.]+(%\w+)?\]|[^\[\]:/\s]+"
 _ZENOH_ENDPOINT = re.compile(rf"(?P<protocol>[a-z0-9_]+)/(?P<host>{_ZENOH_HOST}):(?P<port>\d{{1,5}})([?#]\S*)?")
 _FLEET_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,63}")
@@ -311,7 +311,7 @@ def validate_topic(topic: Topic, session: Session | None = None, *, client: str 
 
     Args:
         topic: to look at.
-        session: the one it is for, which says what its link can carry; None: not known yet.
+        session: the topic's session, or None if it is not known yet. It tells what the link can carry.
         client: the client's name where it is the prefix of the topic's name on the server.
 
     Returns:
@@ -324,7 +324,7 @@ def validate_topic(topic: Topic, session: Session | None = None, *, client: str 
 
 
 def _foreign(topic: Topic, location: str) -> Iterator[Problem]:
-    """What a session file cannot even say of a topic, but who made it otherwise can."""
+    """Yield the fields that a file has no key for. A topic from a peer or a program may have them."""
     for field, remedy in foreign(topic).items():
         yield Problem(join(location, field), SessionMistake.KIND_HAS_NONE(kind=A_KIND[topic.kind], remedy=remedy))
 
@@ -334,7 +334,7 @@ def domain_of(session: Session, variable: str | None) -> int:
 
     Args:
         session: whose `Session.domain_id` comes first.
-        variable: what ``$ROS_DOMAIN_ID`` says; None or blank is 0, as in ROS.
+        variable: the value of ``$ROS_DOMAIN_ID``. None or blank is 0, as in ROS.
 
     Raises:
         ValueError: the variable counts, and is not a domain.
@@ -348,7 +348,7 @@ def domain_of(session: Session, variable: str | None) -> int:
 
 
 def _unreported(found: Iterator[Problem], reported: list[Problem]) -> list[Problem]:
-    """Leave out what follows from a reported problem: the default in that value's place may break a rule of its own."""
+    """Leave out consequences of a reported problem: the default in place of its value may break another rule."""
     locations = [problem.location for problem in reported]
     return [
         new for new in found if not any(_within(new.location, old) or _within(old, new.location) for old in locations)
@@ -467,9 +467,9 @@ def _topics(topics: Sequence[Topic], where: str, session: Session, client: str |
     """Mistakes in what one link bridges.
 
     Args:
-        topics: topics and what else there is.
+        topics: topics, services, actions and parameters.
         where: the location of the session or client that lists them.
-        session: which it is.
+        session: the session of the link.
         client: as in `validate_topic`.
     """
     for topic, here in zip(topics, locations(topics), strict=True):

@@ -74,10 +74,10 @@ class SessionError(Exception):
 
 
 class YamlError(ValueError):
-    """A text is no YAML, or has what is not taken; the message says what it is.
+    """A text is no YAML, or uses a feature that is not allowed.
 
     Attributes:
-        line: where, from 1; None: nowhere in particular.
+        line: of the problem, from 1, or None if it has none.
     """
 
     def __init__(self, message: str, line: int | None) -> None:
@@ -91,7 +91,7 @@ class Document(NamedTuple):
     Attributes:
         data: mappings, lists and scalars.
         lines: the line of each location, from 1.
-        problems: what YAML allows and a session file does not.
+        problems: features of YAML that a session file must not use.
         root: the nodes, with their positions in the text.
     """
 
@@ -113,7 +113,7 @@ def dump_yaml(data: Any, *, allow_unicode: bool = True, width: int = MAX_FILE) -
 
     Args:
         data: mappings, lists and scalars.
-        allow_unicode: False: what is no ASCII stands as escape sequences.
+        allow_unicode: if False, characters beyond ASCII are written as escape sequences.
         width: characters after which a line is broken where that may be.
     """
     return yaml.dump(
@@ -126,7 +126,7 @@ def inline(value: Any, quotes: str | None = None) -> str:
 
     Args:
         value: plain data.
-        quotes: of a text; None: as it needs.
+        quotes: of a text, or None for quotes where they are needed.
     """
     style = quotes if quotes in ("'", '"') else None
     text = yaml.dump(
@@ -155,10 +155,10 @@ def read_yaml(text: str, path: Path) -> Document:
 
 
 def compose(text: str) -> yaml.Node | None:
-    """The nodes of a YAML document, nested `MAX_DEPTH` deep at most, with no aliases; None: it is empty.
+    """Parse a YAML document without aliases, at most `MAX_DEPTH` deep. Return None if it is empty.
 
     Raises:
-        YamlError: it is no YAML, or has such.
+        YamlError: it is no YAML, has aliases, or is nested too deeply.
     """
     loader = None
     try:
@@ -186,7 +186,7 @@ def _begins_with_tab(text: str, line: int) -> bool:
 
 
 def _plain(node: yaml.Node, location: str, document: Document) -> Any:
-    """What a node says, with its lines and problems noted in the document."""
+    """Convert a node to plain data, and note its lines and problems in the document."""
     if node.tag not in (_MAPPING, _SEQUENCE, *_SCALARS):
         message = YamlMistake.TAG(tag=conceal(node.tag))
         document.problems.append(Problem(location, message, node.start_mark.line + 1))
@@ -200,7 +200,7 @@ def _plain(node: yaml.Node, location: str, document: Document) -> Any:
 
 
 def scalar(node: yaml.Node) -> Any:
-    """What a scalar's node says, as a session file means it."""
+    """Convert a scalar's node by the rules of session files."""
     pattern, convert = _SCALARS.get(node.tag, _SCALARS["tag:yaml.org,2002:str"])
     return convert(node.value) if pattern.fullmatch(node.value) else node.value
 
@@ -238,7 +238,7 @@ class _Loader(yaml.SafeLoader):
 
 
 class _Dumper(yaml.SafeDumper):
-    """Puts in quotes what either YAML 1.1 or 1.2 would not read as text."""
+    """Quotes texts that YAML 1.1 or 1.2 would read as another type."""
 
     yaml_implicit_resolvers = {first: list(each) for first, each in yaml.SafeDumper.yaml_implicit_resolvers.items()}  # noqa: RUF012 (as above)
 
