@@ -58,7 +58,7 @@ _MOVING_NAMES = (
 
 
 class Advice(Wording):
-    """What an operator should know before a session runs."""
+    """Facts that an operator should know before a session runs."""
 
     NO_ENCRYPTION = "off: everything crosses in the clear, and anyone may connect"
     NO_CHECKS = "off: a peer's malformed message can make a node here take gigabytes"

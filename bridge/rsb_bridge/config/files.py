@@ -49,7 +49,7 @@ def replace_file(path: Path, content: bytes, *, like: Path | None = None) -> Non
     """Replace a file atomically. If that fails, the old file stays as it was.
 
     Args:
-        path: of the file, which need not exist. A symbolic link is followed, and stays one.
+        path: of the file. It may be new. A symbolic link is followed, and stays one.
         content: the whole file.
         like: a file whose mode, owner and group the new one gets. None: the mode is 0600, owner and group are those of
             the file that is replaced. Both are as far as this user may give them.

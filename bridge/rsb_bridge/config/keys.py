@@ -63,7 +63,7 @@ class KeyFileProblem(Wording):
 
 
 class KeyWarning(Wording):
-    """What an operator should do about a key that is valid."""
+    """A risk of a valid key, and its remedy."""
 
     READABLE = "{path}: others may read this key (mode {mode}): run `chmod 600 {path}`"
     OTHER_OWNER = "{path}: belongs to another user (uid {uid}), who may read and replace it: give it to this one"
@@ -282,7 +282,7 @@ def key_users(session: Session) -> dict[str, str]:
 
 
 def keys_of(session: Session, base: Path) -> dict[str, tuple[Key, ...]]:
-    """Read the valid keys of each client, by its name, the next one last. Without encryption there are none.
+    """Read the valid keys of each client, by its name, the next one last. Without encryption, a client has no keys.
 
     Args:
         session: a server's, or a client's.

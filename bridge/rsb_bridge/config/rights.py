@@ -53,7 +53,7 @@ MOVES_A_ROBOT = {
     "/tf": ("/tf",),
     "/clock": ("/clock",),
 }
-"""Patterns of topics by which a robot moves, or thinks that it does, each with names that it stands for."""
+"""Patterns of topics by which a robot moves, or believes that it moves, each with examples of names."""
 ONLY_READ = frozenset(
     {"describe_parameters", "get_parameter_types", "get_parameters", "list_parameters"}  # rcl_interfaces
     | {"get_available_states", "get_available_transitions", "get_state", "get_transition_graph"}  # lifecycle_msgs
@@ -77,7 +77,7 @@ class RightsMistake(Wording):
     NO_PROTOCOLS = "the list is empty: leave protocol out, or name one"
     RATE_OF_DENIED = "belongs under allow: what is denied has no rate"
     NO_PATTERN = "missing: give a pattern as topics, or as services"
-    BOTH = "has topics beside it: make an entry of each"
+    BOTH = "topics and services are in one entry: make an entry for each"
     UNRELIABLE = "{protocol} carries no calls: leave it out"
     OTHER_USE = "{may} is for {others}: a {noun} takes {uses}, or leave may out for both"
     NO_MATCH = "{pattern} matches no {noun}: a pattern begins with / or * (/robot1/*)"
@@ -374,7 +374,7 @@ def rights_of_server(session: Session, listed: Set[Identity] | None = None) -> R
 
     Args:
         session: the client's.
-        listed: the identities of the client's topics at present, or None for those of the session.
+        listed: the identities of the client's topics at present, or None for the topics in its session.
     """
     if listed is None:
         listed = {topic.identity for topic in session.topics}
@@ -592,7 +592,7 @@ class Granted:
 
 
 def operator_problems(session: Session) -> Iterator[Problem]:
-    """All mistakes in a session's operators, as far as can be told without reading their keys."""
+    """All mistakes in a session's operators, without those in their keys."""
     if len(session.operators) > OPERATORS:
         yield Problem("operators", OperatorMistake.TOO_MANY(count=len(session.operators), limit=OPERATORS))
     firsts: dict[str, int] = {}
@@ -650,7 +650,7 @@ def operator_key_problem(own: Mapping[str, Hashable], of_links: Mapping[str, Col
 
 
 def operator_changes(old: Mapping[str, Granted], new: Mapping[str, Granted]) -> list[str]:
-    """Describe the changes of operators, and name those that are detached."""
+    """Describe the changes of operators, and name detached operators."""
     texts = [OperatorChange.REMOVED(name=name) for name in old if name not in new]
     for name, granted in new.items():
         before = old.get(name)

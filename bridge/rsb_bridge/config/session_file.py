@@ -224,7 +224,7 @@ def edited_text(session: Session, path: Path, opened: SessionFile | None = None)
 
 
 def backup_path(path: Path) -> Path:
-    """Where the previous content of a session file is kept: beside it, with a ``~`` behind its name."""
+    """Return the path of the previous contents of a session file: the same name with a ``~`` at the end."""
     target = Path(os.path.realpath(path))
     return target.with_name(f"{target.name}~")
 

@@ -90,12 +90,12 @@ class TopicMistake(Wording):
     TOO_MANY_EXCEPTIONS = "{count} entries, and at most {limit} are allowed: use patterns in it"
     TOO_MANY_PATTERNS = "{count} patterns, and at most {limit} are allowed: use fewer, wider ones"
     NOT_A_PATTERN = (
-        "{name} is not a pattern of names: /part/part, where * stands for characters of one part, and ** as a whole "
-        "part for any number of them"
+        "{name} is not a pattern of names: /part/part, where * matches characters of one part, and a part ** "
+        "matches any number of parts"
     )
     NEITHER_NAME_NOR_PATTERN = (
-        "{name} is neither a name nor a pattern: /part/part, where * stands for characters of one part, and ** as a "
-        "whole part for any number of them"
+        "{name} is neither a name nor a pattern: /part/part, where * matches characters of one part, and a "
+        "part ** matches any number of parts"
     )
     HIDDEN = "{name}: patterns never match hidden names, whose parts begin with _: list them by their names"
     PART_OF_ACTION = (
@@ -329,7 +329,7 @@ def exception_problems(topic: Topic, location: str) -> Iterator[Problem]:
 
 
 def too_many_patterns(topics: Sequence[Topic], where: str) -> Iterator[Problem]:
-    """Patterns beyond those that one link may have.
+    """Yield a problem for each pattern beyond a link's limit.
 
     Args:
         topics: of the link.

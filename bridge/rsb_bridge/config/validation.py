@@ -152,7 +152,7 @@ class SessionMistake(Wording):
     ADDRESS_INVALID = "{address} is not an IPv4 or IPv6 address, a host name, or a Bluetooth MAC"
     ADAPTER_TWICE = "server_ip is a Bluetooth MAC already: leave bluetooth_address out"
     ADAPTER_INVALID = "{address} is not a Bluetooth MAC: six hexadecimal pairs, 5C:F3:70:9A:1B:2E"
-    ADAPTER_OVER_ZENOH = "no topic crosses by Bluetooth beside a link over Zenoh: leave it out"
+    ADAPTER_OVER_ZENOH = "a link over Zenoh cannot have topics over Bluetooth: leave it out"
     TOPIC_TWICE = "{name} ({end}) is there already, as number {number}"
     SOURCE_TWICE = "{name} comes from the server's {remote}, too: bridge it once, under one name"
     PORT_OF_LINK = "{port} is the server_port: leave port out to share it"
@@ -172,7 +172,7 @@ class SessionMistake(Wording):
         "belongs in the server's session file, where two keys may be valid: here, replace the file that key_file "
         "names, and reload"
     )
-    NEXT_KEY_ALONE = "there is no key_file beside it, which it would replace: give that one"
+    NEXT_KEY_ALONE = "key_file is missing, which this key would replace: give key_file too"
     NEXT_KEY_IS_CURRENT = "{name} is the key_file already: give the new key's file"
 
 
@@ -208,7 +208,7 @@ class ProgramProblem(Wording):
 
 
 class FaultCommandWarning(Wording):
-    """What `check` says of the command of `on_fault`."""
+    """A warning about the command of `on_fault`."""
 
     CANNOT_RUN = "on_fault: {problem}; until then no command runs; the bridge goes on"
     SHELL_SYNTAX = "on_fault: no shell reads it, so {word} is a plain argument: put the command into a script"
@@ -223,7 +223,7 @@ class AddressProblem(Wording):
         "{address!r} names no address: give 127.0.0.1:{port} for programs of this machine, 0.0.0.0:{port} for every "
         "network"
     )
-    NO_BRACKETS = '{address!r}: an IPv6 address stands in brackets, as in 127.0.0.1:9464, or "[::1]:9464" in quotes'
+    NO_BRACKETS = '{address!r}: put an IPv6 address in brackets, as in 127.0.0.1:9464, or "[::1]:9464" in quotes'
     INVALID_PORT = "{port!r} is not a port: {range}"
 
 
@@ -563,7 +563,7 @@ def armed_problems(armed: Sequence[str | Armed]) -> Iterator[Problem]:
 
 
 def key_file_problems(session: Session) -> Iterator[Problem]:
-    """All mistakes in a session's key files, as far as can be told without reading them."""
+    """All mistakes in a session's key files, without those in their contents."""
     yield from _names(session, "")
     yield from _replaces(session.next_key_file, session.key_file, "")
     owners: list[tuple[str, str | None]] = []

@@ -260,10 +260,10 @@ _Dumper.add_implicit_resolver("tag:yaml.org,2002:float", re.compile(r"(?:-?\.inf
 
 
 def read_text(path: Path) -> str:
-    """A file's text, with the byte order mark if it has one.
+    """Read a file's text, with the byte order mark if it has one.
 
     Raises:
-        SessionError: there is none.
+        SessionError: it is missing, unreadable, too large, or not UTF-8.
     """
     try:
         if not path.is_file():
