@@ -4,11 +4,14 @@ import socket
 from typing import Any
 
 import pytest
+from tests.support.wording import says
 
-from rsb_bridge.config.advice import advise
-from rsb_bridge.config.validation import validate
+from rsb_bridge.config.advice import Advice, advise
+from rsb_bridge.config.rights import DeniedText
+from rsb_bridge.config.validation import SessionMistake, validate
 from rsb_bridge.model.limits import KEPT_DEPTH, LATCHED_DEPTH, PORTS_PER_CLIENT, ROUTES_PER_LINK
 from rsb_bridge.model.session import Client, Session, Topic
+from rsb_bridge.model.wording import Wording
 
 CLIENT: dict[str, Any] = {"name": "a", "role": "client", "server_ip": "10.0.0.1", "server_port": 49152, "key_file": "k"}
 SERVER: dict[str, Any] = {**CLIENT, "role": "server"}
@@ -24,44 +27,89 @@ def many(count: int, port: int | None = None) -> list[Topic]:
 
 
 @pytest.mark.parametrize(
-    ("session", "variable", "location", "message"),
+    ("session", "variable", "location", "code", "parameters"),
     [
-        ({**CLIENT, "use_encryption": False}, None, "use_encryption", "everything crosses in the clear"),
-        ({**CLIENT, "check_messages": False}, None, "check_messages", ""),
-        ({**CLIENT, "domain_id": 150}, None, "domain_id", "150 can collide with other programs' ports"),
-        (CLIENT, "150", "domain_id", "domain 150 can collide"),
-        (CLIENT, "300", "domain_id", "ROS_DOMAIN_ID is '300'"),
-        ({**SERVER, "server_port": 80}, None, "server_port", "ports below 1024 need root"),
-        ({**SERVER, "server_port": 7649, "domain_id": 0}, None, "server_port", "ROS domain 0 (7400 to 7649)"),
-        ({**SERVER, "ports": (12001, 7650)}, "1", "ports[1]", "7650 belongs to ROS domain 1 (7650 to 7899)"),
-        ({**SERVER, "server_port": 9900, "domain_id": 0}, None, "server_port", "domain 10"),
-        (topics(Topic("/a", "transmit", port=7660)), None, "topics[0].port", "domain 1's"),
-        ({**CLIENT, "metrics": "0.0.0.0:9464"}, None, "metrics", "no password protects them"),
-        (topics(Topic("/shutdown", "transmit")), None, "topics[0]", "it closes the bridge, too"),
-        (topics(Topic("/a", "transmit", port=80)), None, "topics[0].port", "refuses ports below 1024"),
+        ({**CLIENT, "use_encryption": False}, None, "use_encryption", Advice.NO_ENCRYPTION, {}),
+        ({**CLIENT, "check_messages": False}, None, "check_messages", Advice.NO_CHECKS, {}),
+        ({**CLIENT, "domain_id": 150}, None, "domain_id", Advice.DOMAIN_COLLIDES, {"domain": 150}),
+        (CLIENT, "150", "domain_id", Advice.DOMAIN_COLLIDES, {"domain": 150}),
+        (CLIENT, "300", "domain_id", SessionMistake.DOMAIN_VARIABLE_INVALID, {"value": "'300'"}),
+        ({**SERVER, "server_port": 80}, None, "server_port", Advice.LOW_PORT, {"limit": 1024}),
+        (
+            {**SERVER, "server_port": 7649, "domain_id": 0},
+            None,
+            "server_port",
+            Advice.PORT_OF_DOMAIN,
+            {"port": 7649, "domain": 0, "ports": "7400 to 7649"},
+        ),
+        (
+            {**SERVER, "ports": (12001, 7650)},
+            "1",
+            "ports[1]",
+            Advice.PORT_OF_DOMAIN,
+            {"port": 7650, "domain": 1, "ports": "7650 to 7899"},
+        ),
+        (
+            {**SERVER, "server_port": 9900, "domain_id": 0},
+            None,
+            "server_port",
+            Advice.PORT_OF_DISCOVERY,
+            {"domain": 10},
+        ),
+        (
+            topics(Topic("/a", "transmit", port=7660)),
+            None,
+            "topics[0].port",
+            Advice.TOPIC_PORT_OF_DISCOVERY,
+            {"domain": 1},
+        ),
+        ({**CLIENT, "metrics": "0.0.0.0:9464"}, None, "metrics", Advice.METRICS_OPEN, {}),
+        (topics(Topic("/shutdown", "transmit")), None, "topics[0]", Advice.SHUTDOWN_TOPIC, {}),
+        (
+            topics(Topic("/a", "transmit", port=80)),
+            None,
+            "topics[0].port",
+            Advice.TOPIC_PORT_LOW,
+            {"kind": "port", "limit": 1024},
+        ),
         (
             {**SERVER, "clients": (Client("r", deny=("/cmd*",), topics=(Topic("/cmd_vel", "receive"),)),)},
-            None, "clients[0].topics[0]", "the server denies /cmd_vel to r (allow and deny), but it crosses",
+            None,
+            "clients[0].topics[0]",
+            Advice.CROSSES_ALTHOUGH_DENIED,
+            {"reason": DeniedText.DENIED(owner="the server", use="/cmd_vel", peer="r")},
         ),
-        (topics(*many(ROUTES_PER_LINK + 1)), None, "topics", f"a server takes {ROUTES_PER_LINK} topics"),
-        (topics(*many(PORTS_PER_CLIENT + 1, 5000)), None, "topics", f"a server binds {PORTS_PER_CLIENT} for a client"),
+        (topics(*many(ROUTES_PER_LINK + 1)), None, "topics", Advice.TOO_MANY_TOPICS, {"limit": ROUTES_PER_LINK}),
+        (
+            topics(*many(PORTS_PER_CLIENT + 1, 5000)),
+            None,
+            "topics",
+            Advice.TOO_MANY_PORTS,
+            {"count": PORTS_PER_CLIENT + 1, "limit": PORTS_PER_CLIENT},
+        ),
         (
             topics(Topic("/a", "transmit", qos={"profile": "latched", "depth": LATCHED_DEPTH + 1})),
-            None, "topics[0].qos", f"the receiving side keeps {LATCHED_DEPTH} messages for late joiners",
+            None,
+            "topics[0].qos",
+            Advice.DEPTH_OF_LATCHED,
+            {"limit": LATCHED_DEPTH},
         ),
         (
             topics(Topic("/a", "transmit", qos=KEPT_DEPTH + 1)),
-            None, "topics[0].qos", f"keeps {KEPT_DEPTH} messages in its publisher",
+            None,
+            "topics[0].qos",
+            Advice.DEPTH,
+            {"limit": KEPT_DEPTH},
         ),
     ],
-)  # fmt: skip
-def test_it_is_said_with_its_location(
-    session: dict[str, Any], variable: str | None, location: str, message: str
+)
+def test_advice_has_its_location(
+    session: dict[str, Any], variable: str | None, location: str, code: Wording, parameters: dict[str, Any]
 ) -> None:
     assert validate(Session(**session)) == [], "it is no mistake"
     (problem,) = advise(Session(**session), variable)
     assert problem.location == location
-    assert message in problem.message
+    assert says(problem.message, code, **parameters)
 
 
 @pytest.mark.parametrize(
@@ -86,4 +134,4 @@ def test_a_python_without_bluetooth_is_named(changes: dict[str, Any], monkeypatc
     assert list(advise(session, None)) == []
     monkeypatch.delattr(socket, "AF_BLUETOOTH")
     (problem,) = advise(session, None)
-    assert "this Python has no Bluetooth sockets" in problem.message
+    assert says(problem.message, Advice.NO_BLUETOOTH)

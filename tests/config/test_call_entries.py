@@ -1,23 +1,29 @@
-"""Services, actions and parameters in a session file: read, refused in words, and saved in lists of their own."""
+"""Services, actions and parameters in a session file: read, checked, and saved in lists of their own."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from msgspec.structs import replace
+from tests.support.wording import says
 
+from rsb_bridge.config.decoding import Hint, ValueMistake
 from rsb_bridge.config.difference import changes, described
-from rsb_bridge.config.file_form import KEYS, as_topic, as_written
+from rsb_bridge.config.file_form import KEYS, ForeignKey, as_topic, as_written
 from rsb_bridge.config.session_file import SessionError, dump, load, load_file, parse, same, save, validate
-from rsb_bridge.config.validation import validate_topic
-from rsb_bridge.model.limits import TOPIC_LENGTH
-from rsb_bridge.model.session import Client, Session, Topic
+from rsb_bridge.config.topic_rules import RangeText, TopicMistake
+from rsb_bridge.config.validation import SessionMistake, validate_topic
+from rsb_bridge.model.limits import CALL_TIME, TOPIC_LENGTH
+from rsb_bridge.model.session import Client, Problem, Session, Topic
 from rsb_console.session.draft import problems_of
 from rsb_console.session.saving import unsaved
+
+if TYPE_CHECKING:
+    from rsb_bridge.model.wording import Wording
 
 FILE = Path("robot1.yaml")
 DOCS = Path(__file__).parents[2] / "docs"
@@ -49,10 +55,10 @@ def entry(name: str, fields: str) -> str:
     return f"{CLIENT}{name}:\n  - {fields}\n"
 
 
-def refusals(text: str) -> list[str]:
+def problems(text: str) -> tuple[Problem, ...]:
     with pytest.raises(SessionError) as caught:
         parse(text, FILE)
-    return str(caught.value).splitlines()
+    return caught.value.problems
 
 
 def test_a_session_lists_what_is_called_beside_its_topics() -> None:
@@ -101,78 +107,249 @@ def test_what_is_saved_is_read_again_in_the_lists_of_each_kind() -> None:
 
 
 @pytest.mark.parametrize(
-    ("text", "line", "words"),
+    ("text", "line", "location", "code", "parameters"),
     [
-        (service("kind: service"), 7, "service /dock, kind: not a key: the list says it"),
-        (service("qos: 5"), 7, "service /dock, qos: calls have ROS's own QoS: leave it out"),
-        (service("expected_rate: 5"), 7, "service /dock, expected_rate: nobody expects calls at a rate: leave it out"),
-        (service("stale_after: 5"), 7, "service /dock, stale_after: nobody expects calls all the time: leave it out"),
-        (service("direction: transmit"), 7, "direction: write provider: client or provider: server, the side whose"),
-        (service("remote_topic: /d"), 7, "service /dock, remote_topic: write remote_service"),
-        (service("time_out: 1"), 7, "service /dock, time_out: unknown key (did you mean timeout?)"),
-        (service("timeout: 0"), 7, "service /dock, timeout: 0.0 is out of range: 0.1 to 86400 s, or leave it out"),
-        (service("timeout: 90000"), 7, "service /dock, timeout: 90000.0 is out of range"),
-        (service("timeout: nan"), 7, "service /dock, timeout: 'nan' is not a number"),
-        (service("protocol: udp"), 7, "service /dock, protocol: udp loses messages, and a call has to arrive whole"),
-        (service("protocol: udp", BLUETOOTH), 7, "service /dock, protocol: udp loses messages"),
-        (service("protocol: tcp", BLUETOOTH), 7, "service /dock, protocol: tcp does not cross a Bluetooth link"),
-        (service("protocol: bluetooth"), 7, "service /dock, protocol: bluetooth needs the MAC"),
-        (service("port: 0"), 7, "service /dock, port: 0 is not a valid port"),
-        (service("max_rate: 0"), 7, "service /dock, max_rate: 0.0 is out of range"),
-        (service("deadman: 5"), 7, "service /dock, deadman: only a service that is armed has one: set arm: true"),
-        (service("type: std_srvs/Trigger"), 7, "write package/srv/Name, or leave it out (did you mean std_srvs/"),
-        (service("type: std_srvs/msg/Trigger"), 7, "(did you mean std_srvs/srv/Trigger?)"),
-        (service("type: Trigger"), 7, "'Trigger' is no type of a service: write package/srv/Name, or leave it out"),
-        (service(f"type: a/srv/{'B' * 300}"), 7, "characters: that is too long"),
-        (service("remote_service: dock"), 7, "remote_service: 'dock' is not an absolute service name"),
-        (service("remote_service: /_rsb_bridge/x"), 7, "remote_service: '/_rsb_bridge/x' is the bridge's own"),
-        (service("remote_service: /a/_action/send_goal"), 7, "belongs to the action /a: list that under actions"),
-        (entry("services", "{service: /d}"), 7, "provider: missing: give one of client, server (the side whose"),
-        (entry("services", "{service: /d, provider: robot}"), 7, "provider: 'robot' is not one of client, serv"),
-        (entry("services", "{provider: client}"), 7, "service 1, service: missing: give text"),
-        (entry("services", "/d"), 7, "service 1: '/d' is not a mapping of service, provider"),
-        (CLIENT + "services: /d\n", 6, "services: '/d' is not a list"),
-        (CLIENT + "service: []\n", 6, "service: unknown key (did you mean services?)"),
-        (entry("services", "{service: /a/_action/get_result, provider: client}"), 7, "the action /a: list that"),
-        (entry("services", "{service: /_rsb_bridge/published, provider: client}"), 7, "the bridge's own"),
-        (entry("services", "{topic: /d, provider: client, service: /d}"), 7, "topic: list this entry under topics, or"),
-        (entry("actions", "{action: /a, provider: client, type: p/srv/A}"), 7, "type: 'p/srv/A' is the type of a"),
-        (service("type: p/action/A"), 7, "is the type of an action: list this"),
-        (entry("services", "{service: /d/**x, provider: client}"), 7, "'/d/**x' is not a pattern"),
-        (entry("parameters", "{node: n, provider: client}"), 7, "parameters of n, node: 'n' is not an abs"),
-        (entry("parameters", "{node: /n, provider: client, type: x}"), 7, "parameters of /n, type: parameters h"),
-        (entry("topics", "{topic: /a, direction: transmit, kind: service}"), 7, "topic /a, kind: not a key: what"),
-        (entry("topics", "{topic: /a, direction: transmit, timeout: 3}"), 7, "topic /a, timeout: a topic has"),
-        (entry("topics", "{topic: /a, direction: transmit, provider: client}"), 7, "a topic has a direction"),
-        (entry("topics", "{topic: /a, direction: transmit, node: /n}"), 7, "not a topic: list it under param"),
-        (SERVER + "services:\n  - {service: /d, provider: client}\n", 2, "role: a server has no services of its own"),
+        (service("kind: service"), 7, "services[0].kind", ForeignKey.KIND_OF_CALLED, {}),
+        (service("qos: 5"), 7, "services[0].qos", ForeignKey.QOS_OF_CALLED, {}),
+        (service("expected_rate: 5"), 7, "services[0].expected_rate", ForeignKey.EXPECTED_RATE_OF_CALLED, {}),
+        (service("stale_after: 5"), 7, "services[0].stale_after", ForeignKey.STALE_AFTER_OF_CALLED, {}),
+        (service("direction: transmit"), 7, "services[0].direction", ForeignKey.DIRECTION_OF_CALLED, {}),
+        (
+            service("remote_topic: /d"),
+            7,
+            "services[0].remote_topic",
+            ForeignKey.OTHER_REMOTE,
+            {"key": "remote_service"},
+        ),
+        (
+            service("time_out: 1"),
+            7,
+            "services[0].time_out",
+            ValueMistake.MISSPELT_KEY,
+            {"hint": Hint.DID_YOU_MEAN(name="timeout")},
+        ),
+        (
+            service("timeout: 0"),
+            7,
+            "services[0].timeout",
+            TopicMistake.OUT_OF_RANGE,
+            {"value": 0.0, "range": RangeText.TIMEOUT(range=CALL_TIME)},
+        ),
+        (service("timeout: 90000"), 7, "services[0].timeout", TopicMistake.OUT_OF_RANGE, {"value": 90000.0}),
+        (
+            service("timeout: nan"),
+            7,
+            "services[0].timeout",
+            ValueMistake.MISFIT,
+            {"value": "'nan'", "expected": "a number"},
+        ),
+        (service("protocol: udp"), 7, "services[0].protocol", TopicMistake.CALL_NEEDS_RELIABLE, {"protocol": "udp"}),
+        (
+            service("protocol: udp", BLUETOOTH),
+            7,
+            "services[0].protocol",
+            TopicMistake.CALL_NEEDS_RELIABLE,
+            {"protocol": "udp"},
+        ),
+        (
+            service("protocol: tcp", BLUETOOTH),
+            7,
+            "services[0].protocol",
+            TopicMistake.NOT_ON_BLUETOOTH,
+            {"protocol": "tcp"},
+        ),
+        (service("protocol: bluetooth"), 7, "services[0].protocol", TopicMistake.NEEDS_ADAPTER, {}),
+        (service("port: 0"), 7, "services[0].port", TopicMistake.INVALID_PORT, {"port": 0, "kind": "port"}),
+        (service("max_rate: 0"), 7, "services[0].max_rate", TopicMistake.OUT_OF_RANGE, {"value": 0.0}),
+        (service("deadman: 5"), 7, "services[0].deadman", TopicMistake.DEADMAN_WITHOUT_ARM, {"kind": "a service"}),
+        (
+            service("type: std_srvs/Trigger"),
+            7,
+            "services[0].type",
+            TopicMistake.NOT_A_TYPE,
+            {"folder": "srv", "hint": Hint.DID_YOU_MEAN(name="std_srvs/srv/Trigger")},
+        ),
+        (
+            service("type: std_srvs/msg/Trigger"),
+            7,
+            "services[0].type",
+            TopicMistake.NOT_A_TYPE,
+            {"folder": "srv", "hint": Hint.DID_YOU_MEAN(name="std_srvs/srv/Trigger")},
+        ),
+        (
+            service("type: Trigger"),
+            7,
+            "services[0].type",
+            TopicMistake.NOT_A_TYPE,
+            {"name": "'Trigger'", "kind": "a service", "folder": "srv"},
+        ),
+        (service(f"type: a/srv/{'B' * 300}"), 7, "services[0].type", TopicMistake.CALLED_TYPE_TOO_LONG, {}),
+        (
+            service("remote_service: dock"),
+            7,
+            "services[0].remote_service",
+            TopicMistake.NOT_ABSOLUTE,
+            {"name": "'dock'", "noun": "service"},
+        ),
+        (
+            service("remote_service: /_rsb_bridge/x"),
+            7,
+            "services[0].remote_service",
+            TopicMistake.OF_THE_BRIDGE,
+            {"name": "'/_rsb_bridge/x'"},
+        ),
+        (
+            service("remote_service: /a/_action/send_goal"),
+            7,
+            "services[0].remote_service",
+            TopicMistake.PART_OF_ACTION,
+            {"action": "/a"},
+        ),
+        (entry("services", "{service: /d}"), 7, "services[0].provider", ValueMistake.MISSING, {}),
+        (
+            entry("services", "{service: /d, provider: robot}"),
+            7,
+            "services[0].provider",
+            ValueMistake.MISFIT,
+            {"value": "'robot'"},
+        ),
+        (entry("services", "{provider: client}"), 7, "services[0].service", ValueMistake.MISSING, {"expected": "text"}),
+        (
+            entry("services", "/d"),
+            7,
+            "services[0]",
+            ValueMistake.NOT_A_MAPPING,
+            {"value": "'/d'", "keys": "service, provider"},
+        ),
+        (CLIENT + "services: /d\n", 6, "services", ValueMistake.NOT_A_LIST, {"value": "'/d'"}),
+        (
+            CLIENT + "service: []\n",
+            6,
+            "service",
+            ValueMistake.MISSPELT_KEY,
+            {"hint": Hint.DID_YOU_MEAN(name="services")},
+        ),
+        (
+            entry("services", "{service: /a/_action/get_result, provider: client}"),
+            7,
+            "services[0].service",
+            TopicMistake.PART_OF_ACTION,
+            {"action": "/a"},
+        ),
+        (
+            entry("services", "{service: /_rsb_bridge/published, provider: client}"),
+            7,
+            "services[0].service",
+            TopicMistake.OF_THE_BRIDGE,
+            {},
+        ),
+        (
+            entry("services", "{topic: /d, provider: client, service: /d}"),
+            7,
+            "services[0].topic",
+            ForeignKey.LIST_UNDER,
+            {"list": "topics"},
+        ),
+        (
+            entry("actions", "{action: /a, provider: client, type: p/srv/A}"),
+            7,
+            "actions[0].type",
+            TopicMistake.TYPE_OF_OTHER_KIND,
+            {"name": "'p/srv/A'"},
+        ),
+        (service("type: p/action/A"), 7, "services[0].type", TopicMistake.TYPE_OF_OTHER_KIND, {"kind": "an action"}),
+        (
+            entry("services", "{service: /d/**x, provider: client}"),
+            7,
+            "services[0].service",
+            TopicMistake.NOT_A_PATTERN,
+            {"name": "'/d/**x'"},
+        ),
+        (
+            entry("parameters", "{node: n, provider: client}"),
+            7,
+            "parameters[0].node",
+            TopicMistake.NOT_ABSOLUTE,
+            {"name": "'n'", "noun": "node"},
+        ),
+        (
+            entry("parameters", "{node: /n, provider: client, type: x}"),
+            7,
+            "parameters[0].type",
+            ForeignKey.TYPE_OF_PARAMETERS,
+            {},
+        ),
+        (
+            entry("topics", "{topic: /a, direction: transmit, kind: service}"),
+            7,
+            "topics[0].kind",
+            ForeignKey.KIND_OF_TOPIC,
+            {},
+        ),
+        (
+            entry("topics", "{topic: /a, direction: transmit, timeout: 3}"),
+            7,
+            "topics[0].timeout",
+            ForeignKey.TIMEOUT_OF_TOPIC,
+            {},
+        ),
+        (
+            entry("topics", "{topic: /a, direction: transmit, provider: client}"),
+            7,
+            "topics[0].provider",
+            ForeignKey.PROVIDER_OF_TOPIC,
+            {},
+        ),
+        (
+            entry("topics", "{topic: /a, direction: transmit, node: /n}"),
+            7,
+            "topics[0].node",
+            ForeignKey.NOT_A_TOPIC,
+            {},
+        ),
+        (
+            SERVER + "services:\n  - {service: /d, provider: client}\n",
+            2,
+            "role",
+            SessionMistake.TOPICS_OF_SERVER,
+            {"list": "services"},
+        ),
         (
             SERVER + "clients:\n  - name: a\n    services:\n      - {service: /d, provider: client, timeout: -1}\n",
             9,
-            "client a, service /d, timeout: -1.0 is out of range",
+            "clients[0].services[0].timeout",
+            TopicMistake.OUT_OF_RANGE,
+            {"value": -1.0},
         ),
     ],
-)  # fmt: skip
-def test_a_mistake_is_named_with_its_line_and_what_would_be_right(text: str, line: int, words: str) -> None:
-    (refusal,) = refusals(text)
-    assert refusal.startswith(f"robot1.yaml:{line}: ")
-    assert words in refusal
+)
+def test_a_mistake_has_its_line_and_place(
+    text: str, line: int, location: str, code: Wording, parameters: dict[str, Any]
+) -> None:
+    (problem,) = problems(text)
+    assert (problem.location, problem.line) == (location, line)
+    assert says(problem.message, code, **parameters)
 
 
 @pytest.mark.parametrize(
-    ("entries", "words"),
+    ("entries", "code", "parameters"),
     [
-        (DOCK + "  - {service: /d, provider: client}", "there already, as number 1"),
-        (DOCK + "  - {service: /d, provider: server}", "only one side's node"),
+        (DOCK + "  - {service: /d, provider: client}", SessionMistake.TOPIC_TWICE, {"name": "/d", "number": 1}),
+        (
+            DOCK + "  - {service: /d, provider: server}",
+            TopicMistake.OTHER_PROVIDER,
+            {"name": "/d", "provider": "client"},
+        ),
         (
             "services: [{service: /n/set_parameters, provider: client}]\nparameters: [{node: /n, provider: client}]",
-            "/n/set_parameters is bridged already, with service /n/set_parameters",
+            TopicMistake.BRIDGED_ALREADY,
+            {"service": "/n/set_parameters", "noun": "service", "name": "/n/set_parameters"},
         ),
     ],
-)  # fmt: skip
-def test_a_service_is_listed_once(entries: str, words: str) -> None:
-    (refusal,) = refusals(f"{CLIENT}{entries}\n")
-    assert words in refusal
+)
+def test_a_service_is_listed_once(entries: str, code: Wording, parameters: dict[str, Any]) -> None:
+    (problem,) = problems(f"{CLIENT}{entries}\n")
+    assert says(problem.message, code, **parameters)
 
 
 def test_a_topic_a_service_and_an_action_may_have_one_name() -> None:

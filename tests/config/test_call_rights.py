@@ -3,16 +3,33 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import pytest
+from tests.support.wording import says
 
-from rsb_bridge.config.advice import advise
-from rsb_bridge.config.rights import Rights, Use, listings, rights_of_client, rights_of_server, typed_grants
+from rsb_bridge.config.advice import Advice, advise
+from rsb_bridge.config.decoding import Hint, ValueMistake
+from rsb_bridge.config.rights import (
+    EVERY_CALL,
+    DeniedRemedy,
+    DeniedText,
+    Place,
+    Rights,
+    RightsMistake,
+    Use,
+    listings,
+    rights_of_client,
+    rights_of_server,
+    typed_grants,
+)
 from rsb_bridge.config.session_file import SessionError, dump, parse
 from rsb_bridge.link.proposals import use_of
 from rsb_bridge.model.session import Client, Grant, Session, Topic
 from rsb_bridge.wire.messages import Propose
+
+if TYPE_CHECKING:
+    from rsb_bridge.model.wording import Wording
 
 CLIENT: dict[str, Any] = {
     "name": "robot1", "role": "client", "server_ip": "10.0.0.1", "server_port": 7060, "key_file": "k"
@@ -21,6 +38,7 @@ SERVER: dict[str, Any] = CLIENT | {"name": "pc", "role": "server"}
 DOCK = Topic("/dock", "receive", kind="service")  # the robot's own node docks it
 MAP = Topic("/get_map", "transmit", kind="service")
 NAVIGATE = Topic("/navigate", "receive", kind="action")
+ON_CLIENT, ON_SERVER = Place.ON_CLIENT(client="robot1"), Place.ON_SERVER(client="robot1", server="pc")
 CALL, SERVE = Grant(services="/dock", may="call"), Grant(services="/dock", may="serve")
 
 
@@ -105,32 +123,57 @@ def test_who_is_denied_a_part_has_no_way_around_by_the_whole(denied: str, use: U
 
 
 @pytest.mark.parametrize(
-    ("rights", "use", "words"),
+    ("rights", "use", "reason", "remedy", "parameters"),
     [
         (
-            rights_of_server(Session(**CLIENT)), call("/navigate", "action"),
-            "let the server call action /navigate: list it under actions in the session file of robot1, with provider:",
+            rights_of_server(Session(**CLIENT)),
+            call("/navigate", "action"),
+            DeniedText.NOT_ALLOWED,
+            DeniedRemedy.LIST,
+            {"list": "actions", "place": ON_CLIENT, "direction": "provider: client"},
         ),
         (
-            rights_of_server(Session(**CLIENT, allow=("/a",))), serve("/n", "parameters"),
-            "under parameters in the session file of robot1, with provider: server, or add {services: /n, may: serve}",
+            rights_of_server(Session(**CLIENT, allow=("/a",))),
+            serve("/n", "parameters"),
+            DeniedText.NOT_ALLOWED,
+            DeniedRemedy.LIST_OR_ALLOW,
+            {
+                "list": "parameters",
+                "place": ON_CLIENT,
+                "direction": "provider: server",
+                "entry": "{services: /n, may: serve}",
+            },
         ),
         (
-            rights_of_client(Client("robot1", allow=("/dock",)), "pc"), call("/dock"),
-            "let robot1 call service /dock: add {services: /dock, may: call} to allow of client robot1 in the session",
+            rights_of_client(Client("robot1", allow=("/dock",)), "pc"),
+            call("/dock"),
+            DeniedText.NOT_ALLOWED,
+            DeniedRemedy.ADD_ALLOW,
+            {"entry": "{services: /dock, may: call}", "place": ON_SERVER},
         ),
         (
-            rights_of_client(Client("robot1", deny=("/d*",)), "pc"), call("/dock"),
-            "the server denies service /dock to robot1: deny of client robot1 in the session file of pc has /d*",
+            rights_of_client(Client("robot1", deny=("/d*",)), "pc"),
+            call("/dock"),
+            DeniedText.DENIED,
+            DeniedRemedy.CHANGE_DENY,
+            {"place": ON_SERVER, "entry": "/d*"},
         ),
         (
-            rights_of_client(Client("robot1", deny=(CALL,)), "pc"), call("/dock"),
-            "deny of client robot1 in the session file of pc has {services: /dock, may: call}",
+            rights_of_client(Client("robot1", deny=(CALL,)), "pc"),
+            call("/dock"),
+            DeniedText.DENIED,
+            DeniedRemedy.CHANGE_DENY,
+            {"place": ON_SERVER, "entry": "{services: /dock, may: call}"},
         ),
     ],
-)  # fmt: skip
-def test_a_refusal_names_what_would_allow_it(rights: Rights, use: Use, words: str) -> None:
-    assert words in str(rights.refusal(use))
+)
+def test_a_refusal_names_the_use_and_the_remedy(
+    rights: Rights, use: Use, reason: Wording, remedy: Wording, parameters: dict[str, str]
+) -> None:
+    refusal = rights.refusal(use)
+    assert refusal is not None
+    assert says(refusal.reason, reason, peer=rights.peer, use=use)
+    assert says(refusal.remedy, remedy, **parameters)
 
 
 def test_calls_have_a_rate_of_their_own() -> None:
@@ -183,27 +226,47 @@ def test_grants_are_read_typed_and_written() -> None:
 
 
 @pytest.mark.parametrize(
-    ("entry", "location", "words"),
+    ("entry", "location", "code", "parameters"),
     [
-        ("allow: [{services: dock}]", "allow[0].services", "matches no service: a pattern begins with / or *"),
-        ("allow: [{services: /dock/}]", "allow[0].services", "matches no service"),
-        ("allow: [{services: /a, topics: /a}]", "allow[0].services", "make an entry of each"),
-        ("allow: [{may: call}]", "allow[0].topics", "give a pattern as topics, or as services"),
-        ("allow: [{services: /a, may: read}]", "allow[0].may", "read is for topics: a service takes call or serve"),
-        ("allow: [{topics: /a, may: serve}]", "allow[0].may", "serve is for services: a topic takes publish or read"),
-        ("allow: [{services: /a, protocol: udp}]", "allow[0].protocol", "udp carries no calls"),
-        ("allow: [{services: /a, protocol: [tcp, udp]}]", "allow[0].protocol", "udp carries no calls"),
-        ("deny: [{services: /a, max_rate: 5}]", "deny[0].max_rate", "belongs under allow"),
-        ("allow: [{service: /a}]", "allow[0].service", "did you mean services?"),
+        ("allow: [{services: dock}]", "allow[0].services", RightsMistake.NO_MATCH, {"noun": "service"}),
+        ("allow: [{services: /dock/}]", "allow[0].services", RightsMistake.SLASHES, {"noun": "service"}),
+        ("allow: [{services: /a, topics: /a}]", "allow[0].services", RightsMistake.BOTH, {}),
+        ("allow: [{may: call}]", "allow[0].topics", RightsMistake.NO_PATTERN, {}),
+        (
+            "allow: [{services: /a, may: read}]",
+            "allow[0].may",
+            RightsMistake.OTHER_USE,
+            {"may": "read", "others": "topics", "noun": "service", "uses": "call or serve"},
+        ),
+        (
+            "allow: [{topics: /a, may: serve}]",
+            "allow[0].may",
+            RightsMistake.OTHER_USE,
+            {"may": "serve", "others": "services", "noun": "topic", "uses": "publish or read"},
+        ),
+        ("allow: [{services: /a, protocol: udp}]", "allow[0].protocol", RightsMistake.UNRELIABLE, {"protocol": "udp"}),
+        (
+            "allow: [{services: /a, protocol: [tcp, udp]}]",
+            "allow[0].protocol",
+            RightsMistake.UNRELIABLE,
+            {"protocol": "udp"},
+        ),
+        ("deny: [{services: /a, max_rate: 5}]", "deny[0].max_rate", RightsMistake.RATE_OF_DENIED, {}),
+        (
+            "allow: [{service: /a}]",
+            "allow[0].service",
+            ValueMistake.MISSPELT_KEY,
+            {"hint": Hint.DID_YOU_MEAN(name="services")},
+        ),
     ],
 )
-def test_a_mistake_has_its_place_and_remedy(entry: str, location: str, words: str) -> None:
+def test_a_mistake_has_its_place(entry: str, location: str, code: Wording, parameters: dict[str, Any]) -> None:
     text = f"name: r\nrole: client\nserver_ip: 10.0.0.1\nserver_port: 7060\nkey_file: k\n{entry}\n"
     with pytest.raises(SessionError) as raised:
         parse(text, Path("robot1.yaml"))
     problem = raised.value.problems[0]
     assert (problem.location, problem.line) == (location, 6)
-    assert words in problem.message
+    assert says(problem.message, code, **parameters)
 
 
 def test_the_table_says_what_may_be_called_and_what_of_it_changes_a_robot() -> None:
@@ -226,7 +289,7 @@ def test_the_table_says_what_may_be_called_and_what_of_it_changes_a_robot() -> N
         ("serve", "/n/* and /x/get_state, not /n/*", "tcp", "any"),
     ]
     assert {peer: each.acts for peer, each in found.items()} == {
-        "open": ("any service, action and parameter",),
+        "open": (EVERY_CALL,),
         "named": (), "viewer": (), "reader": (), "shut": (),
         "driver": ("/dock",),
     }  # fmt: skip
@@ -244,9 +307,9 @@ def test_on_a_client_the_table_says_what_its_lists_let_the_server_do() -> None:
 
 def test_what_allow_and_deny_would_refuse_and_crosses_all_the_same_is_warned_of() -> None:
     session = Session(**CLIENT, topics=(DOCK, MAP, Topic("/a", "transmit")), deny=("/dock",), domain_id=3)
-    (problem,) = [each for each in advise(session, None) if "allow and deny" in each.message]
+    (problem,) = [each for each in advise(session, None) if says(each.message, Advice.CROSSES_ALTHOUGH_DENIED)]
     assert problem.location == "services[0]"
     assert problem.place == "service /dock"
     server = Session(**SERVER, clients=(Client("robot1", allow=("/a",), topics=(DOCK,)),), domain_id=3)
-    (problem,) = [each for each in advise(server, None) if "allow and deny" in each.message]
+    (problem,) = [each for each in advise(server, None) if says(each.message, Advice.CROSSES_ALTHOUGH_DENIED)]
     assert (problem.location, problem.place) == ("clients[0].services[0]", "service /dock")

@@ -4,14 +4,20 @@ from __future__ import annotations
 
 import time
 from contextlib import suppress
+from typing import TYPE_CHECKING, Any
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from tests.support.wording import says
 
 from rsb_bridge.cdr.decoder import Decoded, Items, Message
-from rsb_bridge.config.fields_text import ITEMS, STEPS, read_fields, write_fields
+from rsb_bridge.config.fields_text import ITEMS, STEPS, FieldNote, FieldProblem, read_fields, write_fields
+from rsb_bridge.config.yaml_text import YamlMistake
 from rsb_bridge.model.calls import FIELDS_LENGTH, FieldError
+
+if TYPE_CHECKING:
+    from rsb_bridge.model.wording import Wording
 
 
 @pytest.mark.parametrize(
@@ -34,27 +40,34 @@ def test_what_was_written_is_read_as_it_stands(text: str, fields: object) -> Non
 
 
 @pytest.mark.parametrize(
-    ("text", "words"),
+    ("text", "code", "parameters"),
     [
-        ("a: &x [1]\nb: *x", "line 2: aliases (*) are not allowed"),
-        ("a: !!python/name:os.system x", "tags (!) are not taken"),
-        ("a: !robot x", "tags (!) are not taken"),
-        ("a: !!binary aGVsbG8=", "tags (!) are not taken"),
-        ("a: 1\na: 2", "line 2: a stands there twice"),
-        ("{? [1] : 2}", "is no field's name"),
-        ("a: [", "expected the node content"),
-        ("a: 1\n---\nb: 2", "expected a single document"),
-        ("[" * 40 + "]" * 40, "nested too deeply"),
-        ("[" * 20_000, "nested too deeply"),
-        ("a: \x07", "U+0007"),
-        ("a: " + "x" * FIELDS_LENGTH, "too long"),
-        ("é" * (FIELDS_LENGTH // 2 + 1), "too long"),
+        ("a: &x [1]\nb: *x", FieldProblem.ON_LINE, {"line": 2, "problem": YamlMistake.ALIAS()}),
+        ("a: !!python/name:os.system x", FieldProblem.TAG, {"line": 1}),
+        ("a: !robot x", FieldProblem.TAG, {"line": 1}),
+        ("a: !!binary aGVsbG8=", FieldProblem.TAG, {"line": 1}),
+        ("a: 1\na: 2", FieldProblem.TWICE, {"line": 2, "name": "a"}),
+        ("{? [1] : 2}", FieldProblem.NOT_A_NAME, {"line": 1}),
+        ("[" * 40 + "]" * 40, YamlMistake.TOO_DEEP, {}),
+        ("[" * 20_000, YamlMistake.TOO_DEEP, {}),
+        ("a: \x07", YamlMistake.CHARACTER, {"code": 7}),
+        ("a: " + "x" * FIELDS_LENGTH, FieldProblem.TOO_LONG, {}),
+        ("é" * (FIELDS_LENGTH // 2 + 1), FieldProblem.TOO_LONG, {}),
     ],
 )
-def test_what_is_no_mapping_of_fields_is_refused(text: str, words: str) -> None:
+def test_a_text_that_is_no_mapping_of_fields_is_refused(text: str, code: Wording, parameters: dict[str, Any]) -> None:
     with pytest.raises(FieldError) as refused:
         read_fields(text)
-    assert words in str(refused.value)
+    assert says(refused.value, code, **parameters)
+
+
+@pytest.mark.parametrize(
+    ("text", "words_of_pyyaml"),
+    [("a: [", "expected the node content"), ("a: 1\n---\nb: 2", "expected a single document")],
+)
+def test_a_text_that_is_no_yaml_is_refused(text: str, words_of_pyyaml: str) -> None:
+    with pytest.raises(FieldError, match=words_of_pyyaml):
+        read_fields(text)
 
 
 def test_the_longest_text_takes_a_moment() -> None:
@@ -99,11 +112,12 @@ def test_what_is_left_out_is_said() -> None:
         "b": "x" * 1_000_000,
         "c": Items("string", 20, ["y" * 9000] * 20),
     }
-    text = write_fields(Decoded(message, "d: 4 bytes are expected, and 0 are there"))
-    assert "# a.data: the first 1,000 of 5,000 elements" in text
-    assert "# b: the first 65,536 of 1,000,000 characters" in text
-    assert "# and parts of 12 more" in text
-    assert text.endswith("# not read further: d: 4 bytes are expected, and 0 are there\n")
+    text = write_fields(Decoded(message, "the problem"))
+    notes = [line.removeprefix("# ") for line in text.splitlines() if line.startswith("# ")]
+    assert FieldNote.ELEMENTS(location="a.data", shown=ITEMS, total=5000) in notes
+    assert FieldNote.CHARACTERS(location="b", shown=65_536, total=1_000_000) in notes
+    assert notes[-2:] == [FieldNote.MORE(count=12), FieldNote.UNREADABLE(problem="the problem")]
+    assert text.endswith(f"# {notes[-1]}\n")
     assert len(text) < 100_000
     assert read_fields("\n".join(line for line in text.splitlines() if not line.startswith("b:")))
 

@@ -5,10 +5,14 @@ from pathlib import Path
 
 import pytest
 from cryptography.fernet import Fernet
+from tests.support.wording import pattern, says
 
 from rsb_bridge.config.keys import (
+    Age,
     Key,
     KeyFileError,
+    KeyFileProblem,
+    KeyWarning,
     fingerprint,
     generate,
     is_key,
@@ -52,7 +56,7 @@ def test_the_thesis_key_file_with_its_date_is_read(tmp_path: Path) -> None:
 def test_a_key_file_is_never_overwritten_unless_told_to(tmp_path: Path) -> None:
     path = tmp_path / "key.txt"
     old = write_key(path)
-    with pytest.raises(KeyFileError, match=r"exists already.*--force"):
+    with pytest.raises(KeyFileError, match=pattern(KeyFileProblem.EXISTS, path=path)):
         write_key(path)
     assert read_key(path) == old
     assert write_key(path, force=True) != old
@@ -63,7 +67,7 @@ def test_a_key_file_is_never_overwritten_unless_told_to(tmp_path: Path) -> None:
 def test_a_dangling_link_is_not_followed_by_a_new_key(tmp_path: Path) -> None:
     link = tmp_path / "key.txt"
     link.symlink_to(tmp_path / "elsewhere")
-    with pytest.raises(KeyFileError, match="exists already"):
+    with pytest.raises(KeyFileError, match=pattern(KeyFileProblem.EXISTS, path=link)):
         write_key(link)
     assert not (tmp_path / "elsewhere").exists()
 
@@ -92,8 +96,7 @@ def test_a_key_that_others_can_read_comes_with_a_warning(tmp_path: Path) -> None
     write_key(path)
     path.chmod(0o640)
     (warning,) = read_key(path).warnings
-    assert "mode 0640" in warning
-    assert f"chmod 600 {path}" in warning
+    assert says(warning, KeyWarning.READABLE, path=path, mode="0640")
 
 
 def test_a_key_that_others_can_replace_comes_with_a_warning(tmp_path: Path) -> None:
@@ -106,7 +109,7 @@ def test_a_key_that_others_can_replace_comes_with_a_warning(tmp_path: Path) -> N
     folder.chmod(0o777)
     for path in (link, folder / "key.txt"):
         (warning,) = read_key(path).warnings
-        assert f"chmod o-w {folder}" in warning
+        assert says(warning, KeyWarning.REPLACEABLE, path=path, folder=folder)
     folder.chmod(0o1777)
     assert read_key(link).warnings == (), "as in /tmp: only its owner replaces a file there"
 
@@ -117,7 +120,7 @@ def test_a_key_of_another_user_comes_with_a_warning(tmp_path: Path, monkeypatch:
     owner = path.stat().st_uid
     for user, warned in ((owner, False), (0, False), (owner + 1, owner != 0)):
         monkeypatch.setattr(os, "geteuid", lambda user=user: user)
-        assert ("belongs to another user" in "".join(read_key(path).warnings)) == warned
+        assert any(says(text, KeyWarning.OTHER_OWNER, uid=owner) for text in read_key(path).warnings) == warned
 
 
 NOW = 1_763_700_000.0
@@ -132,25 +135,24 @@ def test_whose_two_keys_an_operator_should_look_at() -> None:
     }  # fmt: skip
     first, long, same = key_warnings(valid, NOW)
     assert first == "mode 0644"
-    assert long.startswith("long: two keys have been valid since")
-    assert "8 days ago" in long
-    assert "client rekey long --finish" in long
-    assert same.startswith("same: key_file and next_key_file hold the same key")
+    assert says(long, KeyWarning.TWO_FOR_LONG, name="long", since=written(new, NOW))
+    assert Age.AGO(count=8, unit="days") in long
+    assert says(same, KeyWarning.SAME_NEXT, name="same", fingerprint=fingerprint(old))
 
 
 @pytest.mark.parametrize(
-    ("seconds", "words"),
+    ("seconds", "age"),
     [
-        (0, "just now"),
-        (-3, "just now"),
-        (-61, "in the future"),
-        (60, "1 minute ago"),
-        (7_300, "2 hours ago"),
-        (1.5 * 86400, "1 day ago"),
+        (0, Age.NOW()),
+        (-3, Age.NOW()),
+        (-61, Age.FUTURE()),
+        (60, Age.AGO(count=1, unit="minute")),
+        (7_300, Age.AGO(count=2, unit="hours")),
+        (1.5 * 86400, Age.AGO(count=1, unit="day")),
     ],
 )
-def test_when_a_key_was_written(seconds: float, words: str) -> None:
-    assert words in written(Key(bytes(32), written=NOW - seconds), NOW)
+def test_when_a_key_was_written(seconds: float, age: str) -> None:
+    assert written(Key(bytes(32), written=NOW - seconds), NOW).endswith(f" ({age})")
 
 
 def test_a_keys_file_says_when_it_was_written(tmp_path: Path) -> None:
@@ -161,37 +163,38 @@ def test_a_keys_file_says_when_it_was_written(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("content", "words"),
+    ("content", "code", "parameters"),
     [
-        (b"", "is empty"),
-        (b"\n \n", "is empty"),
-        (b"too-short", "has 9 characters"),
-        (b"k" * 43, "has 43 characters"),
-        (b"A" * 64 + b"\n", "has 64 characters"),
-        (b"!" * 44, "holds no key"),
-        (b"\xff" * 44, "holds no key"),
-        (b"A" * 5000, "too large"),
+        (b"", KeyFileProblem.EMPTY, {}),
+        (b"\n \n", KeyFileProblem.EMPTY, {}),
+        (b"too-short", KeyFileProblem.NO_KEY, {"length": 9}),
+        (b"k" * 43, KeyFileProblem.NO_KEY, {"length": 43}),
+        (b"A" * 64 + b"\n", KeyFileProblem.NO_KEY, {"length": 64}),
+        (b"!" * 44, KeyFileProblem.NO_KEY, {"length": 44}),
+        (b"\xff" * 44, KeyFileProblem.NO_KEY, {"length": 44}),
+        (b"A" * 5000, KeyFileProblem.TOO_LARGE, {}),
     ],
 )
-def test_what_is_no_key_is_refused_in_words_that_do_not_quote_it(tmp_path: Path, content: bytes, words: str) -> None:
+def test_a_file_without_a_key_is_refused_and_not_quoted(
+    tmp_path: Path, content: bytes, code: KeyFileProblem, parameters: dict[str, int]
+) -> None:
     path = tmp_path / "key.txt"
     path.write_bytes(content)
     with pytest.raises(KeyFileError) as caught:
         read_key(path)
-    assert str(caught.value).startswith(f"{path}: ")
-    assert words in str(caught.value)
+    assert says(caught.value, code, path=path, **parameters)
     assert len(content.strip()) < 5 or content.decode("ascii", "replace").strip() not in str(caught.value)
 
 
 def test_files_that_cannot_be_are_named(tmp_path: Path) -> None:
-    with pytest.raises(KeyFileError, match=r"no such key file.*rsb-console keygen"):
+    with pytest.raises(KeyFileError, match=pattern(KeyFileProblem.NO_SUCH_FILE, path=tmp_path / "key.txt")):
         read_key(tmp_path / "key.txt")
-    with pytest.raises(KeyFileError, match="is a folder, not a key file"):
+    with pytest.raises(KeyFileError, match=pattern(KeyFileProblem.NOT_A_FILE, kind="a folder")):
         read_key(tmp_path)
     os.mkfifo(tmp_path / "fifo")
-    with pytest.raises(KeyFileError, match="is a FIFO, not a key file"):
+    with pytest.raises(KeyFileError, match=pattern(KeyFileProblem.NOT_A_FILE, kind="a FIFO")):
         read_key(tmp_path / "fifo")
-    with pytest.raises(KeyFileError, match="is a device, not a key file"):
+    with pytest.raises(KeyFileError, match=pattern(KeyFileProblem.NOT_A_FILE, kind="a device")):
         read_key(Path("/dev/null"))
     with pytest.raises(KeyFileError, match="cannot be written: No such file or directory"):
         write_key(tmp_path / "folder" / "key.txt")

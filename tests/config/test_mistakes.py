@@ -1,18 +1,39 @@
-"""What a session file is refused for, and in which words."""
+"""Mistakes in session files: each has a location, a line and a code."""
 
+import math
 from pathlib import Path
+from typing import Any
 
 import pytest
+from tests.support.wording import says
 
+from rsb_bridge.config.decoding import Hint, ValueMistake
+from rsb_bridge.config.rights import RightsMistake
 from rsb_bridge.config.session_file import SessionError, load, parse, validate, validate_topic
-from rsb_bridge.model.session import Session, Topic
+from rsb_bridge.config.topic_rules import RangeText, TopicMistake
+from rsb_bridge.config.validation import AddressProblem, SessionMistake
+from rsb_bridge.config.yaml_text import FileProblem, YamlMistake
+from rsb_bridge.model.limits import CHANNEL, DEADMAN_TIME, DEPTH, DOMAIN, PORT, QOS_TIME, RATE, STALE_AFTER, TOPIC_PORT
+from rsb_bridge.model.names import TypeNameProblem
+from rsb_bridge.model.qos import QosProblem
+from rsb_bridge.model.session import Problem, Session, Topic
 from rsb_bridge.model.sources import ANNOUNCEMENT_TOPIC
+from rsb_bridge.model.wording import Wording
 
 FILE = Path("robot1.yaml")
 CLIENT = "name: robot1\nrole: client\nserver_ip: 192.168.1.10\nserver_port: 49152\nkey_file: key.txt\n"
 SERVER = "name: control\nrole: server\nserver_ip: 0.0.0.0\nserver_port: 49152\nkey_file: key.txt\n"
 BLUETOOTH = "name: robot1\nrole: client\nserver_ip: 5C:F3:70:9A:1B:2E\nserver_port: 5\nkey_file: key.txt\n"
+CLOSE_TO_LASER_SCAN = " or ".join(
+    f"sensor_msgs/msg/{name}" for name in ("LaserScan", "MultiEchoLaserScan", "LaserEcho")
+)
 MAC = "5C:F3:70:9A:1B:2E"
+
+
+def problems(text: str) -> tuple[Problem, ...]:
+    with pytest.raises(SessionError) as caught:
+        parse(text, FILE)
+    return caught.value.problems
 
 
 def refusals(text: str) -> list[str]:
@@ -31,166 +52,446 @@ def test_the_bases_of_these_tests_are_right(text: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("text", "line", "words"),
+    ("text", "line", "location", "code", "parameters"),
     [
         (
             topic("protocol: tpc"),
             7,
-            "topic /scan, protocol: 'tpc' is not one of tcp, udp, bluetooth, zenoh, zenoh-drop (did you mean tcp?)",
+            "topics[0].protocol",
+            ValueMistake.MISFIT,
+            {
+                "value": "'tpc'",
+                "expected": "one of tcp, udp, bluetooth, zenoh, zenoh-drop",
+                "hint": Hint.DID_YOU_MEAN(name="tcp"),
+            },
         ),
-        (topic("protocol: TCP"), 7, "(did you mean tcp?)"),
-        (topic("protcol: tcp"), 7, "topic /scan, protcol: unknown key (did you mean protocol?)"),
-        (topic("qos: sensor-data"), 7, "(did you mean sensor_data?)"),
-        (topic("qos: 0"), 7, "topic /scan, qos: depth: 0 is out of range: 1 to 100000"),
-        (topic("qos: {depth: -1}"), 7, "topic /scan, qos: depth: -1 is out of range"),
+        (topic("protocol: TCP"), 7, "topics[0].protocol", ValueMistake.MISFIT, {"hint": Hint.DID_YOU_MEAN(name="tcp")}),
+        (
+            topic("protcol: tcp"),
+            7,
+            "topics[0].protcol",
+            ValueMistake.MISSPELT_KEY,
+            {"hint": Hint.DID_YOU_MEAN(name="protocol")},
+        ),
+        (topic("qos: sensor-data"), 7, "topics[0].qos", Hint.DID_YOU_MEAN, {"name": "sensor_data"}),
+        (topic("qos: 0"), 7, "topics[0].qos", QosProblem.DEPTH_OUT_OF_RANGE, {"depth": 0, "range": DEPTH}),
+        (topic("qos: {depth: -1}"), 7, "topics[0].qos", QosProblem.DEPTH_OUT_OF_RANGE, {"depth": -1}),
         (
             topic("qos: {reliability: reliabel}"),
             7,
-            "qos.reliability: 'reliabel' is not one of reliable, best_effort (did",
+            "topics[0].qos.reliability",
+            ValueMistake.MISFIT,
+            {
+                "value": "'reliabel'",
+                "expected": "one of reliable, best_effort",
+                "hint": Hint.DID_YOU_MEAN(name="reliable"),
+            },
         ),
-        (topic("qos: {realiability: reliable}"), 7, "qos.realiability: unknown key (did you mean reliability?)"),
+        (
+            topic("qos: {realiability: reliable}"),
+            7,
+            "topics[0].qos.realiability",
+            ValueMistake.MISSPELT_KEY,
+            {"hint": Hint.DID_YOU_MEAN(name="reliability")},
+        ),
         (
             topic("qos: {profile: sensor-data}"),
             7,
-            "topic /scan, qos: profile: 'sensor-data' is not one of default, sensor",
+            "topics[0].qos",
+            QosProblem.UNKNOWN_PROFILE,
+            {"value": "sensor-data"},
         ),
         (
             topic("qos: {deadline: 1e400}"),
             7,
-            "topic /scan, qos: deadline: inf s is out of range: 0.001 to 1000000000 s, or 0 for none",
+            "topics[0].qos",
+            QosProblem.TIME_OUT_OF_RANGE,
+            {"policy": "deadline", "seconds": math.inf, "range": QOS_TIME},
         ),
-        (topic("qos: 99999999999999999999"), 7, "topic /scan, qos: depth: 99999999999999999999 is out of range"),
-        (topic("qos: [1]"), 7, "topic /scan, qos: [1] is not text or a whole number or a mapping"),
-        (topic("type: LaserScann"), 7, "did you mean sensor_msgs/msg/LaserScan"),
-        (topic("type: sensor_msgs.msg.LaserScan"), 7, "topic /scan, type:"),
-        (topic("port: 0"), 7, "topic /scan, port: 0 is not a valid port: 1 to 65535"),
-        (topic("port: 65536"), 7, "65536 is not a valid port"),
-        (topic("port: '49153'"), 7, "'49153' is not a whole number (leave out the quotes)"),
-        (topic("port: 31", BLUETOOTH), 7, "31 is not a valid RFCOMM channel: 1 to 30"),
-        (topic("port: 49152"), 7, "49152 is the server_port: leave port out to share it"),
-        (topic("protocol: bluetooth"), 7, "bluetooth needs the MAC of the server's adapter: as server_ip"),
-        (topic("protocol: udp", BLUETOOTH), 7, "udp does not cross a Bluetooth link"),
+        (
+            topic("qos: 99999999999999999999"),
+            7,
+            "topics[0].qos",
+            QosProblem.DEPTH_OUT_OF_RANGE,
+            {"depth": 99999999999999999999},
+        ),
+        (
+            topic("qos: [1]"),
+            7,
+            "topics[0].qos",
+            ValueMistake.MISFIT,
+            {"value": "[1]", "expected": "text or a whole number or a mapping"},
+        ),
+        (
+            topic("type: LaserScann"),
+            7,
+            "topics[0].type",
+            TypeNameProblem.SHORT_NAME_MISSPELT,
+            {"names": CLOSE_TO_LASER_SCAN},
+        ),
+        (topic("type: sensor_msgs.msg.LaserScan"), 7, "topics[0].type", TypeNameProblem.SHORT_NAME_UNKNOWN, {}),
+        (topic("port: 0"), 7, "topics[0].port", TopicMistake.INVALID_PORT, {"port": 0, "kind": "port", "range": PORT}),
+        (topic("port: 65536"), 7, "topics[0].port", TopicMistake.INVALID_PORT, {"port": 65536, "kind": "port"}),
+        (
+            topic("port: '49153'"),
+            7,
+            "topics[0].port",
+            ValueMistake.MISFIT,
+            {"value": "'49153'", "expected": "a whole number", "hint": Hint.NO_QUOTES()},
+        ),
+        (
+            topic("port: 31", BLUETOOTH),
+            7,
+            "topics[0].port",
+            TopicMistake.INVALID_PORT,
+            {"port": 31, "kind": "RFCOMM channel", "range": CHANNEL},
+        ),
+        (topic("port: 49152"), 7, "topics[0].port", SessionMistake.PORT_OF_LINK, {"port": 49152}),
+        (topic("protocol: bluetooth"), 7, "topics[0].protocol", TopicMistake.NEEDS_ADAPTER, {}),
+        (
+            topic("protocol: udp", BLUETOOTH),
+            7,
+            "topics[0].protocol",
+            TopicMistake.NOT_ON_BLUETOOTH,
+            {"protocol": "udp"},
+        ),
         (
             topic("protocol: bluetooth", f"{CLIENT}bluetooth_address: {MAC}\n"),
             8,
-            "needs a channel, 1 to 30; several",
+            "topics[0].port",
+            TopicMistake.NEEDS_CHANNEL,
+            {"range": CHANNEL},
         ),
-        (topic("protocol: bluetooth, port: 31", f"{CLIENT}bluetooth_address: {MAC}\n"), 8, "31"),
-        (f"{CLIENT}bluetooth_address: 10.0.0.1\n", 6, "'10.0.0.1' is not a Bluetooth MAC"),
-        (f"{BLUETOOTH}bluetooth_address: {MAC}\n", 6, "server_ip is a Bluetooth MAC already"),
-        (topic("max_rate: 0"), 7, "topic /scan, max_rate: 0.0 is out of range"),
-        (topic("max_rate: 1e-310"), 7, "topic /scan, max_rate: 1e-310 is out of range: 0.001 to 1000000 Hz"),
-        (topic("max_rate: 1e7"), 7, "topic /scan, max_rate: 10000000.0 is out of range"),
-        (topic("expected_rate: -1"), 7, "topic /scan, expected_rate:"),
-        (topic("expected_rate: 1e-310"), 7, "topic /scan, expected_rate: 1e-310 is out of range"),
-        (topic("stale_after: -1"), 7, "topic /scan, stale_after:"),
+        (
+            topic("protocol: bluetooth, port: 31", f"{CLIENT}bluetooth_address: {MAC}\n"),
+            8,
+            "topics[0].port",
+            TopicMistake.INVALID_PORT,
+            {"port": 31},
+        ),
+        (
+            f"{CLIENT}bluetooth_address: 10.0.0.1\n",
+            6,
+            "bluetooth_address",
+            SessionMistake.ADAPTER_INVALID,
+            {"address": "'10.0.0.1'"},
+        ),
+        (f"{BLUETOOTH}bluetooth_address: {MAC}\n", 6, "bluetooth_address", SessionMistake.ADAPTER_TWICE, {}),
+        (topic("max_rate: 0"), 7, "topics[0].max_rate", TopicMistake.OUT_OF_RANGE, {"value": 0.0}),
+        (
+            topic("max_rate: 1e-310"),
+            7,
+            "topics[0].max_rate",
+            TopicMistake.OUT_OF_RANGE,
+            {"value": 1e-310, "range": RangeText.RATE(range=RATE)},
+        ),
+        (topic("max_rate: 1e7"), 7, "topics[0].max_rate", TopicMistake.OUT_OF_RANGE, {"value": 10000000.0}),
+        (topic("expected_rate: -1"), 7, "topics[0].expected_rate", TopicMistake.OUT_OF_RANGE, {}),
+        (topic("expected_rate: 1e-310"), 7, "topics[0].expected_rate", TopicMistake.OUT_OF_RANGE, {"value": 1e-310}),
+        (topic("stale_after: -1"), 7, "topics[0].stale_after", TopicMistake.OUT_OF_RANGE, {}),
         (
             topic("stale_after: 1e-300"),
             7,
-            "topic /scan, stale_after: 1e-300 is out of range: 0.1 to 1000000 s, or 0 to never warn",
+            "topics[0].stale_after",
+            TopicMistake.OUT_OF_RANGE,
+            {"value": 1e-300, "range": RangeText.STALE_AFTER(range=STALE_AFTER)},
         ),
-        (CLIENT + "stale_after: 1e300\n", 6, "stale_after: 1e+300 is out of range"),
-        (topic("paused: yes"), 7, "topic /scan, paused: 'yes' is not true or false"),
-        (topic("arm: 1"), 7, "topic /scan, arm: 1 is not true or false"),
-        (topic("deadman: 30"), 7, "topic /scan, deadman: only a topic that is armed has one: set arm: true"),
-        (topic("arm: true, deadman: 1"), 7, "topic /scan, deadman: 1.0 is out of range: 2 to 86400 s, or 0 for none"),
+        (CLIENT + "stale_after: 1e300\n", 6, "stale_after", TopicMistake.OUT_OF_RANGE, {"value": 1e300}),
+        (
+            topic("paused: yes"),
+            7,
+            "topics[0].paused",
+            ValueMistake.MISFIT,
+            {"value": "'yes'", "expected": "true or false"},
+        ),
+        (topic("arm: 1"), 7, "topics[0].arm", ValueMistake.MISFIT, {"value": 1, "expected": "true or false"}),
+        (topic("deadman: 30"), 7, "topics[0].deadman", TopicMistake.DEADMAN_WITHOUT_ARM, {"kind": "a topic"}),
+        (
+            topic("arm: true, deadman: 1"),
+            7,
+            "topics[0].deadman",
+            TopicMistake.OUT_OF_RANGE,
+            {"value": 1.0, "range": RangeText.DEADMAN(range=DEADMAN_TIME)},
+        ),
         (
             topic(f"remote_topic: {ANNOUNCEMENT_TOPIC}"),
             7,
-            "topic /scan, remote_topic: '/_rsb_bridge/published' is what",
+            "topics[0].remote_topic",
+            TopicMistake.ANNOUNCEMENT,
+            {"name": "'/_rsb_bridge/published'"},
         ),
-        (topic("remote_topic: scan"), 7, "topic /scan, remote_topic: 'scan' is not an absolute topic name"),
-        (topic("remote_topic: ~/scan"), 7, "(did you mean /scan?)"),
-        (topic("remote_topic: /front-scan/2"), 7, "(did you mean /front_scan/_2?)"),
-        (topic("topic: /other"), 7, "topic: duplicate key, first on line 7"),
-        (CLIENT + "topics:\n  - {topic: scan, direction: transmit}\n", 7, "(did you mean /scan?)"),
-        (CLIENT + "topics:\n  - topic: /scan\n", 7, "topic /scan, direction: missing: give one of transmit, receive"),
-        (CLIENT + "topics:\n  - /scan\n", 7, "topic 1: '/scan' is not a mapping of topic, direction"),
-        (CLIENT + "topics[2]server_ip: x\n", 6, "topics[2]server_ip: unknown key"),
-        (CLIENT + "topics: /scan\n", 6, "topics: '/scan' is not a list"),
-        (CLIENT + "topics:\n", 6, "topics: has no value"),
-        (CLIENT + "name: other\n", 6, "name: duplicate key, first on line 1"),
-        (CLIENT + "domain_id: 233\n", 6, "domain_id: 233 is not a ROS domain: 0 to 232"),
-        (CLIENT + "stale_after: .inf\n", 6, "stale_after: '.inf' is not a number"),
-        (CLIENT + "ports: none\n", 6, "ports: belongs in the server's session file"),
-        (SERVER + "ports: [12001, 80]\n", 6, "ports[1]: 80 is no port for a topic: 1024 to 65535"),
-        (SERVER + "ports: nine\n", 6, "ports: 'nine' is not none, or a list of whole numbers"),
-        (CLIENT + "stale_warnings: -1\n", 6, "stale_warnings: -1 is not a count"),
-        (CLIENT + "shutdown_topic: shutdown\n", 6, "shutdown_topic: 'shutdown' is not an absolute topic name"),
-        (CLIENT + "metrics: 9464\n", 6, "metrics: 9464 is not text"),
-        (CLIENT + "metrics: '9464'\n", 6, "metrics: '9464' is not ADDRESS:PORT"),
-        (CLIENT + "metrics: ':9464'\n", 6, "metrics: ':9464' names no address"),
-        (CLIENT + "metrics: ::1:9464\n", 6, "metrics: '::1:9464': an IPv6 address stands in brackets"),
-        (CLIENT + "metrics: 127.0.0.1:0\n", 6, "metrics: '0' is not a port"),
-        (CLIENT + "metrics: a b:9464\n", 6, "metrics: 'a b' is not an IPv4 or IPv6 address"),
-        (CLIENT + "clients: [{name: robot2}]\n", 2, "role: a client has no clients"),
-        (CLIENT + "encryption_key: abc\n", 6, "a session file never holds the key itself"),
-        (CLIENT.replace("robot1", "robot-1") + "use_name: true\n", 1, "cannot be a prefix of topic names"),
-        (CLIENT.replace("robot1", "12"), 1, "name: 12 is not text (put it in quotes)"),
-        (CLIENT.replace("robot1", "' '"), 1, "is not a name"),
-        (CLIENT.replace("robot1", "r" * 256), 1, "name: has 256 bytes in UTF-8, and at most 255 are allowed"),
-        (CLIENT.replace("192.168.1.10", "192.168.1"), 3, "server_ip: '192.168.1' is not an IPv4 or IPv6 address"),
-        (CLIENT.replace("192.168.1.10", "192.168.1.256"), 3, "is not an IPv4 or IPv6 address"),
-        (CLIENT.replace("192.168.1.10", "0.0.0.0"), 3, "a client cannot connect to 0.0.0.0"),
-        (CLIENT.replace("192.168.1.10", "5C-F3-70-9A-1B-2E"), 3, "(did you mean 5C:F3:70:9A:1B:2E?)"),
-        (BLUETOOTH.replace("port: 5", "port: 31"), 4, "server_port: 31 is not a valid RFCOMM channel"),
+        (
+            topic("remote_topic: scan"),
+            7,
+            "topics[0].remote_topic",
+            TopicMistake.NOT_ABSOLUTE,
+            {"name": "'scan'", "noun": "topic"},
+        ),
+        (
+            topic("remote_topic: ~/scan"),
+            7,
+            "topics[0].remote_topic",
+            TopicMistake.NOT_ABSOLUTE,
+            {"hint": Hint.DID_YOU_MEAN(name="/scan")},
+        ),
+        (
+            topic("remote_topic: /front-scan/2"),
+            7,
+            "topics[0].remote_topic",
+            TopicMistake.NOT_ABSOLUTE,
+            {"hint": Hint.DID_YOU_MEAN(name="/front_scan/_2")},
+        ),
+        (topic("topic: /other"), 7, "topics[0].topic", YamlMistake.DUPLICATE_KEY, {"line": 7}),
+        (
+            CLIENT + "topics:\n  - {topic: scan, direction: transmit}\n",
+            7,
+            "topics[0].topic",
+            TopicMistake.NOT_ABSOLUTE,
+            {"hint": Hint.DID_YOU_MEAN(name="/scan")},
+        ),
+        (
+            CLIENT + "topics:\n  - topic: /scan\n",
+            7,
+            "topics[0].direction",
+            ValueMistake.MISSING,
+            {"expected": "one of transmit, receive"},
+        ),
+        (
+            CLIENT + "topics:\n  - /scan\n",
+            7,
+            "topics[0]",
+            ValueMistake.NOT_A_MAPPING,
+            {"value": "'/scan'", "keys": "topic, direction"},
+        ),
+        (CLIENT + "topics[2]server_ip: x\n", 6, "topics[2]server_ip", ValueMistake.MISSPELT_KEY, {}),
+        (CLIENT + "topics: /scan\n", 6, "topics", ValueMistake.NOT_A_LIST, {"value": "'/scan'"}),
+        (CLIENT + "topics:\n", 6, "topics", ValueMistake.NO_VALUE, {}),
+        (CLIENT + "name: other\n", 6, "name", YamlMistake.DUPLICATE_KEY, {"line": 1}),
+        (CLIENT + "domain_id: 233\n", 6, "domain_id", SessionMistake.DOMAIN_INVALID, {"domain": 233, "range": DOMAIN}),
+        (
+            CLIENT + "stale_after: .inf\n",
+            6,
+            "stale_after",
+            ValueMistake.MISFIT,
+            {"value": "'.inf'", "expected": "a number"},
+        ),
+        (CLIENT + "ports: none\n", 6, "ports", SessionMistake.KEY_OF_SERVER, {}),
+        (
+            SERVER + "ports: [12001, 80]\n",
+            6,
+            "ports[1]",
+            SessionMistake.TOPIC_PORT_INVALID,
+            {"port": 80, "range": TOPIC_PORT},
+        ),
+        (
+            SERVER + "ports: nine\n",
+            6,
+            "ports",
+            ValueMistake.MISFIT,
+            {"value": "'nine'"},
+        ),
+        (CLIENT + "stale_warnings: -1\n", 6, "stale_warnings", SessionMistake.STALE_WARNINGS_NEGATIVE, {"count": -1}),
+        (
+            CLIENT + "shutdown_topic: shutdown\n",
+            6,
+            "shutdown_topic",
+            TopicMistake.NOT_ABSOLUTE,
+            {"name": "'shutdown'", "noun": "topic"},
+        ),
+        (CLIENT + "metrics: 9464\n", 6, "metrics", ValueMistake.MISFIT, {"value": 9464, "expected": "text"}),
+        (CLIENT + "metrics: '9464'\n", 6, "metrics", AddressProblem.NOT_ADDRESS_AND_PORT, {"address": "9464"}),
+        (CLIENT + "metrics: ':9464'\n", 6, "metrics", AddressProblem.NO_ADDRESS, {"address": ":9464", "port": 9464}),
+        (CLIENT + "metrics: ::1:9464\n", 6, "metrics", AddressProblem.NO_BRACKETS, {"address": "::1:9464"}),
+        (CLIENT + "metrics: 127.0.0.1:0\n", 6, "metrics", AddressProblem.INVALID_PORT, {"port": "0"}),
+        (CLIENT + "metrics: a b:9464\n", 6, "metrics", SessionMistake.METRICS_HOST_INVALID, {"host": "'a b'"}),
+        (CLIENT + "clients: [{name: robot2}]\n", 2, "role", SessionMistake.CLIENTS_OF_CLIENT, {}),
+        (CLIENT + "encryption_key: abc\n", 6, "encryption_key", ValueMistake.SECRET_KEY, {}),
+        (CLIENT.replace("robot1", "robot-1") + "use_name: true\n", 1, "name", SessionMistake.NAME_NOT_A_PREFIX, {}),
+        (
+            CLIENT.replace("robot1", "12"),
+            1,
+            "name",
+            ValueMistake.MISFIT,
+            {"value": 12, "expected": "text", "hint": Hint.QUOTES()},
+        ),
+        (CLIENT.replace("robot1", "' '"), 1, "name", SessionMistake.NAME_UNPRINTABLE, {}),
+        (CLIENT.replace("robot1", "r" * 256), 1, "name", SessionMistake.NAME_TOO_LONG, {"length": 256, "limit": 255}),
+        (
+            CLIENT.replace("192.168.1.10", "192.168.1"),
+            3,
+            "server_ip",
+            SessionMistake.ADDRESS_INVALID,
+            {"address": "'192.168.1'"},
+        ),
+        (CLIENT.replace("192.168.1.10", "192.168.1.256"), 3, "server_ip", SessionMistake.ADDRESS_INVALID, {}),
+        (
+            CLIENT.replace("192.168.1.10", "0.0.0.0"),
+            3,
+            "server_ip",
+            SessionMistake.ADDRESS_OF_CLIENT,
+            {"address": "0.0.0.0"},
+        ),
+        (
+            CLIENT.replace("192.168.1.10", "5C-F3-70-9A-1B-2E"),
+            3,
+            "server_ip",
+            SessionMistake.ADDRESS_WITH_DASHES,
+            {"hint": Hint.DID_YOU_MEAN(name="5C:F3:70:9A:1B:2E")},
+        ),
+        (
+            BLUETOOTH.replace("port: 5", "port: 31"),
+            4,
+            "server_port",
+            TopicMistake.INVALID_PORT,
+            {"port": 31, "kind": "RFCOMM channel"},
+        ),
         (
             CLIENT.replace("role: client", "role: cleint"),
             2,
-            "'cleint' is not one of client, server (did you mean client?)",
+            "role",
+            ValueMistake.MISFIT,
+            {"value": "'cleint'", "expected": "one of client, server", "hint": Hint.DID_YOU_MEAN(name="client")},
         ),
-        (CLIENT.replace("key_file: key.txt\n", ""), 1, "key_file: missing: encryption needs a key; make one with"),
-        (CLIENT.replace("key_file: key.txt", "key_file: ''"), 5, "key_file: '' is not a file name"),
-        (CLIENT.replace("key_file: key.txt", r'key_file: "k\0y"'), 5, r"key_file: 'k\x00y' is not a file name"),
+        (CLIENT.replace("key_file: key.txt\n", ""), 1, "key_file", SessionMistake.KEY_FILE_MISSING, {}),
+        (
+            CLIENT.replace("key_file: key.txt", "key_file: ''"),
+            5,
+            "key_file",
+            SessionMistake.KEY_FILE_INVALID,
+            {"name": "''"},
+        ),
+        (
+            CLIENT.replace("key_file: key.txt", r'key_file: "k\0y"'),
+            5,
+            "key_file",
+            SessionMistake.KEY_FILE_INVALID,
+            {"name": "'k\\x00y'"},
+        ),
         (
             SERVER + 'clients:\n  - {name: a, allow: ["/\\ud800"]}\n',
             7,
-            "client a, allow[0]: '/\\ud800' matches no topic",
+            "clients[0].allow[0]",
+            RightsMistake.NO_MATCH,
+            {"pattern": "'/\\ud800'", "noun": "topic"},
         ),
-        (SERVER + "topics: [{topic: /a, direction: receive}]\n", 2, "role: a server has no topics"),
+        (
+            SERVER + "topics: [{topic: /a, direction: receive}]\n",
+            2,
+            "role",
+            SessionMistake.TOPICS_OF_SERVER,
+            {"list": "topics"},
+        ),
         (
             SERVER + "clients:\n  - {name: a}\n  - {name: a}\n",
             8,
-            "client a, name: 'a' is the name of client number 1 already",
+            "clients[1].name",
+            SessionMistake.CLIENT_TWICE,
+            {"name": "'a'", "number": 1},
         ),
         (
             SERVER + "clients:\n  - name: a\n    topics:\n      - {topic: /b, direction: transmit, protocol: tpc}\n",
             9,
-            "client a, topic /b, protocol: 'tpc' is not one of tcp, udp, bluetooth",
+            "clients[0].topics[0].protocol",
+            ValueMistake.MISFIT,
+            {"value": "'tpc'"},
         ),
         (
             SERVER + "clients:\n  - name: a\n    topics:" + 2 * "\n    - {topic: /b, direction: transmit}",
             10,
-            "client a, topic /b: /b (transmit) is there already, as number 1",
+            "clients[0].topics[1]",
+            SessionMistake.TOPIC_TWICE,
+            {"name": "/b", "end": "transmit", "number": 1},
         ),
-        (SERVER + "clients:\n  - {name: a, allow: [scan]}\n", 7, "client a, allow[0]: 'scan' matches no topic"),
-        (SERVER + "clients:\n  - {name: a, deny: scan}\n", 7, "client a, deny: 'scan' is not a list"),
-        (SERVER + "clients:\n  - {name: a b, use_name: true}\n", 7, "client a b, name: 'a b' cannot be a prefix"),
-        (SERVER.replace("key_file: key.txt\n", "clients: [{name: a}]\n"), 5, "client a, key_file: missing"),
-        (SERVER + "next_key_file: key.txt\n", 6, "next_key_file: 'key.txt' is the key_file already"),
-        (SERVER + "next_key_file: ''\n", 6, "next_key_file: '' is not a file name"),
-        (CLIENT + "next_key_file: new.key\n", 6, "next_key_file: belongs in the server's session file"),
+        (
+            SERVER + "clients:\n  - {name: a, allow: [scan]}\n",
+            7,
+            "clients[0].allow[0]",
+            RightsMistake.NO_MATCH,
+            {"pattern": "'scan'", "noun": "topic"},
+        ),
+        (
+            SERVER + "clients:\n  - {name: a, deny: scan}\n",
+            7,
+            "clients[0].deny",
+            ValueMistake.NOT_A_LIST,
+            {"value": "'scan'"},
+        ),
+        (
+            SERVER + "clients:\n  - {name: a b, use_name: true}\n",
+            7,
+            "clients[0].name",
+            SessionMistake.NAME_NOT_A_PREFIX,
+            {"name": "'a b'"},
+        ),
+        (
+            SERVER.replace("key_file: key.txt\n", "clients: [{name: a}]\n"),
+            5,
+            "clients[0].key_file",
+            SessionMistake.KEY_FILE_MISSING,
+            {},
+        ),
+        (
+            SERVER + "next_key_file: key.txt\n",
+            6,
+            "next_key_file",
+            SessionMistake.NEXT_KEY_IS_CURRENT,
+            {"name": "'key.txt'"},
+        ),
+        (SERVER + "next_key_file: ''\n", 6, "next_key_file", SessionMistake.KEY_FILE_INVALID, {"name": "''"}),
+        (CLIENT + "next_key_file: new.key\n", 6, "next_key_file", SessionMistake.NEXT_KEY_ON_CLIENT, {}),
         (
             SERVER.replace("key_file: key.txt", "next_key_file: b\nclients: [{name: a, key_file: a.key}]"),
             5,
-            "next_key_file: there is no key_file beside it, which it would replace",
+            "next_key_file",
+            SessionMistake.NEXT_KEY_ALONE,
+            {},
         ),
         (
             SERVER + "clients:\n  - {name: a, key_file: a.key, next_key_file: a.key}\n",
             7,
-            "client a, next_key_file: 'a.key' is the key_file already",
+            "clients[0].next_key_file",
+            SessionMistake.NEXT_KEY_IS_CURRENT,
+            {"name": "'a.key'"},
         ),
         (
             SERVER + "clients:\n  - {name: a, next_key_file: key.txt}\n",
             7,
-            "client a, next_key_file: 'key.txt' is the key_file already",
+            "clients[0].next_key_file",
+            SessionMistake.NEXT_KEY_IS_CURRENT,
+            {"name": "'key.txt'"},
         ),
     ],
 )
-def test_a_mistake_is_named_with_its_line_and_what_would_be_right(text: str, line: int, words: str) -> None:
+def test_a_mistake_has_its_line_and_place(
+    text: str, line: int, location: str, code: Wording, parameters: dict[str, Any]
+) -> None:
+    (problem,) = problems(text)
+    assert (problem.location, problem.line) == (location, line)
+    assert says(problem.message, code, **parameters)
+
+
+@pytest.mark.parametrize(
+    ("text", "line", "place"),
+    [
+        (topic("protocol: tpc"), 7, "topic /scan, protocol"),
+        (topic("qos: {reliability: reliabel}"), 7, "topic /scan, qos.reliability"),
+        (CLIENT + "topics:\n  - /scan\n", 7, "topic 1"),
+        (CLIENT + "topics[2]server_ip: x\n", 6, "topics[2]server_ip"),
+        (SERVER + "ports: [12001, 80]\n", 6, "ports[1]"),
+        (SERVER + "clients:\n  - {name: a, allow: [scan]}\n", 7, "client a, allow[0]"),
+        (
+            SERVER + "clients:\n  - name: a\n    topics:\n      - {topic: /b, direction: transmit, protocol: tpc}\n",
+            9,
+            "client a, topic /b, protocol",
+        ),
+        (CLIENT + "services:\n  - {service: /d, provider: robot}\n", 7, "service /d, provider"),
+        (CLIENT + "services:\n  - /d\n", 7, "service 1"),
+        (CLIENT + "parameters:\n  - {node: n, provider: client}\n", 7, "parameters of n, node"),
+    ],
+)
+def test_a_mistake_names_its_entry(text: str, line: int, place: str) -> None:
     (refusal,) = refusals(text)
-    assert refusal.startswith(f"robot1.yaml:{line}: ")
-    assert words in refusal
+    assert refusal.startswith(f"robot1.yaml:{line}: {place}: ")
 
 
 def test_every_mistake_of_a_file_comes_at_once_in_its_order() -> None:
@@ -224,8 +525,9 @@ def test_a_mistake_is_not_held_against_what_rests_on_it() -> None:
 def test_the_same_topic_twice_in_one_direction_is_refused_and_both_ways_is_not() -> None:
     both = CLIENT + "topics:\n  - {topic: /a, direction: transmit}\n  - {topic: /a, direction: receive}\n"
     assert len(parse(both, FILE).topics) == 2
-    (refusal,) = refusals(both + "  - {topic: /a, direction: receive, protocol: udp}\n")
-    assert refusal.startswith("robot1.yaml:9: topic /a: /a (receive) is there already, as number 2")
+    (problem,) = problems(both + "  - {topic: /a, direction: receive, protocol: udp}\n")
+    assert (problem.location, problem.line, problem.place) == ("topics[2]", 9, "topic /a")
+    assert says(problem.message, SessionMistake.TOPIC_TWICE, name="/a", end="receive", number=2)
 
 
 @pytest.mark.parametrize("use_name", ["", "use_name: true\n"])
@@ -235,15 +537,17 @@ def test_one_topic_of_the_server_cannot_come_under_two_names(use_name: str) -> N
     text = CLIENT + use_name + "topics:\n  - {topic: /a, direction: receive}\n"
     assert len(parse(text + "  - {topic: /b, remote_topic: /c, direction: receive}\n", FILE).topics) == 2
     assert len(parse(text + f"  - {{topic: /b, remote_topic: {of_server}, direction: transmit}}\n", FILE).topics) == 2
-    (refusal,) = refusals(text + f"  - {{topic: /b, remote_topic: {of_server}, direction: receive}}\n")
-    assert f"topic /b, remote_topic: /a comes from the server's {of_server}, too" in refusal
+    (problem,) = problems(text + f"  - {{topic: /b, remote_topic: {of_server}, direction: receive}}\n")
+    assert problem.location == "topics[1].remote_topic"
+    assert says(problem.message, SessionMistake.SOURCE_TWICE, name="/a", remote=of_server)
 
 
 def test_two_topics_cannot_have_one_port_of_their_own_unless_protocols_differ() -> None:
     text = CLIENT + "topics:\n  - {topic: /a, direction: transmit, port: 5000}\n"
     assert parse(text + "  - {topic: /b, direction: transmit, port: 5000, protocol: udp}\n", FILE)
-    (refusal,) = refusals(text + "  - {topic: /b, direction: transmit, port: 5000, protocol: tcp}\n")
-    assert "topic /b, port: tcp port 5000 is taken by /a" in refusal
+    (problem,) = problems(text + "  - {topic: /b, direction: transmit, port: 5000, protocol: tcp}\n")
+    assert problem.location == "topics[1].port"
+    assert says(problem.message, SessionMistake.PORT_TAKEN, protocol="tcp", port=5000, name="/a")
 
 
 @pytest.mark.parametrize("head", [BLUETOOTH, f"{CLIENT}bluetooth_address: {MAC}\n"])
@@ -253,90 +557,127 @@ def test_topics_may_share_a_channel_of_their_own(head: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("text", "words"),
+    ("text", "line", "location", "code", "parameters"),
     [
-        ("KEY\n", "robot1.yaml: this is a key file, not a session"),
-        ("Key generated at 01/06/2021 12:00:00:\n\nKEY", "robot1.yaml: this is a key file, not a session"),
-        ("KEY  # ours\n", "robot1.yaml:1: is not a mapping of name, role"),
-        ("the key is\nKEY\nkeep it", "robot1.yaml:1: is not a mapping of name, role"),
-        ("[KEY]", "robot1.yaml:1: is not a mapping of name, role"),
-        ("KEY: x", "robot1.yaml:1: has no key of a session: name, role"),
-        (CLIENT + "KEY: x", "robot1.yaml:6: <a key>: unknown key"),
-        (CLIENT.replace("key.txt", "KEY"), "robot1.yaml:5: key_file: is a key itself"),
-        (CLIENT.replace("key.txt", "keys/KEY"), "robot1.yaml:5: key_file: is a key itself"),
-        (CLIENT.replace("robot1", "KEY") + "use_name: true\n", "robot1.yaml:1: name: is a key itself"),
-        (CLIENT + "domain_id: KEY\n", "robot1.yaml:6: domain_id: is a key itself"),
-        (CLIENT + "stale_after: key KEY\n", "robot1.yaml:6: stale_after: 'key <a key>' is not a number"),
-        (CLIENT + "stale_after: [KEY]\n", "robot1.yaml:6: stale_after: ['<a key>'] is not a number"),
-        (CLIENT + "topics: [KEY]\n", "robot1.yaml:6: topic 1: '<a key>' is not a mapping"),
+        ("KEY\n", None, "", YamlMistake.KEY_FILE, {}),
+        ("Key generated at 01/06/2021 12:00:00:\n\nKEY", None, "", YamlMistake.KEY_FILE, {}),
+        ("KEY  # ours\n", 1, "", ValueMistake.FILE_NOT_A_MAPPING, {}),
+        ("the key is\nKEY\nkeep it", 1, "", ValueMistake.FILE_NOT_A_MAPPING, {}),
+        ("[KEY]", 1, "", ValueMistake.FILE_NOT_A_MAPPING, {}),
+        ("KEY: x", 1, "", ValueMistake.NO_KNOWN_KEY, {"model": "session"}),
+        (CLIENT + "KEY: x", 6, "<a key>", ValueMistake.UNKNOWN_KEY, {}),
+        (CLIENT.replace("key.txt", "KEY"), 5, "key_file", ValueMistake.IS_A_KEY, {}),
+        (CLIENT.replace("key.txt", "keys/KEY"), 5, "key_file", ValueMistake.IS_A_KEY, {}),
+        (CLIENT.replace("robot1", "KEY") + "use_name: true\n", 1, "name", ValueMistake.IS_A_KEY, {}),
+        (CLIENT + "domain_id: KEY\n", 6, "domain_id", ValueMistake.IS_A_KEY, {}),
         (
-            CLIENT + "topics: [{topic: KEY, direction: receive}]\n",
-            "robot1.yaml:6: topic <a key>, topic: is a key",
+            CLIENT + "stale_after: key KEY\n",
+            6,
+            "stale_after",
+            ValueMistake.MISFIT,
+            {"value": "'key <a key>'", "expected": "a number"},
         ),
-        (topic("qos: KEY"), "robot1.yaml:7: topic /scan, qos: is a key itself"),
-        (topic("qos: {profile: KEY}"), "robot1.yaml:7: topic /scan, qos: profile: '<a key>' is not one of"),
-        (topic("type: KEY"), "robot1.yaml:7: topic /scan, type: is a key itself"),
-        (SERVER + "clients:\n  - {name: a, allow: [KEY]}\n", "robot1.yaml:7: client a, allow[0]: is a key itself"),
-        ("name: !!KEY x\n", "robot1.yaml:1: name: the tag tag:yaml.org,2002:<a key> is not allowed"),
-        ("name: !KEY! x\n", "robot1.yaml:1: while scanning a tag"),
-        ("name: *KEY\n", "robot1.yaml:1: while scanning an alias"),
+        (
+            CLIENT + "stale_after: [KEY]\n",
+            6,
+            "stale_after",
+            ValueMistake.MISFIT,
+            {"value": "['<a key>']", "expected": "a number"},
+        ),
+        (CLIENT + "topics: [KEY]\n", 6, "topics[0]", ValueMistake.NOT_A_MAPPING, {"value": "'<a key>'"}),
+        (CLIENT + "topics: [{topic: KEY, direction: receive}]\n", 6, "topics[0].topic", ValueMistake.IS_A_KEY, {}),
+        (topic("qos: KEY"), 7, "topics[0].qos", ValueMistake.IS_A_KEY, {}),
+        (topic("qos: {profile: KEY}"), 7, "topics[0].qos", QosProblem.UNKNOWN_PROFILE, {"value": "<a key>"}),
+        (topic("type: KEY"), 7, "topics[0].type", ValueMistake.IS_A_KEY, {}),
+        (SERVER + "clients:\n  - {name: a, allow: [KEY]}\n", 7, "clients[0].allow[0]", ValueMistake.IS_A_KEY, {}),
+        ("name: !!KEY x\n", 1, "name", YamlMistake.TAG, {"tag": "tag:yaml.org,2002:<a key>"}),
     ],
 )
-def test_a_key_in_a_wrong_place_is_refused_without_being_quoted(text: str, words: str) -> None:
+def test_a_key_in_a_wrong_place_is_refused_without_being_quoted(
+    text: str, line: int | None, location: str, code: Wording, parameters: dict[str, Any]
+) -> None:
     key = "VdzT2kwMacThZWkBigjbtte9iRjW8djEJ10JiemVwLM="
-    found = refusals(text.replace("KEY", key))
-    assert any(refusal.startswith(words) for refusal in found), found
-    assert key[:20] not in "".join(found)
+    found = problems(text.replace("KEY", key))
+    assert any(has(problem, line, location, code, parameters) for problem in found), found
+    assert key[:20] not in "".join(refusals(text.replace("KEY", key)))
+
+
+def has(problem: Problem, line: int | None, location: str, code: Wording, parameters: dict[str, Any]) -> bool:
+    return (problem.line, problem.location) == (line, location) and says(problem.message, code, **parameters)
+
+
+@pytest.mark.parametrize("text", ["name: !KEY! x\n", "name: *KEY\n"])
+def test_a_key_that_is_no_yaml_is_not_quoted_either(text: str) -> None:
+    key = "VdzT2kwMacThZWkBigjbtte9iRjW8djEJ10JiemVwLM="
+    (refusal,) = refusals(text.replace("KEY", key))
+    assert refusal.startswith("robot1.yaml:1: ")
+    assert key[:20] not in refusal
 
 
 def test_a_key_that_lost_its_padding_is_not_quoted_either_and_long_names_are() -> None:
     key = "VdzT2kwMacThZWkBigjbtte9iRjW8djEJ10JiemVwLM"
-    (refusal,) = refusals(CLIENT + f"domain_id: {key}\n")
-    assert "domain_id: '<a key>' is not a whole number" in refusal
+    (problem,) = problems(CLIENT + f"domain_id: {key}\n")
+    assert says(problem.message, ValueMistake.MISFIT, value="'<a key>'")
     long_name = "~/camera/front/left/depth/points/and/others"
     (refusal,) = refusals(topic(f"remote_topic: {long_name}"))
     assert long_name in refusal
 
 
 @pytest.mark.parametrize(
-    ("text", "words"),
+    ("text", "line", "location", "code", "parameters"),
     [
-        ("", "robot1.yaml: the file is empty"),
-        ("# nothing\n", "robot1.yaml: the file is empty"),
-        ("5", "robot1.yaml:1: is not a mapping of name, role"),
-        ("a: 1\nb: 2\n", "robot1.yaml:1: has no key of a session: name, role, server_ip"),
-        ("name: [1,\n", "robot1.yaml:2: while parsing a flow node"),
-        ("name: a\n\trole: b\n", "robot1.yaml:2: begins with a tab: use spaces"),
-        ("topics:\n\t- {topic: /a}\n", "robot1.yaml:2: begins with a tab: use spaces"),
-        ("topics:\n  - topic: /a\n  \tdirection: receive\n", "robot1.yaml:3: begins with a tab: use spaces"),
-        ("name: a: b\n", "robot1.yaml:1: mapping values are not allowed here"),
-        ("name: &a x\nrole: *a\n", "robot1.yaml:2: aliases (*) are not allowed"),
-        ("a: &a [*a]\n", "robot1.yaml:1: aliases (*) are not allowed"),
-        pytest.param("[" * 5000, "robot1.yaml:1: nested too deeply", id="deep"),
-        ("name: a\x07\n", "robot1.yaml:1: character U+0007 is not allowed"),
-        ("--- {}\n--- {}\n", "robot1.yaml:2: expected a single document"),
-        ("name: !!python/object/apply:os.system [x]\n", "robot1.yaml:1: name: the tag tag:yaml.org"),
+        ("", None, "", YamlMistake.EMPTY, {}),
+        ("# nothing\n", None, "", YamlMistake.EMPTY, {}),
+        ("5", 1, "", ValueMistake.FILE_NOT_A_MAPPING, {}),
+        ("a: 1\nb: 2\n", 1, "", ValueMistake.NO_KNOWN_KEY, {"model": "session"}),
+        ("name: a\n\trole: b\n", 2, "", YamlMistake.TAB, {}),
+        ("topics:\n\t- {topic: /a}\n", 2, "", YamlMistake.TAB, {}),
+        ("topics:\n  - topic: /a\n  \tdirection: receive\n", 3, "", YamlMistake.TAB, {}),
+        ("name: &a x\nrole: *a\n", 2, "", YamlMistake.ALIAS, {}),
+        ("a: &a [*a]\n", 1, "", YamlMistake.ALIAS, {}),
+        pytest.param("[" * 5000, 1, "", YamlMistake.TOO_DEEP, {}, id="deep"),
+        ("name: a\x07\n", 1, "", YamlMistake.CHARACTER, {"code": 0x7}),
+        ("name: !!python/object/apply:os.system [x]\n", 1, "name", YamlMistake.TAG, {}),
     ],
 )
-def test_what_is_no_session_at_all_is_refused_in_words(text: str, words: str) -> None:
-    assert any(line.startswith(words) for line in refusals(text))
+def test_a_text_that_is_no_session_is_refused(
+    text: str, line: int | None, location: str, code: Wording, parameters: dict[str, Any]
+) -> None:
+    assert any(has(problem, line, location, code, parameters) for problem in problems(text))
 
 
-def test_files_that_cannot_be_read_are_refused_in_words(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("text", "line", "words_of_pyyaml"),
+    [
+        ("name: [1,\n", 2, "while parsing a flow node"),
+        ("name: a: b\n", 1, "mapping values are not allowed here"),
+        ("--- {}\n--- {}\n", 2, "expected a single document"),
+    ],
+)
+def test_a_text_that_is_no_yaml_is_refused(text: str, line: int, words_of_pyyaml: str) -> None:
+    (problem,) = problems(text)
+    assert problem.line == line
+    assert problem.message.startswith(words_of_pyyaml)
+
+
+def test_files_that_cannot_be_read_are_refused(tmp_path: Path) -> None:
     binary = tmp_path / "binary.yaml"
     binary.write_bytes(b"name: a\n\xff\xfe")
     huge = tmp_path / "huge.yaml"
     huge.write_text("#" * (1 << 20) + "\n")
-    for path, words in [
-        (tmp_path / "none.yaml", ": no such file"),
-        (tmp_path, ": is a folder, not a file"),
-        (Path("/dev/null"), ": is a device, not a file"),
-        (binary, ":2: is not UTF-8 text"),
-        (huge, ": larger than 1048576 bytes"),
-    ]:
+    cases: list[tuple[Path, int | None, Wording, dict[str, Any]]] = [
+        (tmp_path / "none.yaml", None, FileProblem.NO_SUCH_FILE, {}),
+        (tmp_path, None, FileProblem.NOT_A_FILE, {"kind": "a folder"}),
+        (Path("/dev/null"), None, FileProblem.NOT_A_FILE, {"kind": "a device"}),
+        (binary, 2, FileProblem.NOT_UTF8, {}),
+        (huge, None, FileProblem.TOO_LARGE, {"limit": 1048576}),
+    ]
+    for path, line, code, parameters in cases:
         with pytest.raises(SessionError) as caught:
             load(path)
-        assert str(caught.value).startswith(f"{path}{words}")
+        (problem,) = caught.value.problems
+        assert has(problem, line, "", code, parameters)
+        assert str(caught.value).startswith(f"{path}:")
 
 
 @pytest.mark.parametrize(
@@ -372,7 +713,7 @@ def test_a_group_is_kept() -> None:
 def test_a_form_has_the_same_rules_as_a_file() -> None:
     (problem,) = validate_topic(Topic(topic="scan", direction="transmit"))
     assert (problem.location, problem.line) == ("topic", None)
-    assert "did you mean /scan?" in problem.message
+    assert says(problem.message, Hint.DID_YOU_MEAN, name="/scan")
     mistyped = Topic(topic="/scan", direction="transmit", protocol="tpc")  # type: ignore[arg-type]
     assert [problem.location for problem in validate_topic(mistyped)] == ["protocol"]
     over_tcp = Topic(topic="/scan", direction="transmit", protocol="tcp")

@@ -3,18 +3,33 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import pytest
+from tests.support.wording import says
 
-from rsb_bridge.config.rights import GrantError, Rights, Use, rights_of_client, rights_of_server, typed_grants
+from rsb_bridge.config.rights import (
+    DeniedRemedy,
+    DeniedText,
+    GrantError,
+    Place,
+    Rights,
+    Use,
+    rights_of_client,
+    rights_of_server,
+    typed_grants,
+)
 from rsb_bridge.config.session_file import SessionError, dump, parse
 from rsb_bridge.config.validation import validate
 from rsb_bridge.model.session import Client, Grant, Session, Topic
 
+if TYPE_CHECKING:
+    from rsb_bridge.model.wording import Wording
+
 CLIENT: dict[str, Any] = {
     "name": "robot1", "role": "client", "server_ip": "10.0.0.1", "server_port": 7060, "key_file": "k"
 }  # fmt: skip
+ON_CLIENT = Place.ON_CLIENT(client="robot1")
 DRIVE = Grant("/cmd_vel", may="publish", protocol="udp", max_rate=10.0)
 
 
@@ -82,24 +97,52 @@ def test_a_peer_is_shown_what_it_may_read_or_publish() -> None:
 
 
 @pytest.mark.parametrize(
-    ("rights", "use", "words"),
+    ("rights", "use", "reason", "remedy", "parameters"),
     [
-        (rights_of_server(Session(**CLIENT)), Use("/cmd_vel", "publish"), ("under topics", "session file of robot1")),
         (
-            rights_of_server(Session(**CLIENT, allow=("/a",))), Use("/cmd_vel", "publish"),
-            ("{topics: /cmd_vel, may: publish}", "allow", "session file of robot1"),
+            rights_of_server(Session(**CLIENT)),
+            Use("/cmd_vel", "publish"),
+            DeniedText.NOT_ALLOWED,
+            DeniedRemedy.LIST,
+            {"list": "topics", "place": ON_CLIENT, "direction": "direction: receive"},
         ),
         (
-            rights_of_client(Client("robot1", allow=("/a",)), "pc"), Use("/b", "read"),
-            ("{topics: /b, may: read}", "allow of client robot1", "session file of pc"),
+            rights_of_server(Session(**CLIENT, allow=("/a",))),
+            Use("/cmd_vel", "publish"),
+            DeniedText.NOT_ALLOWED,
+            DeniedRemedy.LIST_OR_ALLOW,
+            {"list": "topics", "place": ON_CLIENT, "entry": "{topics: /cmd_vel, may: publish}"},
         ),
-        (rights_of_server(Session(**CLIENT, deny=("/cmd*",))), Use("/cmd_vel", "publish"), ("deny", "/cmd*")),
-        (rights_of_server(Session(**CLIENT, allow=(DRIVE,))), Use("/cmd_vel", "publish", "tcp"), ("udp", "allow")),
+        (
+            rights_of_client(Client("robot1", allow=("/a",)), "pc"),
+            Use("/b", "read"),
+            DeniedText.NOT_ALLOWED,
+            DeniedRemedy.ADD_ALLOW,
+            {"entry": "{topics: /b, may: read}", "place": Place.ON_SERVER(client="robot1", server="pc")},
+        ),
+        (
+            rights_of_server(Session(**CLIENT, deny=("/cmd*",))),
+            Use("/cmd_vel", "publish"),
+            DeniedText.DENIED,
+            DeniedRemedy.CHANGE_DENY,
+            {"place": ON_CLIENT, "entry": "/cmd*"},
+        ),
+        (
+            rights_of_server(Session(**CLIENT, allow=(DRIVE,))),
+            Use("/cmd_vel", "publish", "tcp"),
+            DeniedText.OTHER_PROTOCOL,
+            DeniedRemedy.CHANGE_ALLOW,
+            {"place": ON_CLIENT},
+        ),
     ],
-)  # fmt: skip
-def test_a_refusal_names_what_would_allow_more(rights: Rights, use: Use, words: tuple[str, ...]) -> None:
-    refusal = str(rights.refusal(use))
-    assert [word for word in words if word not in refusal] == []
+)
+def test_a_refusal_names_the_use_and_the_remedy(
+    rights: Rights, use: Use, reason: Wording, remedy: Wording, parameters: dict[str, str]
+) -> None:
+    refusal = rights.refusal(use)
+    assert refusal is not None
+    assert says(refusal.reason, reason, peer=rights.peer, use=use)
+    assert says(refusal.remedy, remedy, **parameters)
 
 
 def test_grants_are_read_and_written() -> None:

@@ -14,10 +14,12 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 from msgspec.structs import replace
 from tests.config.test_call_entries import called
+from tests.support.wording import pattern
 
 from rsb_bridge.config.merge import identity, merge
 from rsb_bridge.config.session_file import (
     ChangedOnDiskError,
+    SavingProblem,
     SessionError,
     UneditableError,
     load,
@@ -26,6 +28,7 @@ from rsb_bridge.config.session_file import (
     same,
     save,
 )
+from rsb_bridge.config.validation import SessionMistake
 from rsb_bridge.config.yaml_text import inline, read_yaml
 from rsb_bridge.model.qos import PROFILES
 from rsb_bridge.model.session import Client, Grant, Session, Topic
@@ -234,7 +237,7 @@ def test_the_clients_of_a_server_keep_their_comments_too(tmp_path: Path) -> None
         one, _, visitor = session.clients
         return replace(session, clients=(one, replace(visitor, allow=(), deny=("/camera/raw", "/b")), Client("robot3")))
 
-    with pytest.raises(SessionError, match="key_file: missing"):
+    with pytest.raises(SessionError, match=pattern(SessionMistake.KEY_FILE_MISSING)):
         edited(text, tmp_path, change)
     now = edited(text, tmp_path, lambda session: replace(change(session), key_file="all.key"))
     removed = "  - {name: robot2, key_file: robot2.key}\n"
@@ -244,7 +247,7 @@ def test_the_clients_of_a_server_keep_their_comments_too(tmp_path: Path) -> None
 
 @pytest.mark.parametrize("text", ["? topics\n: - {topic: /a, direction: receive}\n", "? domain_id\n: 3\n"])
 def test_a_layout_that_cannot_be_edited_is_said_and_left_alone(tmp_path: Path, text: str) -> None:
-    with pytest.raises(UneditableError, match="cannot be edited in place"):
+    with pytest.raises(UneditableError, match=pattern(SavingProblem.LAYOUT)):
         edited(HEAD + text, tmp_path, lambda session: replace(session, topics=(), domain_id=None))
     assert (tmp_path / "robot1.yaml").read_text() == HEAD + text
     assert files_in(tmp_path) == ["robot1.yaml"]
@@ -292,7 +295,7 @@ def test_a_read_only_file_is_refused_with_the_remedy(tmp_path: Path) -> None:
     path.write_text(HEAD)
     path.chmod(0o444)
     opened = load_file(path)
-    with pytest.raises(SessionError, match=r"read-only \(`chmod u\+w"):
+    with pytest.raises(SessionError, match=pattern(SavingProblem.READ_ONLY)):
         save(replace(opened.session, domain_id=1), path, opened)
     assert path.read_text() == HEAD
     assert files_in(tmp_path) == ["robot1.yaml"]
@@ -610,7 +613,7 @@ def test_a_file_that_was_changed_on_disk_is_not_overwritten(tmp_path: Path) -> N
     opened = load_file(path)
     path.write_text(FLOWS.replace("/goal", "/aim"))
     now = replace(opened.session, domain_id=3)
-    with pytest.raises(SessionError, match="was changed on disk after it was opened: open it again"):
+    with pytest.raises(SessionError, match=pattern(SavingProblem.CHANGED)):
         save(now, path, opened)
     assert path.read_text() == FLOWS.replace("/goal", "/aim")
     saved = save(now, tmp_path / "other.yaml", opened)

@@ -13,9 +13,21 @@ from hypothesis import strategies as st
 from rclpy.exceptions import InvalidTopicNameException
 from rclpy.validate_full_topic_name import validate_full_topic_name
 from tests.config.test_call_entries import called
+from tests.support.wording import pattern
 
-from rsb_bridge.config.keys import KeyFileError, write_key
-from rsb_bridge.config.session_file import SessionError, dump, load, parse, save, validate, validate_topic
+from rsb_bridge.config.files import FileRefused
+from rsb_bridge.config.keys import KeyFileError, KeyFileProblem, write_key
+from rsb_bridge.config.session_file import (
+    SavingProblem,
+    SessionError,
+    dump,
+    load,
+    parse,
+    save,
+    validate,
+    validate_topic,
+)
+from rsb_bridge.config.validation import SessionMistake
 from rsb_bridge.model.qos import PROFILES
 from rsb_bridge.model.session import Client, Session, Topic
 from rsb_bridge.model.text import is_clean
@@ -131,7 +143,7 @@ def test_a_session_with_mistakes_is_not_saved(tmp_path: Path) -> None:
     path = tmp_path / "robot1.yaml"
     save(SESSION, path)
     bad = Session(name="robot1", role="client", server_ip="127.0.0.1", server_port=0, key_file="key.txt")
-    with pytest.raises(SessionError, match="server_port: missing, or 0"):
+    with pytest.raises(SessionError, match=pattern(SessionMistake.PORT_MISSING)):
         save(bad, path)
     assert load(path) == SESSION
 
@@ -143,9 +155,10 @@ def test_what_is_no_file_is_not_replaced_by_one(tmp_path: Path, name: str) -> No
     (tmp_path / "link").symlink_to(tmp_path / "fifo")
     (tmp_path / "folder").mkdir()
     before = {path: path.lstat().st_ino for path in tmp_path.iterdir()}
-    with pytest.raises(SessionError, match=r"cannot be written: is a (FIFO|folder), not a file"):
+    problem = FileRefused.NOT_A_FILE(kind="a folder" if name == "folder" else "a FIFO")
+    with pytest.raises(SessionError, match=pattern(SavingProblem.NOT_WRITTEN, problem=problem)):
         save(SESSION, tmp_path / name)
-    with pytest.raises(KeyFileError, match=r"cannot be written: is a (FIFO|folder), not a file"):
+    with pytest.raises(KeyFileError, match=pattern(KeyFileProblem.NOT_WRITTEN, problem=problem)):
         write_key(tmp_path / name, force=True)
     assert {path: path.lstat().st_ino for path in tmp_path.iterdir()} == before
 

@@ -1,12 +1,20 @@
 """The thesis's bringup.yaml becomes a session that bridges the same topics."""
 
 from pathlib import Path
+from typing import Any
 
 import pytest
+from tests.support.wording import says
 
+from rsb_bridge.config.decoding import ValueMistake
 from rsb_bridge.config.session_file import SessionError, dump, parse, validate
-from rsb_bridge.config.thesis import import_bringup
+from rsb_bridge.config.thesis import BringupMistake, BringupNote, import_bringup
+from rsb_bridge.config.topic_rules import TopicMistake
+from rsb_bridge.config.validation import SessionMistake
+from rsb_bridge.model.names import TypeNameProblem
+from rsb_bridge.model.qos import QosProblem
 from rsb_bridge.model.session import Session, Topic
+from rsb_bridge.model.wording import Wording
 
 CLIENT = """\
 client_node:
@@ -80,7 +88,7 @@ def test_the_other_side_of_a_clients_file(bringup: Path) -> None:
     session, notes = import_bringup(bringup, name="robot1", role="server", key_file="key.txt", use_name=True)
     assert (session.role, session.server_ip, session.server_port) == ("server", "192.168.10.250", 3000)
     assert session.topics == ()
-    assert notes == ["the topics are left out: a server gets them from its clients"]
+    assert notes == [BringupNote.TOPICS_LEFT_OUT()]
 
 
 def test_a_server(bringup: Path) -> None:
@@ -89,7 +97,7 @@ def test_a_server(bringup: Path) -> None:
     assert session == Session(
         name="robot1", role="server", server_ip="192.168.10.250", server_port=13001, use_encryption=False
     )
-    with pytest.raises(SessionError, match="server_port: missing"):
+    with pytest.raises(SessionError, match="server_port: "):
         import_bringup(bringup, name="robot1", key_file="key.txt")
 
 
@@ -99,45 +107,69 @@ def test_bluetooth_leaves_out_what_rfcomm_or_the_session_does_itself(bringup: Pa
     assert session.is_bluetooth
     assert [(topic.topic, topic.port) for topic in session.topics] == [("/scan", None), ("/goal_pose", 14)]
     assert notes == [
-        "/scan: 12001 is not an RFCOMM channel; the topic shares the link's",
-        "/shutdown is left out: the session's shutdown_topic does what it did",
+        BringupNote.NOT_A_CHANNEL(name="/scan", port=12001),
+        BringupNote.SHUTDOWN_LEFT_OUT(),
     ]
 
 
 def test_what_changed_is_said(bringup: Path) -> None:
     bringup.write_text(CLIENT + "    use_sim_time: true\n")
     _, notes = import_bringup(bringup, name="robot1", key_file="key.txt", use_name=True)
-    assert notes[0] == "use_sim_time: not a parameter of the bridge, left out"
-    assert "named /robot1/... on the server" in notes[1]
+    assert notes == [BringupNote.NOT_A_PARAMETER(key="use_sim_time"), BringupNote.PREFIX(name="robot1")]
 
 
 @pytest.mark.parametrize(
-    ("old", "new", "words"),
+    ("old", "new", "line", "location", "code", "parameters"),
     [
-        ("'TCP', 'UDP', 'TCP'", "'TCP', 'TPC', 'TCP'", "15: client_node.ros__parameters.transmit_protocols[1]: 'tpc'"),
-        ("[12002, 12012]", "[12002]", "8: client_node.ros__parameters.receive_ports: 1 entries for 2 receive_topics"),
-        ("[12002, 12012]", "12002", "8: client_node.ros__parameters.receive_ports: 12002 is not a list"),
-        ("'10'", "'qos_sensor'", "10: client_node.ros__parameters.receive_qos[1]: 'qos_sensor' is not one of"),
-        ("'Odometry'", "'Odometri'", "13: client_node.ros__parameters.transmit_msg_types[1]: 'Odometri'"),
-        ("'goal_pose'", "'goal-pose'", "6: client_node.ros__parameters.receive_topics[1]: '/goal-pose'"),
-        ("12006", "12004", "14: client_node.ros__parameters.transmit_ports[2]: tcp port 12004 is taken by"),
-        ("'192.168.10.250'", "'192.168.10'", "3: client_node.ros__parameters.server_ip: '192.168.10' is not"),
-        ("ros__parameters", "parameters", " not a bringup.yaml of ros2_socket_bridge"),
+        (
+            "'TCP', 'UDP', 'TCP'", "'TCP', 'TPC', 'TCP'",
+            15, "transmit_protocols[1]", ValueMistake.MISFIT, {"value": "'tpc'"},
+        ),
+        (
+            "[12002, 12012]", "[12002]",
+            8, "receive_ports", BringupMistake.LENGTHS_DIFFER, {"count": 1, "topics": 2, "list": "receive_topics"},
+        ),
+        ("[12002, 12012]", "12002", 8, "receive_ports", BringupMistake.NOT_A_LIST, {"value": 12002}),
+        ("'10'", "'qos_sensor'", 10, "receive_qos[1]", QosProblem.UNKNOWN_NAME, {"value": "qos_sensor"}),
+        (
+            "'Odometry'", "'Odometri'",
+            13, "transmit_msg_types[1]", TypeNameProblem.SHORT_NAME_MISSPELT, {"name": "Odometri"},
+        ),
+        ("'goal_pose'", "'goal-pose'", 6, "receive_topics[1]", TopicMistake.NOT_ABSOLUTE, {"name": "'/goal-pose'"}),
+        ("12006", "12004", 14, "transmit_ports[2]", SessionMistake.PORT_TAKEN, {"protocol": "tcp", "port": 12004}),
+        (
+            "'192.168.10.250'", "'192.168.10'",
+            3, "server_ip", SessionMistake.ADDRESS_INVALID, {"address": "'192.168.10'"},
+        ),
+        ("ros__parameters", "parameters", None, None, BringupMistake.NO_NODE, {}),
         (
             CLIENT,
             "client_node:\n  ros__parameters:\n    server_ip: '10.0.0.1'\n    server_port: 3000\n    topics: [scan]\n",
-            "2: client_node.ros__parameters: no topics: a client has the lists transmit_topics and receive_topics",
+            2, "", BringupMistake.NO_TOPICS, {},
         ),
-        (CLIENT, "- a list\n", " not a bringup.yaml of ros2_socket_bridge"),
-        (CLIENT, CLIENT + SERVER, " 2 nodes have a server_ip: client_node, server_node"),
+        (CLIENT, "- a list\n", None, None, BringupMistake.NO_NODE, {}),
+        (
+            CLIENT, CLIENT + SERVER,
+            None, None, BringupMistake.SEVERAL_NODES, {"count": 2, "nodes": "client_node, server_node"},
+        ),
     ],
-)
-def test_mistakes_are_placed_in_the_thesis_file(bringup: Path, old: str, new: str, words: str) -> None:
+)  # fmt: skip
+def test_mistakes_are_placed_in_the_thesis_file(
+    bringup: Path,
+    old: str,
+    new: str,
+    line: int | None,
+    location: str | None,
+    code: Wording,
+    parameters: dict[str, Any],
+) -> None:
     bringup.write_text(CLIENT.replace(old, new))
     with pytest.raises(SessionError) as caught:
         import_bringup(bringup, name="robot1", key_file="key.txt")
-    assert str(caught.value).startswith(f"{bringup}:{words}")
-    assert len(caught.value.problems) == 1
+    (problem,) = caught.value.problems
+    assert problem.line == line
+    assert problem.location == ("" if location is None else f"client_node.ros__parameters.{location}".rstrip("."))
+    assert says(problem.message, code, **parameters)
 
 
 def test_mistakes_of_the_arguments_have_no_line(bringup: Path) -> None:

@@ -33,7 +33,7 @@ def pattern(wording: Wording, **parameters: object) -> str:
         name = re.split(r"[.\[]", field)[0]
         if name in parameters:
             filled = f"{{{field}{f'!{conversion}' if conversion else ''}{f':{spec}' if spec else ''}}}"
-            parts.append(re.escape(" ".join(filled.format(**parameters).split())))
+            parts.append(re.escape(re.sub(r"\s+", " ", filled.format(**parameters))))
         else:
             parts[-1] = re.sub(r"\\ $", r"\\ ?", parts[-1])  # an empty parameter leaves one space of two
             parts.append(".*")

@@ -42,7 +42,7 @@ _NATIVE: Final = int(sys.byteorder == "little")
 
 
 class Malformed(Wording):
-    """How a message does not fit its type."""
+    """A contradiction between a message and its type."""
 
     NOT_XCDR1 = "it does not begin as XCDR1: {beginning}"
     NO_BYTES = "it does not begin as XCDR1: no bytes"
@@ -56,7 +56,7 @@ class Malformed(Wording):
 
 
 class Uncheckable(Wording):
-    """What keeps messages of a type from being checked."""
+    """The reason why messages of a type cannot be checked."""
 
     TOO_DEEP = "{type} has more than {limit} levels"
     TYPE_MISSING = "the description lacks {type}"

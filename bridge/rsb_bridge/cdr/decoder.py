@@ -1,7 +1,7 @@
 """Reads serialized messages (XCDR1, OMG DDS-XTYPES 1.3 section 7.4.3) by the descriptions of their types.
 
-Nothing is believed: whatever the bytes and the description are, reading ends after a bounded number of steps, and what
-cannot be read is said in `Decoded.problem`, beside all that came before it.
+Neither the bytes nor the description is trusted: for any input, reading ends after a bounded number of steps. If a part
+is unreadable, `Decoded` has the parts before it, and the problem.
 """
 
 from __future__ import annotations
@@ -67,11 +67,11 @@ Message: TypeAlias = dict[str, Value]
 
 @dataclass(frozen=True, slots=True)
 class Decoded:
-    """What was read of a message.
+    """A message as far as it was read.
 
     Attributes:
-        message: its values, up to where the problem is.
-        problem: why no more was read; empty: all was.
+        message: its values, up to the problem.
+        problem: the reason why reading ended early, or an empty string.
     """
 
     message: Message
@@ -79,7 +79,7 @@ class Decoded:
 
 
 class Unreadable(Wording):
-    """Why the next part of a message cannot be read."""
+    """The reason why the next part of a message cannot be read."""
 
     NOT_XCDR1 = "it does not begin as XCDR1: {beginning}"
     NO_BYTES = "it does not begin as XCDR1: no bytes"
@@ -96,7 +96,7 @@ class Unreadable(Wording):
 
 
 class _UnreadableError(Exception):
-    """What comes next cannot be read; the message says why."""
+    """The next part of a message cannot be read."""
 
 
 def decode(description: TypeDescription, payload: bytes, *, items: int = 128, steps: int = 50_000) -> Decoded:
@@ -196,7 +196,7 @@ class _Reader:
         raise _UnreadableError(Unreadable.TYPE_UNKNOWN(type=kind.type_id))
 
     def _primitives(self, base: int, items: Items) -> None:
-        """Read the elements of an array; where some are missing, those that are there."""
+        """Read the elements of an array up to the first that is missing."""
         code, _ = _PRIMITIVES[base]
         size = struct.calcsize(f"={code}")
         self._step()

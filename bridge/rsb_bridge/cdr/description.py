@@ -22,7 +22,7 @@ _NAME_LENGTH = 255
 
 
 class InvalidDescription(Wording):
-    """Why a text does not describe a type."""
+    """The reason why a text does not describe a type."""
 
     TOO_LONG = "the description has {length:,} characters; at most {limit:,} are read"
     ANOTHER_TYPE = "the description has another hash than the type"
@@ -61,7 +61,7 @@ class Field(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class MessageType(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """One message type, without those that it refers to."""
+    """One message type, without the types of its fields."""
 
     type_name: _Name
     fields: tuple[Field, ...]

@@ -1,4 +1,4 @@
-"""How two sessions differ, in words."""
+"""Differences of two sessions, in words."""
 
 from __future__ import annotations
 
@@ -9,13 +9,22 @@ import msgspec
 from rsb_bridge.config.file_form import LISTS, NOUNS, as_written
 from rsb_bridge.config.yaml_text import inline
 from rsb_bridge.model.session import Topic
+from rsb_bridge.model.wording import Wording
 
 if TYPE_CHECKING:
     from collections.abc import Collection
 
     from rsb_bridge.model.session import Session
 
-RESTART = "restart the bridge's process for that (systemctl restart, or rsb-console stop and start it again)"
+
+class ChangeRefused(Wording):
+    """The reason why a running bridge keeps something of its session."""
+
+    OTHER_SESSION = "{differences}: that is another session; {restart}"
+    FIXED = "{change}: cannot change while the bridge runs; {restart}"
+    RESTART = "restart the bridge's process for that (systemctl restart, or rsb-console stop and start it again)"
+
+
 _OTHER_SESSION = ("name", "role")
 _FIXED = ("server_ip", "server_port", "bluetooth_address", "zenoh", "domain_id", "use_encryption", "profile")
 _FIXED_ON_CLIENT = (*_FIXED, "use_name")
@@ -24,9 +33,11 @@ _COMMAND = "on_fault"
 
 
 def is_another(old: Session, new: Session) -> str:
-    """Why one session cannot become the other at all; empty: it can, as far as single values can."""
+    """Return the reason why a running bridge cannot change to another session, or an empty string."""
     differences = changes(old, new, only=_OTHER_SESSION)
-    return f"{'; '.join(differences)}: that is another session; {RESTART}" if differences else ""
+    if not differences:
+        return ""
+    return ChangeRefused.OTHER_SESSION(differences="; ".join(differences), restart=ChangeRefused.RESTART())
 
 
 def kept(old: Session, new: Session) -> tuple[Session, list[str]]:
@@ -37,7 +48,8 @@ def kept(old: Session, new: Session) -> tuple[Session, list[str]]:
         new: what is wanted.
     """
     fixed = _FIXED_ON_CLIENT if old.role == "client" else _FIXED
-    left = [f"{change}: cannot change while the bridge runs; {RESTART}" for change in changes(old, new, only=fixed)]
+    restart = ChangeRefused.RESTART()
+    left = [ChangeRefused.FIXED(change=change, restart=restart) for change in changes(old, new, only=fixed)]
     return msgspec.structs.replace(new, **{name: getattr(old, name) for name in fixed}), left
 
 
@@ -48,9 +60,9 @@ def changes(
 
     Args:
         old: a session, a topic or a client.
-        new: likewise.
-        only: the fields to look at; empty: all.
-        leave_out: fields not to look at.
+        new: the same with changes.
+        only: the fields to compare, or empty for all.
+        leave_out: fields to ignore.
     """
     if isinstance(old, Topic) and isinstance(new, Topic) and old.kind == new.kind:
         old, new = as_written(old), as_written(new)

@@ -10,6 +10,7 @@ from rsb_bridge.cdr.decoder import Items
 from rsb_bridge.config.yaml_text import YamlError, compose, dump_yaml, scalar
 from rsb_bridge.model.calls import FIELDS_LENGTH, FieldError
 from rsb_bridge.model.text import escape_text, is_clean
+from rsb_bridge.model.wording import Wording
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -34,25 +35,44 @@ _TAGS = frozenset(f"tag:yaml.org,2002:{kind}" for kind in ("null", "bool", "int"
 _NULL = "tag:yaml.org,2002:null"
 
 
+class FieldProblem(Wording):
+    """The reason why a text has no fields of a message."""
+
+    TOO_LONG = "the text is too long: at most {limit} bytes are allowed"
+    ON_LINE = "line {line}: {problem}"
+    TAG = "line {line}: tags (!) are not allowed: write the value without the tag"
+    NOT_A_NAME = "line {line}: the text before the colon is no field's name"
+    TWICE = "line {line}: duplicate key {name}"
+
+
+class FieldNote(Wording):
+    """A part of a message that is not shown."""
+
+    ELEMENTS = "{location}: the first {shown:,} of {total:,} elements"
+    CHARACTERS = "{location}: the first {shown:,} of {total:,} characters"
+    MORE = "and parts of {count:,} more"
+    UNREADABLE = "not read further: {problem}"
+
+
 def read_fields(text: str) -> Fields:
-    """What an operator wrote. Empty, it is no field at all.
+    """Read the fields that an operator wrote. An empty text has no fields.
 
     Raises:
         FieldError: it is no YAML, or too much of it.
     """
     if len(text) > FIELDS_LENGTH or len(text.encode("utf-8", "replace")) > FIELDS_LENGTH:
-        raise FieldError(f"the text is too long: {FIELDS_LENGTH:,} bytes are taken")
+        raise FieldError(FieldProblem.TOO_LONG(limit=f"{FIELDS_LENGTH:,}"))
     try:
         node = compose(text)
     except YamlError as error:
-        where = f"line {error.line}: " if error.line and "\n" in text.strip() else ""
-        raise FieldError(f"{where}{error}") from None
+        has_lines = error.line and "\n" in text.strip()
+        raise FieldError(FieldProblem.ON_LINE(line=error.line, problem=error) if has_lines else str(error)) from None
     return {} if node is None else _fields(node)
 
 
 def _fields(node: yaml.Node) -> Fields:
     if node.tag not in _TAGS:
-        raise FieldError(f"line {node.start_mark.line + 1}: tags (!) are not taken: write the value without")
+        raise FieldError(FieldProblem.TAG(line=node.start_mark.line + 1))
     if isinstance(node, yaml.SequenceNode):
         return [_fields(each) for each in node.value]
     if not isinstance(node, yaml.MappingNode):
@@ -61,15 +81,15 @@ def _fields(node: yaml.Node) -> Fields:
     for key, value in node.value:
         line = key.start_mark.line + 1
         if not isinstance(key, yaml.ScalarNode):
-            raise FieldError(f"line {line}: what stands before the colon is no field's name")
+            raise FieldError(FieldProblem.NOT_A_NAME(line=line))
         if key.value in fields:
-            raise FieldError(f"line {line}: {escape_text(key.value)} stands there twice")
+            raise FieldError(FieldProblem.TWICE(line=line, name=escape_text(key.value)))
         fields[key.value] = _fields(value)
     return fields
 
 
 def write_fields(decoded: Decoded) -> str:
-    """A message as YAML: what is left out, and what could not be read, stands in comments at the end."""
+    """Write a message as YAML. Comments at the end name the parts that are omitted or unreadable."""
     writing = _Writing()
     data = writing.plain(decoded.message, "")
     text = dump_yaml(data, width=_WIDTH)
@@ -79,7 +99,7 @@ def write_fields(decoded: Decoded) -> str:
 
 
 def read_written(text: str) -> Any:
-    """What `write_fields` wrote, as plain data; the comments, which say what is left out, are not in it.
+    """Read the YAML of `write_fields` as plain data, without its comments.
 
     Raises:
         FieldError: it is no YAML.
@@ -102,7 +122,7 @@ def _written(node: yaml.Node) -> Any:
 
 
 class _Writing:
-    """Makes plain data of what was read, and notes what is left out of it."""
+    """Makes plain data of a message, and notes the parts that it omits."""
 
     def __init__(self) -> None:
         self._room = _TEXT_LENGTH
@@ -115,20 +135,21 @@ class _Writing:
             return {name: self.plain(each, before + name) for name, each in value.items() if name != _NOTHING_IN_IT}
         if isinstance(value, Items):
             if len(value.shown) < value.total:
-                self._left_out.append(f"{location}: the first {len(value.shown):,} of {value.total:,} elements")
+                note = FieldNote.ELEMENTS(location=location, shown=len(value.shown), total=value.total)
+                self._left_out.append(note)
             return [self.plain(each, f"{location}[{number}]") for number, each in enumerate(value.shown)]
         if isinstance(value, str):
             kept = value[: self._room]
             self._room -= len(kept)
             if len(kept) < len(value):
-                self._left_out.append(f"{location}: the first {len(kept):,} of {len(value):,} characters")
+                self._left_out.append(FieldNote.CHARACTERS(location=location, shown=len(kept), total=len(value)))
             return kept
         return value
 
     def notes(self, problem: str) -> Iterator[str]:
-        """What is left out, and the problem that a message could not be read further for."""
+        """Yield notes on the omitted parts, and on the problem that ended reading."""
         yield from self._left_out[:_NOTES]
         if (more := len(self._left_out) - _NOTES) > 0:
-            yield f"and parts of {more:,} more"
+            yield FieldNote.MORE(count=more)
         if problem:
-            yield f"not read further: {problem}"
+            yield FieldNote.UNREADABLE(problem=problem)

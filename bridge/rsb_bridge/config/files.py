@@ -11,9 +11,17 @@ from pathlib import Path
 from typing import TYPE_CHECKING, TextIO
 
 from rsb_bridge.model.text import several_lines
+from rsb_bridge.model.wording import Wording
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
+
+
+class FileRefused(Wording):
+    """The reason why a file is not written."""
+
+    NOT_A_FILE = "is {kind}, not a file"
+    LINK_OF_ANOTHER_USER = "is a symbolic link of another user"
 
 
 def typed_path(text: str) -> Path:
@@ -41,7 +49,7 @@ def replace_file(path: Path, content: bytes, *, like: Path | None = None) -> Non
     """Replace a file atomically. If that fails, the old file stays as it was.
 
     Args:
-        path: of the file, which need not exist. A symbolic link is followed, and stays one.
+        path: of the file. It may be new. A symbolic link is followed, and stays one.
         content: the whole file.
         like: a file whose mode, owner and group the new one gets. None: the mode is 0600, owner and group are those of
             the file that is replaced. Both are as far as this user may give them.
@@ -53,7 +61,7 @@ def replace_file(path: Path, content: bytes, *, like: Path | None = None) -> Non
     _check_link(path)
     target = Path(os.path.realpath(path))
     if target.exists() and not target.is_file():
-        raise OSError(errno.EINVAL, f"is {kind_of_file(target.stat().st_mode)}, not a file", str(path))
+        raise OSError(errno.EINVAL, FileRefused.NOT_A_FILE(kind=kind_of_file(target.stat().st_mode)), str(path))
     model = like if like is not None else target
     handle, name = tempfile.mkstemp(prefix=f".{target.name}.", dir=target.parent)  # mkstemp's mode is 0600
     try:
@@ -79,7 +87,7 @@ def _check_link(path: Path) -> None:
     The kernel's own check (proc_sys_fs(5), protected_symlinks) misses files that are put in place by a rename.
     """
     if path.is_symlink() and path.lstat().st_uid not in (0, os.geteuid()):
-        raise OSError(errno.EPERM, "is a symbolic link of another user", str(path))
+        raise OSError(errno.EPERM, FileRefused.LINK_OF_ANOTHER_USER(), str(path))
 
 
 def write_whole(path: Path, text: str) -> None:

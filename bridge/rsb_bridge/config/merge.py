@@ -62,7 +62,7 @@ def merge(text: str, root: yaml.Node, old: Session, new: Session) -> str:
 
 
 def identity(entry: Entry) -> tuple[str, ...]:
-    """What tells an entry from the others of its list: its name, and of what crosses its direction or provider."""
+    """Return the parts that identify an entry in its list: its name, and the direction or provider if it crosses."""
     name, second = entry.__struct_fields__[:2]
     return tuple(getattr(entry, key) for key in (name, second) if key in (name, "direction", "provider"))
 
@@ -92,7 +92,7 @@ class _Merger:
     # --- what changes
 
     def struct(self, node: yaml.Node, old: msgspec.Struct, new: msgspec.Struct) -> None:
-        """Edit a session or an entry of one of its lists."""
+        """Edit a session or a list's entry."""
         assert isinstance(node, yaml.MappingNode)
         pairs = {key.value: (key, value) for key, value in node.value}
         for key, _ in node.value:
@@ -112,7 +112,7 @@ class _Merger:
         self._mapping(node, changes, new.__struct_fields__)
 
     def _nested(self, key: yaml.Node, node: yaml.Node, before: Any, after: Any) -> bool:
-        """Edit inside a value where that is possible; False: the value is to be replaced or removed as a whole."""
+        """Edit inside a value. Return False if the whole value must be replaced or removed instead."""
         if isinstance(node, yaml.SequenceNode) and isinstance(before, tuple):
             if any(
                 isinstance(each, msgspec.Struct) and not isinstance(each, Grant | Armed) for each in (*before, *after)
@@ -146,7 +146,7 @@ class _Merger:
     # --- mappings
 
     def _mapping(self, node: yaml.MappingNode, changes: Mapping[str, Any], order: Sequence[str]) -> None:
-        """Edit a mapping of which at least one key stays.
+        """Edit a mapping that keeps at least one key.
 
         Args:
             node: the mapping.
@@ -263,7 +263,7 @@ class _Merger:
         return [""] * bool(apart) + [indent + line for indent, line in zip(indents, lines, strict=True)]
 
     def _dash(self, node: yaml.SequenceNode, at: int) -> int:
-        """Where the dash of a block list's entry is."""
+        """Return the position of the dash of a block list's entry."""
         line = self._line(node.value[at].start_mark.index)
         column = node.start_mark.column
         while not _BLANKS.sub("", self._text[self._starts[line] : self._ends[line]], count=1).startswith("-"):
@@ -357,7 +357,7 @@ class _Merger:
         return self._ends[self._line(at)]
 
     def _end(self, node: yaml.Node) -> int:
-        """Where a node's own text ends; PyYAML has a block's end where the next token begins."""
+        """Return the end of a node's own text. PyYAML's end of a block is where the next token begins."""
         if isinstance(node, yaml.CollectionNode) and not node.flow_style and node.value:
             last = node.value[-1]
             return self._end(last[1] if isinstance(last, tuple) else last)

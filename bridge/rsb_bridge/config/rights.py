@@ -24,6 +24,7 @@ from rsb_bridge.model.names import client_topic
 from rsb_bridge.model.patterns import Pattern, is_pattern
 from rsb_bridge.model.session import Grant, May, Problem
 from rsb_bridge.model.text import is_clean, join_first
+from rsb_bridge.model.wording import Wording
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Hashable, Iterator, Mapping, Sequence, Set
@@ -34,7 +35,7 @@ if TYPE_CHECKING:
 
 TOPIC_USES: Final[tuple[May, May]] = ("publish", "read")
 CALL_USES: Final[tuple[May, May]] = ("call", "serve")
-"""What a peer may do here that sends messages or requests, and that takes them."""
+"""The two rights of a peer: to send messages or requests here, and to take them."""
 _MOST_LEAVE = 1e6
 _ENTRY = re.compile(r"\{[^{}]*\}?|[^\s,{]+")
 """A mapping, or a word: entries have blanks or commas between them."""
@@ -44,7 +45,7 @@ _LISTED_AS: dict[May, tuple[Direction, str]] = {
     "call": ("receive", "provider: client"),
     "serve": ("transmit", "provider: server"),
 }
-"""How a client lists what it has the server do."""
+"""The direction of a client's entry for each right of the server, and its text in a session file."""
 _OF_PARAMETERS = {lane.suffix for lane in LANES["parameters"] if lane.suffix}
 MOVES_A_ROBOT = {
     "/cmd_vel": ("/cmd_vel",),
@@ -52,7 +53,7 @@ MOVES_A_ROBOT = {
     "/tf": ("/tf",),
     "/clock": ("/clock",),
 }
-"""Patterns of topics by which a robot moves, or thinks that it does, each with names that it stands for."""
+"""Patterns of topics by which a robot moves, or believes that it moves, each with examples of names."""
 ONLY_READ = frozenset(
     {"describe_parameters", "get_parameter_types", "get_parameters", "list_parameters"}  # rcl_interfaces
     | {"get_available_states", "get_available_transitions", "get_state", "get_transition_graph"}  # lifecycle_msgs
@@ -60,19 +61,85 @@ ONLY_READ = frozenset(
 )
 """The last parts of the names of ROS's own services that change nothing.
 
-What any other service does cannot be told from its name or its type: ``std_srvs/srv/Trigger`` may dock a robot. So all
-others count as changing it, and every action and every node's parameters, which can be set, do.
+Neither name nor type tells the effect of any other service: ``std_srvs/srv/Trigger`` may dock a robot. So all others
+count as changing it, as do all actions and all nodes' parameters, because these can be set.
 """
 _NOTHING = "nothing"
+EVERY_CALL = "any service, action and parameter"
+"""Entry of `Listing.acts`, if nothing limits the peer's calls."""
 _KINDS: dict[Kind, str] = {"action": " (action)", "parameters": " (parameters)"}
 
 
+class RightsMistake(Wording):
+    """A mistake in an entry of `allow` or `deny`, or in the limits of a benchmark."""
+
+    TYPED = "{entry}: {problem}"
+    NO_PROTOCOLS = "the list is empty: leave protocol out, or name one"
+    RATE_OF_DENIED = "belongs under allow: what is denied has no rate"
+    NO_PATTERN = "missing: give a pattern as topics, or as services"
+    BOTH = "topics and services are in one entry: make an entry for each"
+    UNRELIABLE = "{protocol} carries no calls: leave it out"
+    OTHER_USE = "{may} is for {others}: a {noun} takes {uses}, or leave may out for both"
+    NO_MATCH = "{pattern} matches no {noun}: a pattern begins with / or * (/robot1/*)"
+    SLASHES = "{pattern} matches no {noun}: names have one / before each part, and none at the end"
+    LIMIT = "{value} is out of range: above 0, at most {limit}"
+
+
+class OperatorMistake(Wording):
+    """A mistake in a session's operators."""
+
+    TOO_MANY = "{count} are too many: at most {limit}"
+    TWICE = "{name} is the name of operator number {number} already"
+    KEY_FILE_INVALID = "{file} is not a file name: give the file of the operator's key"
+    NAME_UNPRINTABLE = "{name} is not a name: give printable characters"
+    NAME_TOO_LONG = "has {length} bytes in UTF-8; at most {limit}"
+    SHARED_KEY = (
+        "operator {name} has the key of {other}, and whoever has it could take either's place: make a key of its own "
+        "with `rsb-console keygen`"
+    )
+
+
+class OperatorChange(Wording):
+    """The effect of a changed session on its operators."""
+
+    REMOVED = "operator {name}: removed, and detached"
+    ADDED = "operator {name}: added, {right}"
+    CHANGED = "operator {name}: {before} → {after}; detached, and attaches again"
+
+
+class Place(Wording):
+    """The part of a session file that has a peer's `allow` and `deny`."""
+
+    ON_SERVER = "of client {client} in the session file of {server}"
+    ON_CLIENT = "in the session file of {client}"
+
+
+class DeniedText(Wording):
+    """The reason why a peer may not use a topic or a service."""
+
+    DENIED = "{owner} denies {use} to {peer}"
+    OTHER_PROTOCOL = "{owner} allows {use} to {peer} over {protocols} only"
+    NOT_ALLOWED = "{owner} does not let {peer} {may} {use}"
+    NO_BENCHMARK = "{owner} does not let {peer} measure this link"
+
+
+class DeniedRemedy(Wording):
+    """The change of a session file that would allow it."""
+
+    CHANGE_DENY = "deny {place} has {entry}"
+    CHANGE_ALLOW = "allow {place} has {entry}"
+    ADD_BENCH = "add bench: {{}} {place}"
+    ADD_ALLOW = "add {entry} to allow {place}"
+    LIST = "list it under {list} {place}, with {direction}"
+    LIST_OR_ALLOW = "list it under {list} {place}, with {direction}, or add {entry} to allow there"
+
+
 class GrantError(ValueError):
-    """What was typed is no entry of `allow` or `deny`; the message says why."""
+    """An operator's text is no entry of `allow` or `deny`."""
 
 
 def protocols_of(grant: Grant) -> tuple[str, ...]:
-    """What may carry the topics of an entry; empty: anything."""
+    """Return the transports that an entry permits, or none if it permits all."""
     return grant.protocol if isinstance(grant.protocol, tuple) else (grant.protocol,) if grant.protocol else ()
 
 
@@ -92,7 +159,7 @@ def _typed(entry: str) -> str | Grant:
     try:
         data = read_yaml(entry, Path()).data
     except SessionError as error:
-        raise GrantError(f"{show(entry)}: {error.problems[0].message}") from None
+        raise GrantError(RightsMistake.TYPED(entry=show(entry), problem=error.problems[0].message)) from None
     grant = read(data, Grant, problems)
     if problems:
         raise GrantError("; ".join(map(str, problems)))
@@ -105,7 +172,7 @@ def allowing(entry: str | Grant) -> Grant:
 
 
 def denying(entry: str | Grant) -> Grant:
-    """An entry of `deny`; a pattern alone is about whatever has such a name."""
+    """An entry of `deny`; a pattern alone is about topics, services, actions and parameters."""
     return Grant(entry, entry) if isinstance(entry, str) else entry
 
 
@@ -119,19 +186,19 @@ def grant_problems(holder: Client | Session, location: str) -> Iterator[Problem]
                 continue
             yield from _subject_problems(grant, here)
             if grant.protocol == ():
-                yield Problem(join(here, "protocol"), "the list is empty: leave protocol out, or name one")
+                yield Problem(join(here, "protocol"), RightsMistake.NO_PROTOCOLS())
             if key == "deny" and grant.max_rate is not None:
-                yield Problem(join(here, "max_rate"), "belongs under allow: what is denied has no rate")
+                yield Problem(join(here, "max_rate"), RightsMistake.RATE_OF_DENIED())
             yield from rate_problems(grant.max_rate, join(here, "max_rate"))
 
 
 def _subject_problems(grant: Grant, here: str) -> Iterator[Problem]:
     """Mistakes in what an entry is about, and in what may be done with that."""
     if grant.topics is None and grant.services is None:
-        yield Problem(join(here, "topics"), "missing: give a pattern as topics, or as services")
+        yield Problem(join(here, "topics"), RightsMistake.NO_PATTERN())
         return
     if grant.topics is not None and grant.services is not None:
-        yield Problem(join(here, "services"), "has topics beside it: make an entry of each")
+        yield Problem(join(here, "services"), RightsMistake.BOTH())
         return
     if grant.topics is not None:
         noun, uses, others = "topic", TOPIC_USES, "services"
@@ -141,18 +208,17 @@ def _subject_problems(grant: Grant, here: str) -> Iterator[Problem]:
         yield from _pattern_problems(grant.services or "", noun, join(here, "services"))
         for protocol in protocols_of(grant):
             if not transports.named(protocol).reliable:
-                yield Problem(join(here, "protocol"), f"{protocol} carries no calls: leave it out")
+                yield Problem(join(here, "protocol"), RightsMistake.UNRELIABLE(protocol=protocol))
     if grant.may is not None and grant.may not in uses:
-        message = f"{grant.may} is for {others}: a {noun} takes {' or '.join(uses)}, or leave may out for both"
+        message = RightsMistake.OTHER_USE(may=grant.may, others=others, noun=noun, uses=" or ".join(uses))
         yield Problem(join(here, "may"), message)
 
 
 def _pattern_problems(pattern: str, noun: str, location: str) -> Iterator[Problem]:
     if not (pattern.startswith(("/", "*")) and pattern.isprintable()):
-        yield Problem(location, f"{show(pattern)} matches no {noun}: a pattern begins with / or * (/robot1/*)")
+        yield Problem(location, RightsMistake.NO_MATCH(pattern=show(pattern), noun=noun))
     elif pattern.endswith("/") or "//" in pattern:
-        message = f"{show(pattern)} matches no {noun}: names have one / before each part, and none at the end"
-        yield Problem(location, message)
+        yield Problem(location, RightsMistake.SLASHES(pattern=show(pattern), noun=noun))
 
 
 def leave_problems(leave: Leave | None, location: str) -> Iterator[Problem]:
@@ -162,18 +228,17 @@ def leave_problems(leave: Leave | None, location: str) -> Iterator[Problem]:
     yield from rate_problems(leave.max_rate, join(location, "max_rate"))
     for key, value in (("seconds", leave.seconds), ("megabytes", leave.megabytes)):
         if not 0 < value <= _MOST_LEAVE:
-            yield Problem(join(location, key), f"{value:g} is out of range: above 0, at most {_MOST_LEAVE:g}")
+            yield Problem(join(location, key), RightsMistake.LIMIT(value=f"{value:g}", limit=f"{_MOST_LEAVE:g}"))
 
 
 class Use(NamedTuple):
-    """What a peer wants to do with a topic, a service, an action or a node's parameters.
+    """A peer's use of a topic, a service, an action or a node's parameters.
 
     Attributes:
         topic: its name on this side.
-        may: publish it here or read it here; of what is not a topic, call what this side's nodes provide, or serve:
-            provide what is offered to them.
-        protocol: what carries it; empty: that is not known yet.
-        kind: what it is.
+        may: ``publish`` or ``read`` a topic here; ``call`` a service of this side's nodes, or ``serve`` one to them.
+        protocol: the transport, or an empty string if it is not known yet.
+        kind: topic, service, action or parameters.
     """
 
     topic: str
@@ -187,16 +252,16 @@ class Use(NamedTuple):
 
 
 def uses(kind: Kind) -> tuple[May, May]:
-    """What a peer may do with a kind: where it sends the messages or requests, and where it takes them."""
+    """Return the two rights for a kind: to send messages or requests here, and to take them."""
     return TOPIC_USES if kind == "topic" else CALL_USES
 
 
 class Refusal(NamedTuple):
-    """Why a peer may not do something.
+    """A denied use.
 
     Attributes:
-        reason: what this side says to it.
-        remedy: what in which session file would allow it.
+        reason: the text for the peer.
+        remedy: the change of a session file that would allow it.
     """
 
     reason: str
@@ -208,18 +273,18 @@ class Refusal(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Rights:
-    """What one peer may do here.
+    """The rights of one peer on this side.
 
     Attributes:
-        peer: who: the client's name; on a client: ``the server``.
-        owner: who says so: ``the server``, or the client's name.
-        place: where `allow` and `deny` are: ``under client robot1 in pc's session file``.
-        allow: what it may do; empty: everything, or on a client what `listed` says.
-        deny: what it may not do all the same.
+        peer: the client's name; on a client ``the server``.
+        owner: the side with the session file: ``the server``, or the client's name.
+        place: the part of the session file that has `allow` and `deny`: ``of client robot1 in the session file of pc``.
+        allow: the uses that it permits. If empty, all are permitted; on a client, those of `listed`.
+        deny: the uses that it forbids. It is stronger than `allow`.
         prefix: a client's name, which the names of its topics may have before them here.
         listed: on a client, the identities of its own topics (`Topic.identity`), which say what the server may publish,
             call and serve.
-        bench: whether it may measure the link, and what it may cause by that.
+        bench: the limits within which the peer may measure the link, or None if it may not.
     """
 
     peer: str
@@ -232,37 +297,41 @@ class Rights:
     bench: Leave | None = None
 
     def refusal(self, use: Use) -> Refusal | None:
-        """Why the peer may not do something; None: it may."""
+        """Return the reason why the peer may not do something, or None if it may."""
         if is_bench_topic(use.topic):
             return None if self.bench is not None and use.kind == "topic" else self._no_leave()
         for grant in self._about(self.deny, use, also=_meant_by(use)):
             if not grant.protocol or use.protocol in protocols_of(grant):
-                return Refusal(f"{self.owner} denies {use} to {self.peer}", f"deny {self.place} has {_text(grant)}")
+                return Refusal(
+                    DeniedText.DENIED(owner=self.owner, use=use, peer=self.peer),
+                    DeniedRemedy.CHANGE_DENY(place=self.place, entry=_text(grant)),
+                )
         allowing = self._about(self.allow, use)
         for grant in allowing:
             if grant.protocol and use.protocol and use.protocol not in protocols_of(grant):
                 only = join_first(protocols_of(grant), _NAMED)
-                reason = f"{self.owner} allows {use} to {self.peer} over {only} only"
-                return Refusal(reason, f"allow {self.place} has {_text(grant)}")
+                reason = DeniedText.OTHER_PROTOCOL(owner=self.owner, use=use, peer=self.peer, protocols=only)
+                return Refusal(reason, DeniedRemedy.CHANGE_ALLOW(place=self.place, entry=_text(grant)))
         if allowing or self._by_default(use):
             return None
-        return Refusal(f"{self.owner} does not let {self.peer} {use.may} {use}", self._remedy(use))
+        reason = DeniedText.NOT_ALLOWED(owner=self.owner, peer=self.peer, may=use.may, use=use)
+        return Refusal(reason, self._remedy(use))
 
     def _no_leave(self) -> Refusal:
-        reason = f"{self.owner} does not let {self.peer} measure this link"
+        reason = DeniedText.NO_BENCHMARK(owner=self.owner, peer=self.peer)
         where = f"to {self.place.removeprefix('of ')}" if self.place.startswith("of ") else self.place
-        return Refusal(reason, f"add bench: {{}} {where}")
+        return Refusal(reason, DeniedRemedy.ADD_BENCH(place=where))
 
     def max_rate(self, use: Use) -> float:
-        """The most messages or calls a second that may cross, whoever asked for them; 0: there is no limit."""
+        """Return the limit of messages or calls in Hz, or 0 for none. Requests of either side share it."""
         return min((grant.max_rate for grant in self._about(self.allow, use) if grant.max_rate), default=0.0)
 
     def shows(self, topic: str, kind: Kind = "topic") -> bool:
-        """Whether the peer may know of a topic or of what else there is: it may do something with it."""
+        """Whether the peer may know of a name: it has at least one right to use it."""
         return any(self.refusal(Use(topic, may, kind=kind)) is None for may in uses(kind))
 
     def _by_default(self, use: Use) -> bool:
-        """Whether the peer may do what no entry of `allow` is about."""
+        """Whether the peer may do something that no entry of `allow` mentions."""
         if self.listed is not None and use.may != "read":
             return (use.kind, use.topic, _LISTED_AS[use.may][0]) in self.listed
         return not self.allow
@@ -270,12 +339,12 @@ class Rights:
     def _remedy(self, use: Use) -> str:
         entry = f"{{{'topics' if use.kind == 'topic' else 'services'}: {use.topic}, may: {use.may}}}"
         if self.listed is None or use.may == "read":
-            return f"add {entry} to allow {self.place}"
-        listing = f"list it under {LISTS[use.kind]} {self.place}, with {_LISTED_AS[use.may][1]}"
-        return f"{listing}, or add {entry} to allow there" if self.allow else listing
+            return DeniedRemedy.ADD_ALLOW(entry=entry, place=self.place)
+        remedy = DeniedRemedy.LIST_OR_ALLOW if self.allow else DeniedRemedy.LIST
+        return remedy(list=LISTS[use.kind], place=self.place, direction=_LISTED_AS[use.may][1], entry=entry)
 
     def _about(self, grants: Sequence[Grant], use: Use, also: Sequence[str] = ()) -> list[Grant]:
-        """The entries that say something about such a use, by its name or by other names."""
+        """Return the entries that apply to a use, by its name or by other names."""
         own = (use.topic, *also)
         names = {*own, *(client_topic(name, self.prefix) or name for name in own if self.prefix)}
         return [
@@ -288,11 +357,11 @@ class Rights:
 
 
 def rights_of_client(client: Client, server: str) -> Rights:
-    """What a client may do on the server of that name."""
+    """Return the rights of a client on the server of that name."""
     return Rights(
         client.name,
         "the server",
-        f"of client {client.name} in the session file of {server}",
+        Place.ON_SERVER(client=client.name, server=server),
         tuple(map(allowing, client.allow)),
         tuple(map(denying, client.deny)),
         prefix=client.name,
@@ -301,18 +370,18 @@ def rights_of_client(client: Client, server: str) -> Rights:
 
 
 def rights_of_server(session: Session, listed: Set[Identity] | None = None) -> Rights:
-    """What the server may do on a client.
+    """Return the rights of the server on a client.
 
     Args:
         session: the client's.
-        listed: the identities of the client's topics as operators have left them; None: as the session says.
+        listed: the identities of the client's topics at present, or None for the topics in its session.
     """
     if listed is None:
         listed = {topic.identity for topic in session.topics}
     return Rights(
         "the server",
         session.name,
-        f"in the session file of {session.name}",
+        Place.ON_CLIENT(client=session.name),
         tuple(map(allowing, session.allow)),
         tuple(map(denying, session.deny)),
         listed=listed,
@@ -328,20 +397,20 @@ class _Everything(frozenset["Identity"]):
 
 
 def as_if_listed(rights: Rights) -> Rights:
-    """What a peer may do with what this side's session lists, whatever that is."""
+    """Return the rights as if this side's session listed every topic."""
     return rights if rights.listed is None else replace(rights, listed=_Everything())
 
 
 def listed_as(may: May) -> Direction:
-    """The direction of what a client lists, and by that has the server do."""
+    """Return the direction of a client's entry that gives the server a right."""
     return _LISTED_AS[may][0]
 
 
 def _meant_by(use: Use) -> list[str]:
     """The other names by which an entry of `deny` means what is used.
 
-    Who denies one service of an action or of a node's parameters denies what would bridge it with the others, and who
-    denies a node's parameters denies each service of them.
+    An entry that denies one service of an action or of a node's parameters denies all of them, because they are bridged
+    together. An entry that denies a node's parameters denies each service of them.
     """
     if use.kind == "service":
         node, _, last = use.topic.rpartition("/")
@@ -358,15 +427,15 @@ def _text(grant: Grant) -> str:
 
 
 class Row(NamedTuple):
-    """What one peer may do with some topics or services.
+    """The rights of one peer to some topics or services.
 
     Attributes:
-        peer: the client's name; on a client: ``the server``.
+        peer: the client's name; on a client ``the server``.
         may: ``publish``, ``read`` or both; of services, actions and parameters ``call``, ``serve`` or both.
-        topics: which, of this side's domain.
-        transports: what may carry them.
-        rate: the most messages or calls.
-        ports: which ports of their own they may have here; empty: none are bound on this side.
+        topics: patterns of names in this side's domain.
+        transports: the permitted transports.
+        rate: the limit of messages or calls.
+        ports: the ports that they may have here, or an empty string if this side binds none.
     """
 
     peer: str
@@ -378,13 +447,13 @@ class Row(NamedTuple):
 
 
 class Listing(NamedTuple):
-    """What one peer may do here.
+    """All rights of one peer on this side.
 
     Attributes:
         peer: as in `Row`.
         rows: of the table.
         moves: the patterns of `MOVES_A_ROBOT` that it may publish.
-        acts: what it may call, in words, but for `ONLY_READ`.
+        acts: the names that it may call, without those of `ONLY_READ`.
     """
 
     peer: str
@@ -394,7 +463,7 @@ class Listing(NamedTuple):
 
 
 def listings(session: Session) -> Iterator[Listing]:
-    """What each peer of a session may do on this side."""
+    """Yield the rights of each peer of a session on this side."""
     link = transports.of_link(session.server_ip)
     carried = (link.name, *link.companions, *(("bluetooth",) if session.bluetooth_address else ()))
     if session.role == "client":
@@ -417,7 +486,7 @@ def _listing(rights: Rights, carried: Sequence[str], within: str, ports: str) ->
 def _rows(
     rights: Rights, uses: tuple[May, May], carried: Sequence[str], within: str, ports: str
 ) -> Iterator[Row]:  # fmt: skip
-    """What a peer may do with topics, or with what is called: one row where it may do both things with the same."""
+    """Yield the rows of topics or of calls: one row for both rights if they have the same names."""
     first, second = ([*_allowed(rights, may, carried, within)] for may in uses)
     found = {", ".join(uses): first} if first == second else {uses[0]: first, uses[1]: second}
     for may, allowed in found.items():
@@ -426,7 +495,7 @@ def _rows(
 
 
 def _allowed(rights: Rights, may: May, carried: Sequence[str], within: str) -> Iterator[tuple[str, str, str]]:
-    """The topics, transports and rates that a peer may publish or read, or likewise of what is called."""
+    """Yield names, transports and rates for one right."""
     groups: dict[tuple[str, str], list[str]] = {}
     anything = (", ".join(carried), "any")
     if rights.listed is not None and may != "read":
@@ -448,7 +517,7 @@ def _allowed(rights: Rights, may: May, carried: Sequence[str], within: str) -> I
 
 
 def _about(grants: Sequence[Grant], may: May) -> Iterator[tuple[Grant, str]]:
-    """The entries that say something about such a use, each with its pattern."""
+    """Yield the entries that apply to a right, each with its pattern."""
     for grant in grants:
         pattern = grant.topics if may in TOPIC_USES else grant.services
         if pattern is not None and grant.may in (None, may):
@@ -456,7 +525,7 @@ def _about(grants: Sequence[Grant], may: May) -> Iterator[tuple[Grant, str]]:
 
 
 def _listed(rights: Rights, may: May) -> Iterator[str]:
-    """What a client lists, and by that has the server do."""
+    """Yield the names for which a client's entries give the server a right."""
     for kind, name, direction in rights.listed or ():
         if (kind == "topic") == (may in TOPIC_USES) and direction == listed_as(may):
             yield f"{name}{_KINDS.get(kind, '')}"
@@ -477,9 +546,9 @@ def _moves(rights: Rights, carried: Sequence[str]) -> Iterator[str]:
 
 
 def _acts(rights: Rights, carried: Sequence[str]) -> Iterator[str]:
-    """What a peer may call that may change something, as it is allowed."""
+    """Yield the names and patterns of calls that may change something and that a peer may make."""
     if rights.listed is None and not rights.allow and _may(rights, Use("/any", "call", kind="service"), carried):
-        yield "any service, action and parameter"
+        yield EVERY_CALL
     for kind, name, direction in sorted(rights.listed or (), key=itemgetter(1)):
         use = Use(name, "call", kind=kind)
         if kind != "topic" and direction == listed_as("call") and _changes(kind, name) and _may(rights, use, carried):
@@ -508,11 +577,11 @@ def _ports(session: Session) -> str:
 
 @dataclass(frozen=True, slots=True)
 class Granted:
-    """What an operator may do, and what they prove themselves with.
+    """An operator and their key.
 
     Attributes:
-        operator: as the session has them.
-        key: what is in their key file.
+        operator: the session's entry.
+        key: the contents of their key file.
     """
 
     operator: Operator
@@ -523,9 +592,9 @@ class Granted:
 
 
 def operator_problems(session: Session) -> Iterator[Problem]:
-    """All mistakes in a session's operators, as far as can be told without reading their keys."""
+    """All mistakes in a session's operators, without those in their keys."""
     if len(session.operators) > OPERATORS:
-        yield Problem("operators", f"{len(session.operators)} are too many: at most {OPERATORS}")
+        yield Problem("operators", OperatorMistake.TOO_MANY(count=len(session.operators), limit=OPERATORS))
     firsts: dict[str, int] = {}
     for at, operator in enumerate(session.operators):
         location = join("operators", at)
@@ -533,27 +602,26 @@ def operator_problems(session: Session) -> Iterator[Problem]:
         if problem := operator_name_problem(name):
             yield Problem(join(location, "name"), problem)
         elif (first := firsts.setdefault(name, at)) != at:
-            text = f"{show(name)} is the name of operator number {first + 1} already"
+            text = OperatorMistake.TWICE(name=show(name), number=first + 1)
             yield Problem(join(location, "name"), text)
         if not (file.strip() and file.isprintable()):
-            text = f"{show(file)} is not a file name: give the file of the operator's key"
-            yield Problem(join(location, "key_file"), text)
+            yield Problem(join(location, "key_file"), OperatorMistake.KEY_FILE_INVALID(file=show(file)))
 
 
 def operator_name_problem(name: str) -> str:
-    """Why no operator can be called so; empty: one can."""
+    """Return the mistake in an operator's name, or an empty string."""
     if not name.strip() or not (name.isprintable() and is_clean(name)):
-        return f"{show(name)} is not a name: give printable characters"
+        return OperatorMistake.NAME_UNPRINTABLE(name=show(name))
     if len(name.encode()) > NAME_BYTES:
-        return f"has {len(name.encode())} bytes in UTF-8; at most {NAME_BYTES}"
+        return OperatorMistake.NAME_TOO_LONG(length=len(name.encode()), limit=NAME_BYTES)
     return ""
 
 
 def granted_operators(session: Session, base: Path, keys: Mapping[str, tuple[Key, ...]]) -> dict[str, Granted]:
-    """What the operators of a session may do, by their names.
+    """Read the keys of a session's operators.
 
     Args:
-        session: whose.
+        session: the operators' session.
         base: the folder that its key files are relative to.
         keys: of its links, by the clients' names.
 
@@ -567,30 +635,27 @@ def granted_operators(session: Session, base: Path, keys: Mapping[str, tuple[Key
 
 
 def operator_key_problem(own: Mapping[str, Hashable], of_links: Mapping[str, Collection[Hashable]]) -> str:
-    """Why operators must not have these keys, and what to do; empty: they may.
+    """Return the problem and the remedy if an operator shares a key with another or with a link, or an empty string.
 
     Args:
-        own: what is the same for two operators if their keys are, by their names.
-        of_links: likewise for each key that is valid on a link, by the clients' names.
+        own: each operator's key, or its fingerprint, by name.
+        of_links: the keys that are valid on each link, or their fingerprints, by the client's name.
     """
     owners = {key: f"the link of {name}" for name, valid in of_links.items() for key in valid}
     for name, key in own.items():
         if other := owners.get(key):
-            return (
-                f"operator {name} has the key of {other}, and whoever has it could take either's place: "
-                f"make a key of its own with `rsb-console keygen`"
-            )
+            return OperatorMistake.SHARED_KEY(name=name, other=other)
         owners[key] = f"operator {name}"
     return ""
 
 
 def operator_changes(old: Mapping[str, Granted], new: Mapping[str, Granted]) -> list[str]:
-    """How the operators differ, in words: who is detached by that."""
-    texts = [f"operator {name}: removed, and detached" for name in old if name not in new]
+    """Describe the changes of operators, and name detached operators."""
+    texts = [OperatorChange.REMOVED(name=name) for name in old if name not in new]
     for name, granted in new.items():
         before = old.get(name)
         if before is None:
-            texts.append(f"operator {name}: added, {granted}")
+            texts.append(OperatorChange.ADDED(name=name, right=granted))
         elif before != granted:
-            texts.append(f"operator {name}: {before} → {granted}; detached, and attaches again")
+            texts.append(OperatorChange.CHANGED(name=name, before=before, after=granted))
     return texts

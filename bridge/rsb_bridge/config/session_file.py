@@ -19,8 +19,20 @@ from rsb_bridge.config.yaml_text import SessionError, dump_yaml, read_text, read
 from rsb_bridge.model.demands import SourceKey, sources_of_names
 from rsb_bridge.model.session import Problem, Session, Topic
 from rsb_bridge.model.shortage import why_not_written
+from rsb_bridge.model.wording import Wording
 
 __all__ = ["Problem", "SessionError", "dump", "load", "parse", "save", "validate", "validate_topic"]
+
+
+class SavingProblem(Wording):
+    """The reason why a session file cannot be read as such, or be saved."""
+
+    CHANGED = "was changed on disk after it was opened: open it again, or save under another name"
+    THESIS = "this is a configuration of ros2_socket_bridge: convert it with `rsb-console import {path} --name NAME`"
+    NOT_WRITTEN = "cannot be written: {problem}"
+    READ_ONLY = "it is read-only (`chmod u+w {path}` lets it be saved)"
+    WOULD_DIFFER = "not saved: the file would not load again as this session"
+    LAYOUT = "its layout cannot be edited in place: save under another name, or have it written anew"
 
 
 class ChangedOnDiskError(SessionError):
@@ -28,11 +40,11 @@ class ChangedOnDiskError(SessionError):
 
 
 class UnwritableError(SessionError):
-    """The file cannot be written, whatever it is to say."""
+    """The file cannot be written, for a reason outside of its contents."""
 
 
 class UneditableError(SessionError):
-    """A change cannot be put into the text of a file; the file can only be written anew, without its comments."""
+    """A change cannot be put into the text of a file; the file can only be replaced, without its comments."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,7 +54,7 @@ class SessionFile:
     Attributes:
         path: of the file.
         text: all of it.
-        session: what it says.
+        session: its contents.
     """
 
     path: Path
@@ -61,8 +73,7 @@ class SessionFile:
             SessionError: it cannot be read.
         """
         if self.path.exists() and read_text(self.path) != self.text:
-            message = "was changed on disk after it was opened: open it again, or save under another name"
-            raise ChangedOnDiskError(self.path, [Problem("", message)])
+            raise ChangedOnDiskError(self.path, [Problem("", SavingProblem.CHANGED())])
 
 
 def load(path: Path) -> Session:
@@ -75,7 +86,7 @@ def load(path: Path) -> Session:
 
 
 def load_file(path: Path) -> SessionFile:
-    """As `load`; what comes back can be saved with changes."""
+    """Do as `load`, and keep the text, so that the session can be saved with changes."""
     text = read_text(path)
     return SessionFile(path, text, parse(text, path))
 
@@ -85,17 +96,14 @@ def parse(text: str, path: Path) -> Session:
 
     Args:
         text: YAML.
-        path: where it is from, for the messages.
+        path: of the file, for the messages.
 
     Raises:
         SessionError: it has mistakes.
     """
     document = read_yaml(text, path)
     if bridge_nodes(document.data):
-        message = (
-            f"this is a configuration of ros2_socket_bridge: convert it with `rsb-console import {path} --name NAME`"
-        )
-        raise SessionError(path, [Problem("", message)])
+        raise SessionError(path, [Problem("", SavingProblem.THESIS(path=path))])
     session, problems = build(document.data)
     if document.problems or problems:
         in_text = [placed(problem, document.data) for problem in document.problems]
@@ -161,8 +169,8 @@ def _sorted(topics: tuple[Topic, ...]) -> tuple[Topic, ...]:
 def save(session: Session, path: Path, opened: SessionFile | None = None) -> SessionFile:
     """Write a session file: whole, or not at all.
 
-    A file that is replaced keeps its mode, owner and group, and what it said is kept beside it (`backup_path`). A new
-    one has mode 0600.
+    A file that is replaced keeps its mode, owner and group, and its previous contents are kept in `backup_path`. A new
+    file has mode 0600.
 
     Args:
         session: what the file is to say.
@@ -186,18 +194,19 @@ def save(session: Session, path: Path, opened: SessionFile | None = None) -> Ses
             replace_file(backup_path(path), path.read_bytes(), like=path)
         replace_file(path, text.encode(), like=path)
     except OSError as error:
-        raise UnwritableError(path, [Problem("", f"cannot be written: {why_not_written(error, path)}")]) from None
+        message = SavingProblem.NOT_WRITTEN(problem=why_not_written(error, path))
+        raise UnwritableError(path, [Problem("", message)]) from None
     return SessionFile(path, text, session)
 
 
 def edited_text(session: Session, path: Path, opened: SessionFile | None = None) -> str:
-    """What `save` writes.
+    """Return the text that `save` writes.
 
     Args:
         session: what the file is to say.
         path: of the file.
-        opened: the file that the session came from. What did not change since stays as it is there: comments, order and
-            layout. None: the file is written anew.
+        opened: the file that the session came from, or None for a new text. Comments, order, layout and all values that
+            did not change are kept.
 
     Raises:
         UneditableError: the changes cannot be put into the opened file's text.
@@ -210,12 +219,12 @@ def edited_text(session: Session, path: Path, opened: SessionFile | None = None)
         return _merged(opened, session)
     text = dump(session)
     if not _says(text, session, path):
-        raise SessionError(path, [Problem("", "not saved: the file would not load again as this session")])
+        raise SessionError(path, [Problem("", SavingProblem.WOULD_DIFFER())])
     return text
 
 
 def backup_path(path: Path) -> Path:
-    """Where the previous content of a session file is kept: beside it, with a ``~`` behind its name."""
+    """Return the path of the previous contents of a session file: the same name with a ``~`` at the end."""
     target = Path(os.path.realpath(path))
     return target.with_name(f"{target.name}~")
 
@@ -223,7 +232,7 @@ def backup_path(path: Path) -> Path:
 def _check_writable(path: Path) -> None:
     """Raise an OSError for a file without any right to write: its folder's rights would let it be replaced."""
     if path.is_file() and not stat.S_IMODE(path.stat().st_mode) & (stat.S_IWUSR | stat.S_IWGRP | stat.S_IWOTH):
-        raise PermissionError(errno.EACCES, f"it is read-only (`chmod u+w {path}` lets it be saved)")
+        raise PermissionError(errno.EACCES, SavingProblem.READ_ONLY(path=path))
 
 
 def _says(text: str, session: Session, path: Path) -> bool:
@@ -241,6 +250,5 @@ def _merged(opened: SessionFile, session: Session) -> str:
     except LayoutError:
         text = ""
     if not _says(text, session, opened.path):
-        message = "its layout cannot be edited in place: save under another name, or have it written anew"
-        raise UneditableError(opened.path, [Problem("", message)])
+        raise UneditableError(opened.path, [Problem("", SavingProblem.LAYOUT())])
     return text

@@ -47,12 +47,12 @@ def well_formed(name: str) -> str:
 
 
 def server_topic(topic: str, client: str) -> str:
-    """What the server calls a client's topic where `use_name` is set: ``/scan`` is ``/robot1/scan``."""
+    """Return the name on the server of a client's topic if `use_name` is set: ``/robot1/scan`` for ``/scan``."""
     return f"/{client}{topic}"
 
 
 def client_topic(topic: str, client: str) -> str | None:
-    """The inverse of `server_topic`; None where the topic has no such prefix."""
+    """Return the inverse of `server_topic`, or None if the topic has no such prefix."""
     prefix = f"/{client}"
     return topic.removeprefix(prefix) if topic.startswith(f"{prefix}/") else None
 
@@ -103,7 +103,7 @@ _TYPE_NAME = re.compile(r"([a-z][a-z0-9_]*)/(msg|srv|action)/([A-Za-z][A-Za-z0-9
 
 
 class TypeNameProblem(Wording):
-    """Why a text names no type of messages."""
+    """A mistake in the name of a type of messages."""
 
     INVALID = "{name!r} is not a message type: write it as package/msg/Name"
     SHORT_NAME_UNKNOWN = "{name!r} is not a known short type name: write it as package/msg/Name"

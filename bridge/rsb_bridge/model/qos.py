@@ -64,7 +64,7 @@ _MOST_AUTO_BYTES = 32 << 20
 
 
 class QosProblem(Wording):
-    """Why a value is no QoS."""
+    """A mistake in a QoS."""
 
     UNKNOWN_NAME = "{value!r} is not one of {names}"
     UNKNOWN_PROFILE = "profile: {value!r} is not one of {names}"
@@ -92,7 +92,7 @@ def parse_qos(value: object) -> Qos | None:
         The QoS, or None for ``auto``: to be matched to the topic's publishers.
 
     Raises:
-        ValueError: it is none of these; the message says what it may be.
+        ValueError: it is none of these. The message names the options.
     """
     if value is None or value == AUTO:
         return None

@@ -49,7 +49,7 @@ Direction = Literal["transmit", "receive"]
 Kind = Literal["topic", "service", "action", "parameters"]
 Provider = Literal["client", "server"]
 Identity = tuple[Kind, str, Direction]
-"""What no two of a session's topics have in common: kind, name on the client, direction."""
+"""The key of a topic, unique in a session: kind, name on the client, direction."""
 Protocol = Literal["tcp", "udp", "bluetooth", "zenoh", "zenoh-drop"]
 Role = Literal["client", "server"]
 May = Literal["publish", "read", "call", "serve"]
@@ -71,10 +71,10 @@ class Problem:
     """One mistake in a session.
 
     Attributes:
-        location: where it is: ``topics[2].protocol``; empty is the session as a whole.
-        message: what is wrong, and what would be right.
-        line: of the session file, from 1; None where there is no file.
-        place: the location for a person: ``topic /scan, protocol``; empty: as `location`.
+        location: the key in the file: ``topics[2].protocol``, or an empty string for the session as a whole.
+        message: the mistake and its remedy.
+        line: of the session file, from 1, or None if there is no file.
+        place: the location for a person: ``topic /scan, protocol``, or an empty string if it is `location`.
     """
 
     location: str
@@ -147,7 +147,7 @@ class Topic(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defaul
 
     @property
     def identity(self) -> Identity:
-        """What no two of a session's have in common."""
+        """The key of this topic, unique in a session."""
         return self.kind, self.topic, self.direction
 
     @property
@@ -162,11 +162,11 @@ class Topic(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defaul
 
     @property
     def deadman_seconds(self) -> float:
-        """The deadman time (s); 0: none."""
+        """The deadman time (s), or 0 for none."""
         return DEADMAN if self.deadman is None else self.deadman
 
     def parsed_qos(self) -> Qos | None:
-        """The QoS; None is ``auto``."""
+        """Return the QoS, or None for ``auto``."""
         return parse_qos(self.qos)
 
 
@@ -192,7 +192,7 @@ class Grant(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defaul
 
 
 class Client(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True):
-    """A client that a server lets in.
+    """A client that a server accepts.
 
     Attributes:
         name: as in the client's session.
@@ -242,8 +242,8 @@ class Operator(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_def
     """Somebody who may attach to this bridge over a network, with a key of their own.
 
     Attributes:
-        name: what events call them.
-        key_file: their key, which nobody else has: no other operator, and no link.
+        name: in events and logs.
+        key_file: their key. No other operator and no link may have the same.
         may: ``look`` only, or ``change`` what the bridge does.
     """
 
@@ -365,5 +365,5 @@ class Session(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defa
 
     @property
     def adapter(self) -> str | None:
-        """MAC of the server's Bluetooth adapter; None: the session does not use one."""
+        """MAC of the server's Bluetooth adapter, or None if the session does not use one."""
         return self.server_ip if self.is_bluetooth else self.bluetooth_address
