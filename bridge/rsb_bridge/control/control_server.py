@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 from rsb_bridge.control import protocol
 from rsb_bridge.control.attached_console import Console
-from rsb_bridge.control.control_sockets import identify, may_control, peer_of, run_as, user_name
+from rsb_bridge.control.control_sockets import AttachProblem, identify, may_control, peer_of, run_as, user_name
 from rsb_bridge.control.protocol import ProtocolError
 from rsb_bridge.control.states import EncodedRoutes
 
@@ -129,7 +129,7 @@ class ControlServer:
         """Why one more console is refused, where there are so many places; empty: it is not."""
         if self.attached() < places:
             return ""
-        return f"{self.attached()} consoles are attached already; close one of them"
+        return AttachProblem.OTHER_CONSOLES(count=self.attached())
 
     def _run(self) -> None:
         try:
@@ -185,7 +185,7 @@ class ControlServer:
 def _not_yours() -> str:
     """Return why a console of another user is refused."""
     uid = os.geteuid()
-    return f"this bridge runs as {user_name(uid)}, and no other user but root may control it: {run_as(uid)}"
+    return AttachProblem.OTHER_USER(user=user_name(uid), remedy=run_as(uid))
 
 
 class _OfThisMachine:
