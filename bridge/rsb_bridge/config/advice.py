@@ -30,6 +30,7 @@ from rsb_bridge.model.limits import (
 from rsb_bridge.model.names import expand_type_name, split_type_name
 from rsb_bridge.model.qos import AUTO
 from rsb_bridge.model.session import Problem
+from rsb_bridge.model.wording import Wording
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -56,6 +57,35 @@ _MOVING_NAMES = (
 """Last parts of names."""
 
 
+class Advice(Wording):
+    """What an operator should know before a session runs."""
+
+    NO_ENCRYPTION = "off: everything crosses in the clear, and anyone may connect"
+    NO_CHECKS = "off: a peer's malformed message can make a node here take gigabytes"
+    LOW_PORT = "ports below {limit} need root, or CAP_NET_BIND_SERVICE"
+    NO_BLUETOOTH = "this Python has no Bluetooth sockets; the distribution's own has (/usr/bin/python3)"
+    METRICS_NOT_INSTALLED = "none are served without prometheus-client: pip install 'rsb-console[metrics]'"
+    METRICS_OPEN = "no password protects them: who reaches this address reads all names and figures"
+    DOMAIN_INVALID = "{problem}; with that value the bridge does not start"
+    PORT_OF_DOMAIN = "{port} belongs to ROS domain {domain} ({ports}): its nodes may fail to discover each other"
+    PORT_OF_DISCOVERY = "{port} is reserved for discovery in ROS domain {domain}: give another port"
+    DOMAIN_COLLIDES = "domain {domain} can collide with other programs' ports; {range} cannot"
+    TOO_MANY_TOPICS = "a server takes {limit} topics of a client, and refuses the others"
+    TOO_MANY_PORTS = (
+        "{count} ports of their own: a server binds {limit} for a client, and refuses the others, unless its session "
+        "file lists them as ports"
+    )
+    SHUTDOWN_TOPIC = "it closes the bridge, too: it is the shutdown_topic"
+    TOPIC_PORT_LOW = "a server refuses {kind}s below {limit} for topics"
+    TOPIC_PORT_OF_DISCOVERY = (
+        "a server refuses ports by which nodes discover each other: {port} is ROS domain {domain}'s"
+    )
+    CROSSES_ALTHOUGH_DENIED = "{reason} (allow and deny), but it crosses: they do not apply to what this side lists"
+    TYPE_NOT_INSTALLED = "{type} is not installed here: if it is right, the {kind} crosses once a {who} is there"
+    DEPTH = "depth {depth}: the receiving side keeps {limit} messages in its publisher"
+    DEPTH_OF_LATCHED = "depth {depth}: the receiving side keeps {limit} messages for late joiners"
+
+
 def advise(session: Session, domain_variable: str | None) -> Iterator[Problem]:
     """Everything in a valid session that its operator should know before it runs.
 
@@ -64,15 +94,15 @@ def advise(session: Session, domain_variable: str | None) -> Iterator[Problem]:
         domain_variable: what ``$ROS_DOMAIN_ID`` says.
     """
     if not session.use_encryption:
-        yield Problem("use_encryption", "off: everything crosses in the clear, and anyone may connect")
+        yield Problem("use_encryption", Advice.NO_ENCRYPTION())
     if not session.check_messages:
-        yield Problem("check_messages", "off: a peer's malformed message can make a node here take gigabytes")
+        yield Problem("check_messages", Advice.NO_CHECKS())
     yield from _domain(session, domain_variable)
     if _binds_port(session) and session.server_port not in TOPIC_PORT:
-        yield Problem("server_port", f"ports below {TOPIC_PORT.low} need root, or CAP_NET_BIND_SERVICE")
+        yield Problem("server_port", Advice.LOW_PORT(limit=TOPIC_PORT.low))
     if session.adapter is not None and not hasattr(socket, "AF_BLUETOOTH"):
         location = "server_ip" if session.is_bluetooth else "bluetooth_address"
-        yield Problem(location, "this Python has no Bluetooth sockets; the distribution's own has (/usr/bin/python3)")
+        yield Problem(location, Advice.NO_BLUETOOTH())
     if session.zenoh is not None and importlib.util.find_spec("zenoh") is None:
         yield Problem("zenoh", transports.HOW_TO_INSTALL_ZENOH)
     yield from _metrics(session)
@@ -92,16 +122,16 @@ def _metrics(session: Session) -> Iterator[Problem]:
     if session.metrics is None:
         return
     if importlib.util.find_spec("prometheus_client") is None:
-        yield Problem("metrics", "none are served without prometheus-client: pip install 'rsb-console[metrics]'")
+        yield Problem("metrics", Advice.METRICS_NOT_INSTALLED())
     if not is_loopback(host_and_port(session.metrics)[0]):
-        yield Problem("metrics", "no password protects them: who reaches this address reads all names and figures")
+        yield Problem("metrics", Advice.METRICS_OPEN())
 
 
 def _domain(session: Session, variable: str | None) -> Iterator[Problem]:
     try:
         domain = domain_of(session, variable)
     except ValueError as error:
-        yield Problem("domain_id", f"{error}; with that value the bridge does not start")
+        yield Problem("domain_id", Advice.DOMAIN_INVALID(problem=error))
         return
     taken = dds_ports(domain)
     mine = [
@@ -111,41 +141,35 @@ def _domain(session: Session, variable: str | None) -> Iterator[Problem]:
         mine.append(("server_port", session.server_port))
     for location, port in mine:
         if port in taken:
-            message = f"{port} belongs to ROS domain {domain} ({taken}): its nodes may fail to discover each other"
+            message = Advice.PORT_OF_DOMAIN(port=port, domain=domain, ports=taken)
             yield Problem(location, message)
         elif (other := discovery_domain(port)) is not None:
-            yield Problem(location, f"{port} is reserved for discovery in ROS domain {other}: give another port")
+            yield Problem(location, Advice.PORT_OF_DISCOVERY(port=port, domain=other))
     if domain not in SAFE_DOMAIN:
-        yield Problem("domain_id", f"domain {domain} can collide with other programs' ports; {SAFE_DOMAIN} cannot")
+        yield Problem("domain_id", Advice.DOMAIN_COLLIDES(domain=domain, range=SAFE_DOMAIN))
 
 
 def _topics(topics: Sequence[Topic], where: str, session: Session) -> Iterator[Problem]:
     if len(topics) > ROUTES_PER_LINK:
-        yield Problem(
-            join(where, "topics"), f"a server takes {ROUTES_PER_LINK} topics of a client, and refuses the others"
-        )
+        yield Problem(join(where, "topics"), Advice.TOO_MANY_TOPICS(limit=ROUTES_PER_LINK))
     ports = {(topic.protocol, topic.port) for topic in topics if topic.port is not None}
     if len(ports) > PORTS_PER_CLIENT:
-        yield Problem(
-            join(where, "topics"),
-            f"{len(ports)} ports of their own: a server binds {PORTS_PER_CLIENT} for a client, and refuses the others, "
-            "unless its session file lists them as ports",
-        )
+        yield Problem(join(where, "topics"), Advice.TOO_MANY_PORTS(count=len(ports), limit=PORTS_PER_CLIENT))
     for topic, here in zip(topics, locations(topics), strict=True):
         location, place = join(where, here), _place(topic)
         if topic.kind == "topic" and topic.topic == session.shutdown_topic:
-            yield Problem(location, "it closes the bridge, too: it is the shutdown_topic", place=place)
+            yield Problem(location, Advice.SHUTDOWN_TOPIC(), place=place)
         transport = transport_of(topic, session)
         if topic.port is not None and topic.port not in transport.topic_ports:
             yield Problem(
                 join(location, "port"),
-                f"a server refuses {transport.port_kind}s below {transport.topic_ports.low} for topics",
+                Advice.TOPIC_PORT_LOW(kind=transport.port_kind, limit=transport.topic_ports.low),
                 place=f"{place}, port",
             )
         elif topic.port is not None and transport.ip_ports and (domain := discovery_domain(topic.port)) is not None:
             yield Problem(
                 join(location, "port"),
-                f"a server refuses ports by which nodes discover each other: {topic.port} is ROS domain {domain}'s",
+                Advice.TOPIC_PORT_OF_DISCOVERY(port=topic.port, domain=domain),
                 place=f"{place}, port",
             )
         for message in _depth(topic):
@@ -158,8 +182,7 @@ def _denied(topics: Sequence[Topic], where: str, rights: Rights, session: Sessio
     for topic, here in zip(topics, locations(topics), strict=True):
         may = uses(topic.kind)[topic.direction != sends]
         if refusal := rights.refusal(Use(topic.topic, may, transport_of(topic, session).name, topic.kind)):
-            crosses = "but it crosses: they do not apply to what this side lists"
-            message = f"{refusal.reason} (allow and deny), {crosses}"
+            message = Advice.CROSSES_ALTHOUGH_DENIED(reason=refusal.reason)
             yield Problem(join(where, here), message, place=_place(topic))
 
 
@@ -173,7 +196,7 @@ def uninstalled_types(session: Session) -> Iterator[Problem]:
             who = "publisher" if topic.kind == "topic" else "provider"
             yield Problem(
                 join(here, "type"),
-                f"{name} is not installed here: if it is right, the {topic.kind} crosses once a {who} is there",
+                Advice.TYPE_NOT_INSTALLED(type=name, kind=topic.kind, who=who),
                 place=f"{_place(topic)}, type",
             )
 
@@ -197,8 +220,8 @@ def _depth(topic: Topic) -> Iterator[str]:
         return
     most = LATCHED_DEPTH if qos.latched else KEPT_DEPTH
     if qos.depth > most:
-        kept = "for late joiners" if qos.latched else "in its publisher"
-        yield f"depth {qos.depth}: the receiving side keeps {most} messages {kept}"
+        advice = Advice.DEPTH_OF_LATCHED if qos.latched else Advice.DEPTH
+        yield advice(depth=qos.depth, limit=most)
 
 
 def moves_a_robot(topic: Topic) -> bool:

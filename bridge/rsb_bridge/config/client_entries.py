@@ -7,12 +7,24 @@ from typing import TYPE_CHECKING
 
 import msgspec
 
+from rsb_bridge.model.wording import Wording
+
 if TYPE_CHECKING:
     from rsb_bridge.model.session import Client, Session
 
 
+class ClientProblem(Wording):
+    """The reason why a server's list of clients cannot be changed so."""
+
+    EXISTS = "{name} is a client already; `client rekey {name}` makes a new key for it"
+    LAST = "{name} is the server's only client: add another one first, or stop the server"
+    UNKNOWN = "{name} is no client of this server; there are {names}"
+    MISSPELT = "{name} is no client of this server; did you mean {near}?"
+    NOT_A_SERVER = "only a server has clients, and this is a client's session"
+
+
 class ClientError(ValueError):
-    """What was asked for cannot be done; the message says why, and what can."""
+    """A server's list of clients cannot be changed so. The message names the remedy."""
 
 
 def with_client(session: Session, client: Client) -> Session:
@@ -23,7 +35,7 @@ def with_client(session: Session, client: Client) -> Session:
     """
     clients = _clients(session)
     if any(each.name == client.name for each in clients):
-        raise ClientError(f"{client.name} is a client already; `client rekey {client.name}` makes a new key for it")
+        raise ClientError(ClientProblem.EXISTS(name=client.name))
     return msgspec.structs.replace(session, clients=(*clients, client), bench=None)
 
 
@@ -47,7 +59,7 @@ def without_client(session: Session, name: str) -> Session:
     old = client_named(session, name)
     clients = tuple(each for each in _clients(session) if each != old)
     if not clients:
-        raise ClientError(f"{name} is the server's only client: add another one first, or stop the server")
+        raise ClientError(ClientProblem.LAST(name=name))
     return msgspec.structs.replace(session, clients=clients, bench=None)
 
 
@@ -61,12 +73,13 @@ def client_named(session: Session, name: str) -> Client:
     names = [each.name for each in clients]
     if name not in names:
         near = difflib.get_close_matches(name, names, n=1)
-        hint = f"did you mean {near[0]}?" if near else f"there are {', '.join(names)}"
-        raise ClientError(f"{name} is no client of this server; {hint}")
+        if near:
+            raise ClientError(ClientProblem.MISSPELT(name=name, near=near[0]))
+        raise ClientError(ClientProblem.UNKNOWN(name=name, names=", ".join(names)))
     return clients[names.index(name)]
 
 
 def _clients(session: Session) -> tuple[Client, ...]:
     if session.role != "server":
-        raise ClientError("only a server has clients, and this is a client's session")
+        raise ClientError(ClientProblem.NOT_A_SERVER())
     return session.accepted_clients

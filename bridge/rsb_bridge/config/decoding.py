@@ -13,11 +13,36 @@ from msgspec.structs import FieldInfo, fields
 
 from rsb_bridge.config.keys import conceal, is_key
 from rsb_bridge.model.session import Problem
+from rsb_bridge.model.wording import Wording
 
 T = TypeVar("T", bound=msgspec.Struct)
 
-_NOTHING = "has no value: give one, or leave the key out"
 _NOUNS = {str: "text", int: "a whole number", float: "a number", bool: "true or false", tuple: "a list"}
+
+
+class ValueMistake(Wording):
+    """A value of the wrong kind, a key that is missing, or one that does not exist."""
+
+    NO_VALUE = "has no value: give one, or leave the key out"
+    FILE_NOT_A_MAPPING = "is not a mapping of {keys}, ..."
+    NOT_A_MAPPING = "{value} is not a mapping of {keys}, ..."
+    NO_KNOWN_KEY = "has no key of a {model}: {keys}"
+    MISSING = "missing: give {expected}"
+    UNKNOWN_KEY = "unknown key: the keys here are {keys}"
+    MISSPELT_KEY = "unknown key{hint}"
+    SECRET_KEY = "unknown key: a session file never holds the key itself; give the key file's name as key_file"  # noqa: S105 (a text)
+    IS_A_KEY = "is a key itself: put it in a file with mode 0600, and give that file's name as key_file"
+    NOT_A_LIST = "{value} is not a list"
+    MISFIT = "{value} is not {expected}{hint}"
+
+
+class Hint(Wording):
+    """The remedy behind a mistake, in brackets."""
+
+    DID_YOU_MEAN = " (did you mean {name}?)"
+    QUOTES = " (put it in quotes)"
+    NO_QUOTES = " (leave out the quotes)"
+
 
 # Stands in for a required value that is missing or of the wrong kind, which is reported, so that all rules can run.
 _STAND_INS = {
@@ -52,15 +77,21 @@ def read(data: object, model: type[T], problems: list[Problem], location: str = 
     known = {field.name: field for field in _fields(model)}
     values = {name: _STAND_INS[name] for name, field in known.items() if field.required}
     if not isinstance(data, Mapping):
-        shown = f"{show(data)} is" if location else "is"  # a whole file may be anything, so it is not quoted
-        problems.append(Problem(location, f"{shown} not a mapping of {', '.join(values or known)}, ..."))
+        keys = ", ".join(values or known)
+        message = (
+            ValueMistake.NOT_A_MAPPING(value=show(data), keys=keys)
+            if location
+            else ValueMistake.FILE_NOT_A_MAPPING(keys=keys)  # it may hold anything, so it is not quoted
+        )
+        problems.append(Problem(location, message))
         return model(**values)
     if data and not location and known.keys().isdisjoint(data):
-        problems.append(Problem(location, f"has no key of a {model.__name__.lower()}: {', '.join(known)}"))
+        message = ValueMistake.NO_KNOWN_KEY(model=model.__name__.lower(), keys=", ".join(known))
+        problems.append(Problem(location, message))
         return model(**values)
     hints: Mapping[str, str] = getattr(model, "hints", {})
     problems.extend(
-        Problem(join(location, str(key)), hints.get(str(key)) or f"unknown key{_key_hint(str(key), list(known))}")
+        Problem(join(location, str(key)), hints.get(str(key)) or _unknown_key(str(key), list(known)))
         for key in data
         if key not in known
     )
@@ -69,7 +100,7 @@ def read(data: object, model: type[T], problems: list[Problem], location: str = 
             values.update(_value(name, data[name], field.type, problems, join(location, name)))
         elif field.required:
             expected = f"{_expected(field.type)}{_MEANINGS.get(name, '')}"
-            problems.append(Problem(join(location, name), f"missing: give {expected}"))
+            problems.append(Problem(join(location, name), ValueMistake.MISSING(expected=expected)))
     return model(**values)
 
 
@@ -95,14 +126,15 @@ def show(value: object) -> str:
 def did_you_mean(word: str, options: list[str]) -> str:
     """A hint at the option closest to a mistyped word; empty where none is close."""
     match = get_close_matches(word.lower(), options, n=1)
-    return f" (did you mean {match[0]}?)" if match else ""
+    return Hint.DID_YOU_MEAN(name=match[0]) if match else ""
 
 
 def _value(name: str, value: object, kind: Any, problems: list[Problem], location: str) -> dict[str, Any]:
     """The keyword argument for the struct; empty if the value has a problem."""
     if get_origin(kind) is tuple:
         if not isinstance(value, list | tuple):
-            problems.append(Problem(location, f"{show(value)} is not a list" if value is not None else _NOTHING))
+            message = ValueMistake.NO_VALUE() if value is None else ValueMistake.NOT_A_LIST(value=show(value))
+            problems.append(Problem(location, message))
             return {}
         entries = [_entry(entry, get_args(kind)[0], problems, join(location, at)) for at, entry in enumerate(value)]
         return {name: tuple(entry for entry in entries if entry is not msgspec.UNSET)}
@@ -116,9 +148,7 @@ def _entry(value: object, kind: Any, problems: list[Problem], location: str) -> 
         return read(value, struct, problems, location)
     if isinstance(value, str) and is_key(value.rpartition("/")[2]):
         # The key is not quoted: messages end up in logs.
-        problems.append(
-            Problem(location, "is a key itself: put it in a file with mode 0600, and give that file's name as key_file")
-        )
+        problems.append(Problem(location, ValueMistake.IS_A_KEY()))
         return msgspec.UNSET
     try:
         return msgspec.convert(value, kind)
@@ -135,17 +165,15 @@ def _struct(kind: Any) -> type[msgspec.Struct] | None:
 
 def _misfit(value: object, kind: Any) -> str:
     if value is None:
-        return _NOTHING
-    options = _options(kind)
-    if options:
+        return ValueMistake.NO_VALUE()
+    hint = ""
+    if options := _options(kind):
         hint = did_you_mean(value, options) if isinstance(value, str) else ""
-        return f"{show(value)} is not {_expected(kind)}{hint}"
-    remedy = ""
-    if str in _alternatives(kind) and isinstance(value, int | float):
-        remedy = " (put it in quotes)"
+    elif str in _alternatives(kind) and isinstance(value, int | float):
+        hint = Hint.QUOTES()
     elif isinstance(value, str) and value.strip().isdecimal():
-        remedy = " (leave out the quotes)"
-    return f"{show(value)} is not {_expected(kind)}{remedy}"
+        hint = Hint.NO_QUOTES()
+    return ValueMistake.MISFIT(value=show(value), expected=_expected(kind), hint=hint)
 
 
 def _expected(kind: Any) -> str:
@@ -167,7 +195,9 @@ def _options(kind: Any) -> list[str]:
     return [option for each in _alternatives(kind) if get_origin(each) is Literal for option in get_args(each)]
 
 
-def _key_hint(key: str, known: list[str]) -> str:
+def _unknown_key(key: str, known: list[str]) -> str:
     if "key_file" in known and key in ("key", "encryption_key"):
-        return ": a session file never holds the key itself; give the key file's name as key_file"
-    return did_you_mean(key, known) or f": the keys here are {', '.join(known)}"
+        return ValueMistake.SECRET_KEY()
+    if hint := did_you_mean(key, known):
+        return ValueMistake.MISSPELT_KEY(hint=hint)
+    return ValueMistake.UNKNOWN_KEY(keys=", ".join(known))

@@ -9,13 +9,22 @@ import msgspec
 from rsb_bridge.config.file_form import LISTS, NOUNS, as_written
 from rsb_bridge.config.yaml_text import inline
 from rsb_bridge.model.session import Topic
+from rsb_bridge.model.wording import Wording
 
 if TYPE_CHECKING:
     from collections.abc import Collection
 
     from rsb_bridge.model.session import Session
 
-RESTART = "restart the bridge's process for that (systemctl restart, or rsb-console stop and start it again)"
+
+class ChangeRefused(Wording):
+    """The reason why a running bridge keeps something of its session."""
+
+    OTHER_SESSION = "{differences}: that is another session; {restart}"
+    FIXED = "{change}: cannot change while the bridge runs; {restart}"
+    RESTART = "restart the bridge's process for that (systemctl restart, or rsb-console stop and start it again)"
+
+
 _OTHER_SESSION = ("name", "role")
 _FIXED = ("server_ip", "server_port", "bluetooth_address", "zenoh", "domain_id", "use_encryption", "profile")
 _FIXED_ON_CLIENT = (*_FIXED, "use_name")
@@ -26,7 +35,9 @@ _COMMAND = "on_fault"
 def is_another(old: Session, new: Session) -> str:
     """Why one session cannot become the other at all; empty: it can, as far as single values can."""
     differences = changes(old, new, only=_OTHER_SESSION)
-    return f"{'; '.join(differences)}: that is another session; {RESTART}" if differences else ""
+    if not differences:
+        return ""
+    return ChangeRefused.OTHER_SESSION(differences="; ".join(differences), restart=ChangeRefused.RESTART())
 
 
 def kept(old: Session, new: Session) -> tuple[Session, list[str]]:
@@ -37,7 +48,8 @@ def kept(old: Session, new: Session) -> tuple[Session, list[str]]:
         new: what is wanted.
     """
     fixed = _FIXED_ON_CLIENT if old.role == "client" else _FIXED
-    left = [f"{change}: cannot change while the bridge runs; {RESTART}" for change in changes(old, new, only=fixed)]
+    restart = ChangeRefused.RESTART()
+    left = [ChangeRefused.FIXED(change=change, restart=restart) for change in changes(old, new, only=fixed)]
     return msgspec.structs.replace(new, **{name: getattr(old, name) for name in fixed}), left
 
 

@@ -10,6 +10,7 @@ from rsb_bridge.cdr.decoder import Items
 from rsb_bridge.config.yaml_text import YamlError, compose, dump_yaml, scalar
 from rsb_bridge.model.calls import FIELDS_LENGTH, FieldError
 from rsb_bridge.model.text import escape_text, is_clean
+from rsb_bridge.model.wording import Wording
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -34,6 +35,25 @@ _TAGS = frozenset(f"tag:yaml.org,2002:{kind}" for kind in ("null", "bool", "int"
 _NULL = "tag:yaml.org,2002:null"
 
 
+class FieldProblem(Wording):
+    """The reason why a text has no fields of a message."""
+
+    TOO_LONG = "the text is too long: {limit} bytes are taken"
+    ON_LINE = "line {line}: {problem}"
+    TAG = "line {line}: tags (!) are not taken: write the value without"
+    NOT_A_NAME = "line {line}: what stands before the colon is no field's name"
+    TWICE = "line {line}: {name} stands there twice"
+
+
+class FieldNote(Wording):
+    """A part of a message that is not shown."""
+
+    ELEMENTS = "{location}: the first {shown:,} of {total:,} elements"
+    CHARACTERS = "{location}: the first {shown:,} of {total:,} characters"
+    MORE = "and parts of {count:,} more"
+    UNREADABLE = "not read further: {problem}"
+
+
 def read_fields(text: str) -> Fields:
     """What an operator wrote. Empty, it is no field at all.
 
@@ -41,18 +61,18 @@ def read_fields(text: str) -> Fields:
         FieldError: it is no YAML, or too much of it.
     """
     if len(text) > FIELDS_LENGTH or len(text.encode("utf-8", "replace")) > FIELDS_LENGTH:
-        raise FieldError(f"the text is too long: {FIELDS_LENGTH:,} bytes are taken")
+        raise FieldError(FieldProblem.TOO_LONG(limit=f"{FIELDS_LENGTH:,}"))
     try:
         node = compose(text)
     except YamlError as error:
-        where = f"line {error.line}: " if error.line and "\n" in text.strip() else ""
-        raise FieldError(f"{where}{error}") from None
+        has_lines = error.line and "\n" in text.strip()
+        raise FieldError(FieldProblem.ON_LINE(line=error.line, problem=error) if has_lines else str(error)) from None
     return {} if node is None else _fields(node)
 
 
 def _fields(node: yaml.Node) -> Fields:
     if node.tag not in _TAGS:
-        raise FieldError(f"line {node.start_mark.line + 1}: tags (!) are not taken: write the value without")
+        raise FieldError(FieldProblem.TAG(line=node.start_mark.line + 1))
     if isinstance(node, yaml.SequenceNode):
         return [_fields(each) for each in node.value]
     if not isinstance(node, yaml.MappingNode):
@@ -61,9 +81,9 @@ def _fields(node: yaml.Node) -> Fields:
     for key, value in node.value:
         line = key.start_mark.line + 1
         if not isinstance(key, yaml.ScalarNode):
-            raise FieldError(f"line {line}: what stands before the colon is no field's name")
+            raise FieldError(FieldProblem.NOT_A_NAME(line=line))
         if key.value in fields:
-            raise FieldError(f"line {line}: {escape_text(key.value)} stands there twice")
+            raise FieldError(FieldProblem.TWICE(line=line, name=escape_text(key.value)))
         fields[key.value] = _fields(value)
     return fields
 
@@ -115,13 +135,14 @@ class _Writing:
             return {name: self.plain(each, before + name) for name, each in value.items() if name != _NOTHING_IN_IT}
         if isinstance(value, Items):
             if len(value.shown) < value.total:
-                self._left_out.append(f"{location}: the first {len(value.shown):,} of {value.total:,} elements")
+                note = FieldNote.ELEMENTS(location=location, shown=len(value.shown), total=value.total)
+                self._left_out.append(note)
             return [self.plain(each, f"{location}[{number}]") for number, each in enumerate(value.shown)]
         if isinstance(value, str):
             kept = value[: self._room]
             self._room -= len(kept)
             if len(kept) < len(value):
-                self._left_out.append(f"{location}: the first {len(kept):,} of {len(value):,} characters")
+                self._left_out.append(FieldNote.CHARACTERS(location=location, shown=len(kept), total=len(value)))
             return kept
         return value
 
@@ -129,6 +150,6 @@ class _Writing:
         """What is left out, and the problem that a message could not be read further for."""
         yield from self._left_out[:_NOTES]
         if (more := len(self._left_out) - _NOTES) > 0:
-            yield f"and parts of {more:,} more"
+            yield FieldNote.MORE(count=more)
         if problem:
-            yield f"not read further: {problem}"
+            yield FieldNote.UNREADABLE(problem=problem)

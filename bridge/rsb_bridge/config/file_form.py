@@ -12,6 +12,7 @@ import msgspec
 from msgspec.structs import FieldInfo, fields
 
 from rsb_bridge.model.session import Client, Direction, Kind, Provider, Session, Topic
+from rsb_bridge.model.wording import Wording
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -62,21 +63,43 @@ KEYS: Final[dict[Kind, dict[str, str]]] = {
 }
 """The fields of `Topic` by the keys of an entry, in the order in which one is written."""
 
-_SIDE = "the side whose node answers"
+
+class ForeignKey(Wording):
+    """A key that entries of another kind have, and this one does not."""
+
+    KIND_OF_TOPIC = "not a key: what is no topic is listed under services, actions or parameters instead"
+    KIND_OF_CALLED = "not a key: the list says it"
+    TIMEOUT_OF_TOPIC = "a topic has none: leave it out; what is called is listed under services or actions"
+    PROVIDER_OF_TOPIC = (
+        "a topic has a direction, transmit or receive; what is called is listed under services or actions"
+    )
+    NOT_A_TOPIC = "not a topic: list it under {list}"
+    PRIORITY_OF_CALLED = "calls go ahead of all topics: leave it out"
+    QOS_OF_CALLED = "calls have ROS's own QoS: leave it out"
+    EXPECTED_RATE_OF_CALLED = "nobody expects calls at a rate: leave it out"
+    STALE_AFTER_OF_CALLED = "nobody expects calls all the time: leave it out; timeout says how long an answer may take"
+    LATE_AFTER_OF_CALLED = "only topics have it: leave it out; timeout limits how long a call waits for its answer"
+    DIRECTION_OF_CALLED = "write provider: client or provider: server, the side whose node answers"
+    LIST_UNDER = "list this entry under {list}, or write {key}: /..."
+    OTHER_REMOTE = "write {key}"
+    TYPE_OF_PARAMETERS = "parameters have types of ROS's own: leave it out"
+    OTHER = "leave it out"
+
+
 _NOT_OF_TOPICS = {
-    "kind": "not a key: what is no topic is listed under services, actions or parameters instead",
-    "timeout": "a topic has none: leave it out; what is called is listed under services or actions",
-    "provider": "a topic has a direction, transmit or receive; what is called is listed under services or actions",
-    **{key: f"not a topic: list it under {name}" for name, key in NAME_KEYS.items() if name != "topics"},
+    "kind": ForeignKey.KIND_OF_TOPIC(),
+    "timeout": ForeignKey.TIMEOUT_OF_TOPIC(),
+    "provider": ForeignKey.PROVIDER_OF_TOPIC(),
+    **{key: ForeignKey.NOT_A_TOPIC(list=name) for name, key in NAME_KEYS.items() if name != "topics"},
 }
 _NOT_OF_CALLS = {
-    "kind": "not a key: the list says it",
-    "priority": "calls go ahead of all topics: leave it out",
-    "qos": "calls have ROS's own QoS: leave it out",
-    "expected_rate": "nobody expects calls at a rate: leave it out",
-    "stale_after": "nobody expects calls all the time: leave it out; timeout says how long an answer may take",
-    "late_after": "only topics have it: leave it out; timeout limits how long a call waits for its answer",
-    "direction": f"write provider: client or provider: server, {_SIDE}",
+    "kind": ForeignKey.KIND_OF_CALLED(),
+    "priority": ForeignKey.PRIORITY_OF_CALLED(),
+    "qos": ForeignKey.QOS_OF_CALLED(),
+    "expected_rate": ForeignKey.EXPECTED_RATE_OF_CALLED(),
+    "stale_after": ForeignKey.STALE_AFTER_OF_CALLED(),
+    "late_after": ForeignKey.LATE_AFTER_OF_CALLED(),
+    "direction": ForeignKey.DIRECTION_OF_CALLED(),
 }
 
 
@@ -86,10 +109,12 @@ def hints_of(kind: Kind) -> dict[str, str]:
         return _NOT_OF_TOPICS
     name = NAME_KEYS[LISTS[kind]]
     hints = _NOT_OF_CALLS | {
-        key: f"list this entry under {other}, or write {name}: /..." for other, key in NAME_KEYS.items() if key != name
+        key: ForeignKey.LIST_UNDER(list=other, key=name) for other, key in NAME_KEYS.items() if key != name
     }
-    hints |= {f"remote_{key}": f"write remote_{name}" for key in NAME_KEYS.values() if key != name}
-    return hints | ({"type": "parameters have types of ROS's own: leave it out"} if kind == "parameters" else {})
+    hints |= {
+        f"remote_{key}": ForeignKey.OTHER_REMOTE(key=f"remote_{name}") for key in NAME_KEYS.values() if key != name
+    }
+    return hints | ({"type": ForeignKey.TYPE_OF_PARAMETERS()} if kind == "parameters" else {})
 
 
 def _entry(kind: Kind) -> type[msgspec.Struct]:
@@ -154,7 +179,7 @@ def foreign(topic: Topic) -> dict[str, str]:
     """What a topic has and its kind cannot have: fields of `Topic`, each with the remedy."""
     own, hints = set(KEYS[topic.kind].values()) | {"kind"}, hints_of(topic.kind)
     return {
-        field.name: hints.get(field.name, "leave it out")
+        field.name: hints.get(field.name, ForeignKey.OTHER())
         for field in fields(Topic)
         if field.name not in own and getattr(topic, field.name) != field.default
     }

@@ -12,13 +12,21 @@ from rsb_bridge.config.rights import operator_name_problem
 from rsb_bridge.config.validation import settings_problems
 from rsb_bridge.config.yaml_text import SessionError, read_text, read_yaml
 from rsb_bridge.model.session import Problem, ZenohSettings
+from rsb_bridge.model.wording import Wording
 
 if TYPE_CHECKING:
     from pathlib import Path
 
 
+class FleetMistake(Wording):
+    """A mistake in a fleet's file."""
+
+    OPERATOR_MISSING = "missing: give a name that the engines' sessions have under operators"
+    KEY_FILE_MISSING = "missing: give the file of the operator's key"
+
+
 class FleetFile(NamedTuple):
-    """What such a file says.
+    """The contents of such a file.
 
     Attributes:
         zenoh: where the fleet is.
@@ -54,11 +62,11 @@ def load_fleet(path: Path) -> FleetFile:
     if not problems:
         problems += settings_problems(written.zenoh, "zenoh")
         if not written.operator.strip():
-            problems.append(Problem("operator", "missing: give a name that the engines' sessions have under operators"))
+            problems.append(Problem("operator", FleetMistake.OPERATOR_MISSING()))
         elif problem := operator_name_problem(written.operator):
             problems.append(Problem("operator", problem))
         if not written.key_file.strip():
-            problems.append(Problem("key_file", "missing: give the file of the operator's key"))
+            problems.append(Problem("key_file", FleetMistake.KEY_FILE_MISSING()))
     if problems:
         raise SessionError(path, [document.locate(problem) for problem in problems])
     base = path.parent

@@ -21,6 +21,7 @@ from rsb_bridge.config.files import kind_of_file, owner_only, replace_file, type
 from rsb_bridge.model.fingerprints import fingerprint_of, format_fingerprint
 from rsb_bridge.model.shortage import why_not_written
 from rsb_bridge.model.text import join_first, plural
+from rsb_bridge.model.wording import Wording
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Hashable, Iterator, Mapping
@@ -37,6 +38,52 @@ _LONG = 7 * _DAY
 """s that two keys may be valid: whoever has stolen the old one may use it until then."""
 _SPANS = ((_DAY, "day"), (3600.0, "hour"), (60.0, "minute"))
 _NAMED = 5
+
+
+class KeyFileProblem(Wording):
+    """The reason why a key file cannot be read or written, or its key must not be used."""
+
+    EXISTS = "{path}: exists already; --force replaces it, and the old key is lost"
+    NOT_WRITTEN = "{path}: cannot be written: {problem}"
+    NOT_A_FILE = "{path}: is {kind}, not a key file"
+    NO_SUCH_FILE = "{path}: no such key file: copy it from the other side, or make one with `rsb-console keygen {path}`"
+    NOT_READ = "{path}: cannot be read: {problem}"
+    TOO_LARGE = "{path}: too large for a key file"
+    EMPTY = "{path}: is empty: make a key with `rsb-console keygen`"
+    NO_KEY = (
+        "{path}: holds no key: a key is 44 characters of URL-safe base64, {bytes} bytes, and the last word of the file "
+        "has {length} characters"
+    )
+    NOT_GIVEN = "no key_file for {name}: make one with `rsb-console keygen`, and copy it to the other side"
+    SHARED = (
+        "{owners}: whoever has it may take each of these names, and its rights. Give each a key of its own "
+        "(`rsb-console client rekey NAME SESSION`), or say `shared_keys: true` in the server's session file"
+    )
+    ONE_KEY = "{names} have one key"
+
+
+class KeyWarning(Wording):
+    """What an operator should do about a key that is valid."""
+
+    READABLE = "{path}: others may read this key (mode {mode}): run `chmod 600 {path}`"
+    OTHER_OWNER = "{path}: belongs to another user (uid {uid}), who may read and replace it: give it to this one"
+    REPLACEABLE = "{path}: anyone may put another key in its place: run `chmod o-w {folder}`"
+    SAME_NEXT = (
+        "{name}: key_file and next_key_file hold the same key, {fingerprint}: "
+        "`rsb-console client rekey {name} --finish` ends that"
+    )
+    TWO_FOR_LONG = (
+        "{name}: two keys have been valid since {since}, and the old one still opens a link: once the robot has the "
+        "new one, `rsb-console client rekey {name} --finish`"
+    )
+
+
+class Age(Wording):
+    """The time since a key was written."""
+
+    FUTURE = "in the future: is the clock right?"
+    AGO = "{count} {unit} ago"
+    NOW = "just now"
 
 
 class KeyFileError(Exception):
@@ -104,9 +151,9 @@ def write_key(path: Path, *, force: bool = False) -> Key:
         else:
             _write_new(path, text)
     except FileExistsError:
-        raise KeyFileError(f"{path}: exists already; --force replaces it, and the old key is lost") from None
+        raise KeyFileError(KeyFileProblem.EXISTS(path=path)) from None
     except OSError as error:
-        raise KeyFileError(f"{path}: cannot be written: {why_not_written(error, path)}") from None
+        raise KeyFileError(KeyFileProblem.NOT_WRITTEN(path=path, problem=why_not_written(error, path))) from None
     return _parse(text.decode(), path)
 
 
@@ -125,7 +172,7 @@ def copy_key(key: Key, path: Path, *, force: bool = False) -> None:
     try:
         write(path, base64.urlsafe_b64encode(key.secret) + b"\n")
     except OSError as error:
-        raise KeyFileError(f"{path}: cannot be written: {why_not_written(error, path)}") from None
+        raise KeyFileError(KeyFileProblem.NOT_WRITTEN(path=path, problem=why_not_written(error, path))) from None
 
 
 def key_path(base: Path, key_file: str) -> Path:
@@ -147,20 +194,18 @@ def read_key(path: Path) -> Key:
     try:
         kind = path.stat().st_mode  # before it is opened: a FIFO would wait for a writer
         if not stat.S_ISREG(kind):
-            raise KeyFileError(f"{path}: is {kind_of_file(kind)}, not a key file")
+            raise KeyFileError(KeyFileProblem.NOT_A_FILE(path=path, kind=kind_of_file(kind)))
         with path.open("rb") as file:
             status = os.fstat(file.fileno())
             content = file.read(_MAX_FILE + 1)
         folder = Path(os.path.realpath(path)).parent
         of_folder = folder.stat().st_mode
     except FileNotFoundError:
-        raise KeyFileError(
-            f"{path}: no such key file: copy it from the other side, or make one with `rsb-console keygen {path}`"
-        ) from None
+        raise KeyFileError(KeyFileProblem.NO_SUCH_FILE(path=path)) from None
     except OSError as error:
-        raise KeyFileError(f"{path}: cannot be read: {error.strerror}") from None
+        raise KeyFileError(KeyFileProblem.NOT_READ(path=path, problem=error.strerror)) from None
     if len(content) > _MAX_FILE:
-        raise KeyFileError(f"{path}: too large for a key file")
+        raise KeyFileError(KeyFileProblem.TOO_LARGE(path=path))
     key = _parse(content.decode("ascii", errors="replace"), path)
     return Key(key.secret, tuple(_risks(path, status, folder, of_folder)), status.st_mtime)
 
@@ -168,24 +213,21 @@ def read_key(path: Path) -> Key:
 def _risks(path: Path, status: os.stat_result, folder: Path, of_folder: int) -> Iterator[str]:
     """Who else may read a key or put another in its place; of a symbolic link, what it leads to counts."""
     if status.st_mode & (stat.S_IRWXG | stat.S_IRWXO):
-        yield f"{path}: others may read this key (mode {stat.S_IMODE(status.st_mode):04o}): run `chmod 600 {path}`"
+        yield KeyWarning.READABLE(path=path, mode=f"{stat.S_IMODE(status.st_mode):04o}")
     user = os.geteuid()
     if user and status.st_uid not in (user, 0):  # root reads the files of whoever runs the bridge
-        yield f"{path}: belongs to another user (uid {status.st_uid}), who may read and replace it: give it to this one"
+        yield KeyWarning.OTHER_OWNER(path=path, uid=status.st_uid)
     if of_folder & stat.S_IWOTH and not of_folder & stat.S_ISVTX:
-        yield f"{path}: anyone may put another key in its place: run `chmod o-w {folder}`"
+        yield KeyWarning.REPLACEABLE(path=path, folder=folder)
 
 
 def _parse(text: str, path: Path) -> Key:
     words = text.split()
     if not words:
-        raise KeyFileError(f"{path}: is empty: make a key with `rsb-console keygen`")
+        raise KeyFileError(KeyFileProblem.EMPTY(path=path))
     secret = _decode(words[-1])
     if secret is None:
-        raise KeyFileError(
-            f"{path}: holds no key: a key is 44 characters of URL-safe base64, {KEY_BYTES} bytes, and the last word of "
-            f"the file has {len(words[-1])} characters"
-        )
+        raise KeyFileError(KeyFileProblem.NO_KEY(path=path, bytes=KEY_BYTES, length=len(words[-1])))
     return Key(secret)
 
 
@@ -254,9 +296,7 @@ def keys_of(session: Session, base: Path) -> dict[str, tuple[Key, ...]]:
         return dict.fromkeys(files, ())
     for name, of_client in files.items():
         if not of_client:
-            raise KeyFileError(
-                f"no key_file for {name}: make one with `rsb-console keygen`, and copy it to the other side"
-            )
+            raise KeyFileError(KeyFileProblem.NOT_GIVEN(name=name))
     return {name: tuple(read_key(key_path(base, file)) for file in of_client) for name, of_client in files.items()}
 
 
@@ -274,14 +314,10 @@ def key_warnings(keys: Mapping[str, tuple[Key, ...]], now: float) -> Iterator[st
 
 
 def _of_rotation(name: str, current: Key, following: Key, now: float) -> Iterator[str]:
-    finish = f"`rsb-console client rekey {name} --finish`"
     if following == current:
-        yield f"{name}: key_file and next_key_file hold the same key, {fingerprint(current)}: {finish} ends that"
+        yield KeyWarning.SAME_NEXT(name=name, fingerprint=fingerprint(current))
     elif now - following.written > _LONG:
-        yield (
-            f"{name}: two keys have been valid since {written(following, now)}, and the old one still opens a link: "
-            f"once the robot has the new one, {finish}"
-        )
+        yield KeyWarning.TWO_FOR_LONG(name=name, since=written(following, now))
 
 
 def written(key: Key, now: float) -> str:
@@ -291,12 +327,12 @@ def written(key: Key, now: float) -> str:
 
 def _ago(seconds: float) -> str:
     if seconds < -60:
-        return "in the future: is the clock right?"
+        return Age.FUTURE()
     for size, unit in _SPANS:
         if seconds >= size:
             count = int(seconds // size)
-            return f"{count} {plural(count, unit)} ago"
-    return "just now"
+            return Age.AGO(count=count, unit=plural(count, unit))
+    return Age.NOW()
 
 
 def unshared_keys(session: Session, base: Path) -> dict[str, tuple[Key, ...]]:
@@ -324,10 +360,5 @@ def shared_key_problem(session: Session, keys: Mapping[str, Collection[Hashable]
     for name, valid in keys.items():
         for key in dict.fromkeys(valid):
             owners.setdefault(key, []).append(name)
-    shared = [f"{join_first(names, _NAMED)} have one key" for names in owners.values() if len(names) > 1]
-    if not shared:
-        return ""
-    return (
-        f"{'; '.join(shared)}: whoever has it may take each of these names, and its rights. Give each a key of its own "
-        "(`rsb-console client rekey NAME SESSION`), or say `shared_keys: true` in the server's session file"
-    )
+    shared = [KeyFileProblem.ONE_KEY(names=join_first(names, _NAMED)) for names in owners.values() if len(names) > 1]
+    return KeyFileProblem.SHARED(owners="; ".join(shared)) if shared else ""

@@ -24,6 +24,7 @@ from rsb_bridge.model.names import client_topic
 from rsb_bridge.model.patterns import Pattern, is_pattern
 from rsb_bridge.model.session import Grant, May, Problem
 from rsb_bridge.model.text import is_clean, join_first
+from rsb_bridge.model.wording import Wording
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Hashable, Iterator, Mapping, Sequence, Set
@@ -64,11 +65,70 @@ What any other service does cannot be told from its name or its type: ``std_srvs
 others count as changing it, and every action and every node's parameters, which can be set, do.
 """
 _NOTHING = "nothing"
+EVERY_CALL = "any service, action and parameter"
+"""Entry of `Listing.acts`, if nothing limits the peer's calls."""
 _KINDS: dict[Kind, str] = {"action": " (action)", "parameters": " (parameters)"}
 
 
+class RightsMistake(Wording):
+    """A mistake in an entry of `allow` or `deny`, or in the limits of a benchmark."""
+
+    TYPED = "{entry}: {problem}"
+    NO_PROTOCOLS = "the list is empty: leave protocol out, or name one"
+    RATE_OF_DENIED = "belongs under allow: what is denied has no rate"
+    NO_PATTERN = "missing: give a pattern as topics, or as services"
+    BOTH = "has topics beside it: make an entry of each"
+    UNRELIABLE = "{protocol} carries no calls: leave it out"
+    OTHER_USE = "{may} is for {others}: a {noun} takes {uses}, or leave may out for both"
+    NO_MATCH = "{pattern} matches no {noun}: a pattern begins with / or * (/robot1/*)"
+    SLASHES = "{pattern} matches no {noun}: names have one / before each part, and none at the end"
+    LIMIT = "{value} is out of range: above 0, at most {limit}"
+
+
+class OperatorMistake(Wording):
+    """A mistake in a session's operators."""
+
+    TOO_MANY = "{count} are too many: at most {limit}"
+    TWICE = "{name} is the name of operator number {number} already"
+    KEY_FILE_INVALID = "{file} is not a file name: give the file of the operator's key"
+    NAME_UNPRINTABLE = "{name} is not a name: give printable characters"
+    NAME_TOO_LONG = "has {length} bytes in UTF-8; at most {limit}"
+    SHARED_KEY = (
+        "operator {name} has the key of {other}, and whoever has it could take either's place: make a key of its own "
+        "with `rsb-console keygen`"
+    )
+
+
+class OperatorChange(Wording):
+    """The effect of a changed session on its operators."""
+
+    REMOVED = "operator {name}: removed, and detached"
+    ADDED = "operator {name}: added, {right}"
+    CHANGED = "operator {name}: {before} → {after}; detached, and attaches again"
+
+
+class DeniedText(Wording):
+    """The reason why a peer may not use a topic or a service."""
+
+    DENIED = "{owner} denies {use} to {peer}"
+    OTHER_PROTOCOL = "{owner} allows {use} to {peer} over {protocols} only"
+    NOT_ALLOWED = "{owner} does not let {peer} {may} {use}"
+    NO_BENCHMARK = "{owner} does not let {peer} measure this link"
+
+
+class DeniedRemedy(Wording):
+    """The change of a session file that would allow it."""
+
+    CHANGE_DENY = "deny {place} has {entry}"
+    CHANGE_ALLOW = "allow {place} has {entry}"
+    ADD_BENCH = "add bench: {{}} {place}"
+    ADD_ALLOW = "add {entry} to allow {place}"
+    LIST = "list it under {list} {place}, with {direction}"
+    LIST_OR_ALLOW = "list it under {list} {place}, with {direction}, or add {entry} to allow there"
+
+
 class GrantError(ValueError):
-    """What was typed is no entry of `allow` or `deny`; the message says why."""
+    """An operator's text is no entry of `allow` or `deny`."""
 
 
 def protocols_of(grant: Grant) -> tuple[str, ...]:
@@ -92,7 +152,7 @@ def _typed(entry: str) -> str | Grant:
     try:
         data = read_yaml(entry, Path()).data
     except SessionError as error:
-        raise GrantError(f"{show(entry)}: {error.problems[0].message}") from None
+        raise GrantError(RightsMistake.TYPED(entry=show(entry), problem=error.problems[0].message)) from None
     grant = read(data, Grant, problems)
     if problems:
         raise GrantError("; ".join(map(str, problems)))
@@ -119,19 +179,19 @@ def grant_problems(holder: Client | Session, location: str) -> Iterator[Problem]
                 continue
             yield from _subject_problems(grant, here)
             if grant.protocol == ():
-                yield Problem(join(here, "protocol"), "the list is empty: leave protocol out, or name one")
+                yield Problem(join(here, "protocol"), RightsMistake.NO_PROTOCOLS())
             if key == "deny" and grant.max_rate is not None:
-                yield Problem(join(here, "max_rate"), "belongs under allow: what is denied has no rate")
+                yield Problem(join(here, "max_rate"), RightsMistake.RATE_OF_DENIED())
             yield from rate_problems(grant.max_rate, join(here, "max_rate"))
 
 
 def _subject_problems(grant: Grant, here: str) -> Iterator[Problem]:
     """Mistakes in what an entry is about, and in what may be done with that."""
     if grant.topics is None and grant.services is None:
-        yield Problem(join(here, "topics"), "missing: give a pattern as topics, or as services")
+        yield Problem(join(here, "topics"), RightsMistake.NO_PATTERN())
         return
     if grant.topics is not None and grant.services is not None:
-        yield Problem(join(here, "services"), "has topics beside it: make an entry of each")
+        yield Problem(join(here, "services"), RightsMistake.BOTH())
         return
     if grant.topics is not None:
         noun, uses, others = "topic", TOPIC_USES, "services"
@@ -141,18 +201,17 @@ def _subject_problems(grant: Grant, here: str) -> Iterator[Problem]:
         yield from _pattern_problems(grant.services or "", noun, join(here, "services"))
         for protocol in protocols_of(grant):
             if not transports.named(protocol).reliable:
-                yield Problem(join(here, "protocol"), f"{protocol} carries no calls: leave it out")
+                yield Problem(join(here, "protocol"), RightsMistake.UNRELIABLE(protocol=protocol))
     if grant.may is not None and grant.may not in uses:
-        message = f"{grant.may} is for {others}: a {noun} takes {' or '.join(uses)}, or leave may out for both"
+        message = RightsMistake.OTHER_USE(may=grant.may, others=others, noun=noun, uses=" or ".join(uses))
         yield Problem(join(here, "may"), message)
 
 
 def _pattern_problems(pattern: str, noun: str, location: str) -> Iterator[Problem]:
     if not (pattern.startswith(("/", "*")) and pattern.isprintable()):
-        yield Problem(location, f"{show(pattern)} matches no {noun}: a pattern begins with / or * (/robot1/*)")
+        yield Problem(location, RightsMistake.NO_MATCH(pattern=show(pattern), noun=noun))
     elif pattern.endswith("/") or "//" in pattern:
-        message = f"{show(pattern)} matches no {noun}: names have one / before each part, and none at the end"
-        yield Problem(location, message)
+        yield Problem(location, RightsMistake.SLASHES(pattern=show(pattern), noun=noun))
 
 
 def leave_problems(leave: Leave | None, location: str) -> Iterator[Problem]:
@@ -162,7 +221,7 @@ def leave_problems(leave: Leave | None, location: str) -> Iterator[Problem]:
     yield from rate_problems(leave.max_rate, join(location, "max_rate"))
     for key, value in (("seconds", leave.seconds), ("megabytes", leave.megabytes)):
         if not 0 < value <= _MOST_LEAVE:
-            yield Problem(join(location, key), f"{value:g} is out of range: above 0, at most {_MOST_LEAVE:g}")
+            yield Problem(join(location, key), RightsMistake.LIMIT(value=f"{value:g}", limit=f"{_MOST_LEAVE:g}"))
 
 
 class Use(NamedTuple):
@@ -237,21 +296,25 @@ class Rights:
             return None if self.bench is not None and use.kind == "topic" else self._no_leave()
         for grant in self._about(self.deny, use, also=_meant_by(use)):
             if not grant.protocol or use.protocol in protocols_of(grant):
-                return Refusal(f"{self.owner} denies {use} to {self.peer}", f"deny {self.place} has {_text(grant)}")
+                return Refusal(
+                    DeniedText.DENIED(owner=self.owner, use=use, peer=self.peer),
+                    DeniedRemedy.CHANGE_DENY(place=self.place, entry=_text(grant)),
+                )
         allowing = self._about(self.allow, use)
         for grant in allowing:
             if grant.protocol and use.protocol and use.protocol not in protocols_of(grant):
                 only = join_first(protocols_of(grant), _NAMED)
-                reason = f"{self.owner} allows {use} to {self.peer} over {only} only"
-                return Refusal(reason, f"allow {self.place} has {_text(grant)}")
+                reason = DeniedText.OTHER_PROTOCOL(owner=self.owner, use=use, peer=self.peer, protocols=only)
+                return Refusal(reason, DeniedRemedy.CHANGE_ALLOW(place=self.place, entry=_text(grant)))
         if allowing or self._by_default(use):
             return None
-        return Refusal(f"{self.owner} does not let {self.peer} {use.may} {use}", self._remedy(use))
+        reason = DeniedText.NOT_ALLOWED(owner=self.owner, peer=self.peer, may=use.may, use=use)
+        return Refusal(reason, self._remedy(use))
 
     def _no_leave(self) -> Refusal:
-        reason = f"{self.owner} does not let {self.peer} measure this link"
+        reason = DeniedText.NO_BENCHMARK(owner=self.owner, peer=self.peer)
         where = f"to {self.place.removeprefix('of ')}" if self.place.startswith("of ") else self.place
-        return Refusal(reason, f"add bench: {{}} {where}")
+        return Refusal(reason, DeniedRemedy.ADD_BENCH(place=where))
 
     def max_rate(self, use: Use) -> float:
         """The most messages or calls a second that may cross, whoever asked for them; 0: there is no limit."""
@@ -270,9 +333,9 @@ class Rights:
     def _remedy(self, use: Use) -> str:
         entry = f"{{{'topics' if use.kind == 'topic' else 'services'}: {use.topic}, may: {use.may}}}"
         if self.listed is None or use.may == "read":
-            return f"add {entry} to allow {self.place}"
-        listing = f"list it under {LISTS[use.kind]} {self.place}, with {_LISTED_AS[use.may][1]}"
-        return f"{listing}, or add {entry} to allow there" if self.allow else listing
+            return DeniedRemedy.ADD_ALLOW(entry=entry, place=self.place)
+        remedy = DeniedRemedy.LIST_OR_ALLOW if self.allow else DeniedRemedy.LIST
+        return remedy(list=LISTS[use.kind], place=self.place, direction=_LISTED_AS[use.may][1], entry=entry)
 
     def _about(self, grants: Sequence[Grant], use: Use, also: Sequence[str] = ()) -> list[Grant]:
         """The entries that say something about such a use, by its name or by other names."""
@@ -479,7 +542,7 @@ def _moves(rights: Rights, carried: Sequence[str]) -> Iterator[str]:
 def _acts(rights: Rights, carried: Sequence[str]) -> Iterator[str]:
     """What a peer may call that may change something, as it is allowed."""
     if rights.listed is None and not rights.allow and _may(rights, Use("/any", "call", kind="service"), carried):
-        yield "any service, action and parameter"
+        yield EVERY_CALL
     for kind, name, direction in sorted(rights.listed or (), key=itemgetter(1)):
         use = Use(name, "call", kind=kind)
         if kind != "topic" and direction == listed_as("call") and _changes(kind, name) and _may(rights, use, carried):
@@ -525,7 +588,7 @@ class Granted:
 def operator_problems(session: Session) -> Iterator[Problem]:
     """All mistakes in a session's operators, as far as can be told without reading their keys."""
     if len(session.operators) > OPERATORS:
-        yield Problem("operators", f"{len(session.operators)} are too many: at most {OPERATORS}")
+        yield Problem("operators", OperatorMistake.TOO_MANY(count=len(session.operators), limit=OPERATORS))
     firsts: dict[str, int] = {}
     for at, operator in enumerate(session.operators):
         location = join("operators", at)
@@ -533,19 +596,18 @@ def operator_problems(session: Session) -> Iterator[Problem]:
         if problem := operator_name_problem(name):
             yield Problem(join(location, "name"), problem)
         elif (first := firsts.setdefault(name, at)) != at:
-            text = f"{show(name)} is the name of operator number {first + 1} already"
+            text = OperatorMistake.TWICE(name=show(name), number=first + 1)
             yield Problem(join(location, "name"), text)
         if not (file.strip() and file.isprintable()):
-            text = f"{show(file)} is not a file name: give the file of the operator's key"
-            yield Problem(join(location, "key_file"), text)
+            yield Problem(join(location, "key_file"), OperatorMistake.KEY_FILE_INVALID(file=show(file)))
 
 
 def operator_name_problem(name: str) -> str:
     """Why no operator can be called so; empty: one can."""
     if not name.strip() or not (name.isprintable() and is_clean(name)):
-        return f"{show(name)} is not a name: give printable characters"
+        return OperatorMistake.NAME_UNPRINTABLE(name=show(name))
     if len(name.encode()) > NAME_BYTES:
-        return f"has {len(name.encode())} bytes in UTF-8; at most {NAME_BYTES}"
+        return OperatorMistake.NAME_TOO_LONG(length=len(name.encode()), limit=NAME_BYTES)
     return ""
 
 
@@ -576,21 +638,18 @@ def operator_key_problem(own: Mapping[str, Hashable], of_links: Mapping[str, Col
     owners = {key: f"the link of {name}" for name, valid in of_links.items() for key in valid}
     for name, key in own.items():
         if other := owners.get(key):
-            return (
-                f"operator {name} has the key of {other}, and whoever has it could take either's place: "
-                f"make a key of its own with `rsb-console keygen`"
-            )
+            return OperatorMistake.SHARED_KEY(name=name, other=other)
         owners[key] = f"operator {name}"
     return ""
 
 
 def operator_changes(old: Mapping[str, Granted], new: Mapping[str, Granted]) -> list[str]:
     """How the operators differ, in words: who is detached by that."""
-    texts = [f"operator {name}: removed, and detached" for name in old if name not in new]
+    texts = [OperatorChange.REMOVED(name=name) for name in old if name not in new]
     for name, granted in new.items():
         before = old.get(name)
         if before is None:
-            texts.append(f"operator {name}: added, {granted}")
+            texts.append(OperatorChange.ADDED(name=name, right=granted))
         elif before != granted:
-            texts.append(f"operator {name}: {before} → {granted}; detached, and attaches again")
+            texts.append(OperatorChange.CHANGED(name=name, before=before, after=granted))
     return texts

@@ -19,8 +19,20 @@ from rsb_bridge.config.yaml_text import SessionError, dump_yaml, read_text, read
 from rsb_bridge.model.demands import SourceKey, sources_of_names
 from rsb_bridge.model.session import Problem, Session, Topic
 from rsb_bridge.model.shortage import why_not_written
+from rsb_bridge.model.wording import Wording
 
 __all__ = ["Problem", "SessionError", "dump", "load", "parse", "save", "validate", "validate_topic"]
+
+
+class SavingProblem(Wording):
+    """The reason why a session file cannot be read as such, or be saved."""
+
+    CHANGED = "was changed on disk after it was opened: open it again, or save under another name"
+    THESIS = "this is a configuration of ros2_socket_bridge: convert it with `rsb-console import {path} --name NAME`"
+    NOT_WRITTEN = "cannot be written: {problem}"
+    READ_ONLY = "it is read-only (`chmod u+w {path}` lets it be saved)"
+    WOULD_DIFFER = "not saved: the file would not load again as this session"
+    LAYOUT = "its layout cannot be edited in place: save under another name, or have it written anew"
 
 
 class ChangedOnDiskError(SessionError):
@@ -61,8 +73,7 @@ class SessionFile:
             SessionError: it cannot be read.
         """
         if self.path.exists() and read_text(self.path) != self.text:
-            message = "was changed on disk after it was opened: open it again, or save under another name"
-            raise ChangedOnDiskError(self.path, [Problem("", message)])
+            raise ChangedOnDiskError(self.path, [Problem("", SavingProblem.CHANGED())])
 
 
 def load(path: Path) -> Session:
@@ -92,10 +103,7 @@ def parse(text: str, path: Path) -> Session:
     """
     document = read_yaml(text, path)
     if bridge_nodes(document.data):
-        message = (
-            f"this is a configuration of ros2_socket_bridge: convert it with `rsb-console import {path} --name NAME`"
-        )
-        raise SessionError(path, [Problem("", message)])
+        raise SessionError(path, [Problem("", SavingProblem.THESIS(path=path))])
     session, problems = build(document.data)
     if document.problems or problems:
         in_text = [placed(problem, document.data) for problem in document.problems]
@@ -186,7 +194,8 @@ def save(session: Session, path: Path, opened: SessionFile | None = None) -> Ses
             replace_file(backup_path(path), path.read_bytes(), like=path)
         replace_file(path, text.encode(), like=path)
     except OSError as error:
-        raise UnwritableError(path, [Problem("", f"cannot be written: {why_not_written(error, path)}")]) from None
+        message = SavingProblem.NOT_WRITTEN(problem=why_not_written(error, path))
+        raise UnwritableError(path, [Problem("", message)]) from None
     return SessionFile(path, text, session)
 
 
@@ -210,7 +219,7 @@ def edited_text(session: Session, path: Path, opened: SessionFile | None = None)
         return _merged(opened, session)
     text = dump(session)
     if not _says(text, session, path):
-        raise SessionError(path, [Problem("", "not saved: the file would not load again as this session")])
+        raise SessionError(path, [Problem("", SavingProblem.WOULD_DIFFER())])
     return text
 
 
@@ -223,7 +232,7 @@ def backup_path(path: Path) -> Path:
 def _check_writable(path: Path) -> None:
     """Raise an OSError for a file without any right to write: its folder's rights would let it be replaced."""
     if path.is_file() and not stat.S_IMODE(path.stat().st_mode) & (stat.S_IWUSR | stat.S_IWGRP | stat.S_IWOTH):
-        raise PermissionError(errno.EACCES, f"it is read-only (`chmod u+w {path}` lets it be saved)")
+        raise PermissionError(errno.EACCES, SavingProblem.READ_ONLY(path=path))
 
 
 def _says(text: str, session: Session, path: Path) -> bool:
@@ -241,6 +250,5 @@ def _merged(opened: SessionFile, session: Session) -> str:
     except LayoutError:
         text = ""
     if not _says(text, session, opened.path):
-        message = "its layout cannot be edited in place: save under another name, or have it written anew"
-        raise UneditableError(opened.path, [Problem("", message)])
+        raise UneditableError(opened.path, [Problem("", SavingProblem.LAYOUT())])
     return text

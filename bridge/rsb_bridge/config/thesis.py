@@ -17,9 +17,33 @@ from rsb_bridge.config.yaml_text import SessionError, read_text, read_yaml
 from rsb_bridge.model.limits import CHANNEL
 from rsb_bridge.model.names import SHORT_NAMES
 from rsb_bridge.model.session import Direction, Problem, Role, Session, is_mac
+from rsb_bridge.model.wording import Wording
 
 if TYPE_CHECKING:
     from pathlib import Path
+
+
+class BringupMistake(Wording):
+    """The reason why a thesis's configuration cannot be imported."""
+
+    NO_TOPICS = "no topics: a client has the lists {lists}"
+    NO_NODE = "not a bringup.yaml of ros2_socket_bridge: no node has ros__parameters with a server_ip"
+    SEVERAL_NODES = "{count} nodes have a server_ip: {nodes}. Keep one in the file, and import one at a time"
+    NOT_A_LIST = "{value} is not a list"
+    LENGTHS_DIFFER = "{count} entries for {topics} {list}: give one for each"
+
+
+class BringupNote(Wording):
+    """A difference between the imported session and the thesis's bridge."""
+
+    TOPICS_LEFT_OUT = "the topics are left out: a server gets them from its clients"
+    PREFIX = (
+        "use_name: topics that the client receives are named /{name}/... on the server; the thesis's bridge had that "
+        "prefix on the client instead"
+    )
+    NOT_A_PARAMETER = "{key}: not a parameter of the bridge, left out"
+    SHUTDOWN_LEFT_OUT = "/shutdown is left out: the session's shutdown_topic does what it did"
+    NOT_A_CHANNEL = "{name}: {port} is not an RFCOMM channel; the topic shares the link's"
 
 
 def bridge_nodes(data: object) -> dict[str, dict[str, Any]]:
@@ -85,16 +109,13 @@ def import_bringup(
     bringup = _Bringup(join(node, "ros__parameters"), parameters)
     if role == "client":
         if not any(parameters.get(f"{direction}_topics") for direction in _DIRECTIONS):
-            message = f"no topics: a client has the lists {' and '.join(f'{each}_topics' for each in _DIRECTIONS)}"
+            message = BringupMistake.NO_TOPICS(lists=" and ".join(f"{each}_topics" for each in _DIRECTIONS))
             bringup.problems.append(Problem(bringup.location, message))
         bringup.add_topics()
     elif any(parameters.get(f"{direction}_topics") for direction in _DIRECTIONS):
-        bringup.notes.append("the topics are left out: a server gets them from its clients")
+        bringup.notes.append(BringupNote.TOPICS_LEFT_OUT())
     if use_name and any(topic["direction"] == "receive" for topic in bringup.topics):
-        bringup.notes.append(
-            f"use_name: topics that the client receives are named /{name}/... on the server; the thesis's bridge had "
-            "that prefix on the client instead"
-        )
+        bringup.notes.append(BringupNote.PREFIX(name=name))
     data: dict[str, Any] = {key: parameters[key] for key in ("server_ip", "server_port") if key in parameters}
     given = {"server_port": server_port, "key_file": key_file, "domain_id": domain_id}
     data |= {key: value for key, value in given.items() if value is not None}
@@ -112,12 +133,9 @@ def _bridge_node(data: object, path: Path) -> tuple[str, dict[str, Any]]:
     """The name and parameters of the only bridge node in the file."""
     nodes = bridge_nodes(data)
     if not nodes:
-        message = "not a bringup.yaml of ros2_socket_bridge: no node has ros__parameters with a server_ip"
-        raise SessionError(path, [Problem("", message)])
+        raise SessionError(path, [Problem("", BringupMistake.NO_NODE())])
     if len(nodes) > 1:
-        message = (
-            f"{len(nodes)} nodes have a server_ip: {', '.join(nodes)}. Keep one in the file, and import one at a time"
-        )
+        message = BringupMistake.SEVERAL_NODES(count=len(nodes), nodes=", ".join(nodes))
         raise SessionError(path, [Problem("", message)])
     return nodes.popitem()
 
@@ -143,7 +161,7 @@ class _Bringup:
         }
         known = {"server_ip", "server_port"}
         known |= {f"{direction}_{suffix}" for direction in _DIRECTIONS for suffix in _LISTS.values()}
-        self.notes += [f"{key}: not a parameter of the bridge, left out" for key in parameters if key not in known]
+        self.notes += [BringupNote.NOT_A_PARAMETER(key=key) for key in parameters if key not in known]
 
     def add_topics(self) -> None:
         """Read the lists of both directions."""
@@ -164,9 +182,11 @@ class _Bringup:
         faults = {}
         for key, column in columns.items():
             if not isinstance(column, list):
-                faults[key] = f"{show(column)} is not a list"
+                faults[key] = BringupMistake.NOT_A_LIST(value=show(column))
             elif column and isinstance(topics, list) and len(column) != len(topics):
-                faults[key] = f"{len(column)} entries for {len(topics)} {direction}_topics: give one for each"
+                faults[key] = BringupMistake.LENGTHS_DIFFER(
+                    count=len(column), topics=len(topics), list=f"{direction}_topics"
+                )
         self.problems += [
             Problem(join(self.location, f"{direction}_{_LISTS[key]}"), message) for key, message in faults.items()
         ]
@@ -175,11 +195,11 @@ class _Bringup:
     def _add(self, topic: dict[str, Any], at: int) -> None:
         name, port = topic["topic"], topic.get("port")
         if name == "/shutdown":
-            self.notes.append("/shutdown is left out: the session's shutdown_topic does what it did")
+            self.notes.append(BringupNote.SHUTDOWN_LEFT_OUT())
             return
         if isinstance(port, int) and port > CHANNEL.high and is_mac(str(self._parameters["server_ip"])):
             del topic["port"]
-            self.notes.append(f"{name}: {port} is not an RFCOMM channel; the topic shares the link's")
+            self.notes.append(BringupNote.NOT_A_CHANNEL(name=name, port=port))
         here = join("topics", len(self.topics))
         lists = {key: join(self.location, f"{topic['direction']}_{suffix}") for key, suffix in _LISTS.items()}
         self._origins |= {join(here, key): join(location, at) for key, location in lists.items()}

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from typing import TYPE_CHECKING, Any, Final
 
-from rsb_bridge.config.decoding import did_you_mean, join, read, show
+from rsb_bridge.config.decoding import Hint, did_you_mean, join, read, show
 from rsb_bridge.config.file_form import LISTS, NOUNS, key_of, locations
 from rsb_bridge.config.keys import conceal
 from rsb_bridge.model import transports
@@ -21,6 +21,7 @@ from rsb_bridge.model.limits import (
     STALE_AFTER,
     TEXT_LENGTH,
     TOPIC_LENGTH,
+    Range,
 )
 from rsb_bridge.model.names import expand_type_name, is_topic_name, server_topic, well_formed
 from rsb_bridge.model.patterns import (
@@ -32,8 +33,9 @@ from rsb_bridge.model.patterns import (
     is_valid,
 )
 from rsb_bridge.model.qos import AUTO, PROFILES, Qos, parse_qos
-from rsb_bridge.model.session import Kind, Problem, Protocol, Session, Topic
+from rsb_bridge.model.session import Kind, Problem, Session, Topic
 from rsb_bridge.model.sources import ANNOUNCEMENT_TOPIC, OWN_NAMES
+from rsb_bridge.model.wording import Wording
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
@@ -49,18 +51,89 @@ A_KIND: Final[dict[Kind, str]] = {
 """Each kind, in a sentence."""
 _OVER_ZENOH = ("zenoh", "zenoh-drop")
 _NAMED: Final[dict[Kind, str]] = {"topic": "topic", "service": "service", "action": "action", "parameters": "node"}
-_FORM: Final = "/part/part, where * stands for characters of one part, and ** as a whole part for any number of them"
 _OF_AN_ACTION = re.compile(r"(?P<action>.*)/_action/[^/]*")
 _FOLDERS: dict[Kind, str] = {"service": "srv", "action": "action"}
 _PART = r"[A-Za-z][A-Za-z0-9_]*"
 
 
+class TopicMistake(Wording):
+    """A mistake in an entry for a topic, a service, an action or a node's parameters."""
+
+    PORT_OVER_ZENOH = "a link over Zenoh has no ports: leave it out"
+    INVALID_PORT = "{port} is not a valid {kind}: {range}"
+    DEADMAN_WITHOUT_ARM = "only {kind} that is armed has one: set arm: true, or leave it out"
+    OUT_OF_RANGE = "{value} is out of range: {range}"
+    IS_A_PATTERN = "{name} is a pattern: give the name of one {noun}"
+    NOT_ABSOLUTE = "{name} is not an absolute {noun} name: /part/part, of letters, digits and _, no digit first{hint}"
+    ANNOUNCEMENT = "{name} is what bridges tell each other: it is never bridged; name another topic"
+    NAME_TOO_LONG = "{name} has {length} characters, and ROS allows at most {limit}: shorten it"
+    NAME_TOO_LONG_WITH_PREFIX = (
+        "{name} has {length} characters with its prefix, and ROS allows at most {limit}: shorten it"
+    )
+    TYPE_TOO_LONG = "{name} has {length} characters, and at most {limit} are allowed"
+    CALL_NEEDS_RELIABLE = (
+        "{protocol} loses messages, and a call has to arrive whole, and be answered: leave protocol out"
+    )
+    NOT_ON_BLUETOOTH = "{protocol} does not cross a Bluetooth link (server_ip is a MAC): leave protocol out"
+    NOT_OVER_ZENOH = "{protocol} does not cross a link over Zenoh: give zenoh or zenoh-drop, or leave protocol out"
+    NEEDS_ZENOH = "{protocol} needs a link over Zenoh (server_ip: zenoh): leave protocol out"
+    NEEDS_ADAPTER = (
+        "bluetooth needs the MAC of the server's adapter: as server_ip for the whole link, or as bluetooth_address for "
+        "such topics"
+    )
+    NEEDS_CHANNEL = "missing: a bluetooth {noun} of an IP link needs a channel, {range}; several topics may share one"
+    WILDCARDS_DIFFER = (
+        "{remote} has {remote_wildcards}, and {name} has {wildcards}: give both the same, in the same order"
+    )
+    PORT_OF_PATTERN = "each that matches would need a {kind} of its own: leave port out, and they share the link's"
+    EXCEPT_OF_NAME = "{name} is one name, of which nothing can be left out: leave except out"
+    TOO_MANY_EXCEPTIONS = "{count} entries, and at most {limit} are allowed: use patterns in it"
+    TOO_MANY_PATTERNS = "{count} patterns, and at most {limit} are allowed: use fewer, wider ones"
+    NOT_A_PATTERN = (
+        "{name} is not a pattern of names: /part/part, where * stands for characters of one part, and ** as a whole "
+        "part for any number of them"
+    )
+    NEITHER_NAME_NOR_PATTERN = (
+        "{name} is neither a name nor a pattern: /part/part, where * stands for characters of one part, and ** as a "
+        "whole part for any number of them"
+    )
+    HIDDEN = "{name}: patterns never match hidden names, whose parts begin with _: list them by their names"
+    PART_OF_ACTION = (
+        "{name} belongs to the action {action}: list that under actions, which bridges all that it consists of"
+    )
+    OF_THE_BRIDGE = "{name} is the bridge's own, and never bridged: name another one"
+    TYPE_OF_OTHER_KIND = "{name} is the type of {kind}: list this entry under {list}"
+    NOT_A_TYPE = "{name} is no type of {kind}: write package/{folder}/Name, or leave it out{hint}"
+    CALLED_TYPE_TOO_LONG = "{name} has {length} characters: that is too long"
+    OTHER_PROVIDER = (
+        "{name} has provider: {provider} already: only one side's node can answer; keep the entry of the side whose "
+        "node does"
+    )
+    BRIDGED_ALREADY = "{service} is bridged already, with {noun} {name}: keep one of the two"
+
+
+class RangeText(Wording):
+    """The values that a field may have."""
+
+    DEADMAN = "{range} s, or 0 for none"
+    LATE_AFTER = "{range} s, or 0 to accept any delay"
+    MAX_AGE = "{range} s, or 0 for no limit"
+    STALE_AFTER = "{range} s, or 0 to never warn"
+    RATE = "{range} Hz, or leave it out"
+    TIMEOUT = "{range} s, or leave it out"
+
+
+def out_of_range(value: float, location: str, text: RangeText, limits: Range) -> Problem:
+    """Make the problem of a value outside of its range."""
+    return Problem(location, TopicMistake.OUT_OF_RANGE(value=value, range=text(range=limits)))
+
+
 def port_problems(port: int, location: str, transport: type[TransportTraits]) -> Iterator[Problem]:
     """Whether there is such a port."""
     if port and transport.ports is NO_PORT:
-        yield Problem(location, "a link over Zenoh has no ports: leave it out")
+        yield Problem(location, TopicMistake.PORT_OVER_ZENOH())
     elif port not in transport.ports:
-        yield Problem(location, f"{port} is not a valid {transport.port_kind}: {transport.ports}")
+        yield Problem(location, TopicMistake.INVALID_PORT(port=port, kind=transport.port_kind, range=transport.ports))
 
 
 def transport_of(topic: Topic, session: Session | None) -> type[TransportTraits]:
@@ -97,7 +170,7 @@ def topic_problems(topic: Topic, location: str, session: Session | None, client:
         if topic.remote_topic is not None:
             yield from name_problems(topic.remote_topic, remote, topic.kind)
     if topic.remote_topic is None and client is not None and len(topic.topic) <= TOPIC_LENGTH:
-        yield from _length(server_topic(topic.topic, client), name, topic.kind, " with its prefix")
+        yield from _length(server_topic(topic.topic, client), name, topic.kind, TopicMistake.NAME_TOO_LONG_WITH_PREFIX)
     if topic.kind == "topic":
         yield from _type(topic.type, join(location, "type"))
     yield from call_problems(topic, location)
@@ -120,38 +193,31 @@ def _arming(topic: Topic, location: str) -> Iterator[Problem]:
     if topic.deadman is None:
         return
     if not topic.arm:
-        message = f"only {A_KIND[topic.kind]} that is armed has one: set arm: true, or leave it out"
-        yield Problem(join(location, "deadman"), message)
+        yield Problem(join(location, "deadman"), TopicMistake.DEADMAN_WITHOUT_ARM(kind=A_KIND[topic.kind]))
     elif topic.deadman and topic.deadman not in DEADMAN_TIME:
-        yield Problem(join(location, "deadman"), f"{topic.deadman} is out of range: {DEADMAN_TIME} s, or 0 for none")
+        yield out_of_range(topic.deadman, join(location, "deadman"), RangeText.DEADMAN, DEADMAN_TIME)
 
 
 def name_problems(name: str, location: str, kind: Kind = "topic") -> Iterator[Problem]:
     """Whether ROS has such a name, and a bridge may carry it."""
     if is_pattern(name):
-        yield Problem(location, f"{show(name)} is a pattern: give the name of one {_NAMED[kind]}")
+        yield Problem(location, TopicMistake.IS_A_PATTERN(name=show(name), noun=_NAMED[kind]))
     elif not is_topic_name(name):
         better = well_formed(name)
-        hint = f" (did you mean /{better}?)" if better else ""
-        yield Problem(
-            location,
-            f"{show(name)} is not an absolute {_NAMED[kind]} name: /part/part, of letters, digits and _, no digit "
-            f"first{hint}",
-        )
+        hint = Hint.DID_YOU_MEAN(name=f"/{better}") if better else ""
+        yield Problem(location, TopicMistake.NOT_ABSOLUTE(name=show(name), noun=_NAMED[kind], hint=hint))
     elif kind == "topic" and name == ANNOUNCEMENT_TOPIC:
-        yield Problem(
-            location, f"{show(name)} is what bridges tell each other: it is never bridged; name another topic"
-        )
+        yield Problem(location, TopicMistake.ANNOUNCEMENT(name=show(name)))
     else:
         yield from _length(name, location, kind)
 
 
-def _length(name: str, location: str, kind: Kind, how: str = "") -> Iterator[Problem]:
+def _length(
+    name: str, location: str, kind: Kind, mistake: TopicMistake = TopicMistake.NAME_TOO_LONG
+) -> Iterator[Problem]:
     most = TOPIC_LENGTH - max((len(lane.suffix) for lane in LANES[kind]), default=0)
     if len(name) > most:
-        yield Problem(
-            location, f"{show(name)} has {len(name)} characters{how}, and ROS allows at most {most}: shorten it"
-        )
+        yield Problem(location, mistake(name=show(name), length=len(name), limit=most))
 
 
 def _type(name: str, location: str) -> Iterator[Problem]:
@@ -163,44 +229,24 @@ def _type(name: str, location: str) -> Iterator[Problem]:
         yield Problem(location, str(error))
         return
     if len(full) > TEXT_LENGTH:
-        yield Problem(location, f"{show(full)} has {len(full)} characters, and at most {TEXT_LENGTH} are allowed")
+        yield Problem(location, TopicMistake.TYPE_TOO_LONG(name=show(full), length=len(full), limit=TEXT_LENGTH))
 
 
 def _protocol(topic: Topic, location: str, session: Session | None) -> Iterator[Problem]:
     if topic.protocol and not transports.named(topic.protocol).reliable and topic.kind != "topic":
-        message = (
-            f"{topic.protocol} loses messages, and a call has to arrive whole, and be answered: leave protocol out"
-        )
-        yield Problem(join(location, "protocol"), message)
+        yield Problem(join(location, "protocol"), TopicMistake.CALL_NEEDS_RELIABLE(protocol=topic.protocol))
     elif session is None:
         return
     elif session.is_bluetooth:
         if topic.protocol not in (None, "bluetooth"):
-            yield Problem(
-                join(location, "protocol"),
-                f"{topic.protocol} does not cross a Bluetooth link (server_ip is a MAC): leave protocol out",
-            )
+            yield Problem(join(location, "protocol"), TopicMistake.NOT_ON_BLUETOOTH(protocol=topic.protocol))
     elif (topic.protocol in _OVER_ZENOH) != session.is_zenoh and topic.protocol is not None:
-        yield Problem(join(location, "protocol"), _elsewhere(topic.protocol, session))
+        mistake = TopicMistake.NOT_OVER_ZENOH if session.is_zenoh else TopicMistake.NEEDS_ZENOH
+        yield Problem(join(location, "protocol"), mistake(protocol=topic.protocol))
     elif topic.protocol == "bluetooth" and session.bluetooth_address is None:
-        yield Problem(
-            join(location, "protocol"),
-            "bluetooth needs the MAC of the server's adapter: as server_ip for the whole link, or as bluetooth_address "
-            "for such topics",
-        )
+        yield Problem(join(location, "protocol"), TopicMistake.NEEDS_ADAPTER())
     elif topic.protocol == "bluetooth" and topic.port is None:
-        yield Problem(
-            join(location, "port"),
-            f"missing: a bluetooth {_NAMED[topic.kind]} of an IP link needs a channel, {CHANNEL}; several topics may "
-            "share one",
-        )
-
-
-def _elsewhere(protocol: Protocol, session: Session) -> str:
-    """Why a topic cannot go by that protocol on a session's link."""
-    if session.is_zenoh:
-        return f"{protocol} does not cross a link over Zenoh: give zenoh or zenoh-drop, or leave protocol out"
-    return f"{protocol} needs a link over Zenoh (server_ip: zenoh): leave protocol out"
+        yield Problem(join(location, "port"), TopicMistake.NEEDS_CHANNEL(noun=_NAMED[topic.kind], range=CHANNEL))
 
 
 def _qos(value: str | int | dict[str, Any], location: str) -> Iterator[Problem]:
@@ -222,24 +268,24 @@ def _qos(value: str | int | dict[str, Any], location: str) -> Iterator[Problem]:
 def late_problems(seconds: float, location: str) -> Iterator[Problem]:
     """Check a topic's or a session's `late_after`."""
     if seconds and seconds not in LATE_AFTER:
-        yield Problem(location, f"{seconds} is out of range: {LATE_AFTER} s, or 0 to accept any delay")
+        yield out_of_range(seconds, location, RangeText.LATE_AFTER, LATE_AFTER)
 
 
 def _max_age(seconds: float, location: str) -> Iterator[Problem]:
     if seconds not in MAX_AGE:
-        yield Problem(location, f"{seconds} is out of range: {MAX_AGE} s, or 0 for no limit")
+        yield out_of_range(seconds, location, RangeText.MAX_AGE, MAX_AGE)
 
 
 def stale_problems(seconds: float, location: str) -> Iterator[Problem]:
     """Whether such a time without messages can be watched."""
     if seconds and seconds not in STALE_AFTER:
-        yield Problem(location, f"{seconds} is out of range: {STALE_AFTER} s, or 0 to never warn")
+        yield out_of_range(seconds, location, RangeText.STALE_AFTER, STALE_AFTER)
 
 
 def rate_problems(rate: float | None, location: str) -> Iterator[Problem]:
     """Whether a rate limit is in its range."""
     if rate is not None and rate not in RATE:
-        yield Problem(location, f"{rate} is out of range: {RATE} Hz, or leave it out")
+        yield out_of_range(rate, location, RangeText.RATE, RATE)
 
 
 def pattern_problems(topic: Topic, location: str, transport: type[TransportTraits]) -> Iterator[Problem]:
@@ -258,26 +304,24 @@ def pattern_problems(topic: Topic, location: str, transport: type[TransportTrait
     if topic.remote_topic is not None and not found:
         ours, theirs = Pattern(topic.topic).wildcards, Pattern(topic.remote_topic).wildcards
         if ours != theirs:
-            message = (
-                f"{show(topic.remote_topic)} has {_wildcards(theirs)}, and {show(topic.topic)} has {_wildcards(ours)}: "
-                "give both the same, in the same order"
+            message = TopicMistake.WILDCARDS_DIFFER(
+                remote=show(topic.remote_topic),
+                remote_wildcards=_wildcards(theirs),
+                name=show(topic.topic),
+                wildcards=_wildcards(ours),
             )
             yield Problem(join(location, remote_key), message)
     if topic.port is not None and not transport.multiplexed:
-        message = (
-            f"each that matches would need a {transport.port_kind} of its own: leave port out, and they share the "
-            "link's"
-        )
-        yield Problem(join(location, "port"), message)
+        yield Problem(join(location, "port"), TopicMistake.PORT_OF_PATTERN(kind=transport.port_kind))
 
 
 def exception_problems(topic: Topic, location: str) -> Iterator[Problem]:
     """Mistakes in what a pattern leaves out."""
     location = join(location, "except")
     if topic.excepts and not topic.is_pattern:
-        yield Problem(location, f"{show(topic.topic)} is one name, of which nothing can be left out: leave except out")
+        yield Problem(location, TopicMistake.EXCEPT_OF_NAME(name=show(topic.topic)))
     elif len(topic.excepts) > EXCEPTIONS_PER_PATTERN:
-        message = f"{len(topic.excepts)} entries, and at most {EXCEPTIONS_PER_PATTERN} are allowed: use patterns in it"
+        message = TopicMistake.TOO_MANY_EXCEPTIONS(count=len(topic.excepts), limit=EXCEPTIONS_PER_PATTERN)
         yield Problem(location, message)
     else:
         for at, name in enumerate(topic.excepts):
@@ -293,22 +337,21 @@ def too_many_patterns(topics: Sequence[Topic], where: str) -> Iterator[Problem]:
     """
     patterns = [here for topic, here in zip(topics, locations(topics), strict=True) if topic.is_pattern]
     for here in patterns[PATTERNS_PER_LINK:]:
-        message = f"{len(patterns)} patterns, and at most {PATTERNS_PER_LINK} are allowed: use fewer, wider ones"
+        message = TopicMistake.TOO_MANY_PATTERNS(count=len(patterns), limit=PATTERNS_PER_LINK)
         yield Problem(join(where, here) if where else here, message)
 
 
 def form_problems(text: str, location: str, *, hidden: bool = False) -> Iterator[Problem]:
     """Yield the mistakes in a name or a pattern, which may match hidden names if `hidden`."""
     if is_pattern(text) and not is_valid(text):
-        yield Problem(location, f"{show(text)} is not a pattern of names: {_FORM}")
+        yield Problem(location, TopicMistake.NOT_A_PATTERN(name=show(text)))
     elif not is_pattern(text) and not is_topic_name(text):
-        yield Problem(location, f"{show(text)} is neither a name nor a pattern: {_FORM}")
+        yield Problem(location, TopicMistake.NEITHER_NAME_NOR_PATTERN(name=show(text)))
     elif len(text) > TOPIC_LENGTH:
-        message = f"{show(text)} has {len(text)} characters, and ROS allows at most {TOPIC_LENGTH}: shorten it"
+        message = TopicMistake.NAME_TOO_LONG(name=show(text), length=len(text), limit=TOPIC_LENGTH)
         yield Problem(location, message)
     elif is_hidden(text) and not hidden:
-        message = f"{show(text)}: patterns never match hidden names, whose parts begin with _: list them by their names"
-        yield Problem(location, message)
+        yield Problem(location, TopicMistake.HIDDEN(name=show(text)))
 
 
 def _wildcards(kinds: Sequence[str]) -> str:
@@ -325,35 +368,29 @@ def call_problems(topic: Topic, location: str) -> Iterator[Problem]:
     if topic.kind in _FOLDERS:
         yield from _call_type(topic, join(location, "type"))
     if topic.timeout is not None and topic.timeout not in CALL_TIME:
-        message = f"{topic.timeout} is out of range: {CALL_TIME} s, or leave it out"
-        yield Problem(join(location, "timeout"), message)
+        yield out_of_range(topic.timeout, join(location, "timeout"), RangeText.TIMEOUT, CALL_TIME)
 
 
 def _called_name(name: str, location: str) -> Iterator[Problem]:
     if match := _OF_AN_ACTION.fullmatch(name):
-        action = match["action"] or "/..."
-        message = f"belongs to the action {action}: list that under actions, which bridges all that it consists of"
-        yield Problem(location, f"{show(name)} {message}")
+        yield Problem(location, TopicMistake.PART_OF_ACTION(name=show(name), action=match["action"] or "/..."))
     elif name.startswith(OWN_NAMES):
-        yield Problem(location, f"{show(name)} is the bridge's own, and never bridged: name another one")
+        yield Problem(location, TopicMistake.OF_THE_BRIDGE(name=show(name)))
 
 
 def _call_type(topic: Topic, location: str) -> Iterator[Problem]:
     folder, name = _FOLDERS[topic.kind], topic.type
     other: Kind = "action" if topic.kind == "service" else "service"
     if re.fullmatch(rf"{_PART}/{_FOLDERS[other]}/{_PART}", name):
-        yield Problem(location, f"{show(name)} is the type of {_a(other)}: list this entry under {LISTS[other]}")
+        message = TopicMistake.TYPE_OF_OTHER_KIND(name=show(name), kind=A_KIND[other], list=LISTS[other])
+        yield Problem(location, message)
     elif name != AUTO and not re.fullmatch(rf"{_PART}/{folder}/{_PART}", name):
         parts = [part for part in name.split("/") if re.fullmatch(_PART, part)]
-        better = f" (did you mean {parts[0]}/{folder}/{parts[-1]}?)" if len(parts) > 1 else ""
-        form = f"write package/{folder}/Name, or leave it out"
-        yield Problem(location, f"{show(name)} is no type of {_a(topic.kind)}: {form}{better}")
+        hint = Hint.DID_YOU_MEAN(name=f"{parts[0]}/{folder}/{parts[-1]}") if len(parts) > 1 else ""
+        message = TopicMistake.NOT_A_TYPE(name=show(name), kind=A_KIND[topic.kind], folder=folder, hint=hint)
+        yield Problem(location, message)
     elif len(name) > TEXT_LENGTH - len("_GetResult"):
-        yield Problem(location, f"{show(name)} has {len(name)} characters: that is too long")
-
-
-def _a(kind: Kind) -> str:
-    return "an action" if kind == "action" else f"a {kind}"
+        yield Problem(location, TopicMistake.CALLED_TYPE_TOO_LONG(name=show(name), length=len(name)))
 
 
 def service_names(kind: Kind, name: str) -> list[str]:
@@ -386,11 +423,8 @@ def overlaps(topics: Sequence[Topic], where: str) -> Iterator[Problem]:
         if other == at or topics[other].identity == topic.identity:
             continue
         if topics[other].kind == topic.kind:
-            message = (
-                f"{topic.topic} has provider: {topics[other].provider} already: only one side's node can answer; "
-                "keep the entry of the side whose node does"
-            )
+            message = TopicMistake.OTHER_PROVIDER(name=topic.topic, provider=topics[other].provider)
         else:
             noun = NOUNS[LISTS[topics[other].kind]]
-            message = f"{name} is bridged already, with {noun} {topics[other].topic}: keep one of the two"
+            message = TopicMistake.BRIDGED_ALREADY(service=name, noun=noun, name=topics[other].topic)
         yield Problem(join(where, here) if where else here, message)

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 
 import msgspec
 
-from rsb_bridge.config.decoding import did_you_mean, join, read, show
+from rsb_bridge.config.decoding import Hint, did_you_mean, join, read, show
 from rsb_bridge.config.file_form import (
     LISTS,
     NAME_KEYS,
@@ -32,9 +32,11 @@ from rsb_bridge.config.keys import conceal
 from rsb_bridge.config.rights import grant_problems, leave_problems, operator_problems
 from rsb_bridge.config.topic_rules import (
     A_KIND,
+    RangeText,
     form_problems,
     late_problems,
     name_problems,
+    out_of_range,
     overlaps,
     port_problems,
     stale_problems,
@@ -73,13 +75,13 @@ def command_words(command: str | Sequence[str]) -> tuple[str, ...]:
     try:
         words = tuple(shlex.split(command)) if isinstance(command, str) else tuple(command)
     except ValueError as error:
-        raise ValueError(f"cannot be split into words ({str(error).lower()}): give a list of words instead") from None
+        raise ValueError(CommandMistake.NOT_SPLIT(problem=str(error).lower())) from None
     if not words or not words[0]:
-        raise ValueError("has no program: give a command, or leave on_fault out")
+        raise ValueError(CommandMistake.NO_PROGRAM())
     if any("\0" in word for word in words):
-        raise ValueError("has a NUL character: remove it")
+        raise ValueError(CommandMistake.NUL())
     if sum(map(len, words)) > _LONGEST:
-        raise ValueError(f"is longer than {_LONGEST} characters: put it into a script")
+        raise ValueError(CommandMistake.TOO_LONG(limit=_LONGEST))
     return words
 
 
@@ -102,13 +104,13 @@ def program_problem(program: str, folder: Path) -> str:
     path = program_path(program, folder)
     if path is None:
         if "/" in program:
-            return f"{program}: no such file (a path is relative to {folder.absolute()})"
-        beside = f": write ./{program}" if (folder / program).exists() else ""
-        return f"no program {program} in PATH{beside}"
+            return ProgramProblem.NO_SUCH_FILE(program=program, folder=folder.absolute())
+        is_here = (folder / program).exists()
+        return (ProgramProblem.NOT_IN_PATH_BUT_HERE if is_here else ProgramProblem.NOT_IN_PATH)(program=program)
     if not path.is_file():
-        return f"{path} is {kind_of_file(path.stat().st_mode)}, not a program"
+        return ProgramProblem.NOT_A_PROGRAM(path=path, kind=kind_of_file(path.stat().st_mode))
     if not os.access(path, os.X_OK):
-        return f"{path} is not executable: chmod +x {path}"
+        return ProgramProblem.NOT_EXECUTABLE(path=path)
     return ""
 
 
@@ -123,13 +125,94 @@ def fault_command_warnings(session: Session, file: Path) -> Iterator[str]:
         return
     words = command_words(session.on_fault)
     if problem := program_problem(words[0], file.parent):
-        yield f"on_fault: {problem}; until then no command runs; the bridge goes on"
+        yield FaultCommandWarning.CANNOT_RUN(problem=problem)
     if marks := [word for word in words if word in _OF_A_SHELL or word.startswith("$")]:
-        yield f"on_fault: no shell reads it, so {marks[0]} is a plain argument: put the command into a script"
+        yield FaultCommandWarning.SHELL_SYNTAX(word=marks[0])
     program = program_path(words[0], file.parent)
     for path in filter(None, (file, program)):
         if path.exists() and path.stat().st_mode & (stat.S_IWGRP | stat.S_IWOTH):
-            yield f"on_fault: other users may change {path}, and so what this user runs: chmod go-w {path}"
+            yield FaultCommandWarning.OTHERS_MAY_CHANGE(path=path)
+
+
+class SessionMistake(Wording):
+    """A mistake in a session beyond its entries for topics."""
+
+    NAME_UNPRINTABLE = "{name} is not a name: give printable characters"
+    NAME_TOO_LONG = "has {length} bytes in UTF-8, and at most {limit} are allowed"
+    NAME_NOT_A_PREFIX = "{name} cannot be a prefix of topic names, which use_name makes it{hint}"
+    KIND_HAS_NONE = "{kind} has none: {remedy}"
+    PORT_MISSING = "missing, or 0: give a {kind}, {range}"
+    DOMAIN_INVALID = "{domain} is not a ROS domain: {range}"
+    DOMAIN_VARIABLE_INVALID = "ROS_DOMAIN_ID is {text}, which is not a ROS domain: {range}"
+    STALE_WARNINGS_NEGATIVE = "{count} is not a count: 0 or more"
+    METRICS_HOST_INVALID = "{host} is not an IPv4 or IPv6 address, or a host name"
+    PROFILE_ON_BLUETOOTH = "{profile} is no Bluetooth link (server_ip is a MAC): give bluetooth, or leave profile out"
+    ADDRESS_OF_CLIENT = "a client cannot connect to {address}: give the server's own address"
+    ADDRESS_WITH_DASHES = "{address} is not an address{hint}"
+    ADDRESS_INVALID = "{address} is not an IPv4 or IPv6 address, a host name, or a Bluetooth MAC"
+    ADAPTER_TWICE = "server_ip is a Bluetooth MAC already: leave bluetooth_address out"
+    ADAPTER_INVALID = "{address} is not a Bluetooth MAC: six hexadecimal pairs, 5C:F3:70:9A:1B:2E"
+    ADAPTER_OVER_ZENOH = "no topic crosses by Bluetooth beside a link over Zenoh: leave it out"
+    TOPIC_TWICE = "{name} ({end}) is there already, as number {number}"
+    SOURCE_TWICE = "{name} comes from the server's {remote}, too: bridge it once, under one name"
+    PORT_OF_LINK = "{port} is the server_port: leave port out to share it"
+    PORT_TAKEN = "{protocol} {kind} {port} is taken by {name}: give another, or leave it out"
+    TOPICS_OF_SERVER = (
+        "a server has no {list} of its own: move them to the client's file, or under its entry in clients"
+    )
+    CLIENTS_OF_CLIENT = "a client has no clients: only a server lists them"
+    KEY_OF_SERVER = "belongs in the server's session file, which says what clients may do: leave it out"
+    TOPIC_PORT_INVALID = "{port} is no port for a topic: {range}"
+    KEY_OF_ITS_CLIENT = "belongs under the client that it is for, in clients"
+    CLIENT_TWICE = "{name} is the name of client number {number} already"
+    ARMED_TWICE = "{name} is there already, as number {number}: keep one"
+    KEY_FILE_MISSING = "missing: encryption needs a key; make one with `rsb-console keygen` and give its file's name"
+    KEY_FILE_INVALID = "{name} is not a file name: give the key file's"
+    NEXT_KEY_ON_CLIENT = (
+        "belongs in the server's session file, where two keys may be valid: here, replace the file that key_file "
+        "names, and reload"
+    )
+    NEXT_KEY_ALONE = "there is no key_file beside it, which it would replace: give that one"
+    NEXT_KEY_IS_CURRENT = "{name} is the key_file already: give the new key's file"
+
+
+class ZenohMistake(Wording):
+    """A mistake in the settings of a Zenoh network."""
+
+    MISSING = "missing: server_ip is zenoh; give the routers' endpoints, {{connect: [tls/hub:7447]}}"
+    NO_ENDPOINT = "says no endpoint: give connect: [tls/hub:7447], or a config that does"
+    TOO_MANY_ENDPOINTS = "has {count} endpoints, and at most {limit} are allowed"
+    FLEET_INVALID = "{name} is not a fleet's name: letters, digits, _, . and -, a letter or digit first, at most 64"
+    ENDPOINT_INVALID = "{endpoint} is not an endpoint: PROTOCOL/HOST:PORT, as in tls/hub:7447"
+    PROTOCOL_UNKNOWN = "{protocol} is not one of {protocols}{hint}"
+    PORT_INVALID = "{port} is not a port: 1 to 65535"
+
+
+class CommandMistake(Wording):
+    """A mistake in a command line."""
+
+    NOT_SPLIT = "cannot be split into words ({problem}): give a list of words instead"
+    NO_PROGRAM = "has no program: give a command, or leave on_fault out"
+    NUL = "has a NUL character: remove it"
+    TOO_LONG = "is longer than {limit} characters: put it into a script"
+
+
+class ProgramProblem(Wording):
+    """The reason why a program cannot be run."""
+
+    NO_SUCH_FILE = "{program}: no such file (a path is relative to {folder})"
+    NOT_IN_PATH = "no program {program} in PATH"
+    NOT_IN_PATH_BUT_HERE = "no program {program} in PATH: write ./{program}"
+    NOT_A_PROGRAM = "{path} is {kind}, not a program"
+    NOT_EXECUTABLE = "{path} is not executable: chmod +x {path}"
+
+
+class FaultCommandWarning(Wording):
+    """What `check` says of the command of `on_fault`."""
+
+    CANNOT_RUN = "on_fault: {problem}; until then no command runs; the bridge goes on"
+    SHELL_SYNTAX = "on_fault: no shell reads it, so {word} is a plain argument: put the command into a script"
+    OTHERS_MAY_CHANGE = "on_fault: other users may change {path}, and so what this user runs: chmod go-w {path}"
 
 
 class AddressProblem(Wording):
@@ -243,7 +326,7 @@ def validate_topic(topic: Topic, session: Session | None = None, *, client: str 
 def _foreign(topic: Topic, location: str) -> Iterator[Problem]:
     """What a session file cannot even say of a topic, but who made it otherwise can."""
     for field, remedy in foreign(topic).items():
-        yield Problem(join(location, field), f"{A_KIND[topic.kind]} has none: {remedy}")
+        yield Problem(join(location, field), SessionMistake.KIND_HAS_NONE(kind=A_KIND[topic.kind], remedy=remedy))
 
 
 def domain_of(session: Session, variable: str | None) -> int:
@@ -260,7 +343,7 @@ def domain_of(session: Session, variable: str | None) -> int:
         return session.domain_id
     text = (variable or "").strip() or "0"
     if not text.isdecimal() or int(text) not in DOMAIN:
-        raise ValueError(f"ROS_DOMAIN_ID is {text!r}, which is not a ROS domain: {DOMAIN}")
+        raise ValueError(SessionMistake.DOMAIN_VARIABLE_INVALID(text=repr(text), range=DOMAIN))
     return int(text)
 
 
@@ -282,17 +365,17 @@ def _session(session: Session) -> Iterator[Problem]:
     yield from _address(session)
     link = transports.of_link(session.server_ip)
     if not session.server_port and 0 not in link.ports:
-        yield Problem("server_port", f"missing, or 0: give a {link.port_kind}, {link.ports}")
+        yield Problem("server_port", SessionMistake.PORT_MISSING(kind=link.port_kind, range=link.ports))
     else:
         yield from port_problems(session.server_port, "server_port", link)
     if session.domain_id is not None and session.domain_id not in DOMAIN:
-        yield Problem("domain_id", f"{session.domain_id} is not a ROS domain: {DOMAIN}")
+        yield Problem("domain_id", SessionMistake.DOMAIN_INVALID(domain=session.domain_id, range=DOMAIN))
     yield from key_file_problems(session)
     yield from operator_problems(session)
     yield from stale_problems(session.stale_after, "stale_after")
     yield from late_problems(session.late_after, "late_after")
     if session.stale_warnings < 0:
-        yield Problem("stale_warnings", f"{session.stale_warnings} is not a count: 0 or more")
+        yield Problem("stale_warnings", SessionMistake.STALE_WARNINGS_NEGATIVE(count=session.stale_warnings))
     yield from _profiles(session)
     if session.shutdown_topic is not None:
         yield from name_problems(session.shutdown_topic, "shutdown_topic")
@@ -315,7 +398,7 @@ def _metrics(address: str) -> Iterator[Problem]:
         yield Problem("metrics", str(error))
         return
     if not (_is_ip(host) or _is_host(host)):
-        yield Problem("metrics", f"{show(host)} is not an IPv4 or IPv6 address, or a host name")
+        yield Problem("metrics", SessionMistake.METRICS_HOST_INVALID(host=show(host)))
 
 
 def _on_fault(command: str | tuple[str, ...]) -> Iterator[Problem]:
@@ -330,21 +413,17 @@ def _profiles(session: Session) -> Iterator[Problem]:
     given += [(join(join("clients", at), "profile"), client.profile) for at, client in enumerate(session.clients)]
     for location, profile in given:
         if session.is_bluetooth and profile not in (None, "bluetooth"):
-            message = f"{profile} is no Bluetooth link (server_ip is a MAC): give bluetooth, or leave profile out"
-            yield Problem(location, message)
+            yield Problem(location, SessionMistake.PROFILE_ON_BLUETOOTH(profile=profile))
 
 
 def _name(name: str, location: str, *, use_name: bool) -> Iterator[Problem]:
     if not name.strip() or not (name.isprintable() and is_clean(name)):
-        yield Problem(location, f"{show(name)} is not a name: give printable characters")
+        yield Problem(location, SessionMistake.NAME_UNPRINTABLE(name=show(name)))
     elif len(name.encode()) > NAME_BYTES:
-        yield Problem(location, f"has {len(name.encode())} bytes in UTF-8, and at most {NAME_BYTES} are allowed")
+        yield Problem(location, SessionMistake.NAME_TOO_LONG(length=len(name.encode()), limit=NAME_BYTES))
     elif use_name and not is_prefix(name):
-        yield Problem(
-            location,
-            f"{show(name)} cannot be a prefix of topic names, which use_name makes it "
-            f"(did you mean {well_formed(name)}?)",
-        )
+        hint = Hint.DID_YOU_MEAN(name=well_formed(name))
+        yield Problem(location, SessionMistake.NAME_NOT_A_PREFIX(name=show(name), hint=hint))
 
 
 def _group(group: str | None, location: str) -> Iterator[Problem]:
@@ -355,21 +434,19 @@ def _group(group: str | None, location: str) -> Iterator[Problem]:
 def _address(session: Session) -> Iterator[Problem]:
     address = session.server_ip
     if session.role == "client" and address in _ANY_ADDRESS:
-        yield Problem("server_ip", f"a client cannot connect to {address}: give the server's own address")
+        yield Problem("server_ip", SessionMistake.ADDRESS_OF_CLIENT(address=address))
     elif is_mac(address.replace("-", ":")) and "-" in address:
-        yield Problem("server_ip", f"{address!r} is not an address (did you mean {address.replace('-', ':')}?)")
+        hint = Hint.DID_YOU_MEAN(name=address.replace("-", ":"))
+        yield Problem("server_ip", SessionMistake.ADDRESS_WITH_DASHES(address=repr(address), hint=hint))
     elif not (is_mac(address) or _is_ip(address) or _is_host(address)):
-        yield Problem("server_ip", f"{show(address)} is not an IPv4 or IPv6 address, a host name, or a Bluetooth MAC")
+        yield Problem("server_ip", SessionMistake.ADDRESS_INVALID(address=show(address)))
     yield from zenoh_problems(session)
     if session.bluetooth_address is None:
         return
     if session.is_bluetooth:
-        yield Problem("bluetooth_address", "server_ip is a Bluetooth MAC already: leave bluetooth_address out")
+        yield Problem("bluetooth_address", SessionMistake.ADAPTER_TWICE())
     elif not is_mac(session.bluetooth_address):
-        yield Problem(
-            "bluetooth_address",
-            f"{show(session.bluetooth_address)} is not a Bluetooth MAC: six hexadecimal pairs, 5C:F3:70:9A:1B:2E",
-        )
+        yield Problem("bluetooth_address", SessionMistake.ADAPTER_INVALID(address=show(session.bluetooth_address)))
 
 
 def _is_ip(address: str) -> bool:
@@ -418,48 +495,43 @@ def _clashes(topics: Sequence[Topic], where: str, session: Session, client: str 
         if first != at:
             end = topic.direction if topic.kind == "topic" else f"provider: {topic.provider}"
             number = sum(each.kind == topic.kind for each in topics[: first + 1])
-            yield Problem(location, f"{topic.topic} ({end}) is there already, as number {number}")
+            yield Problem(location, SessionMistake.TOPIC_TWICE(name=topic.topic, end=end, number=number))
         elif topic.direction == "receive" and not is_pattern(topic.topic):
             on_server = local_name(topic, client or "", on_server=True, use_name=client is not None)
             other = topics[sources.setdefault((topic.kind, on_server), at)]
             if other is not topic:
-                found = f"{other.topic} comes from the server's {on_server}, too: bridge it once, under one name"
+                found = SessionMistake.SOURCE_TWICE(name=other.topic, remote=on_server)
                 yield Problem(join(location, key_of(topic.kind, "remote_topic")), found)
         if topic.port is None:
             continue
         transport = transport_of(topic, session)
         holder = ports.setdefault((transport.name, topic.port), at)
         if holder == shared:
-            yield Problem(join(location, "port"), f"{topic.port} is the server_port: leave port out to share it")
+            yield Problem(join(location, "port"), SessionMistake.PORT_OF_LINK(port=topic.port))
         elif holder != at and not transport.multiplexed:
-            yield Problem(
-                join(location, "port"),
-                f"{transport.name} {transport.port_kind} {topic.port} is taken by {topics[holder].topic}: "
-                "give another, or leave it out",
+            message = SessionMistake.PORT_TAKEN(
+                protocol=transport.name, kind=transport.port_kind, port=topic.port, name=topics[holder].topic
             )
+            yield Problem(join(location, "port"), message)
 
 
 def _clients(session: Session) -> Iterator[Problem]:
     if session.role == "server" and session.topics:
-        yield Problem(
-            "role",
-            f"a server has no {LISTS[session.topics[0].kind]} of its own: move them to the client's file, or under its "
-            "entry in clients",
-        )
+        yield Problem("role", SessionMistake.TOPICS_OF_SERVER(list=LISTS[session.topics[0].kind]))
     if session.role == "client" and session.clients:
-        yield Problem("role", "a client has no clients: only a server lists them")
+        yield Problem("role", SessionMistake.CLIENTS_OF_CLIENT())
     for key, given in (("shared_keys", session.shared_keys), ("ports", session.ports is not None)):
         if session.role == "client" and given:
-            yield Problem(key, "belongs in the server's session file, which says what clients may do: leave it out")
+            yield Problem(key, SessionMistake.KEY_OF_SERVER())
     for at, port in enumerate(session.ports if isinstance(session.ports, tuple) else ()):
         if port not in TOPIC_PORT:
-            yield Problem(join("ports", at), f"{port} is no port for a topic: {TOPIC_PORT}")
+            yield Problem(join("ports", at), SessionMistake.TOPIC_PORT_INVALID(port=port, range=TOPIC_PORT))
     yield from grant_problems(session, "")
     if session.role == "server" and (session.allow or session.deny):
-        yield Problem("allow" if session.allow else "deny", "belongs under the client that it is for, in clients")
+        yield Problem("allow" if session.allow else "deny", SessionMistake.KEY_OF_ITS_CLIENT())
     yield from leave_problems(session.bench, "bench")
     if session.bench is not None and session.clients:
-        yield Problem("bench", "belongs under the client that it is for, in clients")
+        yield Problem("bench", SessionMistake.KEY_OF_ITS_CLIENT())
     names: dict[str, int] = {}
     for at, client in enumerate(session.clients):
         location = join("clients", at)
@@ -469,9 +541,8 @@ def _clients(session: Session) -> Iterator[Problem]:
         yield from _name(client.name, join(location, "name"), use_name=use_name)
         first = names.setdefault(client.name, at)
         if first != at:
-            yield Problem(
-                join(location, "name"), f"{show(client.name)} is the name of client number {first + 1} already"
-            )
+            message = SessionMistake.CLIENT_TWICE(name=show(client.name), number=first + 1)
+            yield Problem(join(location, "name"), message)
         yield from grant_problems(client, location)
         yield from _topics(client.topics, location, session, client.name if use_name else None)
 
@@ -484,12 +555,11 @@ def armed_problems(armed: Sequence[str | Armed]) -> Iterator[Problem]:
         entry = Armed(each) if isinstance(each, str) else each
         yield from form_problems(entry.name, here if isinstance(each, str) else join(here, "name"), hidden=True)
         if entry.deadman and entry.deadman not in DEADMAN_TIME:
-            message = f"{entry.deadman} is out of range: {DEADMAN_TIME} s, or 0 for none"
-            yield Problem(join(here, "deadman"), message)
+            yield out_of_range(entry.deadman, join(here, "deadman"), RangeText.DEADMAN, DEADMAN_TIME)
         if entry.max_age and entry.max_age not in MAX_AGE:
-            yield Problem(join(here, "max_age"), f"{entry.max_age} is out of range: {MAX_AGE} s, or 0 for none")
+            yield out_of_range(entry.max_age, join(here, "max_age"), RangeText.MAX_AGE, MAX_AGE)
         if known.setdefault(entry, at) != at:
-            yield Problem(here, f"{show(entry.name)} is there already, as number {known[entry] + 1}: keep one")
+            yield Problem(here, SessionMistake.ARMED_TWICE(name=show(entry.name), number=known[entry] + 1))
 
 
 def key_file_problems(session: Session) -> Iterator[Problem]:
@@ -503,24 +573,17 @@ def key_file_problems(session: Session) -> Iterator[Problem]:
         yield from _names(client, location)
         yield from _replaces(client.next_key_file, client.key_file or session.key_file, location)
     if session.role == "client" and session.next_key_file is not None:
-        yield Problem(
-            "next_key_file",
-            "belongs in the server's session file, where two keys may be valid: here, replace the file that key_file "
-            "names, and reload",
-        )
+        yield Problem("next_key_file", SessionMistake.NEXT_KEY_ON_CLIENT())
     if session.use_encryption and session.key_file is None:
         for location, key_file in owners or [("", None)]:
             if key_file is None:
-                yield Problem(
-                    join(location, "key_file"),
-                    "missing: encryption needs a key; make one with `rsb-console keygen` and give its file's name",
-                )
+                yield Problem(join(location, "key_file"), SessionMistake.KEY_FILE_MISSING())
 
 
 def _names(entry: Session | Client, location: str) -> Iterator[Problem]:
     for key, name in (("key_file", entry.key_file), ("next_key_file", entry.next_key_file)):
         if name is not None and not (name.strip() and name.isprintable()):
-            yield Problem(join(location, key), f"{show(name)} is not a file name: give the key file's")
+            yield Problem(join(location, key), SessionMistake.KEY_FILE_INVALID(name=show(name)))
 
 
 def _replaces(following: str | None, current: str | None, location: str) -> Iterator[Problem]:
@@ -528,23 +591,18 @@ def _replaces(following: str | None, current: str | None, location: str) -> Iter
     if following is None:
         return
     if current is None:
-        yield Problem(
-            join(location, "next_key_file"), "there is no key_file beside it, which it would replace: give that one"
-        )
+        yield Problem(join(location, "next_key_file"), SessionMistake.NEXT_KEY_ALONE())
     elif following == current:
-        yield Problem(
-            join(location, "next_key_file"), f"{show(following)} is the key_file already: give the new key's file"
-        )
+        yield Problem(join(location, "next_key_file"), SessionMistake.NEXT_KEY_IS_CURRENT(name=show(following)))
 
 
 def zenoh_problems(session: Session) -> Iterator[Problem]:
     """Mistakes in a session's `Session.zenoh`, and where it is missing."""
     if session.is_zenoh and session.bluetooth_address is not None:
-        yield Problem("bluetooth_address", "no topic crosses by Bluetooth beside a link over Zenoh: leave it out")
+        yield Problem("bluetooth_address", SessionMistake.ADAPTER_OVER_ZENOH())
     if session.zenoh is None:
         if session.is_zenoh:
-            message = "missing: server_ip is zenoh; give the routers' endpoints, {connect: [tls/hub:7447]}"
-            yield Problem("zenoh", message)
+            yield Problem("zenoh", ZenohMistake.MISSING())
         return
     yield from settings_problems(session.zenoh, "zenoh")
 
@@ -552,25 +610,26 @@ def zenoh_problems(session: Session) -> Iterator[Problem]:
 def settings_problems(settings: ZenohSettings, location: str) -> Iterator[Problem]:
     """Mistakes in how a network is reached."""
     if not (settings.connect or settings.listen or settings.config):
-        yield Problem(location, "says no endpoint: give connect: [tls/hub:7447], or a config that does")
+        yield Problem(location, ZenohMistake.NO_ENDPOINT())
     for key, endpoints in (("connect", settings.connect), ("listen", settings.listen)):
         if len(endpoints) > _MOST_ENDPOINTS:
-            yield Problem(
-                join(location, key), f"has {len(endpoints)} endpoints, and at most {_MOST_ENDPOINTS} are allowed"
-            )
+            message = ZenohMistake.TOO_MANY_ENDPOINTS(count=len(endpoints), limit=_MOST_ENDPOINTS)
+            yield Problem(join(location, key), message)
         for at, endpoint in enumerate(endpoints):
             yield from _zenoh_endpoint(endpoint, join(join(location, key), at))
     if not _FLEET_NAME.fullmatch(settings.fleet):
-        message = "is not a fleet's name: letters, digits, _, . and -, a letter or digit first, at most 64"
-        yield Problem(join(location, "fleet"), f"{show(settings.fleet)} {message}")
+        yield Problem(join(location, "fleet"), ZenohMistake.FLEET_INVALID(name=show(settings.fleet)))
 
 
 def _zenoh_endpoint(endpoint: str, location: str) -> Iterator[Problem]:
     match = _ZENOH_ENDPOINT.fullmatch(endpoint)
     if match is None:
-        yield Problem(location, f"{show(endpoint)} is not an endpoint: PROTOCOL/HOST:PORT, as in tls/hub:7447")
+        yield Problem(location, ZenohMistake.ENDPOINT_INVALID(endpoint=show(endpoint)))
     elif match["protocol"] not in _ZENOH_PROTOCOLS:
         hint = did_you_mean(match["protocol"], list(_ZENOH_PROTOCOLS))
-        yield Problem(location, f"{show(match['protocol'])} is not one of {', '.join(_ZENOH_PROTOCOLS)}{hint}")
+        message = ZenohMistake.PROTOCOL_UNKNOWN(
+            protocol=show(match["protocol"]), protocols=", ".join(_ZENOH_PROTOCOLS), hint=hint
+        )
+        yield Problem(location, message)
     elif not 0 < int(match["port"]) < 65536:
-        yield Problem(location, f"{match['port']} is not a port: 1 to 65535")
+        yield Problem(location, ZenohMistake.PORT_INVALID(port=match["port"]))

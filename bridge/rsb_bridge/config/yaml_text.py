@@ -14,6 +14,7 @@ from rsb_bridge.config.files import kind_of_file
 from rsb_bridge.config.keys import conceal, is_key_file
 from rsb_bridge.model.session import Problem
 from rsb_bridge.model.text import one_line
+from rsb_bridge.model.wording import Wording
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
@@ -32,6 +33,29 @@ _SCALARS: dict[str, tuple[re.Pattern[str], Callable[[str], Any]]] = {
     "tag:yaml.org,2002:float": (re.compile(r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?"), float),
     "tag:yaml.org,2002:str": (re.compile(r".*", re.DOTALL), str),
 }
+
+
+class YamlMistake(Wording):
+    """A text that is no YAML, or uses a feature of YAML that is not allowed."""
+
+    CHARACTER = "character U+{code:04X} is not allowed"
+    TAB = "begins with a tab: use spaces"
+    ALIAS = "aliases (*) are not allowed: write the value out"
+    TOO_DEEP = "nested too deeply"
+    TAG = "the tag {tag} is not allowed"
+    DUPLICATE_KEY = "duplicate key, first on line {line}"
+    EMPTY = "the file is empty"
+    KEY_FILE = "this is a key file, not a session"
+
+
+class FileProblem(Wording):
+    """The reason why a file cannot be read as text."""
+
+    NOT_A_FILE = "is {kind}, not a file"
+    NO_SUCH_FILE = "no such file"
+    NOT_READ = "cannot be read: {problem}"
+    TOO_LARGE = "larger than {limit} bytes: not a session file"
+    NOT_UTF8 = "is not UTF-8 text"
 
 
 class SessionError(Exception):
@@ -119,13 +143,13 @@ def read_yaml(text: str, path: Path) -> Document:
         SessionError: it is not YAML at all.
     """
     if is_key_file(text.removeprefix("\ufeff")):
-        raise SessionError(path, [Problem("", "this is a key file, not a session")])
+        raise SessionError(path, [Problem("", YamlMistake.KEY_FILE())])
     try:
         node = compose(text)
     except YamlError as error:
         raise SessionError(path, [Problem("", str(error), error.line)]) from None
     if node is None:
-        raise SessionError(path, [Problem("", "the file is empty")])
+        raise SessionError(path, [Problem("", YamlMistake.EMPTY())])
     document = Document(None, {"": node.start_mark.line + 1}, [], node)
     return document._replace(data=_plain(node, "", document))
 
@@ -142,12 +166,12 @@ def compose(text: str) -> yaml.Node | None:
         node: yaml.Node | None = loader.get_single_node()
     except yaml.reader.ReaderError as error:
         line = text.count("\n", 0, error.position) + 1
-        raise YamlError(f"character U+{error.character:04X} is not allowed", line) from None
+        raise YamlError(YamlMistake.CHARACTER(code=error.character), line) from None
     except yaml.MarkedYAMLError as error:
         mark = error.problem_mark or error.context_mark
         message = conceal(", ".join(part for part in (error.context, error.problem) if part))
         if mark is not None and _begins_with_tab(text, mark.line):
-            message = "begins with a tab: use spaces"
+            message = YamlMistake.TAB()
         raise YamlError(message, mark.line + 1 if mark else None) from None
     finally:
         if loader is not None:
@@ -164,9 +188,8 @@ def _begins_with_tab(text: str, line: int) -> bool:
 def _plain(node: yaml.Node, location: str, document: Document) -> Any:
     """What a node says, with its lines and problems noted in the document."""
     if node.tag not in (_MAPPING, _SEQUENCE, *_SCALARS):
-        document.problems.append(
-            Problem(location, f"the tag {conceal(node.tag)} is not allowed", node.start_mark.line + 1)
-        )
+        message = YamlMistake.TAG(tag=conceal(node.tag))
+        document.problems.append(Problem(location, message, node.start_mark.line + 1))
     if isinstance(node, yaml.MappingNode):
         return _mapping(node, location, document)
     if isinstance(node, yaml.SequenceNode):
@@ -189,7 +212,7 @@ def _mapping(node: yaml.MappingNode, location: str, document: Document) -> dict[
         here = join(location, key)
         line = key_node.start_mark.line + 1
         if key in data:
-            document.problems.append(Problem(here, f"duplicate key, first on line {document.lines[here]}", line))
+            document.problems.append(Problem(here, YamlMistake.DUPLICATE_KEY(line=document.lines[here]), line))
             continue
         document.lines[here] = line
         data[key] = _plain(value_node, here, document)
@@ -205,10 +228,9 @@ class _Loader(yaml.SafeLoader):
     def compose_node(self, parent: yaml.Node | None, index: Any) -> yaml.Node | None:
         event = self.peek_event()  # type: ignore[no-untyped-call]
         if isinstance(event, yaml.AliasEvent):
-            message = "aliases (*) are not allowed: write the value out"
-            raise yaml.MarkedYAMLError(problem=message, problem_mark=event.start_mark)  # type: ignore[arg-type]
+            raise yaml.MarkedYAMLError(problem=YamlMistake.ALIAS(), problem_mark=event.start_mark)  # type: ignore[arg-type]
         if self._depth >= MAX_DEPTH:
-            raise yaml.MarkedYAMLError(problem="nested too deeply", problem_mark=event.start_mark)
+            raise yaml.MarkedYAMLError(problem=YamlMistake.TOO_DEEP(), problem_mark=event.start_mark)
         self._depth += 1
         node = super().compose_node(parent, index)
         self._depth -= 1
@@ -245,16 +267,18 @@ def read_text(path: Path) -> str:
     """
     try:
         if not path.is_file():
-            found = f"is {kind_of_file(path.stat().st_mode)}, not a file" if path.exists() else "no such file"
+            found = FileProblem.NO_SUCH_FILE()
+            if path.exists():
+                found = FileProblem.NOT_A_FILE(kind=kind_of_file(path.stat().st_mode))
             raise SessionError(path, [Problem("", found)])
         with path.open("rb") as file:
             content = file.read(MAX_FILE + 1)
     except OSError as error:
-        raise SessionError(path, [Problem("", f"cannot be read: {error.strerror}")]) from None
+        raise SessionError(path, [Problem("", FileProblem.NOT_READ(problem=error.strerror))]) from None
     if len(content) > MAX_FILE:
-        raise SessionError(path, [Problem("", f"larger than {MAX_FILE} bytes: not a session file")])
+        raise SessionError(path, [Problem("", FileProblem.TOO_LARGE(limit=MAX_FILE))])
     try:
         return content.decode()
     except UnicodeDecodeError as error:
         line = content.count(b"\n", 0, error.start) + 1
-        raise SessionError(path, [Problem("", "is not UTF-8 text", line)]) from None
+        raise SessionError(path, [Problem("", FileProblem.NOT_UTF8(), line)]) from None
