@@ -274,7 +274,7 @@ def test_it_stops_and_says_the_way_back(machine: Machine, capsys: pytest.Capture
     assert ran.code == 1
     assert [each[1] for each in engine.commands] == ["robot1 /camera", "robot2 /camera"]
     assert "stopped at robot2" in ran.err
-    assert "rsb-console fleet edit robot2 robot1 /camera max_rate=\n" in ran.err
+    assert "fleet edit robot2 robot1 /camera max_rate=\n" in ran.err
 
 
 def test_it_stops_after_the_robot_at_which_it_is_interrupted(

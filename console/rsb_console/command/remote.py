@@ -101,6 +101,7 @@ class RemoteProblem(Wording):
         "example: rsb-console add {topic} --kind {kind} --provider client"
     )
     DISARMED = "{topic} is not armed any more: {reason}"
+    NO_MORE_MESSAGES = "no more messages of {topic} within {seconds:g} s{reason}"
     NOTHING_TO_REPORT = "no bridge runs here, and you may read no history file of one"
     NOTHING_OF_BRIDGE_TO_REPORT = "no bridge named {name!r} runs here, and you may read no history file of it"
     SEVERAL_TO_REPORT = "no bridge runs here, and there are history files of several; say which:{found}"
@@ -172,7 +173,9 @@ def _echo(arguments: Namespace) -> int:
         if echo(engine, route, arguments):
             return OK
         why = f": {route.reason}" if (route := chosen_route(engine, arguments)).reason else ""
-    return failed(arguments, f"no more messages of {arguments.topic} within {arguments.timeout:g} s{why}", FAILURE)
+    return failed(
+        arguments, RemoteProblem.NO_MORE_MESSAGES(topic=arguments.topic, seconds=arguments.timeout, reason=why), FAILURE
+    )
 
 
 def _hz(arguments: Namespace) -> int:
