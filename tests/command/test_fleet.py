@@ -81,7 +81,7 @@ def test_all_is_well(engine: ServerEngine, capsys: pytest.CaptureFixture[str]) -
 
 
 def test_something_is_wrong(engine: ServerEngine, capsys: pytest.CaptureFixture[str]) -> None:
-    engine.link("robot2", state=State.DOWN, reason="the peer is silent")
+    engine.link("robot2", state=State.DOWN, reason="no answer")
     ran = Ran(capsys, "--json", *QUICK)
     assert ran.code == 1
     assert (ran.json["ok"], ran.json["robots"][0]["name"], ran.json["robots"][0]["state"]) == (
@@ -168,7 +168,7 @@ def test_what_fails_for_one_is_named(engine: ServerEngine, capsys: pytest.Captur
 
 
 def test_a_status_is_of_one_robot(engine: ServerEngine, capsys: pytest.CaptureFixture[str]) -> None:
-    engine.link("robot1", state=State.DOWN, reason="the peer is silent")
+    engine.link("robot1", state=State.DOWN, reason="no answer")
     ran = Ran(capsys, "exec", "--all", "--json", "--", "status")
     assert [each["code"] for each in ran.json["robots"]] == [1, 0, 0]
     assert [*ran.json["robots"][1]["output"][0]["links"]] == ["robot2"]

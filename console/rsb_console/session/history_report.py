@@ -50,8 +50,8 @@ _COUNTS = (
 class ReportText(Wording):
     """Sentences of a report on a bridge's last hours."""
 
-    NO_TIME = "{text!r} is not a time like 8h, 30m or 90s"
-    TOO_LONG_AGO = "{text}: at most 24h are remembered"
+    NO_TIME = "{span!r} is not a time like 8h, 30m or 90s"
+    TOO_LONG_AGO = "{span}: at most 24h are remembered"
     RAN_ALL_THE_TIME = "The bridge ran all the time.{stopped}"
     RAN_PARTLY = "The bridge ran for {watched} of it ({share}); nothing is known of {gaps}{more}.{stopped}"
     STOPPED = " It does not run now."
@@ -74,9 +74,9 @@ def parse_span(text: str) -> float:
     found = _SPAN.fullmatch(text.strip())
     seconds = float(found[1]) * _UNITS[found[2]] if found else 0.0
     if not seconds:
-        raise ValueError(ReportText.NO_TIME(text=text))
+        raise ValueError(ReportText.NO_TIME(span=text))
     if seconds > KEPT_FOR:
-        raise ValueError(ReportText.TOO_LONG_AGO(text=text))
+        raise ValueError(ReportText.TOO_LONG_AGO(span=text))
     return seconds
 
 
