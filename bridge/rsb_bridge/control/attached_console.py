@@ -1,4 +1,4 @@
-"""A console that is attached, whatever its connection is: its commands are carried out here, and it is kept posted."""
+"""A console that is attached over any connection: executes its commands, and sends it the engine's state."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ class Connection(Protocol):
 
     @property
     def only_looks(self) -> str:
-        """Why it may change nothing, in words, whatever the console asks for; empty: it may."""
+        """The reason this operator may change nothing, or an empty string."""
         ...
 
     @property
@@ -102,7 +102,7 @@ class ConsoleHost(Protocol):
     encoded: EncodedRoutes
 
     def summary(self) -> bytes:
-        """The engine in a few figures, at most `SUMMARY_EVERY` s old; empty: nobody makes any."""
+        """The engine in a few figures, at most `SUMMARY_EVERY` s old, or empty bytes."""
         ...
 
     def stop_process(self) -> None:
@@ -303,7 +303,7 @@ class Console:
             self.send(protocol.Events(tuple(events)))
 
     def _send_summary(self) -> None:
-        """Send the engine's figures where they are others, or nothing has been said for a while."""
+        """Send the engine's figures if they have changed, or as a sign of life."""
         since = self._loop.time() - self._summed_at
         if not self._watching or since < protocol.SUMMARY_EVERY:
             return

@@ -49,12 +49,12 @@ class RunningBridge:
 
     @property
     def name(self) -> str:
-        """What an operator calls it: the socket's name, which no other bridge of the same user has."""
+        """The operator's name for it: the socket's name, which no other bridge of the same user has."""
         return self.path.name.removesuffix(control_sockets.SUFFIX)
 
     @property
     def attach_command(self) -> str:
-        """What attaches to it, for an operator to type."""
+        """The command line that attaches to it."""
         if self.path.parent in control_sockets.searched_folders(os.environ):
             return f"rsb-console attach {self.name}"
         return f"rsb-console attach --control {self.path}"
@@ -199,7 +199,7 @@ def _claim_path(path: Path) -> Listener:
 
 
 def _holder(path: Path) -> RunningBridge | None:
-    """Who serves a socket that was taken; None: it has ended meanwhile."""
+    """Return the bridge that serves a taken socket, or None if it has ended meanwhile."""
     try:
         return ask(path)
     except NotServedError:

@@ -96,7 +96,7 @@ class ControlServer:
     # --- on the thread
 
     def summary(self) -> bytes:
-        """The engine in a few figures, made once for all consoles; empty: nobody makes any."""
+        """Return the engine in a few figures, made once for all consoles, or empty bytes."""
         now = self.loop.time()
         if self.summarize is not None and now - self._summed_at >= protocol.SUMMARY_EVERY:
             self._summary, self._summed_at = self.summarize(), now
@@ -104,7 +104,7 @@ class ControlServer:
 
     @property
     def ending(self) -> str:
-        """Why no console is served any more, in words; empty: they are."""
+        """The reason consoles are not served any more, or an empty string."""
         return self._ending if self._ends.is_set() else ""
 
     def at_end(self, work: Callable[[], None]) -> None:
@@ -126,7 +126,7 @@ class ControlServer:
         console.gone()
 
     def full(self, places: int = protocol.CONSOLES) -> str:
-        """Why one more console is refused, where there are so many places; empty: it is not."""
+        """Return the reason to refuse one more console if all places are taken, or an empty string."""
         if self.attached() < places:
             return ""
         return AttachProblem.OTHER_CONSOLES(count=self.attached())

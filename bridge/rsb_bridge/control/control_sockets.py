@@ -325,7 +325,7 @@ def _folder_problem(status: os.stat_result, *, strict: bool) -> str:
 
 
 def _is_socket(folder: int, path: Path) -> bool:
-    """Whether there is a socket of that name; whatever else is there is nobody's to remove."""
+    """Whether there is a socket of that name. A file of another kind is never removed."""
     try:
         mode = os.stat(path.name, dir_fd=folder, follow_symlinks=False).st_mode
     except FileNotFoundError:
@@ -387,7 +387,7 @@ def _unnamed(uid: int) -> str:
 
 
 def _login(process: Path) -> int | None:
-    """The user who logged in, whoever they have become since; None: it is not known."""
+    """Return the user who logged in, before any `su` or `sudo`, or None if it is unknown."""
     try:
         uid = int((process / "loginuid").read_text())
     except (OSError, ValueError):
@@ -396,7 +396,7 @@ def _login(process: Path) -> int | None:
 
 
 def _terminal(process: Path) -> str:
-    """The process's controlling terminal; empty: it has none."""
+    """Return the process's controlling terminal, or an empty string."""
     try:
         number = int((process / "stat").read_bytes().rpartition(b")")[2].split()[_FIELDS_BEFORE_TTY])
     except (OSError, ValueError, IndexError):
@@ -410,7 +410,7 @@ def _terminal(process: Path) -> str:
 
 
 def _ssh_client(process: Path) -> str:
-    """The address that the process's user came from; empty: it is not known."""
+    """Return the address that the process's user came from, or an empty string if it is unknown."""
     try:
         with (process / "environ").open("rb") as file:
             variables = file.read(_ENVIRONMENT_LIMIT).split(b"\0")

@@ -381,7 +381,7 @@ class RemoteEngine(EngineApi):
             self._started.set_result(None)
 
     def _lose(self, reason: str) -> None:
-        """Show that it is lost, and say so last: whoever hears of it looks."""
+        """Show that the connection is lost, and report it last: its listeners look at once."""
         self._asked_at = None
         is_new = not self._lost
         if is_new:
@@ -483,37 +483,37 @@ class _Requests:
 
 
 def _as_nothing(_: object) -> None:
-    """Of a command that only succeeds or fails."""
+    """Return nothing: the command only succeeds or fails."""
     return
 
 
 def _as_text(value: object) -> str:
-    """Of a command that gives a key, a type's description, or a message."""
+    """Return a key, a type's description, or a message."""
     return _of(str, value)
 
 
 def _as_peeked(value: object) -> PeekedMessage | None:
-    """Of `Peek`."""
+    """Return the answer of `Peek`."""
     return None if value is None else _of(PeekedMessage, value)
 
 
 def _as_reloaded(value: object) -> Reloaded:
-    """Of `Reload`."""
+    """Return the answer of `Reload`."""
     return _of(Reloaded, value)
 
 
 def _as_history(value: object) -> HistoryReport:
-    """Of `History`."""
+    """Return the answer of `History`."""
     return _of(HistoryReport, value)
 
 
 def _as_outcome(value: object) -> Outcome:
-    """Of `Bench`."""
+    """Return the answer of `Bench`."""
     return _of(Outcome, value)
 
 
 def _as_topics(value: object) -> list[TopicInfo]:
-    """Of `Topics`."""
+    """Return the answer of `Topics`."""
     return list(_of(tuple, value))
 
 

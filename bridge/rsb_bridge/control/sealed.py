@@ -353,7 +353,7 @@ class SealedConsole(asyncio.Protocol):
 
     @property
     def only_looks(self) -> str:
-        """Why the operator may change nothing; empty: they may."""
+        """The reason this operator may change nothing, or an empty string."""
         assert self._granted is not None
         may = self._granted.operator.may
         return "" if may == "change" else f"{self.name} may look only (may: {may} in the bridge's operators)"

@@ -501,7 +501,7 @@ def _hold(engine: RemoteEngine, key: str) -> tuple[str, str]:
         if route is None:
             return "it is not bridged any more", "removed"
         if route.arming is None:
-            return "it need not be armed any more", ""
+            return "arming is not required any more", ""
         if not route.arming.armed:
             return route.arming.reason or route.reason, route.arming.why
 

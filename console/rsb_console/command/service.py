@@ -250,7 +250,7 @@ def _service(arguments: Namespace) -> Service:
 
 
 def _program() -> tuple[str, ...]:
-    """How this command was run, from anywhere."""
+    """Return the command line that runs this program from any folder."""
     found = shutil.which(sys.argv[0])
     if found is not None and Path(found).name == "rsb-console":
         return (os.path.abspath(found),)  # noqa: PTH100
@@ -264,7 +264,7 @@ def _own_setup(environ: Mapping[str, str]) -> Path | None:
 
 
 def _owner(session: Path) -> str:
-    """Whoever may read the session's keys: they have mode 0600."""
+    """Return the user who may read the session's keys, which have mode 0600."""
     try:
         return pwd.getpwuid(session.stat().st_uid).pw_name
     except (OSError, KeyError):

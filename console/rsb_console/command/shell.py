@@ -1,4 +1,4 @@
-"""What the commands share: exit codes, and standard output and error."""
+"""Exit codes, standard output and standard error of all commands."""
 
 from __future__ import annotations
 

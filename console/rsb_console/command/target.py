@@ -1,4 +1,4 @@
-"""Which running bridge a command means, attaching to it, and saying in words what goes wrong."""
+"""The running bridge that a command is for: finds it, attaches to it, and reports errors."""
 
 from __future__ import annotations
 
@@ -93,7 +93,7 @@ def what_to_attach(arguments: Namespace) -> Path | Attach | int:
 
 
 def reported(work: Callable[[Namespace], T], arguments: Namespace) -> T | int:
-    """Do something; what goes wrong is said in words, and gives an exit code."""
+    """Do something; report an error, and return its exit code."""
     try:
         return work(arguments)
     except (UsageError, UnclearError) as error:
@@ -203,7 +203,7 @@ def fleet_file(arguments: Namespace) -> FleetFile:
 
 
 def ask_history(arguments: Namespace, seconds: float) -> HistoryReport:
-    """What happened to the bridge that the arguments mean, in the last so many s."""
+    """Return the history of the bridge that the arguments name, over the last `seconds`."""
     with attached(arguments, read_only=True) as engine:
         return result(engine.history(seconds))
 
