@@ -12,7 +12,7 @@ import os
 import signal
 import sys
 
-from rsb_console.command.shell import FAILURE, INTERRUPTED, TERMINATED, USAGE, CleanErrors, print_error
+from rsb_console.command.shell import FAILURE, INTERRUPTED, TERMINATED, USAGE, CleanErrors, CommandText, print_error
 
 TYPE_CHECKING = False  # without typing, which takes a while
 if TYPE_CHECKING:
@@ -100,7 +100,7 @@ def _with_command(argv: list[str], names: Sequence[str]) -> list[str]:
         return argv
     meant = get_close_matches(first, names, n=1, cutoff=0.75)
     if meant and not Path(first).exists():
-        print_error(f"{first}: neither a command nor a file; did you mean `rsb-console {meant[0]}`?")
+        print_error(CommandText.MISSPELT(word=first, command=meant[0]))
         raise SystemExit(USAGE)
     return ["run", *argv]
 
@@ -126,9 +126,9 @@ def _unexpected(error: Exception, *, show: bool) -> int:
         with open(log, mode, encoding="utf-8", opener=owner_only) as file:
             file.writelines(map(several_lines, traceback.format_exception(error)))
     except OSError as full:
-        print_error(f"{message} (details: again with --debug; {log}: {why_not_written(full, log)})")
+        print_error(CommandText.CRASHED_WITHOUT_LOG(problem=message, log=log, reason=why_not_written(full, log)))
     else:
-        print_error(f"{message} (details: {log})")
+        print_error(CommandText.CRASHED(problem=message, log=log))
     return FAILURE
 
 

@@ -7,8 +7,9 @@ from types import SimpleNamespace
 from typing import TYPE_CHECKING, cast
 
 import pytest
+from tests.support.wording import says
 
-from rsb_console.bench.presentation import USUAL, capacity, in_words, judge
+from rsb_console.bench.presentation import USUAL, JudgingText, capacity, in_words, judge
 from rsb_console.bench.results import Load, Point, Run
 from rsb_console.bench.suite import loads_of_all
 
@@ -63,8 +64,8 @@ def test_what_was_not_tried_is_not_said_to_be_too_much(limit: str) -> None:
     assert [each.verdict for each in judged] == ["barely", "carried", "unknown", "unknown"]
     assert [each.at_most for each in judged] == [False, True, True, True]
     words = in_words(judged, "this link", together=True)
-    assert not any("does not carry" in line or "Together" in line for line in words)
-    assert any("/c" in line and "/d" in line and "Too little was tried" in line for line in words)
+    assert not any(says(line, JudgingText.CARRIES_NONE) or "Together" in line for line in words)
+    assert any("/c" in line and "/d" in line and says(line, JudgingText.UNKNOWN) for line in words)
 
 
 def test_a_topic_is_judged_by_its_own_transport_and_direction() -> None:

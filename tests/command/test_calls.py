@@ -10,11 +10,17 @@ import msgspec
 import pytest
 from tests.command.test_remote import Ran
 from tests.console.scripted import SESSION, ScriptedEngine, route
+from tests.support.wording import says
 
 from rsb_bridge.api import EngineError, InvalidRequestError
+from rsb_bridge.config.decoding import ValueMistake
+from rsb_bridge.config.file_form import ForeignKey
+from rsb_bridge.config.validation import SessionMistake
 from rsb_bridge.model.calls import CallsSnapshot, GoalSnapshot
 from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import ArmingSnapshot, Ledger, Stage, State
+from rsb_console.command.call_command import CallProblem
+from rsb_console.command.remote import RemoteProblem
 
 if TYPE_CHECKING:
     from concurrent.futures import Future
@@ -91,24 +97,27 @@ def test_what_is_called_is_added_with_its_provider(
 @pytest.mark.parametrize(
     ("words", "why"),
     [
+        (("--service", "/map"), RemoteProblem.PROVIDER_MISSING(topic="/map", kind="service")),
         (
-            ("--service", "/map"),
-            "the provider is missing. It is the side whose node answers",
+            ("--service", "/map", "transmit"),
+            RemoteProblem.KEY_WITHOUT_VALUE(topic="/map", word="transmit", kind="service"),
         ),
-        (("--service", "/map", "transmit"), "'transmit' is no KEY=VALUE"),
-        (("/map", "transmit", "--provider", "client"), "a topic has a direction, and no provider; --service adds"),
-        (("--service", "/map", "provider=robot"), "provider: 'robot' is not one of client, server"),
+        (("/map", "transmit", "--provider", "client"), RemoteProblem.PROVIDER_OF_A_TOPIC(topic="/map")),
         (
-            ("--service", "/map", "provider=client", "qos=5"),
-            "qos=5: calls have ROS's own QoS: leave it out (keys",
+            ("--service", "/map", "provider=robot"),
+            f"provider: {ValueMistake.MISFIT(value=repr('robot'), expected='one of client, server', hint='')}",
         ),
+        (("--service", "/map", "provider=client", "qos=5"), f"qos=5: {ForeignKey.QOS_OF_CALLED()} (keys"),
         (("--service", "/map", "provider=client", "timout=5"), "timout=5: unknown key; did you mean timeout?"),
-        (("--service", "/map", "provider=client", "timeout=0"), "timeout: 0.0 is out of range: 0.1 to 86400 s"),
-        (("--service", "map", "provider=client"), "service: 'map' is not an absolute service name"),
-        (("--service", "/map", "provider=client", "remote_service=x"), "remote_service: 'x' is not an absolute"),
-        (("--service", "/map", "provider=client", "type=Trigger"), "type: 'Trigger' is no type of a service"),
-        (("--service", "/dock", "provider=client"), "service: /dock (provider: client) is there already, as number 1"),
-        (("/map", "transmit", "timeout=5"), "timeout=5: a topic has none"),
+        (("--service", "/map", "provider=client", "timeout=0"), "timeout: 0.0 is out of"),
+        (("--service", "map", "provider=client"), "service: 'map' is not an"),
+        (("--service", "/map", "provider=client", "remote_service=x"), "remote_service: 'x' is not an"),
+        (("--service", "/map", "provider=client", "type=Trigger"), "type: 'Trigger' is no type"),
+        (
+            ("--service", "/dock", "provider=client"),
+            f"service: {SessionMistake.TOPIC_TWICE(name='/dock', end='provider: client', number=1)}",
+        ),
+        (("/map", "transmit", "timeout=5"), f"timeout=5: {ForeignKey.TIMEOUT_OF_TOPIC()}"),
     ],
 )
 def test_what_is_not_valid_is_said_in_words(ran: Any, engine: ScriptedEngine, words: tuple[str, ...], why: str) -> None:
@@ -222,9 +231,14 @@ def test_a_call_prints_the_response(ran: Any, engine: ScriptedEngine, monkeypatc
 @pytest.mark.parametrize(
     ("words", "why"),
     [
-        (("/navigate",), "consists of several: say which with --lane (send_goal, cancel_goal)"),
-        (("/navigate", "--lane", "send_gaol"), "has no 'send_gaol'; did you mean send_goal?: say which with"),
-        (("/dock", "--lane", "send_goal"), "/dock is one service: leave out --lane"),
+        (("/navigate",), CallProblem.LANE_MISSING(topic="/navigate", lanes="send_goal, cancel_goal")),
+        (
+            ("/navigate", "--lane", "send_gaol"),
+            CallProblem.LANE_UNKNOWN(
+                topic="/navigate", lane="send_gaol", hint="; did you mean send_goal?", lanes="send_goal, cancel_goal"
+            ),
+        ),
+        (("/dock", "--lane", "send_goal"), CallProblem.NO_LANES(topic="/dock")),
     ],
 )
 def test_which_service_is_called_has_to_be_clear(
@@ -236,10 +250,10 @@ def test_which_service_is_called_has_to_be_clear(
 
 
 def test_a_call_without_an_answer_fails(ran: Any, engine: ScriptedEngine) -> None:
-    engine.called.set_exception(EngineError("/dock gave no answer within 30 s"))
+    engine.called.set_exception(EngineError("/dock: late"))
     failed = ran("call", "/dock")
-    assert (failed.code, failed.err) == (1, "rsb-console: /dock gave no answer within 30 s\n")
-    assert ran("call", "/dock", "--json").json == {"ok": False, "error": "/dock gave no answer within 30 s"}
+    assert (failed.code, failed.err) == (1, "rsb-console: /dock: late\n")
+    assert ran("call", "/dock", "--json").json == {"ok": False, "error": "/dock: late"}
 
 
 def test_a_request_that_no_node_takes_is_wrong_usage(ran: Any, engine: ScriptedEngine) -> None:
@@ -321,11 +335,17 @@ def test_a_node_that_refuses_is_quoted(ran: Any, engine: ScriptedEngine, monkeyp
         list_parameters="# not read further: too short\n",
     )
     refused = ran("param", "set", "/controller", "gain", "1")
-    assert (refused.code, refused.err) == (1, "rsb-console: /controller does not set gain: read only\n")
+    assert (refused.code, refused.err) == (
+        1,
+        f"rsb-console: {CallProblem.PARAMETER_REFUSED(node='/controller', parameter='gain', reason='read only')}\n",
+    )
     unknown = ran("param", "get", "/controller", "gian")
-    assert (unknown.code, unknown.err) == (1, "rsb-console: /controller has no parameter gian, or it has no value\n")
+    assert (unknown.code, unknown.err) == (
+        1,
+        f"rsb-console: {CallProblem.PARAMETER_MISSING(node='/controller', parameter='gian')}\n",
+    )
     unreadable = ran("param", "list", "/controller")
-    assert (unreadable.code, "cannot be read" in unreadable.err) == (1, True)
+    assert (unreadable.code, says(unreadable.err, CallProblem.UNREADABLE, topic="/controller")) == (1, True)
 
 
 @pytest.mark.parametrize(

@@ -12,11 +12,17 @@ import pytest
 from msgspec.structs import replace
 from tests.command.test_remote import Ran
 from tests.console.scripted import LINK, ScriptedEngine
+from tests.support.wording import says
 
-from rsb_bridge.config.keys import fingerprint, read_key, write_key
-from rsb_bridge.config.session_file import dump, load, parse, save
+from rsb_bridge.config.client_entries import ClientProblem
+from rsb_bridge.config.decoding import ValueMistake
+from rsb_bridge.config.keys import KeyFileProblem, fingerprint, read_key, write_key
+from rsb_bridge.config.session_file import SavingProblem, dump, load, parse, save
+from rsb_bridge.config.validation import SessionMistake
 from rsb_bridge.model.session import Client, Session, Topic
 from rsb_bridge.model.snapshot import State
+from rsb_console.command.client_command import ClientCommandProblem, ClientEffect
+from rsb_console.session.client_files import ClientFileProblem, RobotFileText
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -68,8 +74,9 @@ def test_a_robot_is_added_with_all_that_it_needs(path: Path, run: Run) -> None:
         name="robot2", role="client", server_ip="10.0.0.20", server_port=49152, key_file="robot2.key"
     )
     assert f"key {key_at}, fingerprint {fingerprint(read_key(key_at))}" in ran.err
-    assert "no server of this file runs here; it counts from the next start" in ran.err
-    assert f"save the session there as robot2.yaml; copy with `scp -p {key_at} USER@ROBOT:`" in ran.err
+    assert says(ran.err, ClientEffect.NOT_RUNNING)
+    assert says(ran.err, RobotFileText.SAVE_AS, file="robot2.yaml")
+    assert says(ran.err, RobotFileText.COPY_SECRET, files=key_at)
     shown = run("show", "robot2", str(path))
     assert (shown.code, shown.out) == (0, ran.out)
     assert "is saved" not in shown.err
@@ -79,7 +86,7 @@ def test_the_robots_file_is_written_where_it_is_wanted(path: Path, run: Run) -> 
     assert run("add", "robot2", str(path), "-o", "robot2.yaml", "--address", "pc.local").out == ""
     assert load(Path("robot2.yaml")).server_ip == "pc.local"
     again = run("add", "robot3", str(path), "-o", "robot2.yaml")
-    assert (again.code, "robot2.yaml exists already: name another file" in again.err) == (2, True)
+    assert (again.code, says(again.err, ClientCommandProblem.OUTPUT_EXISTS, path="robot2.yaml")) == (2, True)
     assert "robot3" not in path.read_text()
     assert not Path("robot3.key").exists()
 
@@ -90,9 +97,9 @@ def test_a_running_server_is_told(path: Path, run: Run, machine: Machine) -> Non
     ran = run("add", "robot2", "--json")  # the file is that of the bridge that runs
     assert ran.code == 0
     assert ran.json["session"] == str(path)
-    assert "it lets the client in from now on" in ran.json["running"]
+    assert says(ran.json["running"], ClientEffect.ADDED)
     assert "pid" in run("rekey", "robot2", str(path)).err
-    assert "robot1 is no longer accepted, and its link is closed" in run("remove", "robot1", str(path)).err
+    assert says(run("remove", "robot1", str(path)).err, ClientEffect.REMOVED_LINK_CLOSED, name="robot1")
     assert engine.commands == [("add client", ROBOT2), ("change client", ROBOT2), ("remove client", "robot1")]
     assert load(path).clients == (ROBOT2,)
     assert path.with_name("robot1.key").exists()
@@ -105,10 +112,10 @@ def test_nothing_is_closed_of_a_client_that_was_not_linked(path: Path, run: Run,
     )
     machine.serve(engine, file=path)
     run("add", "robot2", str(path))
-    assert "only the new key counts now, and the link is closed" in run("rekey", "robot1", str(path)).err
+    assert says(run("rekey", "robot1", str(path)).err, ClientEffect.REKEYED_LINK_CLOSED)
     for command, words in (
-        ("rekey", "only the new key counts now\n"),
-        ("remove", "robot2 is no longer accepted, and was not linked"),
+        ("rekey", f"{ClientEffect.REKEYED()}\n"),
+        ("remove", ClientEffect.REMOVED(name="robot2")),
     ):
         said = run(command, "robot2", str(path)).err
         assert words in said
@@ -179,15 +186,18 @@ def test_a_key_is_replaced_while_both_count(path: Path, run: Run, machine: Machi
     assert path.read_text() == TEXT.replace("robot1.key", "robot1.key, next_key_file: robot1-next.key")
     assert read_key(path.with_name("robot1.key")) == old
     assert path.with_name("robot1-next.key").stat().st_mode & 0o777 == 0o600
-    assert "both keys count from now on, and the link stays" in begun.err
+    assert says(begun.err, ClientEffect.BOTH_KEYS_LINK_STAYS)
     assert f"scp -p {path.with_name('robot1-next.key')} USER@ROBOT:robot1.key" in begun.err
-    assert "rsb-console client rekey robot1 --finish" in begun.err
+    assert says(begun.err, ClientEffect.STEP_FINISH, name="robot1")
     assert (run("rekey", "robot1", str(path), "--keep-old").code, load(path).clients) == (2, (both,))
 
     used = dataclasses.replace(LINK, fingerprint=fingerprint(old), next_fingerprint=fingerprint(new))
     engine.now = dataclasses.replace(engine.now, links=(used,))
     refused = run("rekey", "robot1", str(path), "--finish")
-    assert (refused.code, "is linked with its old key" in refused.err) == (1, True)
+    assert (
+        refused.code,
+        says(refused.err, ClientCommandProblem.OLD_KEY_IN_USE, name="robot1", fingerprint=fingerprint(old)),
+    ) == (1, True)
     assert load(path).clients == (both,)
     (row,) = run("list", str(path), "--json").json["clients"]
     assert (row["fingerprint"], row["next_fingerprint"], row["problem"]) == (fingerprint(old), fingerprint(new), "")
@@ -200,7 +210,7 @@ def test_a_key_is_replaced_while_both_count(path: Path, run: Run, machine: Machi
     assert not path.with_name("robot1-next.key").exists()
     assert engine.commands == [("change client", both), ("change client", ROBOT1)]
     again = run("rekey", "robot1", str(path), "--finish")
-    assert (again.code, "robot1 has no next key" in again.err) == (2, True)
+    assert (again.code, says(again.err, ClientFileProblem.NO_NEXT_KEY, name="robot1")) == (2, True)
 
 
 def test_a_finish_that_was_cut_off_is_done_again(path: Path, run: Run) -> None:
@@ -238,7 +248,7 @@ def test_the_next_key_of_a_whole_server_is_replaced_by_hand(tmp_path: Path, run:
     text = path.read_text()
     for options in ((), ("--finish",)):
         ran = run("rekey", "robot1", str(path), *options)
-        assert (ran.code, "take next_key_file out" in ran.err) == (2, True)
+        assert (ran.code, says(ran.err, ClientFileProblem.NEXT_KEY_OF_SERVER, name="robot1")) == (2, True)
     assert path.read_text() == text
 
 
@@ -283,30 +293,30 @@ def test_the_list_says_who_is_linked_and_which_key_is_missing(path: Path, run: R
     assert (first["name"], first["state"], first["problem"]) == ("robot1", "ok", "")
     assert first["fingerprint"] == fingerprint(read_key(path.with_name("robot1.key")))
     assert (second["state"], second["topics"]) == ("", ["/map"])
-    assert "no such key file" in second["problem"]
+    assert says(second["problem"], KeyFileProblem.NO_SUCH_FILE)
     lines = run("list", str(path)).out.splitlines()
     assert lines[0].split()[:3] == ["robot1", "OK", "robot1.key"]
-    assert "no such key file" in lines[1]
+    assert says(lines[1], KeyFileProblem.NO_SUCH_FILE)
 
 
 @pytest.mark.parametrize(
     ("arguments", "code", "words"),
     [
-        (("add", "robot1"), 2, "robot1 is a client already; `client rekey robot1` makes a new key"),
+        (("add", "robot1"), 2, ClientProblem.EXISTS(name="robot1")),
         (("add", "robot2", "--key-file", "gone/robot2.key"), 1, "gone/robot2.key: cannot be written"),
-        (("add", ""), 2, "client 2, name: '' is not a name"),
+        (("add", ""), 2, f"client 2, name: {SessionMistake.NAME_UNPRINTABLE(name=repr(''))}"),
         (("add", "robot2", "--allow", "scan"), 2, "client robot2, allow[0]: 'scan' matches no topic"),
         (
             ("add", "robot2", "--allow", "{topics: /a, may: write}"),
             2,
-            "may: 'write' is not one of publish, read, call, serve",
+            f"may: {ValueMistake.MISFIT(value=repr('write'), expected='one of publish, read, call, serve', hint='')}",
         ),
-        (("remove", "robot1"), 2, "robot1 is the server's only client: add another one first"),
-        (("remove", "robto1"), 2, "robto1 is no client of this server; did you mean robot1?"),
-        (("rekey", "x"), 2, "x is no client of this server; there are robot1"),
-        (("show", "x"), 2, "x is no client of this server"),
-        (("rekey", "robot1", "--finish"), 2, "robot1 has no next key"),
-        (("rekey", "robot1", "--keep-old", "-o", "x.yaml"), 2, "leave out --output and --address"),
+        (("remove", "robot1"), 2, ClientProblem.LAST(name="robot1")),
+        (("remove", "robto1"), 2, ClientProblem.MISSPELT(name="robto1", near="robot1")),
+        (("rekey", "x"), 2, ClientProblem.UNKNOWN(name="x", names="robot1")),
+        (("show", "x"), 2, ClientProblem.UNKNOWN(name="x", names="robot1")),
+        (("rekey", "robot1", "--finish"), 2, ClientFileProblem.NO_NEXT_KEY(name="robot1")),
+        (("rekey", "robot1", "--keep-old", "-o", "x.yaml"), 2, ClientCommandProblem.OUTPUT_OF_ROTATION()),
     ],
 )
 def test_refusals_are_in_words_and_change_nothing(
@@ -330,15 +340,15 @@ def test_files_that_cannot_take_a_client(path: Path, run: Run) -> None:
 
     path.chmod(0o444)
     ran = run("add", "robot2", str(path))
-    assert (ran.code, "it is read-only" in ran.err) == (1, True)
+    assert (ran.code, says(ran.err, SavingProblem.READ_ONLY)) == (1, True)
     assert not path.with_name("robot2.key").exists(), "a key for nobody"
 
     robot = path.with_name("robot1.yaml")
     robot.write_text(dump(Session(name="robot1", role="client", server_ip="a", server_port=1, key_file="robot1.key")))
     ran = run("add", "robot2", str(robot))
-    assert (ran.code, "this is a client's session; only a server's lists clients" in ran.err) == (2, True)
+    assert (ran.code, says(ran.err, ClientFileProblem.NOT_A_SERVER, path=robot)) == (2, True)
     ran = run("list")
-    assert (ran.code, "name the server's session file" in ran.err) == (3, True)
+    assert (ran.code, says(ran.err, ClientCommandProblem.SESSION_UNKNOWN)) == (3, True)
 
 
 def test_an_existing_key_is_used_where_it_is_named(path: Path, run: Run) -> None:
@@ -352,7 +362,7 @@ def test_where_the_server_binds_every_address_the_robots_file_has_a_guess(path: 
     path.write_text(TEXT.replace("10.0.0.20", "0.0.0.0"))
     ran = run("add", "robot2", str(path))
     assert "server_ip" in ran.out
-    assert "is it the one that this client reaches?" in ran.out
+    assert says(ran.out, RobotFileText.ADDRESS_GUESSED)
     assert parse(ran.out, Path("robot2.yaml")).server_ip != "0.0.0.0"
 
 

@@ -14,10 +14,20 @@ from typing import Any, get_args
 
 import pytest
 from tests.support.locks import alone
+from tests.support.wording import says
 
-from rsb_bridge.config.session_file import load
+from rsb_bridge.config.advice import Advice
+from rsb_bridge.config.decoding import Hint, ValueMistake
+from rsb_bridge.config.keys import KeyFileProblem, KeyWarning
+from rsb_bridge.config.session_file import SavingProblem, load
+from rsb_bridge.config.validation import SessionMistake
+from rsb_bridge.config.yaml_text import YamlMistake
 from rsb_bridge.model.session import Protocol
+from rsb_console.command.argument_values import ValueProblem
 from rsb_console.command.arguments import parser_and_commands
+from rsb_console.command.check import CheckText
+from rsb_console.command.local_commands import LocalText
+from rsb_console.command.shell import CommandText
 
 COMMAND = str(Path(sys.executable).with_name("rsb-console"))
 MOST_MODULES = 300
@@ -102,8 +112,8 @@ def test_check_says_what_would_be_bridged_and_warns() -> None:
     assert run.returncode == 3, "it would not start"
     assert "client robot1 to 10.0.0.1 port 49152" in run.stdout
     assert "transmit /scan over udp: type auto, qos auto, at most 5 Hz" in run.stdout
-    assert "encryption on, prefix /robot1 where the server has use_name on" in run.stdout
-    assert "warning: key.txt: no such key file" in run.stdout
+    assert f"encryption on, {CheckText.PREFIX_IF_USED(name='robot1')}" in run.stdout
+    assert f"warning: {KeyFileProblem.NO_SUCH_FILE(path='key.txt')}" in run.stdout
     rsb_console("keygen")
     run = rsb_console("check", "robot1.yaml")
     assert run.returncode == 0
@@ -111,7 +121,7 @@ def test_check_says_what_would_be_bridged_and_warns() -> None:
     Path("key.txt").chmod(0o644)
     run = rsb_console("check", "robot1.yaml")
     assert run.returncode == 0, "a warning is no failure"
-    assert "others may read this key (mode 0644)" in run.stdout
+    assert says(run.stdout, KeyWarning.READABLE, path="key.txt", mode="0644")
 
 
 def test_check_names_the_command_for_faults_and_warns_if_it_cannot_run() -> None:
@@ -142,13 +152,13 @@ def test_check_says_whose_keys_there_are_since_when_and_warns_of_two() -> None:
     long_ago = time.time() - 30 * 86400
     os.utime("new.key", (long_ago, long_ago))
     run = rsb_console("check", "pc.yaml")
-    assert (run.returncode, "warning: a: two keys have been valid since" in run.stdout) == (0, True)
+    assert (run.returncode, says(run.stdout, KeyWarning.TWO_FOR_LONG, name="a")) == (0, True)
     Path("new.key").write_bytes(Path("old.key").read_bytes())
     run = rsb_console("check", "pc.yaml")
-    assert (run.returncode, "hold the same key" in run.stdout) == (0, True)
+    assert (run.returncode, says(run.stdout, KeyWarning.SAME_NEXT, name="a")) == (0, True)
     Path("new.key").unlink()
     run = rsb_console("check", "pc.yaml")
-    assert (run.returncode, "warning: new.key: no such key file" in run.stdout) == (3, True)
+    assert (run.returncode, f"warning: {KeyFileProblem.NO_SUCH_FILE(path='new.key')}" in run.stdout) == (3, True)
 
 
 def test_check_looks_once_at_each_key() -> None:
@@ -170,8 +180,7 @@ def test_check_refuses_clients_that_share_a_key(second: str) -> None:
     )
     run = rsb_console("check", "pc.yaml")
     assert run.returncode == 2
-    assert "a and b have one key: whoever has it may take each of these names, and its rights" in run.stderr
-    assert "shared_keys: true" in run.stderr
+    assert says(run.stderr, KeyFileProblem.SHARED, owners=KeyFileProblem.ONE_KEY(names="a and b"))
     Path("pc.yaml").write_text(Path("pc.yaml").read_text() + "shared_keys: true\n")
     assert rsb_console("check", "pc.yaml").returncode == (3 if second == "gone.txt" else 0)
 
@@ -191,7 +200,7 @@ def test_check_lists_operators_and_refuses_those_with_a_key_of_others() -> None:
     assert (run.returncode, "operator anna" in run.stderr) == (2, True)
     Path("anna.key").unlink()
     run = rsb_console("check", "pc.yaml")
-    assert (run.returncode, "warning: anna.key: no such key file" in run.stdout) == (3, True)
+    assert (run.returncode, f"warning: {KeyFileProblem.NO_SUCH_FILE(path='anna.key')}" in run.stdout) == (3, True)
 
 
 def test_check_lists_what_each_client_may_do_and_what_moves_a_robot() -> None:
@@ -215,23 +224,22 @@ def test_check_lists_what_each_client_may_do_and_what_moves_a_robot() -> None:
     assert ["driver", "read", "/odom", *anything] in table
     assert ["deaf", "publish", "all,", "not", "/cmd_vel", *anything] in table
     assert ["deaf", "read", "all,", "not", "/*", *anything] in table
-    assert [line.strip() for line in lines if "moves a robot" in line] == [
-        "nothing forbids open to publish what moves a robot: /cmd_vel, /joint_*, /tf, /clock",
-        "nothing forbids visitor to publish what moves a robot: /tf",
-        "nothing forbids driver to publish what moves a robot: /cmd_vel",
-        "nothing forbids deaf to publish what moves a robot: /joint_*, /tf, /clock",
+    assert [line.strip() for line in lines if says(line, CheckText.MAY_MOVE)] == [
+        CheckText.MAY_MOVE(peer="open", names="/cmd_vel, /joint_*, /tf, /clock"),
+        CheckText.MAY_MOVE(peer="visitor", names="/tf"),
+        CheckText.MAY_MOVE(peer="driver", names="/cmd_vel"),
+        CheckText.MAY_MOVE(peer="deaf", names="/joint_*, /tf, /clock"),
     ]
-    assert [line.strip() for line in lines if "move or change" in line] == [
-        f"nothing forbids {name} to call what may move or change a robot: any service, action and parameter"
-        for name in ("open", "still", "deaf")
+    assert [line.strip() for line in lines if says(line, CheckText.MAY_ACT)] == [
+        CheckText.MAY_ACT(peer=name, names="any service, action and parameter") for name in ("open", "still", "deaf")
     ]
-    assert "  any ROS node of this domain may shut the bridge down, on /shutdown" in lines
+    assert f"  {CheckText.NODES_MAY_STOP(topic='/shutdown')}" in lines
     client = rsb_console("check", "robot1.yaml").stdout
     assert ["the", "server", "publish", "nothing", "-", "-"] in [line.split() for line in client.splitlines()]
     assert ["the", "server", "read", "all", "tcp,", "udp", "any"] in [line.split() for line in client.splitlines()]
-    assert "moves a robot" not in client
-    assert "nothing forbids the server to shut this bridge down" in client
-    assert "ports of its own" not in client
+    assert not says(client, CheckText.MAY_MOVE)
+    assert says(client, CheckText.SERVER_MAY_STOP)
+    assert not says(client, CheckText.OWN_PORTS)
 
 
 def test_check_leaves_out_nothing_that_a_topic_says() -> None:
@@ -258,11 +266,11 @@ def test_a_key_file_that_is_none_is_warned_of_and_never_shown() -> None:
     key = Path("key.txt").read_text().strip()
     refused = rsb_console("check", "key.txt")
     assert (refused.returncode, refused.stdout) == (2, "")
-    assert refused.stderr == "rsb-console: key.txt: this is a key file, not a session\n"
+    assert refused.stderr == f"rsb-console: key.txt: {YamlMistake.KEY_FILE()}\n"
     Path("key.txt").unlink()
     os.mkfifo("key.txt")
     run = rsb_console("check", "robot1.yaml")
-    assert "warning: key.txt: is a FIFO, not a key file; without it the bridge does not start" in run.stdout
+    assert says(run.stdout, CheckText.KEY_MISSING, problem=KeyFileProblem.NOT_A_FILE(path="key.txt", kind="a FIFO"))
     assert key not in run.stdout + run.stderr
     assert "is a FIFO, not a file" in rsb_console("keygen", "--force").stderr
 
@@ -275,7 +283,7 @@ def test_check_warns_of_what_is_allowed_but_unwise() -> None:
     assert len(warnings) == 3
     assert "in the clear" in warnings[0]
     assert "domain 150" in warnings[1]
-    assert "topic /scan: it closes the bridge, too" in warnings[2]
+    assert f"topic /scan: {Advice.SHUTDOWN_TOPIC()}" in warnings[2]
 
 
 def test_check_warns_of_types_that_are_not_installed() -> None:
@@ -285,7 +293,8 @@ def test_check_warns_of_types_that_are_not_installed() -> None:
     assert run.returncode == 0
     warnings = [line for line in run.stdout.splitlines() if line.startswith("warning: ")]
     assert len(warnings) == 1
-    assert "topic /odd, type: std_msgs/msg/Strin is not installed here" in warnings[0]
+    assert says(warnings[0], Advice.TYPE_NOT_INSTALLED, type="std_msgs/msg/Strin")
+    assert "topic /odd, type: " in warnings[0]
 
 
 @pytest.mark.parametrize("arguments", [("check",), ("run", "--no-ui"), ("run",), ()])
@@ -294,9 +303,12 @@ def test_a_bad_session_file_is_refused_with_its_lines(arguments: tuple[str, ...]
     run = rsb_console(*arguments, "bad.yaml")
     assert run.returncode == 2
     assert run.stdout == ""
+    misfit = ValueMistake.MISFIT(
+        value="'tpc'", expected=f"one of {', '.join(get_args(Protocol))}", hint=Hint.DID_YOU_MEAN(name="tcp")
+    )
     assert run.stderr.splitlines()[1:] == [
-        "bad.yaml:4: server_port: missing, or 0: give a port, 1 to 65535",
-        f"bad.yaml:7: topic /scan, protocol: 'tpc' is not one of {', '.join(get_args(Protocol))} (did you mean tcp?)",
+        f"bad.yaml:4: server_port: {SessionMistake.PORT_MISSING(kind='port', range='1 to 65535')}",
+        f"bad.yaml:7: topic /scan, protocol: {misfit}",
     ]
     assert rsb_console(*arguments, "none.yaml").stderr == "rsb-console: none.yaml: no such file\n"
 
@@ -305,7 +317,7 @@ def test_keygen_makes_key_txt_and_never_prints_it() -> None:
     run = rsb_console("keygen")
     key = Path("key.txt").read_text().strip()
     assert run.returncode == 0
-    assert run.stdout.startswith("key.txt: a new key, fingerprint ")
+    assert says(run.stdout, LocalText.NEW_KEY, path="key.txt")
     assert key not in run.stdout + run.stderr
     again = rsb_console("keygen")
     assert again.returncode == 1
@@ -341,7 +353,7 @@ def test_import_to_standard_output_and_its_mistakes() -> None:
     refused = rsb_console("import", "bringup.yaml", "--name", "robot1")
     assert refused.returncode == 2
     assert "key_file: missing" in refused.stderr
-    assert "key_file is given with --key-file PATH, or --no-encryption\n" in refused.stderr
+    assert says(refused.stderr, LocalText.KEY_OPTION, field="key_file", option="--key-file PATH, or --no-encryption")
     assert "--port" not in refused.stderr
     assert rsb_console("import", "bringup.yaml").returncode == 2
     Path("bringup.yaml").write_text("server_node:\n  ros__parameters:\n    server_ip: '127.0.0.1'\n")
@@ -354,10 +366,7 @@ def test_a_thesis_file_in_place_of_a_session_leads_to_the_import(command: tuple[
     Path("bringup.yaml").write_text(BRINGUP)
     run = rsb_console(*command, "bringup.yaml")
     assert run.returncode == 2
-    assert run.stderr == (
-        "rsb-console: bringup.yaml: this is a configuration of ros2_socket_bridge: "
-        "convert it with `rsb-console import bringup.yaml --name NAME`\n"
-    )
+    assert run.stderr == (f"rsb-console: bringup.yaml: {SavingProblem.THESIS(path='bringup.yaml')}\n")
 
 
 @pytest.mark.parametrize(
@@ -366,7 +375,7 @@ def test_a_thesis_file_in_place_of_a_session_leads_to_the_import(command: tuple[
 def test_the_console_is_refused_without_a_terminal(arguments: tuple[str, ...]) -> None:
     run = rsb_console(*arguments, stdin=subprocess.DEVNULL)
     assert run.returncode == 2
-    assert run.stderr.startswith("rsb-console: the console needs a terminal")
+    assert says(run.stderr, LocalText.NO_TERMINAL)
     assert "--no-ui" in run.stderr
 
 
@@ -390,13 +399,20 @@ def test_the_console_is_refused_on_a_dumb_terminal() -> None:
 
 
 def test_bad_arguments_are_refused_in_words() -> None:
+    not_seconds = ValueProblem.NOT_ABOVE_0
     for arguments, words in [
-        (("chekc", "robot1.yaml"), "did you mean `rsb-console check`?"),
-        (("run", "--no-ui"), "--no-ui needs a session file"),
+        (("chekc", "robot1.yaml"), CommandText.MISSPELT(word="chekc", command="check")),
+        (("run", "--no-ui"), LocalText.SESSION_MISSING()),
         (("run", "--log-format", "xml", "robot1.yaml"), "invalid choice: 'xml'"),
-        (("demo", "--seconds", "0"), "argument --seconds: '0' is not a number of seconds above 0"),
-        (("run", "--status-every", "soon", "robot1.yaml"), "--status-every: 'soon' is not a number of seconds above 0"),
-        (("run", "--status-every", "nan", "robot1.yaml"), "--status-every: 'nan' is not a number of seconds above 0"),
+        (("demo", "--seconds", "0"), f"argument --seconds: {not_seconds(text='0', noun='number of seconds')}"),
+        (
+            ("run", "--status-every", "soon", "robot1.yaml"),
+            f"--status-every: {not_seconds(text='soon', noun='number of seconds')}",
+        ),
+        (
+            ("run", "--status-every", "nan", "robot1.yaml"),
+            f"--status-every: {not_seconds(text='nan', noun='number of seconds')}",
+        ),
         (("check",), "the following arguments are required: SESSION"),
     ]:
         run = rsb_console(*arguments)
@@ -462,7 +478,7 @@ def test_an_unforeseen_failure_is_one_line_and_a_log(folder: Path) -> None:
     (folder / "state").rename(folder / "elsewhere")
     (folder / "state").write_text("not a folder")
     stderr = in_process(broken, "check", "robot1.yaml").stderr
-    assert f"(details: again with --debug; {log}: " in stderr
+    assert says(stderr, CommandText.CRASHED_WITHOUT_LOG, log=log)
     assert stderr.count("\n") == 1
 
 

@@ -19,6 +19,7 @@ from tests.support.waiting import eventually
 from rsb_bridge.model.robot_summary import RobotState, RobotSummary
 from rsb_console.command import demo
 from rsb_console.command.arguments import parser_and_commands
+from rsb_console.command.demo import HOW_TO_END
 from rsb_console.fleet.fleet import Robot
 
 pytest.importorskip("rclpy", reason="needs ROS 2")
@@ -124,7 +125,7 @@ def test_nothing_of_it_is_left_where_a_signal_ends_it(seen: str, how: signal.Sig
         ((), "LINKED", 3),  # the robot, its bridge, the desk
         (("--no-ui",), " ok |", 3),
         (("--fleet", "--robots", "2"), "robot2", 3),  # the router, the control side, the robots
-        (("--fleet", "--robots", "2", "--no-ui"), "Ctrl-C ends them all", 3),
+        (("--fleet", "--robots", "2", "--no-ui"), HOW_TO_END, 3),
     ],
     ids=["console", "headless", "fleet", "headless-fleet"],
 )

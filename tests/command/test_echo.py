@@ -13,11 +13,14 @@ from rclpy.serialization import serialize_message
 from std_msgs.msg import String
 from tests.command.test_remote import Ran
 from tests.console.scripted import NOW, SESSION, ScriptedEngine, route
+from tests.support.wording import says
 
 from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import PeekedMessage
 from rsb_bridge.ros.rosidl_descriptions import installed_description
 from rsb_bridge.ros.typesupport import hash_of
+from rsb_console.command.remote import RemoteProblem
+from rsb_console.session.reading import MessageText, StampText
 
 if TYPE_CHECKING:
     from tests.support.control import Machine
@@ -63,8 +66,10 @@ def test_it_prints_a_message_as_yaml(ran: Any, engine: ScriptedEngine) -> None:
     done = ran("echo", "/scan", "--once")
     assert done.code == 0
     first, second, *lines = done.out.splitlines()
-    assert first.startswith("# nav_msgs/msg/Odometry, 716 B, came over the link in 3.0 ms at ")
-    assert second.startswith("# header.stamp 125.0 ms before (the other side's clock to this machine's")
+    assert says(first, MessageText.OVER_LINK, size="716 B")
+    assert " in 3.0 ms at " in first
+    assert first.startswith("# nav_msgs/msg/Odometry, ")
+    assert says(second, StampText.AGE, stamp="header.stamp", span="125.0 ms", clocks=StampText.CLOCKS_OF_PEER())
     assert lines[:4] == ["header:", "  stamp:", f"    sec: {int(NOW)}", "    nanosec: 125000000"]
     assert "      x: 0.1" in lines
     assert 'child_frame_id: "base"' in lines
@@ -82,7 +87,7 @@ def test_for_programs_it_prints_one_object_a_message(ran: Any, engine: ScriptedE
     assert first == second
     assert first["stamp"] == int(NOW * 1e9)
     assert first["stamp_latency"] == pytest.approx(0.25)
-    assert first["stamp_clocks"] == "the stamp's publisher's clock to this machine's"
+    assert first["stamp_clocks"] == StampText.CLOCKS_OF_PUBLISHER()
     assert first["message"]["pose"]["covariance"] == "<float64[36]>"
     assert first["message"]["child_frame_id"] == "base"
     assert [each for each in engine.commands if each[0] == "describe"] == [("describe", "/scan")]
@@ -91,11 +96,15 @@ def test_for_programs_it_prints_one_object_a_message(ran: Any, engine: ScriptedE
 @pytest.mark.parametrize(
     ("stamp", "changes", "words"),
     [
-        (NOW + 5, {}, "clocks differ: the stamp is 4.75 s ahead"),
-        (NOW + 5, {"clock_offset": 5.0, "clock_uncertainty": 0.001}, "250.0 ms before (the other side's clock"),
-        (NOW - 10_000, {}, "the stamp is 3h old: an old message, simulated time, or clocks differ"),
-        (0, {}, "the stamp is not set"),
-        (NOW, {"is_kept": True}, "the message was kept for late joiners"),
+        (NOW + 5, {}, StampText.AHEAD(span="4.75 s")),
+        (
+            NOW + 5,
+            {"clock_offset": 5.0, "clock_uncertainty": 0.001},
+            StampText.AGE(stamp="header.stamp", span="250.0 ms", clocks=StampText.CLOCKS_OF_PEER()),
+        ),
+        (NOW - 10_000, {}, StampText.OLD(age="3h")),
+        (0, {}, StampText.NOT_SET()),
+        (NOW, {"is_kept": True}, StampText.KEPT()),
     ],
 )
 def test_a_stamp_that_says_no_latency_is_said_so(
@@ -108,7 +117,7 @@ def test_a_stamp_that_says_no_latency_is_said_so(
 def test_what_nobody_can_decode_is_shown_as_hex(ran: Any, engine: ScriptedEngine) -> None:
     engine.peeked[:] = [peeked(odometry(NOW), type_hash="RIHS01_" + "5a" * 32)]
     done = ran("echo", "/scan", "--once")
-    assert "header.stamp (by the look of it) 250.0 ms before" in done.out
+    assert says(done.out, StampText.AGE, stamp=StampText.GUESSED(), span="250.0 ms")
     assert "# 00000000  00 01 00 00" in done.out
     assert "# neither side knows it" in done.out
     engine.peeked[:] = [peeked(odometry(NOW))]
@@ -172,7 +181,8 @@ def test_where_nothing_comes_it_says_why(ran: Any, engine: ScriptedEngine) -> No
     engine.now = replace(engine.now, routes=(replace(SCAN, reason="no publisher of /scan in domain 4"),))
     late = ran("echo", "/scan", "--timeout", "0.2")
     assert late.code == 1
-    assert "no more messages of /scan within 0.2 s: no publisher of /scan in domain 4" in late.err
+    assert says(late.err, RemoteProblem.NO_MORE_MESSAGES, topic="/scan", seconds=0.2)
+    assert "no publisher of /scan in domain 4" in late.err
     assert ran("echo", "/scn", "--once").code == 2
     assert ran("echo", "--control", "/nonexistent", "/scan").code == 3
 

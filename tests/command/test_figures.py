@@ -256,7 +256,7 @@ def test_the_ledger_of_info_adds_up(ran: Any, engine: Running) -> None:
     assert [int(number) for number in re.findall(r"\d+", offered)] == [sum(counts)] == [806]
     assert 9 in counts
     assert 40 not in counts, "missed messages were never offered"
-    assert any(re.search(r"\b40\b", line) for line in lines), "the estimate has a line of its own"
+    assert any(re.search(r"\b40\b", line) for line in lines), "the estimate has its own line"
 
 
 class Dropping(Running):
@@ -315,7 +315,7 @@ def test_at_a_bridge_that_runs(
         last = objects(done)[-1]
         assert 7 <= last["rate"] <= 13
         assert 14 <= last["offered_rate"] <= 26
-        assert 6 <= last["delivered_rate"] <= 14, "the other side reports once a second"
+        assert 6 <= last["delivered_rate"] <= 14, "the peer reports once a second"
         (size,) = objects(ran("bw", "/chat", "--count", "1", "--json"))
         assert 100 <= size["mean_size"] <= 110
     found = ran("info", "/chat", "--json").json

@@ -81,7 +81,7 @@ def test_all_is_well(engine: ServerEngine, capsys: pytest.CaptureFixture[str]) -
 
 
 def test_something_is_wrong(engine: ServerEngine, capsys: pytest.CaptureFixture[str]) -> None:
-    engine.link("robot2", state=State.DOWN, reason="the peer is silent")
+    engine.link("robot2", state=State.DOWN, reason="no answer")
     ran = Ran(capsys, "--json", *QUICK)
     assert ran.code == 1
     assert (ran.json["ok"], ran.json["robots"][0]["name"], ran.json["robots"][0]["state"]) == (
@@ -168,7 +168,7 @@ def test_what_fails_for_one_is_named(engine: ServerEngine, capsys: pytest.Captur
 
 
 def test_a_status_is_of_one_robot(engine: ServerEngine, capsys: pytest.CaptureFixture[str]) -> None:
-    engine.link("robot1", state=State.DOWN, reason="the peer is silent")
+    engine.link("robot1", state=State.DOWN, reason="no answer")
     ran = Ran(capsys, "exec", "--all", "--json", "--", "status")
     assert [each["code"] for each in ran.json["robots"]] == [1, 0, 0]
     assert [*ran.json["robots"][1]["output"][0]["links"]] == ["robot2"]
@@ -274,7 +274,7 @@ def test_it_stops_and_says_the_way_back(machine: Machine, capsys: pytest.Capture
     assert ran.code == 1
     assert [each[1] for each in engine.commands] == ["robot1 /camera", "robot2 /camera"]
     assert "stopped at robot2" in ran.err
-    assert "rsb-console fleet edit robot2 robot1 /camera max_rate=\n" in ran.err
+    assert "fleet edit robot2 robot1 /camera max_rate=\n" in ran.err
 
 
 def test_it_stops_after_the_robot_at_which_it_is_interrupted(

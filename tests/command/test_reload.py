@@ -207,7 +207,7 @@ def test_the_command_reloads(path: Path, systemd: Systemd) -> None:
             assert "robot1.yaml:" in json.loads(bad.stdout)["error"]
             assert "max_rate" in json.loads(bad.stdout)["error"]
             assert command("stop").returncode == 0
-            assert says(process, "operator.stopped")["text"].startswith("told to end by ")
+            assert says(process, "operator.stopped")["who"].startswith(pwd.getpwuid(os.getuid()).pw_name)
             assert process.wait(ENDS_WITHIN) == 0
         finally:
             process.kill()

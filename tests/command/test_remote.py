@@ -16,10 +16,11 @@ import pytest
 from tests.console.scripted import EVENTS, ROUTES, SESSION, ScriptedEngine, route
 from tests.support.ports import free_port
 from tests.support.waiting import eventually
+from tests.support.wording import says
 
 from rsb_bridge.config.keys import write_key
 from rsb_bridge.config.session_file import save
-from rsb_bridge.control.bridges import running_bridges
+from rsb_bridge.control.bridges import SessionRuns, running_bridges
 from rsb_bridge.model.session import Session, Topic
 from rsb_bridge.model.snapshot import (
     Acknowledgement,
@@ -31,7 +32,10 @@ from rsb_bridge.model.snapshot import (
     State,
 )
 from rsb_console.command.arguments import parser_and_commands
-from rsb_console.command.remote import COMMANDS
+from rsb_console.command.headless import HeadlessText
+from rsb_console.command.remote import COMMANDS, RemoteProblem
+from rsb_console.command.target import BridgeChoice
+from rsb_console.session.draft import TypedProblem
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -237,20 +241,23 @@ def test_commands_do_what_they_say(ran: Any, engine: ScriptedEngine) -> None:
     ("command", "words"),
     [
         (("add", "/map", "receive", "prtocol=udp"), "prtocol=udp: unknown key; did you mean protocol? (keys: topic,"),
-        (("add", "/map", "receive", "udp"), "udp: not KEY=VALUE, as in max_rate=5"),
-        (("add", "/map", "receive", "--rate", "5"), "--rate and --size are for --dry-run"),
-        (("add", "/map"), "add /map: the direction is missing. transmit takes it from the client to the server, "),
-        (("add", "/map", "type=String"), "the direction is missing. transmit takes it"),
-        (("edit", "/scan"), "edit /scan: nothing to change; for example: max_rate=5"),
+        (("add", "/map", "receive", "udp"), TypedProblem.NOT_A_PAIR(text="udp")),
+        (("add", "/map", "receive", "--rate", "5"), RemoteProblem.RATE_WITHOUT_DRY_RUN(topic="/map")),
+        (("add", "/map"), RemoteProblem.DIRECTION_MISSING(topic="/map")),
+        (("add", "/map", "type=String"), RemoteProblem.DIRECTION_MISSING(topic="/map")),
+        (("edit", "/scan"), RemoteProblem.NOTHING_TO_CHANGE(topic="/scan")),
         (("retry", "--link", "robot7"), "robot1 has no link 'robot7', only robot1"),
         (("pause", "/scan", "--link", "robot7"), "robot1 has no link 'robot7', only robot1"),
-        (("add", "/map", "recieve"), "'recieve' is no direction; did you mean receive? transmit takes it from"),
+        (
+            ("add", "/map", "recieve"),
+            RemoteProblem.DIRECTION_UNKNOWN(topic="/map", word="recieve", hint="; did you mean receive?"),
+        ),
         (("add", "/map", "receive", "max_rate=fast"), "max_rate: "),
         (("add", "/scan", "transmit"), "topic: "),
         (("pause", "/scna"), "/scna is not bridged; did you mean /scan?"),
         (("wait", "--for", "flowing", "/scna"), "/scna is not bridged; did you mean /scan?"),
         (("wait", "--for", "linked", "robot7"), "robot1 has no link 'robot7', only robot1"),
-        (("wait", "--for", "happy"), "not one of flowing TOPIC, linked [CLIENT], stopped"),
+        (("wait", "--for", "happy"), RemoteProblem.CONDITION_UNKNOWN(condition="happy")),
     ],
 )
 def test_what_is_not_valid_is_said_in_words(
@@ -364,7 +371,8 @@ def test_a_server_waits_for_a_topic_that_a_client_may_bring(ran: Any, machine: M
     machine.serve(ScriptedEngine(msgspec.structs.replace(SESSION, role="server"), routes=(SCAN,)))
     late = ran("wait", "--for", "flowing", "/scna", "--timeout", "0")
     assert late.code == 1
-    assert "not flowing /scna within 0 s: no client has brought /scna so far; did you mean /scan?" in late.err
+    assert says(late.err, RemoteProblem.NOT_REACHED, condition="flowing /scna", seconds=0)
+    assert says(late.err, RemoteProblem.NOT_BROUGHT, topic="/scna", hint="; did you mean /scan?")
 
 
 @pytest.mark.parametrize(
@@ -396,9 +404,8 @@ def test_on_a_server_of_several_the_client_has_to_be_named(ran: Any, machine: Ma
     engine.now = replace(engine.now, links=(LINK, replace(LINK, name="robot2")))
     machine.serve(engine)
     refused = ran("add", "/map", "receive")
-    assert (refused.code, refused.err) == (
-        2, "rsb-console: add /map: with which client? --link robot1 or --link robot2\n"
-    )  # fmt: skip
+    question = RemoteProblem.CLIENT_MISSING(topic="/map", links="robot1 or --link robot2")
+    assert (refused.code, refused.err) == (2, f"rsb-console: {question}\n")
     assert ran("add", "/map", "receive", "--link", "robot2").code == 0
 
 
@@ -410,7 +417,7 @@ def test_every_command_takes_the_bridge_in_the_same_way(ran: Any, machine: Machi
     refused = ran(name, *arguments, "--bridge", "robot7", "--json")
     assert refused.code == 3
     machine.serve()
-    assert "no bridge 'robot7' runs here; these do:" in ran(name, *arguments, "--bridge", "robot7").err
+    assert says(ran(name, *arguments, "--bridge", "robot7").err, BridgeChoice.UNKNOWN, name="robot7")
     if not arguments:
         assert ran(name, "robot7").code == 3
 
@@ -426,11 +433,12 @@ def test_on_a_server_a_topic_may_be_called_as_on_the_client(ran: Any, machine: M
 
 def test_without_a_bridge_they_say_so(ran: Any, machine: Machine) -> None:
     nothing = ran("status")
-    assert (nothing.code, nothing.err) == (3, "rsb-console: no bridge runs here that you may attach to\n")
+    assert (nothing.code, nothing.err) == (3, f"rsb-console: {BridgeChoice.NONE_RUNS()}\n")
     machine.serve()
     other = ran("status", "robot2")
     assert other.code == 3
-    assert "no bridge 'robot2' runs here; these do:\n  robot1: client, 10.0.0.20:49152, pid" in other.err
+    assert says(other.err, BridgeChoice.UNKNOWN, name="robot2")
+    assert "\n  robot1: client, 10.0.0.20:49152, pid" in other.err
     assert ran("status", "--control", str(machine.folder / "x.sock")).code == 3
 
 
@@ -454,7 +462,7 @@ def test_status_shows_all_bridges_and_exits_with_the_worst_code(
     assert faulty.json["ok"] is False
     assert [(each["name"], each["ok"]) for each in faulty.json["bridges"]] == [("robot1", True), ("robot2", False)]
     assert ran("status", "robot1").code == 0
-    frozen = [replace(each, info=None, problem="it does not answer") for each in running_bridges()[:1]]
+    frozen = [replace(each, info=None, problem="frozen") for each in running_bridges()[:1]]
     monkeypatch.setattr("rsb_console.command.status.running_bridges", lambda: [*frozen, *running_bridges()[1:]])
     assert ran("status").code == 3
 
@@ -546,8 +554,8 @@ def test_a_headless_bridge_is_attached_to_changed_and_stopped(bridge: subprocess
 def test_a_session_is_not_started_twice(bridge: subprocess.Popen[str], session: Path) -> None:
     second = command("run", "--no-ui", str(session))
     assert second.returncode == 4
-    assert f"robot1 already runs here: pid {bridge.pid}, socket " in second.stderr
-    assert "To attach to it: rsb-console attach robot1" in second.stderr
+    assert says(second.stderr, SessionRuns.ANSWERING, name="robot1", pid=bridge.pid)
+    assert says(second.stderr, HeadlessText.RUNS_ALREADY, command="rsb-console attach robot1")
     assert "Traceback" not in second.stderr
     bridge.send_signal(signal.SIGKILL)
     bridge.wait()

@@ -10,12 +10,13 @@ from typing import Any
 
 import pytest
 from tests.support.systemd import exposure
+from tests.support.wording import says
 
 from rsb_bridge.config.session_file import save
 from rsb_bridge.model.session import Session
 from rsb_console.command import service
 from rsb_console.command.arguments import parser_and_commands
-from rsb_console.command.service import KEPT_VARIABLES, Service, unit_name
+from rsb_console.command.service import KEPT_VARIABLES, Service, ServiceText, unit_name
 
 
 @pytest.fixture(autouse=True)
@@ -70,7 +71,7 @@ def test_a_unit_that_differs_is_replaced_by_force_only(ran: Any, session: Path, 
     unit.write_text("[Service]\nExecStart=/bin/true\n")
     code, _, err = ran("install", session)
     assert code == 1
-    assert f"{unit}: exists already, and is another unit; --force replaces it" in err
+    assert says(err, ServiceText.OTHER_UNIT, path=unit)
     assert "/bin/true" in unit.read_text()
     assert ran("uninstall", session)[0] == 1
     assert ran("install", "--force", session)[0] == 0

@@ -15,9 +15,13 @@ import msgspec
 import pytest
 from tests.console.scripted import EVENTS, ScriptedEngine, route
 from tests.support.waiting import eventually
+from tests.support.wording import pattern, says
 
 from rsb_bridge.api import EngineError
 from rsb_bridge.control import attached_console, bridges, control_sockets, protocol, remote_engine
+from rsb_bridge.control.attached_console import RequestRefused
+from rsb_bridge.control.control_sockets import AttachProblem
+from rsb_bridge.control.protocol import VersionProblem
 from rsb_bridge.control.remote_engine import RemoteEngine
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.session import Client, Topic
@@ -157,7 +161,7 @@ def test_requests_that_wait_are_limited(machine: Machine) -> None:
     machine.serve(engine)
     remote = machine.attach()
     requests = [remote.retry() for _ in range(protocol.REQUESTS_WAITING + 1)]
-    with pytest.raises(EngineError, match="wait for an answer already"):
+    with pytest.raises(EngineError, match=pattern(RequestRefused.TOO_MANY_WAITING)):
         requests[-1].result(60)
     eventually(lambda: len(engine.waiting) == protocol.REQUESTS_WAITING)
     for each in engine.waiting:
@@ -229,7 +233,7 @@ def test_a_bridge_that_hangs_is_not_called_ok(machine: Machine, monkeypatch: pyt
     monkeypatch.setattr(remote_engine, "ANSWERS_WITHIN", 0.5)
     engine.goes_on.clear()
     eventually(lambda: not remote.snapshot().running)
-    assert "has not answered for" in remote.unreachable
+    assert says(remote.unreachable, AttachProblem.SILENT_FOR)
     first = remote.snapshot()
     later = eventually(lambda: now if (now := remote.snapshot()).time > first.time + 2.0 else None)
     assert {each.state for each in later.routes} == {State.DOWN}
@@ -243,7 +247,7 @@ def test_a_bridge_that_hangs_is_not_called_ok(machine: Machine, monkeypatch: pyt
 def test_many_attach_and_one_too_many_is_told_so(machine: Machine) -> None:
     machine.serve()
     remotes = [machine.attach() for _ in range(protocol.CONSOLES)]
-    with pytest.raises(EngineError, match="32 consoles are attached already"):
+    with pytest.raises(EngineError, match=pattern(AttachProblem.OTHER_CONSOLES, count=32)):
         machine.attach()
     remotes[0].stop()
     eventually(lambda: consoles(machine) < protocol.CONSOLES)
@@ -257,7 +261,7 @@ def test_another_version_is_told_who_is_older(machine: Machine, monkeypatch: pyt
         connection.sendall(protocol.encode(sent))
         (answer,) = protocol.frames_to_console().feed(connection.recv(1000))
     assert isinstance(answer, protocol.Refused)
-    assert "the bridge is older" in answer.reason
+    assert says(answer.reason, VersionProblem.BRIDGE_OLDER)
 
 
 @pytest.mark.parametrize(
@@ -380,7 +384,7 @@ def test_a_bridge_that_accepts_nobody_does_not_answer(machine: Machine, monkeypa
         busy.listen(0)
         while (connection := control_sockets.try_connect(machine.folder / "robot1.sock")) is not None:
             waiting.enter_context(connection)
-        with pytest.raises(EngineError, match="does not answer"):
+        with pytest.raises(EngineError, match=pattern(AttachProblem.SILENT)):
             RemoteEngine(machine.folder / "robot1.sock").start()
 
 
@@ -403,7 +407,7 @@ def test_a_stop_ends_a_start_that_waits_for_a_bridge_that_hangs(machine: Machine
         with hangs.accept()[0]:
             remote.stop()
             starting.join(60)
-        assert failed == ["detached from the bridge"]
+        assert failed == [AttachProblem.DETACHED()]
 
 
 def test_who_leaves_while_looking_at_a_message_looks_no_more(machine: Machine) -> None:

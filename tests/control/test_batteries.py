@@ -140,7 +140,7 @@ def test_no_answer_harms_nobody() -> None:
     engine.tick(one, at=BATTERY_EVERY)
     engine.waiting[one.key].set_result(battery(0.5))
     engine.tick(one, at=BATTERY_EVERY + 1)
-    engine.descriptions[-1].set_exception(EngineError("its type is not known"))
+    engine.descriptions[-1].set_exception(EngineError("type unknown"))
     assert engine.tick(one, at=BATTERY_EVERY + 2) == {}
     engine.tick(one, at=2 * BATTERY_EVERY)
     engine.waiting[one.key].set_result(battery(0.5))

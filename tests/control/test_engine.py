@@ -169,7 +169,7 @@ def test_a_console_that_is_stopped_for_30_s_costs_no_message_and_goes_on(traffic
             pass_a_second(machine)
             remote.snapshot()
         traffic.flow(50, looking=[remote])
-        assert consoles(machine) == 2, "it may come back"
+        assert consoles(machine) == 2, "its place is kept"
         watching.process.send_signal(signal.SIGCONT)
         watching.says("delivered")
         eventually(lambda: delivered(remote) == traffic.delivered == 500)

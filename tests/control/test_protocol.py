@@ -14,6 +14,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from tests.console.scripted import ScriptedEngine, route
+from tests.support.wording import says
 
 from rsb_bridge.control import protocol
 from rsb_bridge.control.protocol import ProtocolError, State, ToBridge, ToConsole
@@ -136,5 +137,9 @@ def test_what_has_not_changed_is_not_sent_again() -> None:
 
 def test_both_say_which_side_is_older() -> None:
     assert protocol.version_problem((1, "0.1"), (1, "0.2")) == ""
-    assert "the bridge is older" in protocol.version_problem((1, "0.1"), (2, "0.2"))
-    assert "this console is older" in protocol.version_problem((2, "0.2"), (1, "0.1"))
+    assert says(
+        protocol.version_problem((1, "0.1"), (2, "0.2")), protocol.VersionProblem.BRIDGE_OLDER, bridge=1, console=2
+    )
+    assert says(
+        protocol.version_problem((2, "0.2"), (1, "0.1")), protocol.VersionProblem.CONSOLE_OLDER, bridge=2, console=1
+    )

@@ -14,10 +14,18 @@ from typing import TYPE_CHECKING
 import msgspec
 import pytest
 from tests.console.scripted import SESSION, ScriptedEngine
+from tests.support.wording import pattern
 
 from rsb_bridge.control import bridges, control_sockets
-from rsb_bridge.control.bridges import AlreadyRunningError
-from rsb_bridge.control.control_sockets import ControlError, Listener, StrangerError, TakenError
+from rsb_bridge.control.bridges import AlreadyRunningError, SessionRuns
+from rsb_bridge.control.control_sockets import (
+    AttachProblem,
+    ControlError,
+    Listener,
+    SocketProblem,
+    StrangerError,
+    TakenError,
+)
 from rsb_bridge.control.remote_engine import RemoteEngine
 
 if TYPE_CHECKING:
@@ -155,14 +163,14 @@ def test_a_console_does_not_trust_another_users_process(monkeypatch: pytest.Monk
 def test_a_folder_of_another_users_is_refused(machine: Machine) -> None:
     machine.folder.mkdir()
     os.chown(machine.folder, NOBODY, NOBODY)
-    with pytest.raises(ControlError, match="another user's"):
+    with pytest.raises(ControlError, match=pattern(SocketProblem.FOLDER_OF_USER)):
         machine.serve()
 
 
 def test_a_folder_that_others_may_write_to_is_refused(machine: Machine) -> None:
     machine.folder.mkdir()
     machine.folder.chmod(0o777)
-    with pytest.raises(ControlError, match="chmod 700"):
+    with pytest.raises(ControlError, match=pattern(SocketProblem.FOLDER_WRITABLE)):
         machine.serve()
 
 
@@ -194,7 +202,10 @@ def test_a_living_processs_is_never_replaced(machine: Machine) -> None:
         assert living.stdout.readline() == b"ready\n"
         with pytest.raises(TakenError):
             Listener(path, make_folder=True)
-        with pytest.raises(AlreadyRunningError, match=f"pid {living.pid}.*does not answer"):
+        with pytest.raises(
+            AlreadyRunningError,
+            match=pattern(SessionRuns.NOT_ANSWERING, pid=living.pid, problem=AttachProblem.SILENT()),
+        ):
             machine.serve()
         living.stdin.close()
     machine.serve()
@@ -203,7 +214,7 @@ def test_a_living_processs_is_never_replaced(machine: Machine) -> None:
 def test_a_file_that_is_no_socket_is_left_alone(machine: Machine, tmp_path: Path) -> None:
     path = tmp_path / "notes.txt"
     path.write_text("mine")
-    with pytest.raises(ControlError, match="not a socket"):
+    with pytest.raises(ControlError, match=pattern(SocketProblem.NOT_A_SOCKET)):
         machine.serve(control=path)
     assert path.read_text() == "mine"
 
@@ -229,7 +240,8 @@ def test_closing_does_not_remove_anothers_socket(machine: Machine) -> None:
 def test_a_session_is_served_once(machine: Machine, tmp_path: Path) -> None:
     machine.serve(file=tmp_path / "robot1.yaml")
     with pytest.raises(
-        AlreadyRunningError, match=rf"robot1 already runs here: pid {os.getpid()}, socket .*robot1.sock"
+        AlreadyRunningError,
+        match=pattern(SessionRuns.ANSWERING, name="robot1", pid=os.getpid(), path=machine.folder / "robot1.sock"),
     ):
         machine.serve(file=tmp_path / "robot1.yaml")
     with pytest.raises(AlreadyRunningError):

@@ -75,7 +75,7 @@ def _undo(engine: Engine, change: Change) -> None:
 
 def test_a_removed_topic_is_as_it_was(bridge: Bridge) -> None:
     _, engine = bridge.both(Topic("/scan", "transmit", max_rate=5.0, arm=True, paused=True))
-    eventually(lambda: route(engine, "/scan").arming is not None, what="both sides know that it has to be armed")
+    eventually(lambda: route(engine, "/scan").arming is not None, what="both sides demand arming")
     before = route(engine, "/scan")
     change = Removed("robot1", "/scan", 0, key=before.key, spec=before.spec, pattern="", patterns=())
     engine.remove_topic(before.key).result(60)

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import pytest
 from tests.support.operators import ANNA, BOB, granted
 from tests.support.waiting import eventually
+from tests.support.wording import pattern
 from tests.support.zenoh_attacker import Attacker
 from tests.support.zenoh_fleet import Fleet, announced
 from tests.support.zenoh_router import stranger
@@ -17,7 +18,7 @@ from rsb_bridge.api import EngineError
 from rsb_bridge.control.control_sockets import UnclearError
 from rsb_bridge.control.remote_engine import RemoteEngine
 from rsb_bridge.control.summaries import SummaryBuilder
-from rsb_bridge.control.zenoh_fleet import FleetWay
+from rsb_bridge.control.zenoh_fleet import EngineChoice, FleetWay
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.robot_summary import RobotState, decode
 from rsb_bridge.model.snapshot import Level
@@ -97,7 +98,9 @@ def test_who_is_not_there_is_said_with_who_is(fleet: Fleet) -> None:
     fleet.add("robot2")
     seen = fleet.seen_by()
     eventually(lambda: has_spoken(seen, "robot1") and has_spoken(seen, "robot2"))
-    with pytest.raises(EngineError, match=r"no engine 'robot3'.*robot1 and robot2"):
+    with pytest.raises(
+        EngineError, match=pattern(EngineChoice.UNKNOWN, engine="robot3", known="; there are robot1 and robot2")
+    ):
         fleet.attach("robot3")
     with pytest.raises(UnclearError, match="robot1 and robot2"):
         fleet.attach("")

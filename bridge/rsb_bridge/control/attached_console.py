@@ -1,4 +1,4 @@
-"""A console that is attached, whatever its connection is: its commands are carried out here, and it is kept posted."""
+"""A console that is attached over any connection: executes its commands, and sends it the engine's state."""
 
 from __future__ import annotations
 
@@ -17,6 +17,7 @@ from rsb_bridge.model.benchmark import Outcome
 from rsb_bridge.model.command_origin import acting, on_console, undoing
 from rsb_bridge.model.history import HistoryReport
 from rsb_bridge.model.snapshot import PeekedMessage, Reloaded, TopicInfo
+from rsb_bridge.model.wording import Wording
 from rsb_bridge.tasks import Tasks
 
 if TYPE_CHECKING:
@@ -38,17 +39,25 @@ _ANSWERED_WITHIN = 2.0
 """s after which a look is answered though nothing is new: the engine has stopped, the bridge's process has not."""
 
 
+class RequestRefused(Wording):
+    """Reasons why an attached console's command is not executed."""
+
+    READ_ONLY = "{reason}: nothing can be changed"
+    ATTACHED_READ_ONLY = "attached read-only"
+    TOO_MANY_WAITING = "{count} requests wait for an answer already"
+
+
 class Connection(Protocol):
-    """What carries one console's bytes, in order, and knows who is at its other end. Belongs to one event loop."""
+    """A console's byte stream, and the operator at its other end. Belongs to one event loop."""
 
     @property
     def operator(self) -> str:
-        """Who it is, in words, as the kernel or a key proves it: ``anna on pts/3``."""
+        """The operator, as the kernel or a key proves it: ``anna on pts/3``."""
         ...
 
     @property
     def only_looks(self) -> str:
-        """Why it may change nothing, in words, whatever the console asks for; empty: it may."""
+        """The reason this operator may change nothing, or an empty string."""
         ...
 
     @property
@@ -93,7 +102,7 @@ class ConsoleHost(Protocol):
     encoded: EncodedRoutes
 
     def summary(self) -> bytes:
-        """The engine in a few figures, at most `SUMMARY_EVERY` s old; empty: nobody makes any."""
+        """The engine in a few figures, at most `SUMMARY_EVERY` s old, or empty bytes."""
         ...
 
     def stop_process(self) -> None:
@@ -208,7 +217,7 @@ class Console:
         self._welcomed = True
         self._operator = self._connection.operator
         only_looks = self._connection.only_looks
-        self._may_not = only_looks or ("attached read-only" if hello.read_only else "")
+        self._may_not = only_looks or (RequestRefused.ATTACHED_READ_ONLY() if hello.read_only else "")
         self._refused = (*CHANGING, Bench) if only_looks else CHANGING  # a measurement takes what a link carries
         self._features = known_features(hello.features)
         self._sender = Sender(self._features)
@@ -224,9 +233,9 @@ class Console:
 
     def _request(self, request: protocol.Request) -> None:
         if self._may_not and isinstance(request.command, self._refused):
-            self.send(protocol.Failed(request.id, f"{self._may_not}: nothing can be changed"))
+            self.send(protocol.Failed(request.id, RequestRefused.READ_ONLY(reason=self._may_not)))
         elif self._requests >= protocol.REQUESTS_WAITING:
-            self.send(protocol.Failed(request.id, f"{protocol.REQUESTS_WAITING} requests wait for an answer already"))
+            self.send(protocol.Failed(request.id, RequestRefused.TOO_MANY_WAITING(count=protocol.REQUESTS_WAITING)))
         else:
             self._requests += 1
             self._has_armed |= isinstance(request.command, ArmTopic)
@@ -294,7 +303,7 @@ class Console:
             self.send(protocol.Events(tuple(events)))
 
     def _send_summary(self) -> None:
-        """Send the engine's figures where they are others, or nothing has been said for a while."""
+        """Send the engine's figures if they have changed, or as a sign of life."""
         since = self._loop.time() - self._summed_at
         if not self._watching or since < protocol.SUMMARY_EVERY:
             return

@@ -14,11 +14,12 @@ from typing import TYPE_CHECKING
 from rsb_bridge import __version__
 from rsb_bridge.control import control_sockets, protocol
 from rsb_bridge.control.control_server import ControlServer
-from rsb_bridge.control.control_sockets import ControlError, Listener, NotServedError, TakenError
+from rsb_bridge.control.control_sockets import AttachProblem, ControlError, Listener, NotServedError, TakenError
 from rsb_bridge.control.features import hello
 from rsb_bridge.control.protocol import BridgeInfo, ProtocolError, Refused, Welcome
 from rsb_bridge.model.names import file_stem
 from rsb_bridge.model.text import encodable, one_line
+from rsb_bridge.model.wording import Wording
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
@@ -48,12 +49,12 @@ class RunningBridge:
 
     @property
     def name(self) -> str:
-        """What an operator calls it: the socket's name, which no other bridge of the same user has."""
+        """The operator's name for it: the socket's name, which no other bridge of the same user has."""
         return self.path.name.removesuffix(control_sockets.SUFFIX)
 
     @property
     def attach_command(self) -> str:
-        """What attaches to it, for an operator to type."""
+        """The command line that attaches to it."""
         if self.path.parent in control_sockets.searched_folders(os.environ):
             return f"rsb-console attach {self.name}"
         return f"rsb-console attach --control {self.path}"
@@ -65,16 +66,23 @@ class RunningBridge:
         return one_line(f"{self.name}: {self.info.role}, {self.info.address}, pid {self.pid}{file}")
 
 
+class SessionRuns(Wording):
+    """Refusals of a session that runs on this machine already."""
+
+    ANSWERING = "{name} already runs here: pid {pid}, socket {path}"
+    NOT_ANSWERING = "{name} already runs here: pid {pid}, socket {path} ({problem})"
+
+
 class AlreadyRunningError(ControlError):
-    """The session runs on this machine already.
+    """A session that runs on this machine already.
 
     Attributes:
         bridge: that runs it.
     """
 
     def __init__(self, bridge: RunningBridge) -> None:
-        doubt = f" ({bridge.problem})" if bridge.problem else ""
-        super().__init__(f"{bridge.name} already runs here: pid {bridge.pid}, socket {bridge.path}{doubt}")
+        text = SessionRuns.NOT_ANSWERING if bridge.problem else SessionRuns.ANSWERING
+        super().__init__(text(name=bridge.name, pid=bridge.pid, path=bridge.path, problem=bridge.problem))
         self.bridge = bridge
 
 
@@ -96,9 +104,9 @@ def ask(path: Path) -> RunningBridge:
                     if isinstance(message, Refused):
                         return RunningBridge(path, pid, None, message.reason)
         except (OSError, ProtocolError) as error:
-            problem = "it does not answer" if isinstance(error, TimeoutError) else str(error)
+            problem = AttachProblem.SILENT() if isinstance(error, TimeoutError) else str(error)
             return RunningBridge(path, pid, None, problem)
-    return RunningBridge(path, pid, None, "it closed the connection")
+    return RunningBridge(path, pid, None, AttachProblem.CLOSED_EARLY())
 
 
 def running_bridges(environ: Mapping[str, str] = os.environ) -> list[RunningBridge]:
@@ -191,7 +199,7 @@ def _claim_path(path: Path) -> Listener:
 
 
 def _holder(path: Path) -> RunningBridge | None:
-    """Who serves a socket that was taken; None: it has ended meanwhile."""
+    """Return the bridge that serves a taken socket, or None if it has ended meanwhile."""
     try:
         return ask(path)
     except NotServedError:

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, Final, TypeVar, cast
 
 import msgspec
 
-from rsb_bridge.control.protocol import Events, Failed, Goodbye, ProtocolError, Refused, Reply
+from rsb_bridge.control.protocol import Events, Failed, Goodbye, ProtocolError, Refused, Reply, UnexpectedMessage
 from rsb_bridge.model.budgets import TokenBucket
 from rsb_bridge.model.text import UNPRINTABLE, sanitize_text
 from rsb_bridge.telemetry.event_log import KEPT
@@ -76,7 +76,7 @@ class UntrustedMessages:
             ProtocolError: it is more than any engine says.
         """
         if isinstance(message, Events) and not self._events.take(len(message.events), now):
-            raise ProtocolError("more events than any bridge reports")
+            raise ProtocolError(UnexpectedMessage.TOO_MANY_EVENTS())
         return clean(message)
 
 

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 from rsb_bridge.control import protocol
 from rsb_bridge.control.attached_console import Console
-from rsb_bridge.control.control_sockets import identify, may_control, peer_of, run_as, user_name
+from rsb_bridge.control.control_sockets import AttachProblem, identify, may_control, peer_of, run_as, user_name
 from rsb_bridge.control.protocol import ProtocolError
 from rsb_bridge.control.states import EncodedRoutes
 
@@ -96,7 +96,7 @@ class ControlServer:
     # --- on the thread
 
     def summary(self) -> bytes:
-        """The engine in a few figures, made once for all consoles; empty: nobody makes any."""
+        """Return the engine in a few figures, made once for all consoles, or empty bytes."""
         now = self.loop.time()
         if self.summarize is not None and now - self._summed_at >= protocol.SUMMARY_EVERY:
             self._summary, self._summed_at = self.summarize(), now
@@ -104,7 +104,7 @@ class ControlServer:
 
     @property
     def ending(self) -> str:
-        """Why no console is served any more, in words; empty: they are."""
+        """The reason consoles are not served any more, or an empty string."""
         return self._ending if self._ends.is_set() else ""
 
     def at_end(self, work: Callable[[], None]) -> None:
@@ -126,10 +126,10 @@ class ControlServer:
         console.gone()
 
     def full(self, places: int = protocol.CONSOLES) -> str:
-        """Why one more console is refused, where there are so many places; empty: it is not."""
+        """Return the reason to refuse one more console if all places are taken, or an empty string."""
         if self.attached() < places:
             return ""
-        return f"{self.attached()} consoles are attached already; close one of them"
+        return AttachProblem.OTHER_CONSOLES(count=self.attached())
 
     def _run(self) -> None:
         try:
@@ -185,7 +185,7 @@ class ControlServer:
 def _not_yours() -> str:
     """Return why a console of another user is refused."""
     uid = os.geteuid()
-    return f"this bridge runs as {user_name(uid)}, and no other user but root may control it: {run_as(uid)}"
+    return AttachProblem.OTHER_USER(user=user_name(uid), remedy=run_as(uid))
 
 
 class _OfThisMachine:

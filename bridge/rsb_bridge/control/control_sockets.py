@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING
 
 from rsb_bridge.api import EngineError
 from rsb_bridge.model.text import sanitize_text
+from rsb_bridge.model.wording import Wording
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
@@ -31,12 +32,41 @@ _LOCKED_WITHIN = 5.0
 _PEER = struct.Struct("iII")  # pid, uid, gid: struct ucred of unix(7)
 
 
+class SocketProblem(Wording):
+    """Reasons why a control socket, or its folder, cannot be used."""
+
+    STRANGER = "{path}: served by {user}, not by this user: {remedy}"
+    TAKEN = "{path}: another process serves this socket"
+    NOT_SERVED = "{path}: no bridge serves this socket"
+    NO_FOLDER = "{path}: no bridge serves a socket here"
+    BUSY = "{path}: its process does not answer"
+    OTHER = "{path}: {problem}"
+    NOT_A_SOCKET = "{path}: exists, and is not a socket; name another path with --control"
+    FOLDER_LOCKED = "another process keeps the folder of the control socket locked"
+    FOLDER_OF_ANOTHER = "this folder is another user's; remove it, or set XDG_RUNTIME_DIR"
+    FOLDER_OF_USER = "this folder is another user's (uid {uid}); remove it, or set XDG_RUNTIME_DIR"
+    FOLDER_WRITABLE = "others may write to this folder (mode {mode:04o}); chmod 700 it"
+
+
+class AttachProblem(Wording):
+    """Reasons why a console is not attached, or not any more."""
+
+    SILENT = "the bridge does not answer"
+    SILENT_FOR = "the bridge has not answered for {seconds:.0f} s"
+    ENDED = "the bridge's process has ended, or has closed the connection"
+    CLOSED_EARLY = "it closed the connection"
+    DETACHED = "detached from the bridge"
+    OTHER_CONSOLES = "{count} consoles are attached already; close one of them"
+    OTHER_USER = "this bridge runs as {user}, and no other user but root may control it: {remedy}"
+    ON_SOCKET = "{where}: {problem}"
+
+
 class ControlError(EngineError):
-    """A control socket cannot be used; the message says why."""
+    """A control socket that cannot be used; the message gives the reason."""
 
 
 class UnclearError(ControlError):
-    """Several engines may be meant; the message says which."""
+    """A name that fits several engines; the message lists them."""
 
 
 class NotServedError(ControlError):
@@ -51,7 +81,7 @@ class StrangerError(ControlError):
     """
 
     def __init__(self, path: Path, uid: int) -> None:
-        super().__init__(f"{path}: served by {user_name(uid)}, not by this user: {run_as(uid)}")
+        super().__init__(SocketProblem.STRANGER(path=path, user=user_name(uid), remedy=run_as(uid)))
         self.uid = uid
 
 
@@ -63,7 +93,7 @@ class TakenError(ControlError):
     """
 
     def __init__(self, path: Path) -> None:
-        super().__init__(f"{path}: another process serves this socket")
+        super().__init__(SocketProblem.TAKEN(path=path))
         self.path = path
 
 
@@ -237,11 +267,11 @@ def _reported(path: Path) -> Iterator[None]:
     try:
         yield
     except TimeoutError:
-        raise ControlError(f"{path}: its process does not answer") from None
+        raise ControlError(SocketProblem.BUSY(path=path)) from None
     except OSError as error:
         if error.errno in (errno.ENOENT, errno.ECONNREFUSED):
-            raise NotServedError(f"{path}: no bridge serves this socket") from None
-        raise ControlError(f"{path}: {error.strerror or error}") from None
+            raise NotServedError(SocketProblem.NOT_SERVED(path=path)) from None
+        raise ControlError(SocketProblem.OTHER(path=path, problem=error.strerror or error)) from None
 
 
 @contextlib.contextmanager
@@ -259,12 +289,12 @@ def _folder(path: Path, *, make: bool) -> Iterator[int]:
                 path.mkdir(mode=0o700)
         handle = os.open(path, os.O_RDONLY | os.O_DIRECTORY | (os.O_NOFOLLOW if make else 0))
     except FileNotFoundError:
-        raise NotServedError(f"{path}: no bridge serves a socket here") from None
+        raise NotServedError(SocketProblem.NO_FOLDER(path=path)) from None
     except OSError as error:
-        raise ControlError(f"{path}: {error.strerror}") from None
+        raise ControlError(SocketProblem.OTHER(path=path, problem=error.strerror)) from None
     try:
         if problem := _folder_problem(os.fstat(handle), strict=make):
-            raise ControlError(f"{path}: {problem}")
+            raise ControlError(SocketProblem.OTHER(path=path, problem=problem))
         yield handle
     finally:
         os.close(handle)
@@ -277,7 +307,7 @@ def _lock(folder: int) -> None:
             fcntl.flock(folder, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
             if time.monotonic() > deadline:
-                raise ControlError("another process keeps the folder of the control socket locked") from None
+                raise ControlError(SocketProblem.FOLDER_LOCKED()) from None
             time.sleep(0.01)
         else:
             return
@@ -286,22 +316,22 @@ def _lock(folder: int) -> None:
 def _folder_problem(status: os.stat_result, *, strict: bool) -> str:
     others = stat.S_IMODE(status.st_mode) & 0o022
     if status.st_uid not in (0, os.geteuid()) and os.geteuid() != 0:
-        return "this folder is another user's; remove it, or set XDG_RUNTIME_DIR"
+        return SocketProblem.FOLDER_OF_ANOTHER()
     if strict and status.st_uid != os.geteuid():
-        return f"this folder is another user's (uid {status.st_uid}); remove it, or set XDG_RUNTIME_DIR"
+        return SocketProblem.FOLDER_OF_USER(uid=status.st_uid)
     if others and not status.st_mode & stat.S_ISVTX:
-        return f"others may write to this folder (mode {stat.S_IMODE(status.st_mode):04o}); chmod 700 it"
+        return SocketProblem.FOLDER_WRITABLE(mode=stat.S_IMODE(status.st_mode))
     return ""
 
 
 def _is_socket(folder: int, path: Path) -> bool:
-    """Whether there is a socket of that name; whatever else is there is nobody's to remove."""
+    """Whether there is a socket of that name. A file of another kind is never removed."""
     try:
         mode = os.stat(path.name, dir_fd=folder, follow_symlinks=False).st_mode
     except FileNotFoundError:
         return False
     if not stat.S_ISSOCK(mode):
-        raise ControlError(f"{path}: exists, and is not a socket; name another path with --control")
+        raise ControlError(SocketProblem.NOT_A_SOCKET(path=path))
     return True
 
 
@@ -357,7 +387,7 @@ def _unnamed(uid: int) -> str:
 
 
 def _login(process: Path) -> int | None:
-    """The user who logged in, whoever they have become since; None: it is not known."""
+    """Return the user who logged in, before any `su` or `sudo`, or None if it is unknown."""
     try:
         uid = int((process / "loginuid").read_text())
     except (OSError, ValueError):
@@ -366,7 +396,7 @@ def _login(process: Path) -> int | None:
 
 
 def _terminal(process: Path) -> str:
-    """The process's controlling terminal; empty: it has none."""
+    """Return the process's controlling terminal, or an empty string."""
     try:
         number = int((process / "stat").read_bytes().rpartition(b")")[2].split()[_FIELDS_BEFORE_TTY])
     except (OSError, ValueError, IndexError):
@@ -380,7 +410,7 @@ def _terminal(process: Path) -> str:
 
 
 def _ssh_client(process: Path) -> str:
-    """The address that the process's user came from; empty: it is not known."""
+    """Return the address that the process's user came from, or an empty string if it is unknown."""
     try:
         with (process / "environ").open("rb") as file:
             variables = file.read(_ENVIRONMENT_LIMIT).split(b"\0")

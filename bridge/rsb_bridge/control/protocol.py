@@ -29,6 +29,7 @@ from rsb_bridge.model.snapshot import (
     TopicInfo,
 )
 from rsb_bridge.model.verdict import state_for_any, state_of
+from rsb_bridge.model.wording import Wording
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -244,8 +245,33 @@ _LENGTH_BYTES = 4
 M = TypeVar("M")
 
 
+class VersionProblem(Wording):
+    """Reasons why a bridge and a console of different versions do not understand each other."""
+
+    BRIDGE_OLDER = (
+        "the bridge speaks version {bridge} (rsb-console {bridge_program}), this console {console} "
+        "({console_program}): the bridge is older; restart it with the newer rsb-console"
+    )
+    CONSOLE_OLDER = (
+        "the bridge speaks version {bridge} (rsb-console {bridge_program}), this console {console} "
+        "({console_program}): this console is older; update it"
+    )
+
+
+class UnexpectedMessage(Wording):
+    """Messages that break this protocol."""
+
+    TOO_MANY_EVENTS = "more events than any bridge reports"
+    UNASKED = "an answer without a request"
+    UNASKED_SUMMARY = "a summary that nobody has asked for"
+    STATE_BEFORE_WELCOME = "a state before the welcome"
+    STATE_WITHOUT_ROUTE = "a state without the route {key}"
+    STATE_WITHOUT_SESSION = "a state without a session"
+    ROUTE_TWICE = "a state that has a route twice"
+
+
 class ProtocolError(Exception):
-    """The other side does not speak this protocol; the message says how it shows."""
+    """A message of the other side that breaks this protocol; the error's text says how."""
 
 
 class _Message(msgspec.Struct, frozen=True, tag_field="is", omit_defaults=True):
@@ -561,9 +587,5 @@ def version_problem(bridge: tuple[int, str], console: tuple[int, str]) -> str:
     """
     if bridge[0] == console[0]:
         return ""
-    versions = (
-        f"the bridge speaks version {bridge[0]} (rsb-console {bridge[1]}), this console {console[0]} ({console[1]})"
-    )
-    if bridge[0] < console[0]:
-        return f"{versions}: the bridge is older; restart it with the newer rsb-console"
-    return f"{versions}: this console is older; update it"
+    text = VersionProblem.BRIDGE_OLDER if bridge[0] < console[0] else VersionProblem.CONSOLE_OLDER
+    return text(bridge=bridge[0], bridge_program=bridge[1], console=console[0], console_program=console[1])

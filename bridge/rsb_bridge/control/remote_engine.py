@@ -16,9 +16,9 @@ from rsb_bridge import __version__
 from rsb_bridge.api import ArmingApi, EngineApi, EngineError, InvalidRequestError
 from rsb_bridge.control import protocol
 from rsb_bridge.control.cleaning import UntrustedMessages
-from rsb_bridge.control.control_sockets import ControlError, NotServedError
+from rsb_bridge.control.control_sockets import AttachProblem, ControlError, NotServedError
 from rsb_bridge.control.features import hello, known_features, missing_feature, older_bridge_text
-from rsb_bridge.control.protocol import Failed, ProtocolError, Reply, Request, Step
+from rsb_bridge.control.protocol import Failed, ProtocolError, Reply, Request, Step, UnexpectedMessage
 from rsb_bridge.control.states import Receiver, out_of_reach
 from rsb_bridge.control.ways import UnixSocket
 from rsb_bridge.model.benchmark import Outcome
@@ -27,6 +27,7 @@ from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.command_origin import is_undo
 from rsb_bridge.model.history import HistoryReport
 from rsb_bridge.model.snapshot import Level, PeekedMessage, Reloaded
+from rsb_bridge.model.wording import Wording
 from rsb_bridge.telemetry.event_log import EventLog
 
 if TYPE_CHECKING:
@@ -45,6 +46,20 @@ _RETRY_EVERY = 0.5
 _COMES_BEFORE_USE = 0.1
 """s: the next state is asked for so long before it is likely to be used."""
 _USED_REGULARLY = 3.0
+
+
+class RequestProblem(Wording):
+    """Reasons why a command does not reach the bridge, or why its reply is useless."""
+
+    TOO_LONG = "it is too long: {length:,} bytes"
+    UNEXPECTED_REPLY = "unexpected reply to this command"
+
+
+class AttachedAgain(Wording):
+    """Reports of a console that is attached again."""
+
+    SAME = "attached to {name} again"
+    RESTARTED = "attached to {name} again, which was restarted (pid {pid})"
 
 
 class RemoteEngine(EngineApi):
@@ -108,7 +123,7 @@ class RemoteEngine(EngineApi):
         if self._lost:
             return self._lost
         silent = self._silent_for
-        return f"the bridge has not answered for {silent:.0f} s" if silent > ANSWERS_WITHIN else ""
+        return AttachProblem.SILENT_FOR(seconds=silent) if silent > ANSWERS_WITHIN else ""
 
     @property
     def _silent_for(self) -> float:
@@ -139,7 +154,7 @@ class RemoteEngine(EngineApi):
             self._loop.call_soon_threadsafe(self._look_soon, delay)
         if self._silent_for > ANSWERS_WITHIN:
             wall = self._clock.time_ns() / 1e9
-            return out_of_reach(self._shown, "the bridge does not answer", since=wall - self._silent_for, now=wall)
+            return out_of_reach(self._shown, AttachProblem.SILENT(), since=wall - self._silent_for, now=wall)
         return self._shown
 
     def events(self, after: int = 0) -> list[Event]:
@@ -251,7 +266,7 @@ class RemoteEngine(EngineApi):
         try:
             self._loop.call_soon_threadsafe(self._send_request, command, answered, step, is_undo())
         except RuntimeError:
-            answered.set_exception(EngineError("detached from the bridge"))
+            answered.set_exception(EngineError(AttachProblem.DETACHED()))
         return done
 
     # --- on the thread
@@ -259,7 +274,7 @@ class RemoteEngine(EngineApi):
     def _run(self) -> None:
         with asyncio.Runner(loop_factory=lambda: self._loop) as runner:
             runner.run(self._main())
-        self._requests.fail("detached from the bridge")
+        self._requests.fail(AttachProblem.DETACHED())
 
     async def _main(self) -> None:
         ends = asyncio.create_task(self._ends.wait())
@@ -269,7 +284,7 @@ class RemoteEngine(EngineApi):
             task.cancel()
         await asyncio.gather(ends, attached, return_exceptions=True)
         if not self._started.done():
-            self._started.set_exception(EngineError("detached from the bridge"))
+            self._started.set_exception(EngineError(AttachProblem.DETACHED()))
 
     async def _attach_for_ever(self) -> None:
         """Attach, and again when the connection has broken; returns if the first attempt fails."""
@@ -282,11 +297,11 @@ class RemoteEngine(EngineApi):
             except ControlError as error:
                 reason, failure = str(error), error
             except ProtocolError as error:
-                reason = f"{self._way.text}: {error}"
+                reason = AttachProblem.ON_SOCKET(where=self._way.text, problem=error)
             except TimeoutError:
-                reason = f"{self._way.text}: the bridge does not answer"
+                reason = AttachProblem.ON_SOCKET(where=self._way.text, problem=AttachProblem.SILENT())
             except OSError as error:
-                reason = f"{self._way.text}: {error.strerror or error}"
+                reason = AttachProblem.ON_SOCKET(where=self._way.text, problem=error.strerror or error)
             self._connection = None
             if not self._started.done():
                 self._started.set_exception(failure or ControlError(reason))
@@ -306,7 +321,7 @@ class RemoteEngine(EngineApi):
                 async with asyncio.timeout(None if complete else ANSWERS_WITHIN):
                     data = await connection.read()
                 if not data:
-                    return "the bridge's process has ended, or has closed the connection"
+                    return AttachProblem.ENDED()
                 for message in frames.feed(data):
                     if self._untrusted is not None:
                         message = self._untrusted(message, time.monotonic())  # noqa: PLW2901 -- the same one, cleaned
@@ -325,7 +340,7 @@ class RemoteEngine(EngineApi):
                 self._welcome(message.bridge)
             case protocol.State():
                 if self._receiver is None:
-                    raise ProtocolError("a state before the welcome")
+                    raise ProtocolError(UnexpectedMessage.STATE_BEFORE_WELCOME())
                 if self._receiver.take(message):
                     self._show(self._receiver)
                     return True
@@ -336,7 +351,7 @@ class RemoteEngine(EngineApi):
             case protocol.Step() | protocol.Reply() | protocol.Failed():
                 self._requests.take(message)
             case protocol.Summary():
-                raise ProtocolError("a summary that nobody has asked for")
+                raise ProtocolError(UnexpectedMessage.UNASKED_SUMMARY())
             case protocol.Refused() | protocol.Goodbye():
                 raise AssertionError("ends the connection")
         return False
@@ -347,8 +362,8 @@ class RemoteEngine(EngineApi):
             self._followed = 0  # its events are numbered from 1
         self.bridge = bridge
         if self._lost:
-            what = f", which has been started anew (pid {bridge.pid})" if another else ""
-            self._log.add(Level.INFO, EventCode.ATTACH_AGAIN, f"attached to {bridge.name} again{what}")
+            text = AttachedAgain.RESTARTED if another else AttachedAgain.SAME
+            self._log.add(Level.INFO, EventCode.ATTACH_AGAIN, text(name=bridge.name, pid=bridge.pid))
         self._receiver = Receiver(bridge, trusted=self._untrusted is None)
         self._look()
         self._send(protocol.Follow(self._followed))
@@ -366,7 +381,7 @@ class RemoteEngine(EngineApi):
             self._started.set_result(None)
 
     def _lose(self, reason: str) -> None:
-        """Show that it is lost, and say so last: whoever hears of it looks."""
+        """Show that the connection is lost, and report it last: its listeners look at once."""
         self._asked_at = None
         is_new = not self._lost
         if is_new:
@@ -410,7 +425,7 @@ class RemoteEngine(EngineApi):
             return
         request = self._requests.new(command, answered, step, undo=undo)
         if (size := len(protocol.encode(request))) > protocol.TO_BRIDGE_LIMIT:  # the bridge would end the connection
-            self._requests.take(protocol.Failed(request.id, f"it is too long: {size:,} bytes"))
+            self._requests.take(protocol.Failed(request.id, RequestProblem.TOO_LONG(length=size)))
         else:
             self._send(request)
 
@@ -450,7 +465,7 @@ class _Requests:
             return
         answered, _ = self._waiting.pop(message.id, (None, None))
         if answered is None:
-            raise ProtocolError("an answer without a request")
+            raise ProtocolError(UnexpectedMessage.UNASKED())
         if isinstance(message, Failed):
             kind = InvalidRequestError if message.invalid else EngineError
             answered.set_exception(kind(message.reason))
@@ -468,37 +483,37 @@ class _Requests:
 
 
 def _as_nothing(_: object) -> None:
-    """Of a command that only succeeds or fails."""
+    """Return nothing: the command only succeeds or fails."""
     return
 
 
 def _as_text(value: object) -> str:
-    """Of a command that gives a key, a type's description, or a message."""
+    """Return a key, a type's description, or a message."""
     return _of(str, value)
 
 
 def _as_peeked(value: object) -> PeekedMessage | None:
-    """Of `Peek`."""
+    """Return the answer of `Peek`."""
     return None if value is None else _of(PeekedMessage, value)
 
 
 def _as_reloaded(value: object) -> Reloaded:
-    """Of `Reload`."""
+    """Return the answer of `Reload`."""
     return _of(Reloaded, value)
 
 
 def _as_history(value: object) -> HistoryReport:
-    """Of `History`."""
+    """Return the answer of `History`."""
     return _of(HistoryReport, value)
 
 
 def _as_outcome(value: object) -> Outcome:
-    """Of `Bench`."""
+    """Return the answer of `Bench`."""
     return _of(Outcome, value)
 
 
 def _as_topics(value: object) -> list[TopicInfo]:
-    """Of `Topics`."""
+    """Return the answer of `Topics`."""
     return list(_of(tuple, value))
 
 
@@ -509,7 +524,7 @@ def _of(kind: type[T], value: object) -> T:
         EngineError: it is another one.
     """
     if not isinstance(value, kind):
-        raise EngineError("the bridge's answer is no answer to this command")
+        raise EngineError(RequestProblem.UNEXPECTED_REPLY())
     return value
 
 

@@ -27,6 +27,7 @@ from rsb_bridge.model.budgets import CONNECTION, TokenBucket
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.snapshot import Level
 from rsb_bridge.model.text import sanitize_text
+from rsb_bridge.model.wording import Wording
 from rsb_bridge.transport.streams import OpenNetworkTransport
 from rsb_bridge.wire.connection import Credential
 from rsb_bridge.wire.events import Admitted, Failed, Opened, RefusalCode, Refused
@@ -48,7 +49,6 @@ _MOST_WAITING = 32
 _HANDSHAKE_WITHIN = 5.0
 _TOLD_WITHIN = 5.0
 """s in which a refusal has to be taken."""
-_TOO_MANY = "too many unauthenticated connections"
 _TICK = 1.0
 _PEER_LENGTH = 80
 _LINES, _LINES_A_SECOND = 64, 0.2
@@ -70,6 +70,19 @@ _OPERATOR_REMEDIES = {
     RefusalCode.WRONG_KEY: "give the key file that the engine's session names for this operator",
     RefusalCode.UNKNOWN_NAME: "give the name of the engine's session, and a name under its operators",
 }
+
+
+class OperatorRefused(Wording):
+    """Reasons why an operator is not attached over a network, or not any more."""
+
+    TOO_MANY = "too many unauthenticated connections"
+    OPERATORS_CHANGED = "the operators were changed meanwhile"
+    REMOVED = "{name} may not attach any more: the bridge's operators were changed"
+    RIGHTS_CHANGED = "what {name} may do, or their key, was changed on the bridge"
+    BY_ENGINE = "{engine} refuses: {message}"
+    BY_ENGINE_WITH_REMEDY = "{engine} refuses: {message}: {remedy}"
+    FAILED = "{engine}: {problem}"
+    CLOSED = "{engine}: the connection was closed before anybody answered"
 
 
 class _Stage(IntEnum):
@@ -118,13 +131,13 @@ class SealedAcceptor:
             return False
         waiting = [each for each in self._present if each.stage < _Stage.ATTACHED]
         if len(waiting) >= _MOST_WAITING:
-            min(waiting, key=lambda each: each.stage).reject(_TOO_MANY)
+            min(waiting, key=lambda each: each.stage).reject(OperatorRefused.TOO_MANY())
             waiting = [each for each in waiting if each.stage < _Stage.ATTACHED]
         while not self.access.strangers.take(CONNECTION):
             if not waiting:
                 return False
             lowest = min(waiting, key=lambda each: each.stage)
-            lowest.reject(_TOO_MANY)
+            lowest.reject(OperatorRefused.TOO_MANY())
             waiting.remove(lowest)
         self._present[console] = None
         if not self._ticking:
@@ -268,16 +281,16 @@ class SealedConsole(asyncio.Protocol):
         """The operators are others now; `granted` is what the one of this name may do."""
         if self._console is None:
             if self._machine.accepted:
-                self.reject("the operators were changed meanwhile")
+                self.reject(OperatorRefused.OPERATORS_CHANGED())
         elif granted is None:
-            self._console.end(f"{self.name} may not attach any more: the bridge's operators were changed")
+            self._console.end(OperatorRefused.REMOVED(name=self.name))
         elif granted != self._granted:
-            self._console.end(f"what {self.name} may do, or their key, was changed on the bridge")
+            self._console.end(OperatorRefused.RIGHTS_CHANGED(name=self.name))
 
     def _admit(self, admitted: Admitted) -> None:
         self._granted = self._acceptor.access.granted.get(self.name)
         if self._granted is None or self._granted.key.secret != admitted.key:
-            self.reject("the operators were changed meanwhile")  # and the review of that is still to come
+            self.reject(OperatorRefused.OPERATORS_CHANGED())  # and the review of that is still to come
             return
         self._stop_waiting()
         self.when_attached()
@@ -340,7 +353,7 @@ class SealedConsole(asyncio.Protocol):
 
     @property
     def only_looks(self) -> str:
-        """Why the operator may change nothing; empty: they may."""
+        """The reason this operator may change nothing, or an empty string."""
         assert self._granted is not None
         may = self._granted.operator.may
         return "" if may == "change" else f"{self.name} may look only (may: {may} in the bridge's operators)"
@@ -507,9 +520,10 @@ class _OperatorConnection(asyncio.Protocol):
 
     def _reason_of(self, event: Refused | Failed) -> str:
         if isinstance(event, Refused):
-            remedy = f": {_OPERATOR_REMEDIES[event.code]}" if event.code in _OPERATOR_REMEDIES else ""
-            return f"{self._engine} refuses: {event.message}{remedy}"
-        return f"{self._engine}: {event.reason}"
+            remedy = _OPERATOR_REMEDIES.get(event.code, "")
+            text = OperatorRefused.BY_ENGINE_WITH_REMEDY if remedy else OperatorRefused.BY_ENGINE
+            return text(engine=self._engine, message=event.message, remedy=remedy)
+        return OperatorRefused.FAILED(engine=self._engine, problem=event.reason)
 
     def eof_received(self) -> bool:
         return False
@@ -518,9 +532,9 @@ class _OperatorConnection(asyncio.Protocol):
         if self._ended:
             return
         if exc is not None:
-            self._end(f"{self._engine}: {getattr(exc, 'strerror', None) or exc}")
+            self._end(OperatorRefused.FAILED(engine=self._engine, problem=getattr(exc, "strerror", None) or exc))
         elif not self.admitted.done():
-            self._end(f"{self._engine}: the connection was closed before anybody answered")
+            self._end(OperatorRefused.CLOSED(engine=self._engine))
         else:
             self._ended = True
             self._reader.feed_eof()

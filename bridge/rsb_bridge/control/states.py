@@ -7,7 +7,14 @@ from typing import TYPE_CHECKING
 
 from rsb_bridge.control.cleaning import check_length, check_routes, clean
 from rsb_bridge.control.features import FEATURES, knows_all, without_unknown
-from rsb_bridge.control.protocol import ROUTES_IN_STATE, ProtocolError, State, decode_route, encode_route
+from rsb_bridge.control.protocol import (
+    ROUTES_IN_STATE,
+    ProtocolError,
+    State,
+    UnexpectedMessage,
+    decode_route,
+    encode_route,
+)
 from rsb_bridge.model import snapshot as model
 from rsb_bridge.model.snapshot import RouteSnapshot, Snapshot
 from rsb_bridge.model.verdict import Cause, LinkCause
@@ -153,11 +160,11 @@ class Receiver:
         try:
             routes = tuple([self._routes[key] for key in self._keys])
         except KeyError as error:
-            raise ProtocolError(f"a state without the route {error}") from None
+            raise ProtocolError(UnexpectedMessage.STATE_WITHOUT_ROUTE(key=error)) from None
         if self.session is None:
-            raise ProtocolError("a state without a session")
+            raise ProtocolError(UnexpectedMessage.STATE_WITHOUT_SESSION())
         if len(self._routes) != len(self._keys):
-            raise ProtocolError("a state that has a route twice")
+            raise ProtocolError(UnexpectedMessage.ROUTE_TWICE())
         self.waits_for_operator = state.waits_for_operator
         self.snapshot = Snapshot(
             time=state.time,

@@ -12,9 +12,9 @@ from rsb_bridge.api import EngineError
 from rsb_bridge.cdr.decoder import decode
 from rsb_bridge.cdr.description import DescriptionError, read_description
 from rsb_bridge.control import protocol
-from rsb_bridge.control.control_sockets import ControlError
+from rsb_bridge.control.control_sockets import AttachProblem, ControlError
 from rsb_bridge.control.features import hello
-from rsb_bridge.control.protocol import ProtocolError
+from rsb_bridge.control.protocol import ProtocolError, UnexpectedMessage
 from rsb_bridge.model.robot_summary import SUMMARY_BYTES, Battery, LossWindow, encode, of_engine
 from rsb_bridge.ros.known_messages import BATTERY_STATE
 
@@ -169,20 +169,20 @@ async def watch(way: Way, may_open: asyncio.Semaphore | None = None) -> AsyncGen
                 async with asyncio.timeout(_SILENT_FOR):
                     data = await connection.read()
                 if not data:
-                    raise ControlError(f"{way.text}: the bridge's process has ended, or has closed the connection")
+                    raise ControlError(AttachProblem.ON_SOCKET(where=way.text, problem=AttachProblem.ENDED()))
                 for message in frames.feed(data):
                     if isinstance(message, protocol.Summary) and len(message.content) <= SUMMARY_BYTES:
                         yield message.content
                     elif isinstance(message, (protocol.Goodbye, protocol.Refused)):
-                        raise ControlError(f"{way.text}: {message.reason}")
+                        raise ControlError(AttachProblem.ON_SOCKET(where=way.text, problem=message.reason))
                     elif not isinstance(message, protocol.Welcome):
-                        raise ControlError(f"{way.text}: an answer to what nobody has asked")
+                        raise ControlError(AttachProblem.ON_SOCKET(where=way.text, problem=UnexpectedMessage.UNASKED()))
     except TimeoutError:
-        raise ControlError(f"{way.text}: the bridge does not answer") from None
+        raise ControlError(AttachProblem.ON_SOCKET(where=way.text, problem=AttachProblem.SILENT())) from None
     except ProtocolError as error:
-        raise ControlError(f"{way.text}: {error}") from None
+        raise ControlError(AttachProblem.ON_SOCKET(where=way.text, problem=error)) from None
     except OSError as error:
-        raise ControlError(f"{way.text}: {error.strerror or error}") from None
+        raise ControlError(AttachProblem.ON_SOCKET(where=way.text, problem=error.strerror or error)) from None
 
 
 async def _open(way: Way, may_open: asyncio.Semaphore | None) -> Connection:

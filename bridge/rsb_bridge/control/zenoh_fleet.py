@@ -17,6 +17,7 @@ from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.limits import NAME_BYTES
 from rsb_bridge.model.snapshot import Level
 from rsb_bridge.model.text import join_first
+from rsb_bridge.model.wording import Wording
 from rsb_bridge.transport.trials import Trials, UnprovenError
 from rsb_bridge.transport.zenoh.endpoint import ROUTER_LOST
 from rsb_bridge.transport.zenoh.network import Network
@@ -40,6 +41,33 @@ ENGINE, CONSOLE = "engine", "console"
 _NAMES = 20
 """That a message names."""
 _FIRST_PAUSE, _LONGEST_PAUSE = 1.0, 10.0
+
+
+class FleetNetworkText(Wording):
+    """Reports on the network of a fleet."""
+
+    NOT_ANNOUNCED = "the fleet {fleet} does not see this engine, which tries again: {problem}"
+    ANNOUNCED = "announced to the fleet {fleet}"
+    ROUTER_LOST = "{place}: {problem}; it is tried again"
+
+
+class EngineChoice(Wording):
+    """Reasons why a console finds no engine of a fleet, or not one alone."""
+
+    NONE = "no engine is in the fleet {fleet}"
+    UNKNOWN = "no engine {engine!r} is in the fleet {fleet}{known}"
+    SEVERAL = "several engines are in the fleet {fleet}: say which{known}"
+    SAME_NAME = "{count} engines of the fleet {fleet} are called {engine!r}: give them names of their own"
+    NONE_PROVEN = (
+        "none of {count} engines that call themselves {engine!r} proves the key: "
+        "set access control on the router (docs/zenoh.md); one says: {answer}"
+    )
+    ONE_UNPROVEN = (
+        "{count} other engine of this name has not proven the key: set access control on the router (docs/zenoh.md)"
+    )
+    SEVERAL_UNPROVEN = (
+        "{count} other engines of this name have not proven the key: set access control on the router (docs/zenoh.md)"
+    )
 
 
 class Member(NamedTuple):
@@ -103,11 +131,11 @@ class Announcement:
                 self._endpoint = await self._network.endpoint(ENGINE, self._label, (CONSOLE,))
             except OSError as error:
                 if told != (told := str(error)):
-                    self._tell(Level.WARNING, f"the fleet {fleet} does not see this engine, which tries again: {told}")
+                    self._tell(Level.WARNING, FleetNetworkText.NOT_ANNOUNCED(fleet=fleet, problem=told))
                 await asyncio.sleep(self._backoff.next())
         self._endpoint.on_stream = self._accept
         if told:
-            self._tell(Level.INFO, f"announced to the fleet {fleet}")
+            self._tell(Level.INFO, FleetNetworkText.ANNOUNCED(fleet=fleet))
 
     def _tell(self, level: Level, text: str) -> None:
         if self._says_so:
@@ -158,7 +186,11 @@ class FleetPresence:
     @property
     def problem(self) -> str:
         """Why nothing gets through; empty: the network is there."""
-        return "" if self._network.connected else f"{self._network.place}: {ROUTER_LOST}; it is tried again"
+        return (
+            ""
+            if self._network.connected
+            else FleetNetworkText.ROUTER_LOST(place=self._network.place, problem=ROUTER_LOST)
+        )
 
     def sealed(self, member: Member) -> OperatorConnector:
         """A way to an engine, with the operator's key, as long as this is joined."""
@@ -219,8 +251,8 @@ class FleetWay:
         """The warning that engines of the name did not prove the key, or an empty string."""
         if not self.unproven:
             return ""
-        what = "engine of this name has" if self.unproven == 1 else "engines of this name have"
-        return f"{self.unproven} other {what} not proven the key: set access control on the router (docs/zenoh.md)"
+        text = EngineChoice.ONE_UNPROVEN if self.unproven == 1 else EngineChoice.SEVERAL_UNPROVEN
+        return text(count=self.unproven)
 
     async def open(self, within: float) -> Connection:
         """Find it, and connect."""
@@ -248,10 +280,10 @@ class FleetWay:
         known = f"; there are {join_first(names, _NAMES)}" if names else "; nobody is there"
         found = [member for member in presence.members.values() if engine in ("", member.name)]
         if not found:
-            raise ControlError(f"no engine {engine!r} is in the fleet {fleet}{known}" if engine else
-                               f"no engine is in the fleet {fleet}")  # fmt: skip
+            problem = EngineChoice.UNKNOWN if engine else EngineChoice.NONE
+            raise ControlError(problem(engine=engine, fleet=fleet, known=known))
         if len({member.name for member in found}) > 1 and not engine:
-            raise UnclearError(f"several engines are in the fleet {fleet}: say which{known}")
+            raise UnclearError(EngineChoice.SEVERAL(fleet=fleet, known=known))
         return found
 
     async def _proven(self, presence: FleetPresence, members: list[Member], within: float) -> Connection:
@@ -278,17 +310,13 @@ class FleetWay:
             connection.abort()
         if connections:
             raise UnclearError(
-                f"{len(connections)} engines of the fleet {self._file.zenoh.fleet} are called {self._engine!r}: "
-                "give them names of their own"
+                EngineChoice.SAME_NAME(count=len(connections), fleet=self._file.zenoh.fleet, engine=self._engine)
             )
         failures = [failure.args[0] for failure in results.failures] or [TimeoutError()]
         if len(members) == 1:
             raise failures[0]
         said = next((str(each) for each in failures if isinstance(each, ControlError)), "no answer")
-        raise ControlError(
-            f"none of {len(members)} engines that call themselves {members[0].name!r} proves the key: "
-            f"set access control on the router (docs/zenoh.md); one says: {said}"
-        )
+        raise ControlError(EngineChoice.NONE_PROVEN(count=len(members), engine=members[0].name, answer=said))
 
 
 class _Leaving:

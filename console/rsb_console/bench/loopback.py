@@ -19,7 +19,7 @@ from rsb_bridge.control.remote_engine import RemoteEngine
 from rsb_bridge.model.benchmark import Order
 from rsb_bridge.model.snapshot import State
 from rsb_console.bench.processes import Process, free_port
-from rsb_console.bench.results import BenchError, Many, Run, Side, Way
+from rsb_console.bench.results import BenchError, BenchProblem, Many, Run, Side, Way
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
@@ -132,7 +132,7 @@ def sent_bytes(socket: Path) -> int:
         finally:
             engine.stop()
     except (ControlError, EngineError, TimeoutError) as error:
-        raise BenchError(f"a bridge on this machine does not answer: {error}") from None
+        raise BenchError(BenchProblem.NO_ANSWER(problem=error)) from None
 
 
 @contextlib.contextmanager
@@ -236,7 +236,7 @@ def listening(server: Process, port: int) -> float:
         if any(row[1].endswith(wanted) and row[3] == "0A" for row in rows):  # TCP_LISTEN
             return time.monotonic()
         time.sleep(0.01)
-    raise BenchError("the server of the benchmark does not start")
+    raise BenchError(BenchProblem.NO_SERVER())
 
 
 def ready(bed: Bed) -> Bed:
@@ -246,7 +246,7 @@ def ready(bed: Bed) -> Bed:
         bed.listener.ask("reset")
         while not bed.listener.ask("count")["count"]:
             if time.monotonic() > deadline:
-                raise BenchError("nothing gets through: is ROS set up, and are both domains free of what filters it?")
+                raise BenchError(BenchProblem.NOTHING_ARRIVES())
             bed.talker.ask(f"send 100 2 100 {at}")
             time.sleep(_LOOK_EVERY)
         if bed.first is None and bed.between:
@@ -314,7 +314,7 @@ def _all_carry(bridge: Process, socket: Path, count: int, began: float) -> float
     finally:
         if engine is not None:
             engine.stop()
-    raise BenchError(f"{count} topics are not open within {_OPENED_WITHIN:.0f} s")
+    raise BenchError(BenchProblem.NOT_OPEN(count=count, seconds=_OPENED_WITHIN))
 
 
 def _carrying(snapshot: Snapshot) -> int:
@@ -342,4 +342,4 @@ def machine() -> str:
 def ros_problem() -> str:
     """Why no ROS node can run here; empty: it can."""
     found = subprocess.run([sys.executable, "-c", "import rclpy, std_msgs.msg"], capture_output=True, check=False)
-    return "" if found.returncode == 0 else "no ROS here: source its setup file, or install rsb-console[ros]"
+    return "" if found.returncode == 0 else BenchProblem.NO_ROS()

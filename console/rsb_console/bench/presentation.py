@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, NamedTuple
 from xml.sax.saxutils import escape
 
 from rsb_bridge.model.text import join_first
+from rsb_bridge.model.wording import Wording
 from rsb_console.bench.results import Judged, Load
 from rsb_console.look.formats import byte_count, byte_rate, expected
 
@@ -42,6 +43,19 @@ _COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9")
 _HEIGHT = 14
 _LEFT = 11
 _NARROWEST = 40
+
+
+class JudgingText(Wording):
+    """Sentences on whether a link carries a session's topics."""
+
+    NOTHING = "Nothing to judge: no topic has a rate and a size yet, or too little was measured."
+    CARRIES_ALL = "{over} carries {carried}."
+    CARRIES_SOME = "{over} carries {carried}, not {others}."
+    CARRIES_NONE = "{over} does not carry {others}."
+    BARELY = "Only just: {topics}; anything else there costs messages."
+    UNKNOWN = "Too little was tried to say whether {over} carries {topics}."
+    TOGETHER_MOST = "Together they take {percent:.0f} % of it, nearly all there is: limit the largest (max_rate)."
+    TOGETHER_TOO_MUCH = "Together they take {percent:.0f} % of it, more than there is: limit the largest (max_rate)."
 
 
 def lines_of(report: Report) -> Iterator[str]:
@@ -216,25 +230,26 @@ def in_words(judged: Sequence[Judged], over: str, *, together: bool) -> list[str
         together: whether all of them are there at the same time.
     """
     if not judged:
-        return ["Nothing to judge: no topic has a rate and a size yet, or too little was measured."]
+        return [JudgingText.NOTHING()]
     by = {
         verdict: [_load(each) for each in judged if each.verdict == verdict]
         for verdict in ("carried", "barely", "not", "unknown")
     }
     lines = []
     if by["carried"]:
-        rest = f", not {join_first(by['not'], _NAMED)}" if by["not"] else ""
-        lines.append(f"{over} carries {join_first(by['carried'], _NAMED)}{rest}.")
+        text = JudgingText.CARRIES_SOME if by["not"] else JudgingText.CARRIES_ALL
+        carried, others = join_first(by["carried"], _NAMED), join_first(by["not"], _NAMED)
+        lines.append(text(over=over, carried=carried, others=others))
     elif by["not"]:
-        lines.append(f"{over} does not carry {join_first(by['not'], _NAMED)}.")
+        lines.append(JudgingText.CARRIES_NONE(over=over, others=join_first(by["not"], _NAMED)))
     if by["barely"]:
-        lines.append(f"Only just: {join_first(by['barely'], _NAMED)}; anything else there costs messages.")
+        lines.append(JudgingText.BARELY(topics=join_first(by["barely"], _NAMED)))
     if by["unknown"]:
-        lines.append(f"Too little was tried to say whether {over} carries {join_first(by['unknown'], _NAMED)}.")
+        lines.append(JudgingText.UNKNOWN(over=over, topics=join_first(by["unknown"], _NAMED)))
     total = sum(each.share for each in judged)
     if together and len(judged) > 1 and not by["not"] and total > BARELY and not any(each.at_most for each in judged):
-        much = "more than there is" if total > 1 else "nearly all there is"
-        lines.append(f"Together they take {100 * total:.0f} % of it, {much}: limit the largest (max_rate).")
+        text = JudgingText.TOGETHER_TOO_MUCH if total > 1 else JudgingText.TOGETHER_MOST
+        lines.append(text(percent=100 * total))
     return [line[0].upper() + line[1:] for line in lines]
 
 

@@ -11,7 +11,7 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Self
 
-from rsb_console.bench.results import BenchError
+from rsb_console.bench.results import BenchError, BenchProblem
 from rsb_console.child import ChildProcess
 
 if TYPE_CHECKING:
@@ -76,7 +76,7 @@ class Process:
         self.tell(line)
         answered = self.line()
         if not answered:
-            raise ChildError(f"{self._name} has ended by itself")
+            raise ChildError(BenchProblem.PROCESS_ENDED(name=self._name))
         answer: dict[str, float] = json.loads(answered)
         return answer
 
@@ -91,7 +91,7 @@ class Process:
             self._child.stdin.write(line + "\n")
             self._child.stdin.flush()
         except BrokenPipeError:
-            raise ChildError(f"{self._name} has ended by itself") from None
+            raise ChildError(BenchProblem.PROCESS_ENDED(name=self._name)) from None
 
     def signal(self, number: int) -> None:
         self._child.send_signal(number)

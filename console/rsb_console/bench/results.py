@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Literal, Protocol, TypeAlias
 import msgspec
 
 from rsb_bridge.model.text import escape_json
+from rsb_bridge.model.wording import Wording
 
 if TYPE_CHECKING:
     from contextlib import AbstractContextManager
@@ -214,12 +215,28 @@ def from_json(text: str) -> Report:
     return msgspec.json.decode(text, type=Report)
 
 
+class BenchProblem(Wording):
+    """Reasons why a benchmark cannot be run, or ends."""
+
+    NO_ANSWER = "a bridge on this machine does not answer: {problem}"
+    SILENT = "the bridge has not answered for {seconds:.0f} s"
+    NO_SERVER = "the server of the benchmark does not start"
+    NOTHING_ARRIVES = "nothing gets through: is ROS set up, and are both domains free of what filters it?"
+    NOT_OPEN = "{count} topics are not open within {seconds:.0f} s"
+    NO_ROS = "no ROS here: source its setup file, or install rsb-console[ros]"
+    NO_ROUTER = "the Zenoh router does not start: pip install 'rsb-console[zenoh]'"
+    NO_PORT = "no port is free"
+    PROCESS_ENDED = "{name} has ended by itself"
+    ROBOTS_ENDED = "a process of robots has ended by itself"
+    ROBOTS_LATE = "{late} of {count} robots are not ready within {seconds:.0f} s: {name}"
+
+
 class BenchError(Exception):
-    """What is to be measured cannot be; the message says why, and what to do."""
+    """A benchmark that cannot be run; the message gives the reason and the remedy."""
 
 
 class StoppedError(Exception):
-    """The peer, or the leave that it gives, ends the benchmark; the message says how. What was measured stands."""
+    """A benchmark that the peer, or its permission, has ended; the message says how. Results so far are kept."""
 
 
 class Ends(Protocol):

@@ -20,7 +20,7 @@ from rsb_bridge.ros.known_messages import BATTERY_STATE, STRING
 from rsb_bridge.ros.stand_in import Talk
 from rsb_console.bench import loopback
 from rsb_console.bench.processes import Process
-from rsb_console.bench.results import BenchError
+from rsb_console.bench.results import BenchError, BenchProblem
 from rsb_console.bench.robots import Load, Look, Robot
 
 if TYPE_CHECKING:
@@ -57,7 +57,7 @@ class Router:
         """Run; returns once it listens."""
         self.process = Process("-m", ROUTER, self.endpoint)
         if not self.process.line():
-            raise BenchError("the Zenoh router does not start: pip install 'rsb-console[zenoh]'")
+            raise BenchError(BenchProblem.NO_ROUTER())
 
     def kill(self) -> None:
         """End it as a power cut does."""
@@ -172,7 +172,7 @@ class Fleet:
         for process in self.processes:
             answer = process.line()
             if not answer:
-                raise BenchError("a process of robots has ended by itself")
+                raise BenchError(BenchProblem.ROBOTS_ENDED())
             found |= msgspec.json.decode(answer, type=Look).robots
         return found
 
@@ -189,7 +189,9 @@ class Fleet:
             if not late:
                 return robots
             if time.monotonic() > deadline:
-                raise BenchError(f"{len(late)} of {len(robots)} robots are not ready within {within:.0f} s: {late[0]}")
+                raise BenchError(
+                    BenchProblem.ROBOTS_LATE(late=len(late), count=len(robots), seconds=within, name=late[0])
+                )
             time.sleep(_LOOK_EVERY)
 
     def stop(self) -> None:
@@ -278,7 +280,7 @@ def listening(process: Process, session: Path) -> float:
     deadline = time.monotonic() + _READY_WITHIN
     while "listening on" not in (session.parent / "control.log").read_text(encoding="utf-8"):
         if time.monotonic() > deadline or not process.running:
-            raise BenchError("the server of the benchmark does not start")
+            raise BenchError(BenchProblem.NO_SERVER())
         time.sleep(0.01)
     return time.time()
 
@@ -294,4 +296,4 @@ def _free_port() -> int:
             stream.bind((_HOST, port))
             datagrams.bind((_HOST, port))
             return port
-    raise BenchError("no port is free")
+    raise BenchError(BenchProblem.NO_PORT())

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from rsb_bridge.api import EngineError
 from rsb_bridge.model.benchmark import ENDED_BY_PEER, MOST_SECONDS, Order, Outcome, is_bench_topic
-from rsb_console.bench.results import BenchError, Load, Point, Run, Side, StoppedError, Way
+from rsb_console.bench.results import BenchError, BenchProblem, Load, Point, Run, Side, StoppedError, Way
 from rsb_console.look.formats import byte_count
 
 if TYPE_CHECKING:
@@ -360,7 +360,7 @@ def _result(engine: EngineApi, order: Order) -> Outcome:
             raise StoppedError(str(error)) from None
         raise BenchError(str(error)) from None
     except TimeoutError:
-        raise BenchError(f"the bridge has not answered for {_ANSWERED_WITHIN:.0f} s") from None
+        raise BenchError(BenchProblem.SILENT(seconds=_ANSWERED_WITHIN)) from None
 
 
 def ways_of(link: LinkSnapshot, transports: tuple[str, ...], directions: tuple[str, ...]) -> list[Way]:

@@ -6,6 +6,7 @@ import argparse
 from typing import get_args
 
 from rsb_bridge.model.session import Protocol
+from rsb_bridge.model.wording import Wording
 
 _REMEMBERED = 120  # seconds
 TRANSPORTS = get_args(Protocol)
@@ -13,6 +14,19 @@ _UNITS = {"": 1, "b": 1, "k": 1_000, "kb": 1_000, "m": 1_000_000, "mb": 1_000_00
 _LEAST, _MOST = 64, 16_000_000
 _MOST_DOMAIN = 101
 _MOST_TOPICS = 500
+
+
+class ValueProblem(Wording):
+    """Reasons why an option's value is refused."""
+
+    NOT_ABOVE_0 = "{text!r} is not a {noun} above 0"
+    NOT_A_TIMEOUT = "{text!r} is not a number of seconds, 0 or more"
+    NOT_A_COUNT = "{text!r} is not a whole number above 0"
+    NOT_A_WINDOW = "{text!r} is not a whole number of seconds from 1 to {limit}"
+    NOT_A_SIZE = "{text!r} is not a size from {least} bytes to 16M, such as 2500, 10k or 1M"
+    NOT_A_TRANSPORT = "{text!r} is not one of {known}"
+    NOT_A_LIST = "{text!r} is not a list of numbers from 1 to {limit}, or 0"
+    NOT_DOMAINS = "{text!r} is not two different ROS domains from 0 to {limit}"
 
 
 def seconds(text: str) -> float:
@@ -47,7 +61,7 @@ def timeout(text: str) -> float:
     """
     parsed = _number(text)
     if not 0 <= parsed < float("inf"):
-        raise argparse.ArgumentTypeError(f"{text!r} is not a number of seconds, 0 or more")
+        raise argparse.ArgumentTypeError(ValueProblem.NOT_A_TIMEOUT(text=text))
     return parsed
 
 
@@ -62,7 +76,7 @@ def count(text: str) -> int:
     except ValueError:
         parsed = 0
     if parsed < 1:
-        raise argparse.ArgumentTypeError(f"{text!r} is not a whole number above 0")
+        raise argparse.ArgumentTypeError(ValueProblem.NOT_A_COUNT(text=text))
     return parsed
 
 
@@ -73,14 +87,14 @@ def window_seconds(text: str) -> int:
         argparse.ArgumentTypeError: it is not a whole number from 1 to 120.
     """
     if not (text.isascii() and text.isdigit()) or not 1 <= int(text[:4]) <= _REMEMBERED:
-        raise argparse.ArgumentTypeError(f"{text!r} is not a whole number of seconds from 1 to {_REMEMBERED}")
+        raise argparse.ArgumentTypeError(ValueProblem.NOT_A_WINDOW(text=text, limit=_REMEMBERED))
     return int(text)
 
 
 def _above_0(text: str, what: str) -> float:
     parsed = _number(text)
     if not 0 < parsed < float("inf"):
-        raise argparse.ArgumentTypeError(f"{text!r} is not a {what} above 0")
+        raise argparse.ArgumentTypeError(ValueProblem.NOT_ABOVE_0(text=text, noun=what))
     return parsed
 
 
@@ -109,7 +123,7 @@ def _size(part: str) -> int:
     except (ValueError, KeyError, OverflowError):
         size = 0
     if not _LEAST <= size <= _MOST:
-        raise argparse.ArgumentTypeError(f"{part!r} is not a size from {_LEAST} bytes to 16M, such as 2500, 10k or 1M")
+        raise argparse.ArgumentTypeError(ValueProblem.NOT_A_SIZE(text=part, least=_LEAST))
     return size
 
 
@@ -122,7 +136,7 @@ def transports(text: str) -> tuple[str, ...]:
     named = tuple(dict.fromkeys(part.strip().lower() for part in text.split(",")))
     for name in named:
         if name not in TRANSPORTS:
-            raise argparse.ArgumentTypeError(f"{name!r} is not one of {', '.join(TRANSPORTS)}")
+            raise argparse.ArgumentTypeError(ValueProblem.NOT_A_TRANSPORT(text=name, known=", ".join(TRANSPORTS)))
     return named
 
 
@@ -136,7 +150,7 @@ def topics(text: str) -> tuple[int, ...]:
     if numbers == (0,):
         return ()
     if not numbers or not all(1 <= number <= _MOST_TOPICS for number in numbers):
-        raise argparse.ArgumentTypeError(f"{text!r} is not a list of numbers from 1 to {_MOST_TOPICS}, or 0")
+        raise argparse.ArgumentTypeError(ValueProblem.NOT_A_LIST(text=text, limit=_MOST_TOPICS))
     return numbers
 
 
@@ -148,7 +162,7 @@ def domains(text: str) -> tuple[int, int]:
     """
     found = _numbers(text)
     if len(found) != 2 or found[0] == found[1] or not all(0 <= each <= _MOST_DOMAIN for each in found):
-        raise argparse.ArgumentTypeError(f"{text!r} is not two different ROS domains from 0 to {_MOST_DOMAIN}")
+        raise argparse.ArgumentTypeError(ValueProblem.NOT_DOMAINS(text=text, limit=_MOST_DOMAIN))
     return found[0], found[1]
 
 

@@ -11,6 +11,7 @@ from rsb_bridge.api import EngineError
 from rsb_bridge.config.fields_text import ITEMS, read_written
 from rsb_bridge.config.yaml_text import dump_yaml, inline
 from rsb_bridge.model.calls import FIELDS_LENGTH, LANES, FieldError
+from rsb_bridge.model.wording import Wording
 from rsb_console.command.formatting import json_line, json_value
 from rsb_console.command.shell import FAILURE, OK, print_error, print_line, print_lines
 from rsb_console.command.target import ANSWERED_WITHIN, UsageError, attached, chosen_route, done, failed, reported
@@ -31,6 +32,24 @@ _GOAL = re.compile(r"[0-9a-fA-F]{32}")
 _NEW_GOAL = "# goal_id: "
 _AT_ONCE = 50
 """Parameters that are asked for in one call."""
+
+
+class CallProblem(Wording):
+    """Reasons why a call by hand fails, or why its answer is incomplete."""
+
+    NO_LANES = "{topic} is one service: leave out --lane"
+    LANE_MISSING = "{topic} consists of several: say which with --lane ({lanes})"
+    LANE_UNKNOWN = "{topic} has no {lane!r}{hint}: say which with --lane ({lanes})"
+    NO_ANSWER = "{topic} gave no answer within {seconds:g} s"
+    NO_RESULT_YET = "{topic} gave no answer within {seconds:g} s; the goal goes on: its result can be asked for again"
+    WAITING = "waiting for the result, {seconds:.0f} s: the goal is {state} (Ctrl-C ends the waiting only)"
+    UNREADABLE = "the answer of {topic} cannot be read"
+    PARAMETER_MISSING = "{node} has no parameter {parameter}, or it has no value"
+    PARAMETER_REFUSED = "{node} does not set {parameter}: {reason}"
+    PARAMETER_TYPE_UNKNOWN = "{type} is no type of a parameter: it is one of {known}"
+    PARAMETER_VALUE_INVALID = "{value}: {problem}"
+    PARAMETERS_CUT = "{node} may have more parameters than the first {limit:,}"
+    TOO_MUCH_TO_DUMP = "{node} has too much to dump: {note}"
 
 
 def run(name: str, arguments: Namespace) -> int:
@@ -61,9 +80,11 @@ def _lane(route: RouteSnapshot, lane: str) -> str:
         return lane
     lanes = [each for each in route.lanes if each]
     if not lanes:
-        raise UsageError(f"{route.topic} is one service: leave out --lane")
-    what = f"has no {lane!r}{suggestion(lane, lanes)}" if lane else "consists of several"
-    raise UsageError(f"{route.topic} {what}: say which with --lane ({', '.join(lanes)})")
+        raise UsageError(CallProblem.NO_LANES(topic=route.topic))
+    known = ", ".join(lanes)
+    if not lane:
+        raise UsageError(CallProblem.LANE_MISSING(topic=route.topic, lanes=known))
+    raise UsageError(CallProblem.LANE_UNKNOWN(topic=route.topic, lane=lane, hint=suggestion(lane, lanes), lanes=known))
 
 
 def response(engine: RemoteEngine, route: RouteSnapshot, request: str, lane: str, timeout: float | None = None) -> str:
@@ -96,15 +117,15 @@ def _awaited(engine: RemoteEngine, route: RouteSnapshot, future: Future[str], ti
         waited = time.monotonic() - began
         if timeout is not None and waited >= timeout:
             future.cancel()
-            goes_on = "; the goal goes on, and its result can be asked for again" if goal else ""
-            raise EngineError(f"{route.topic} gave no answer within {timeout:g} s{goes_on}")
+            problem = CallProblem.NO_RESULT_YET if goal else CallProblem.NO_ANSWER
+            raise EngineError(problem(topic=route.topic, seconds=timeout))
         try:
             return future.result(_LOOKED_EVERY if timeout is None else min(_LOOKED_EVERY, timeout - waited))
         except TimeoutError:
             state = _state(engine, route.key, goal)
         if state and (state != told or time.monotonic() - told_at >= _TOLD_EVERY):
             told, told_at = state, time.monotonic()
-            print_error(f"waiting for the result, {waited:.0f} s: the goal is {state} (Ctrl-C ends the waiting only)")
+            print_error(CallProblem.WAITING(seconds=waited, state=state))
 
 
 def _state(engine: RemoteEngine, key: str, goal: str) -> str:
@@ -137,7 +158,9 @@ def _get(arguments: Namespace) -> int:
         route = chosen_route(engine, arguments)
         value = _values(engine, route, [arguments.parameter])[0]
     if value is None:
-        return failed(arguments, f"{route.topic} has no parameter {arguments.parameter}, or it has no value", FAILURE)
+        return failed(
+            arguments, CallProblem.PARAMETER_MISSING(node=route.topic, parameter=arguments.parameter), FAILURE
+        )
     if arguments.json:
         return done(arguments, value=json_value(value))
     print_line(inline(value))
@@ -146,16 +169,20 @@ def _get(arguments: Namespace) -> int:
 
 def _set(arguments: Namespace) -> int:
     if arguments.type not in ("", *KIND_NAMES):
-        raise UsageError(f"{arguments.type} is no type of a parameter: it is one of {', '.join(KIND_NAMES)}")
+        raise UsageError(CallProblem.PARAMETER_TYPE_UNKNOWN(type=arguments.type, known=", ".join(KIND_NAMES)))
     try:
         request = set_request(arguments.parameter, arguments.value or "''", arguments.type)
     except FieldError as error:
-        raise UsageError(f"{arguments.value}: {error}") from None
+        raise UsageError(CallProblem.PARAMETER_VALUE_INVALID(value=arguments.value, problem=error)) from None
     with attached(arguments) as engine:
         route = chosen_route(engine, arguments)
         answer = response(engine, route, request.text, "set_parameters")
     if (why := refusal(answer)) is not None:
-        return failed(arguments, f"{route.topic} does not set {arguments.parameter}: {why}", FAILURE)
+        return failed(
+            arguments,
+            CallProblem.PARAMETER_REFUSED(node=route.topic, parameter=arguments.parameter, reason=why),
+            FAILURE,
+        )
     return done(arguments)
 
 
@@ -181,7 +208,9 @@ def _describe(arguments: Namespace) -> int:
     found = answer.get("descriptors") or [{"type": 0}]
     number = found[0]["type"]
     if not 1 <= number <= len(KINDS):
-        return failed(arguments, f"{route.topic} has no parameter {arguments.parameter}, or it has no value", FAILURE)
+        return failed(
+            arguments, CallProblem.PARAMETER_MISSING(node=route.topic, parameter=arguments.parameter), FAILURE
+        )
     described = {**found[0], "type": KINDS[number - 1].name}
     if arguments.json:
         return done(arguments, descriptor=json_value(described))
@@ -192,7 +221,7 @@ def _describe(arguments: Namespace) -> int:
 def names_of(engine: RemoteEngine, route: RouteSnapshot) -> list[str]:
     names: list[str] = _ask(engine, route, "list_parameters", {})["result"]["names"]
     if len(names) >= ITEMS:
-        print_error(f"{route.topic} may have more parameters than the first {ITEMS:,}")
+        print_error(CallProblem.PARAMETERS_CUT(node=route.topic, limit=ITEMS))
     return names
 
 
@@ -201,7 +230,7 @@ def _values(engine: RemoteEngine, route: RouteSnapshot, names: list[str], *, who
     text = response(engine, route, dump_yaml({"names": names}), "get_parameters")
     for note in [line.removeprefix("# ") for line in text.splitlines() if line.startswith("#")]:
         if whole:
-            raise EngineError(f"too much of {route.topic} is there to dump it: {note}")
+            raise EngineError(CallProblem.TOO_MUCH_TO_DUMP(node=route.topic, note=note))
         print_error(note)
     values = _fields(route, text).get("values") or []
     return [value_of(each) for each in values] + [None] * (len(names) - len(values))
@@ -214,7 +243,7 @@ def _ask(engine: RemoteEngine, route: RouteSnapshot, lane: str, request: dict[st
 def _fields(route: RouteSnapshot, text: str) -> dict[str, Any]:
     fields = data_of(text)
     if not isinstance(fields, dict):
-        raise EngineError(f"{route.topic} has answered what cannot be read")
+        raise EngineError(CallProblem.UNREADABLE(topic=route.topic))
     return fields
 
 

@@ -33,6 +33,7 @@ from rsb_bridge.model.demands import Demands, demand_on_entry, describe, sources
 from rsb_bridge.model.profiles import PROFILES, compression_of, described, profile_of
 from rsb_bridge.model.session import Grant
 from rsb_bridge.model.text import join_first
+from rsb_bridge.model.wording import Wording
 from rsb_console.command.shell import NO_KEY, OK, USAGE, print_error, print_line
 
 if TYPE_CHECKING:
@@ -45,6 +46,27 @@ if TYPE_CHECKING:
     from rsb_bridge.model.session import Client, Session, Topic
 
 _NAMED = 6
+
+
+class CheckText(Wording):
+    """Sentences of `rsb-console check`, beside the session itself."""
+
+    MAY_MOVE = "nothing forbids {peer} to publish what moves a robot: {names}"
+    MAY_ACT = "nothing forbids {peer} to call what may move or change a robot: {names}"
+    SERVER_MAY_STOP = "nothing forbids the server to shut this bridge down"
+    NODES_MAY_STOP = "any ROS node of this domain may shut the bridge down, on {topic}"
+    MAX_AGE_MISSING = "hint: an old command may move a robot after a bad network: set max_age: 0.5 on {names}"
+    MAY_MEASURE = (
+        "{peer} may measure the link (rsb-console bench): {seconds:g} s, {rate:g} messages/s, {megabytes:g} MB in an "
+        "hour"
+    )
+    PREFIX_IF_USED = "prefix /{name} where the server has use_name on"
+    OWN_PORTS = "ports of its own"
+    MISTAKES = "a session file with mistakes\n{problems}"
+    DOES_NOT_START = "the bridge does not start: {problem}"
+    WARNING = "warning: {problem}"
+    KEY_MISSING = "{problem}; without it the bridge does not start"
+    KEY = "key {file}, for {users}: {fingerprint}, written {age}"
 
 
 def summary(session: Session, places: Mapping[SourceKey, str] | None = None) -> Iterator[str]:
@@ -116,7 +138,7 @@ def _grants(entries: Iterable[str | Grant]) -> str:
 def rights(session: Session) -> Iterator[str]:
     """A table of what each peer may do on this side, and what of that moves or changes a robot."""
     found = list(listings(session))
-    heads = ("may do here", "", "what", "over", "rate", "ports of its own")
+    heads = ("may do here", "", "what", "over", "rate", CheckText.OWN_PORTS())
     rows: list[tuple[str, ...]] = [heads, *(row for listing in found for row in listing.rows)]
     rows = rows if session.role == "server" else [row[:-1] for row in rows]  # a client binds none
     widths = [max(len(row[at]) for row in rows) for at in range(len(rows[0]))]
@@ -124,22 +146,22 @@ def rights(session: Session) -> Iterator[str]:
         yield "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip()
     for listing in found:
         if listing.moves:
-            yield f"  nothing forbids {listing.peer} to publish what moves a robot: {', '.join(listing.moves)}"
+            yield f"  {CheckText.MAY_MOVE(peer=listing.peer, names=', '.join(listing.moves))}"
         if listing.acts:
             acts = join_first(listing.acts, _NAMED)
-            yield f"  nothing forbids {listing.peer} to call what may move or change a robot: {acts}"
+            yield f"  {CheckText.MAY_ACT(peer=listing.peer, names=acts)}"
     yield from _leaves(session)
     if session.role == "client":
-        yield "  nothing forbids the server to shut this bridge down"
+        yield f"  {CheckText.SERVER_MAY_STOP()}"
     if session.shutdown_topic is not None:
-        yield f"  any ROS node of this domain may shut the bridge down, on {session.shutdown_topic}"
+        yield f"  {CheckText.NODES_MAY_STOP(topic=session.shutdown_topic)}"
 
 
 def hints(session: Session) -> Iterator[str]:
     """Yield what is no mistake, and better otherwise."""
     if old := tuple(dict.fromkeys(without_max_age(session))):
         names = join_first(old, _NAMED)
-        yield f"  hint: an old command may move a robot after a bad network: set max_age: 0.5 on {names}"
+        yield f"  {CheckText.MAX_AGE_MISSING(names=names)}"
 
 
 def _leaves(session: Session) -> Iterator[str]:
@@ -148,8 +170,8 @@ def _leaves(session: Session) -> Iterator[str]:
     holders = [(client.name, client.bench) for client in clients] or [("the server", session.bench)]
     for name, leave in holders:
         if leave is not None:
-            most = f"{leave.seconds:g} s, {leave.max_rate:g} messages/s, {leave.megabytes:g} MB"
-            yield f"  {name} may measure the link (rsb-console bench): {most} in an hour"
+            limits = {"seconds": leave.seconds, "rate": leave.max_rate, "megabytes": leave.megabytes}
+            yield f"  {CheckText.MAY_MEASURE(peer=name, **limits)}"
 
 
 def _domain(session: Session) -> str:
@@ -162,7 +184,7 @@ def _domain(session: Session) -> str:
 
 def _prefix(session: Session) -> str:
     if session.role == "client" and not session.use_name:
-        return f"prefix /{session.name} where the server has use_name on"
+        return CheckText.PREFIX_IF_USED(name=session.name)
     return _prefix_of("<name>" if session.clients else session.name, use_name=session.use_name)
 
 
@@ -228,9 +250,9 @@ def check_session(arguments: Namespace) -> int:
     for line in _key_lines(session, keys):
         print_line(line)
     for warning in chain(_warnings(session, keys), fault_command_warnings(session, path)):
-        print_line(f"warning: {warning}")
+        print_line(CheckText.WARNING(problem=warning))
     if problem := _shared_keys(session, keys):
-        print_error(f"the bridge does not start: {problem}")
+        print_error(CheckText.DOES_NOT_START(problem=problem))
         return USAGE
     return NO_KEY if any(isinstance(key, KeyFileError) for key in keys.values()) else OK
 
@@ -238,15 +260,13 @@ def check_session(arguments: Namespace) -> int:
 def print_mistakes(error: SessionError) -> int:
     """Say what is wrong with a session file: with the file as a whole, or in its lines."""
     in_lines = any(problem.line for problem in error.problems)
-    print_error(f"a session file with mistakes\n{error}" if in_lines else str(error))
+    print_error(CheckText.MISTAKES(problems=error) if in_lines else str(error))
     return USAGE
 
 
 def _warnings(session: Session, keys: Mapping[str, Key | KeyFileError]) -> Iterator[str]:
     """What is no mistake in a session, but what running it would warn of."""
-    yield from (
-        f"{key}; without it the bridge does not start" for key in keys.values() if isinstance(key, KeyFileError)
-    )
+    yield from (CheckText.KEY_MISSING(problem=key) for key in keys.values() if isinstance(key, KeyFileError))
     valid = {
         name: tuple(key for file in files if isinstance(key := keys.get(file), Key))
         for name, files in key_files_by_client(session).items()
@@ -264,7 +284,9 @@ def _key_lines(session: Session, keys: Mapping[str, Key | KeyFileError]) -> Iter
     users = key_users(session)
     for file, key in keys.items():
         if isinstance(key, Key):
-            yield f"key {file}, for {users[file]}: {fingerprint(key)}, written {written(key, time.time())}"
+            yield CheckText.KEY(
+                file=file, users=users[file], fingerprint=fingerprint(key), age=written(key, time.time())
+            )
 
 
 def _shared_keys(session: Session, keys: Mapping[str, Key | KeyFileError]) -> str:

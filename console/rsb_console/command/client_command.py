@@ -18,6 +18,7 @@ from rsb_bridge.control.remote_engine import RemoteEngine
 from rsb_bridge.model.session import Client, Grant
 from rsb_bridge.model.shortage import why_not_written
 from rsb_bridge.model.snapshot import State
+from rsb_bridge.model.wording import Wording
 from rsb_console.command.formatting import json_line
 from rsb_console.command.shell import FAILURE, OK, USAGE, print_error, print_line, print_lines
 from rsb_console.command.target import ANSWERED_WITHIN, NoBridgeError, UsageError, chosen_bridge, reported
@@ -33,6 +34,47 @@ if TYPE_CHECKING:
     from rsb_bridge.control.bridges import RunningBridge
     from rsb_bridge.model.snapshot import LinkSnapshot
     from rsb_console.session.client_files import Changed
+
+
+class ClientCommandProblem(Wording):
+    """Reasons why a change of a server's clients is refused."""
+
+    OUTPUT_EXISTS = "{path} exists already: name another file for the robot's session"
+    OUTPUT_UNWRITABLE = "{path}: cannot be written: {reason}"
+    OUTPUT_OF_ROTATION = "the client's session file stays as it is: leave out --output and --address"
+    OLD_KEY_IN_USE = (
+        "{name} is linked with its old key, {fingerprint}: not finished. Copy the next one over the robot's, "
+        "and have it read it (`rsb-console reload` there); or end its link now: `rsb-console client rekey {name}`"
+    )
+    SESSION_UNKNOWN = "{problem}: name the server's session file"
+    SESSION_IN_NO_FILE = "{name} runs a session that is in no file: name the session file"
+    BRIDGE_REFUSES = (
+        "{path} is saved, but the bridge that runs it refuses: {reason}; restart it, or `rsb-console reload {name}`"
+    )
+
+
+class ClientEffect(Wording):
+    """Effects of a change of clients on the server that runs the session, and the steps that follow."""
+
+    NOT_RUNNING = "no server of this file runs here; it counts from the next start"
+    RUNNING = "{name} runs (pid {pid}): {effect}"
+    SAVED = "{path} is saved; {effect}"
+    ADDED = "it lets the client in from now on"
+    REKEYED = "only the new key counts now"
+    REKEYED_LINK_CLOSED = "only the new key counts now, and the link is closed"
+    BOTH_KEYS = "both keys count from now on"
+    BOTH_KEYS_LINK_STAYS = "both keys count from now on, and the link stays"
+    FINISHED = "only the new key counts now, and {name} needs it"
+    FINISHED_LINK_STAYS = "only the new key counts now, and the link stays"
+    REMOVED = "{name} is no longer accepted, and was not linked"
+    REMOVED_LINK_CLOSED = "{name} is no longer accepted, and its link is closed"
+    REMOVED_FROM = "{path}: {name} is removed{key}; {effect}"
+    KEY_FILE_STAYS = "; its key file {path} stays: remove it if nothing needs it"
+    KEY_IN = "{name}: {key} is in {path}, fingerprint {fingerprint}"
+    KEY = "{name}: key {path}, fingerprint {fingerprint}"
+    STEP_COPY = "copy the new key over the robot's: `scp -p {path} USER@ROBOT:{key_file}`"
+    STEP_RELOAD = "on the robot: `rsb-console reload` (its link comes back at once)"
+    STEP_FINISH = "here: `rsb-console client rekey {name} --finish` (the old key opens nothing any more)"
 
 
 def run(name: str, arguments: Namespace) -> int:
@@ -55,7 +97,7 @@ def _add(arguments: Namespace) -> int:
     client_files.check_address(arguments.name, arguments.address)
     output: Path | None = arguments.output
     if output is not None and output.exists():
-        raise ClientError(f"{output} exists already: name another file for the robot's session")
+        raise ClientError(ClientCommandProblem.OUTPUT_EXISTS(path=output))
     client = Client(
         name=arguments.name,
         key_file=arguments.key_file,
@@ -64,8 +106,7 @@ def _add(arguments: Namespace) -> int:
         deny=_grants(arguments.deny),
     )
     changed = client_files.add_client(path, client)
-    done = "it lets the client in from now on"
-    told = _tell(arguments, path, lambda engine: engine.add_client(changed.client), lambda linked: done)
+    told = _tell(arguments, path, lambda engine: engine.add_client(changed.client), lambda linked: ClientEffect.ADDED())
     return _handed_out(arguments, changed, told)
 
 
@@ -80,7 +121,7 @@ def _grants(entries: list[str]) -> tuple[str | Grant, ...]:
 def _rekey(arguments: Namespace) -> int:
     path = _session_path(arguments)
     if (arguments.keep_old or arguments.finish) and (arguments.output or arguments.address):
-        raise ClientError("the client's session file stays as it is: leave out --output and --address")
+        raise ClientError(ClientCommandProblem.OUTPUT_OF_ROTATION())
     if arguments.keep_old:
         return _begin_rotation(arguments, path)
     if arguments.finish:
@@ -91,7 +132,7 @@ def _rekey(arguments: Namespace) -> int:
         arguments,
         path,
         lambda engine: engine.change_client(changed.client),
-        lambda linked: f"only the new key counts now{', and the link is closed' if linked else ''}",
+        lambda linked: (ClientEffect.REKEYED_LINK_CLOSED if linked else ClientEffect.REKEYED)(),
     )
     return _handed_out(arguments, changed, told)
 
@@ -102,14 +143,14 @@ def _begin_rotation(arguments: Namespace, path: Path) -> int:
         arguments,
         path,
         lambda engine: engine.change_client(changed.client),
-        lambda linked: f"both keys count from now on{', and the link stays' if linked else ''}",
+        lambda linked: (ClientEffect.BOTH_KEYS_LINK_STAYS if linked else ClientEffect.BOTH_KEYS)(),
     )
     key_file = changed.client.key_file or changed.file.session.key_file or ""
     name = arguments.name
     steps = (
-        f"copy the new key over the robot's: `scp -p {changed.key_path} USER@ROBOT:{Path(key_file).name}`",
-        "on the robot: `rsb-console reload` (its link comes back at once)",
-        f"here: `rsb-console client rekey {name} --finish` (the old key opens nothing any more)",
+        ClientEffect.STEP_COPY(path=changed.key_path, key_file=Path(key_file).name),
+        ClientEffect.STEP_RELOAD(),
+        ClientEffect.STEP_FINISH(name=name),
     )
     return _rotated(arguments, changed, told, "the next key", steps)
 
@@ -118,16 +159,13 @@ def _finish_rotation(arguments: Namespace, path: Path) -> int:
     name = arguments.name
     link = _links(path, arguments.control).get(name)
     if link is not None and link.state is State.OK and link.fingerprint != link.next_fingerprint:
-        raise EngineError(
-            f"{name} is linked with its old key, {link.fingerprint}: not finished. Copy the next one over the robot's, "
-            f"and have it read it (`rsb-console reload` there); or end its link now: `rsb-console client rekey {name}`"
-        )
+        raise EngineError(ClientCommandProblem.OLD_KEY_IN_USE(name=name, fingerprint=link.fingerprint))
     changed = finish_rotation(path, name)
     told = _tell(
         arguments,
         path,
         lambda engine: engine.change_client(changed.client),
-        lambda linked: f"only the new key counts now, {'and the link stays' if linked else f'and {name} needs it'}",
+        lambda linked: (ClientEffect.FINISHED_LINK_STAYS if linked else ClientEffect.FINISHED)(name=name),
     )
     return _rotated(arguments, changed, told, "the key")
 
@@ -144,8 +182,8 @@ def _rotated(arguments: Namespace, changed: Changed, told: str, what: str, steps
             )
         )  # fmt: skip
         return OK
-    print_error(f"{client.name}: {what} is in {key_at}, fingerprint {fingerprint(key)}")
-    print_error(f"{file.path} is saved; {told or _NOT_RUNNING}")
+    print_error(ClientEffect.KEY_IN(name=client.name, key=what, path=key_at, fingerprint=fingerprint(key)))
+    print_error(ClientEffect.SAVED(path=file.path, effect=told or ClientEffect.NOT_RUNNING()))
     for number, step in enumerate(steps, 1):
         print_error(f"{number}. {step}")
     return OK
@@ -169,14 +207,16 @@ def _remove(arguments: Namespace) -> int:
         arguments,
         path,
         lambda engine: engine.remove_client(arguments.name),
-        lambda linked: (
-            f"{arguments.name} is no longer accepted, {'and its link is closed' if linked else 'and was not linked'}"
-        ),
+        lambda linked: (ClientEffect.REMOVED_LINK_CLOSED if linked else ClientEffect.REMOVED)(name=arguments.name),
     )
     if arguments.json:
         print_line(json_line({"ok": True, "name": arguments.name, "running": told or None}))
         return OK
-    print_error(f"{path}: {arguments.name} is removed{_kept(changed.key_path)}; {told or _NOT_RUNNING}")
+    print_error(
+        ClientEffect.REMOVED_FROM(
+            path=path, name=arguments.name, key=_kept(changed.key_path), effect=told or ClientEffect.NOT_RUNNING()
+        )
+    )
     return OK
 
 
@@ -221,9 +261,6 @@ COMMANDS: dict[str, Callable[[Namespace], int]] = {
     "add": _add, "remove": _remove, "list": _list, "rekey": _rekey, "show": _show,
 }  # fmt: skip
 
-_NOT_RUNNING = "no server of this file runs here; it counts from the next start"
-
-
 # --- what they share
 
 
@@ -240,9 +277,9 @@ def _session_path(arguments: Namespace) -> Path:
     try:
         bridge = _only_server(arguments) or chosen_bridge(arguments)
     except NoBridgeError as error:
-        raise NoBridgeError(f"{error}: name the server's session file") from None
+        raise NoBridgeError(ClientCommandProblem.SESSION_UNKNOWN(problem=error)) from None
     if bridge.info is None or bridge.info.file is None:
-        raise UsageError(f"{bridge.name} runs a session that is in no file: name the session file")
+        raise UsageError(ClientCommandProblem.SESSION_IN_NO_FILE(name=bridge.name))
     return Path(bridge.info.file)
 
 
@@ -303,11 +340,10 @@ def _tell(
         linked = any(link.name == arguments.name and link.state is State.OK for link in links)
         command(engine).result(ANSWERED_WITHIN)
     except EngineError as error:
-        remedy = f"restart it, or `rsb-console reload {bridge.name}`"
-        raise EngineError(f"{path} is saved, but the bridge that runs it refuses: {error}; {remedy}") from None
+        raise EngineError(ClientCommandProblem.BRIDGE_REFUSES(path=path, reason=error, name=bridge.name)) from None
     finally:
         engine.stop()
-    return f"{bridge.name} runs (pid {bridge.pid}): {done(linked)}"
+    return ClientEffect.RUNNING(name=bridge.name, pid=bridge.pid, effect=done(linked))
 
 
 def _links(path: Path, control: Path | None) -> dict[str, LinkSnapshot]:
@@ -334,7 +370,9 @@ def _handed_out(arguments: Namespace, changed: Changed, told: str) -> int:
         try:
             write_whole(output, text)
         except OSError as error:
-            raise ClientError(f"{output}: cannot be written: {why_not_written(error, output)}") from None
+            raise ClientError(
+                ClientCommandProblem.OUTPUT_UNWRITABLE(path=output, reason=why_not_written(error, output))
+            ) from None
     advice = client_files.copy_advice(client, key_at, output)
     mark = "" if key is None else fingerprint(key)
     if arguments.json:
@@ -349,12 +387,12 @@ def _handed_out(arguments: Namespace, changed: Changed, told: str) -> int:
     if output is None:
         print_lines(text.removesuffix("\n"))
     if key is not None:
-        print_error(f"{client.name}: key {key_at}, fingerprint {mark}")
+        print_error(ClientEffect.KEY(name=client.name, path=key_at, fingerprint=mark))
     if arguments.saves:
-        print_error(f"{file.path} is saved; {told or _NOT_RUNNING}")
+        print_error(ClientEffect.SAVED(path=file.path, effect=told or ClientEffect.NOT_RUNNING()))
     print_error(f"for {client.name}: {advice}")
     return OK
 
 
 def _kept(key_at: Path | None) -> str:
-    return f"; its key file {key_at} stays: remove it if nothing needs it" if key_at and key_at.exists() else ""
+    return ClientEffect.KEY_FILE_STAYS(path=key_at) if key_at and key_at.exists() else ""

@@ -42,6 +42,7 @@ _AWAY, _THERE = 10.0, 20.0
 _LOOK_EVERY = 0.2
 _FAULTY = "/scan"
 _AFTER_QUIT = "All simulated robots end."
+HOW_TO_END = "Ctrl-C ends them all"
 
 
 def run_demo(*, ui: bool, seconds: float | None) -> int:
@@ -213,7 +214,7 @@ def _say(running: Simulated) -> None:
     print_line(f"{count} simulated robots are linked; their ROS is a stand-in, in {count} graphs")
     print_line(f"{faulty} stops publishing {_FAULTY} after {_AFTER:.0f} s; {restless} comes and goes")
     print_line(f"to look at them: rsb-console {look}")
-    print_line("Ctrl-C ends them all")
+    print_line(HOW_TO_END)
     sys.stdout.flush()
 
 

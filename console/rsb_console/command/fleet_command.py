@@ -17,6 +17,7 @@ from rsb_bridge.control.bridges import running_bridges
 from rsb_bridge.model.clock import Clock
 from rsb_bridge.model.robot_summary import RobotState
 from rsb_bridge.model.text import plural
+from rsb_bridge.model.wording import Wording
 from rsb_console.command.formatting import json_line
 from rsb_console.command.remote_arguments import IN_FLEET
 from rsb_console.command.shell import FAILURE, OK, USAGE, print_error, print_line
@@ -33,7 +34,28 @@ if TYPE_CHECKING:
     from rsb_console.fleet.rolling import Outcome, Step
 
 _LOOK_EVERY = 0.5
-_WHICH = "which robots? Give their names, --group GROUP, or --all"
+
+
+class FleetProblem(Wording):
+    """Reasons why a command for robots is refused."""
+
+    ROBOTS_MISSING = "which robots? Give their names, --group GROUP, or --all"
+    TWO_KINDS_OF_FLEET = "--fleet is about bridges over Zenoh, --bridge and --control about a server here: give one"
+    CLIENT_HAS_NO_ROBOTS = "{name} is a client: it has no robots. Its server has"
+    NO_SERVER = "no server runs here that you may attach to; `rsb-console status` names what does"
+    NO_ENGINE = "no engine has announced itself in the fleet {fleet!r}"
+    COMMAND_MISSING = "no command: rsb-console fleet exec NAME ... -- COMMAND ..., as in -- pause /camera"
+    COMMAND_UNKNOWN = "{command}: no command that runs for a robot; these do: {known}"
+    EVENTS_ENDLESS = "events --follow does not end: follow one robot's server at a time"
+    ECHO_ENDLESS = "echo does not end: give --once, or --count N"
+    FIGURES_ENDLESS = "{command} does not end by itself: give --count N or --for N"
+    WAITS_ENDLESS = "{command} may wait for ever: give --timeout N"
+    ROBOT_AFTER_DASHES = "name the robots before --, and no bridge or link after it"
+    TOPIC_OR_CHANGE_MISSING = (
+        "which topic, and what to change? For example: rsb-console fleet edit robot1 /camera max_rate=5"
+    )
+    JSON_CANNOT_ASK = "--json does not ask: give --yes, or --dry-run"
+    NOBODY_TO_ASK = "nobody is there to ask: give --yes, or --dry-run"
 
 
 def run(name: str, arguments: Namespace) -> int:
@@ -50,20 +72,18 @@ def sources_of(arguments: Namespace) -> list[FleetSource]:
     """
     if arguments.fleet is not None:
         if arguments.bridge is not None or arguments.control is not None:
-            raise UsageError(
-                "--fleet is about bridges over Zenoh, --bridge and --control about a server here: give one"
-            )
+            raise UsageError(FleetProblem.TWO_KINDS_OF_FLEET())
         from rsb_console.fleet.zenoh_source import ZenohFleet  # noqa: PLC0415 -- not needed elsewhere
 
         return [ZenohFleet(fleet_file(arguments))]
     if arguments.bridge is not None or arguments.control is not None:
         named = chosen_bridge(arguments)
         if named.info is not None and named.info.role != "server":
-            raise UsageError(f"{named.name} is a client: it has no robots. Its server has")
+            raise UsageError(FleetProblem.CLIENT_HAS_NO_ROBOTS(name=named.name))
         return [ServerFleet(named.name, named.path)]
     servers = [bridge for bridge in running_bridges() if bridge.info is not None and bridge.info.role == "server"]
     if not servers:
-        raise NoBridgeError("no server runs here that you may attach to; `rsb-console status` names what does")
+        raise NoBridgeError(FleetProblem.NO_SERVER())
     names: dict[str, int] = {}
     for server in servers:
         names[server.name] = names.get(server.name, 0) + 1
@@ -122,7 +142,7 @@ def _print(arguments: Namespace) -> int:
             time.sleep(min(_LOOK_EVERY, arguments.seconds))
             robots = fleet.robots()
     if not robots and arguments.fleet is not None:
-        raise NoBridgeError(f"no engine has announced itself in the fleet {fleet.sources[0].name!r}")
+        raise NoBridgeError(FleetProblem.NO_ENGINE(fleet=fleet.sources[0].name))
     wrong = [robot for robot in robots if robot.summary.state.is_wrong]
     states = [robot.summary.state for robot in robots if not robot.is_server]
     servers = len(robots) - len(states)
@@ -151,7 +171,7 @@ def _report(robot: Robot) -> dict[str, object]:
 def _dismiss(arguments: Namespace) -> int:
     with _fleet(arguments) as fleet:
         if not (arguments.names or arguments.group or arguments.everyone):
-            raise UsageError(_WHICH)
+            raise UsageError(FleetProblem.ROBOTS_MISSING())
         gone = fleet.chosen(arguments.names, arguments.group, everyone=arguments.everyone, gone=True)
         fleet.dismiss(gone)
     if arguments.json:
@@ -165,9 +185,9 @@ def _dismiss(arguments: Namespace) -> int:
 def _exec(arguments: Namespace) -> int:
     words: list[str] = arguments.words
     if not words:
-        raise UsageError("no command: rsb-console fleet exec NAME ... -- COMMAND ..., as in -- pause /camera")
+        raise UsageError(FleetProblem.COMMAND_MISSING())
     if words[0] not in IN_FLEET:
-        raise UsageError(f"{words[0]}: no command that runs for a robot; these do: {', '.join(IN_FLEET)}")
+        raise UsageError(FleetProblem.COMMAND_UNKNOWN(command=words[0], known=", ".join(IN_FLEET)))
     command = _parsed(words)
     with _fleet(arguments) as fleet:
         robots = _chosen(fleet, arguments)
@@ -196,15 +216,15 @@ def _parsed(words: Sequence[str]) -> Namespace:
 
     parsed = parser_and_commands()[0].parse_args([*words])
     if words[0] == "events" and parsed.follow:
-        raise UsageError("events --follow does not end: follow one robot's server at a time")
+        raise UsageError(FleetProblem.EVENTS_ENDLESS())
     if words[0] == "echo" and not parsed.once and parsed.count is None:
-        raise UsageError("echo does not end: give --once, or --count N")
+        raise UsageError(FleetProblem.ECHO_ENDLESS())
     if words[0] in ("hz", "bw") and parsed.count is None and parsed.lasts is None:
-        raise UsageError(f"{words[0]} does not end by itself: give --count N or --for N")
+        raise UsageError(FleetProblem.FIGURES_ENDLESS(command=words[0]))
     if words[0] in ("echo", "wait") and parsed.timeout is None:
-        raise UsageError(f"{words[0]} may wait for ever: give --timeout N")
+        raise UsageError(FleetProblem.WAITS_ENDLESS(command=words[0]))
     if any(getattr(parsed, name, None) for name in ("bridge", "control", "fleet", "link")):
-        raise UsageError("which robot the command is for is said before --")
+        raise UsageError(FleetProblem.ROBOT_AFTER_DASHES())
     return parsed
 
 
@@ -240,7 +260,7 @@ def _chosen(fleet: Fleet, arguments: Namespace) -> list[Robot]:
     if left_out := [each.name for each in gone if arguments.everyone or (each.group and each.group == arguments.group)]:
         print_error(f"not there, and left out: {', '.join(left_out)}")
     if not robots:
-        raise UsageError(_WHICH)
+        raise UsageError(FleetProblem.ROBOTS_MISSING())
     return robots
 
 
@@ -253,11 +273,9 @@ def _edit(arguments: Namespace) -> int:
     keys = [word for word in words if "=" in word and not word.startswith("/")]
     arguments.names = [word for word in words if word not in topics and word not in keys]
     if len(topics) != 1 or not keys:
-        raise UsageError(
-            "which topic, and what to change? For example: rsb-console fleet edit robot1 /camera max_rate=5"
-        )
+        raise UsageError(FleetProblem.TOPIC_OR_CHANGE_MISSING())
     if arguments.json and not (arguments.yes or arguments.dry_run):
-        raise UsageError("--json does not ask: give --yes, or --dry-run")
+        raise UsageError(FleetProblem.JSON_CANNOT_ASK())
     with _fleet(arguments) as fleet:
         robots = _chosen(fleet, arguments)
         rollout = Rollout(fleet, robots, topics[0], keys, arguments.settle, now=time.monotonic, sleep=time.sleep)
@@ -314,7 +332,7 @@ def _agreed(question: str) -> bool:
         UsageError: nobody is there to ask.
     """
     if not sys.stdin.isatty():
-        raise UsageError("nobody is there to ask: give --yes, or --dry-run")
+        raise UsageError(FleetProblem.NOBODY_TO_ASK())
     print_line(f"{question} [y/N]")
     sys.stdout.flush()
     return sys.stdin.readline().strip().lower() in ("y", "yes")

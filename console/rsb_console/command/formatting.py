@@ -114,14 +114,14 @@ def link_word(link: LinkSnapshot) -> str:
 
 
 def link_fault(link: LinkSnapshot) -> str:
-    """What is wrong with a link, though it may be up."""
+    """Return the faults of a link, which may be up."""
     if link.state is State.OK:
         return link.warning
     return f"{link.state.upper()}: {why_down(link)}"
 
 
 def why_down(link: LinkSnapshot) -> str:
-    """Why a link is down, and when its client asks again whether it may come back; empty: it is up."""
+    """Return the reason a link is down, and when its client tries again, or an empty string."""
     if link.cause == LinkCause.SHUT_DOWN and link.retry_in is not None:
         return f"{link.reason}; asks again in {math.ceil(link.retry_in)} s"
     return link.reason
@@ -142,13 +142,13 @@ def without_peer(fault: str, link: LinkSnapshot) -> str:
 
 
 def of_links_that_are_up(snapshot: Snapshot) -> list[RouteSnapshot]:
-    """What is wrong with a link is said once, and not of each of its topics."""
+    """Return the routes of links that are up: a link's fault is reported once, and not for each of its topics."""
     down = {link.name for link in snapshot.links if link.state is not State.OK}
     return [route for route in snapshot.routes if route.link not in down]
 
 
 def topics_of_link_that_is_down(snapshot: Snapshot, link: LinkSnapshot) -> str:
-    """Which topics and services have no way because of their link; empty: there are none, or it is up."""
+    """Return the topics and services that their link leaves unconnected, or an empty string."""
     routes = [route for route in snapshot.routes if route.link == link.name]
     if link.state is State.OK or not routes:
         return ""
@@ -274,7 +274,7 @@ def refused_text(client: RefusedClient) -> str:
 
 
 def links_of(snapshot: Snapshot) -> dict[str, object]:
-    """Those of the links, by name."""
+    """Return the links as plain data, by name."""
     return {
         link.name: {
             "state": link.state,
@@ -301,7 +301,7 @@ def _full(full: Fullness) -> dict[str, object]:
 
 
 def pattern_of(pattern: PatternSnapshot) -> dict[str, object]:
-    """Those of one pattern."""
+    """Return a pattern as plain data."""
     return {
         "pattern": pattern.spec.topic,
         "kind": pattern.spec.kind,
@@ -324,7 +324,7 @@ def pattern_text(pattern: PatternSnapshot) -> str:
 
 
 def made_by(route: RouteSnapshot) -> str:
-    """Which pattern has made a route; empty: none has."""
+    """Return the pattern that has made a route, or an empty string."""
     return f" [{route.pattern}]" if route.pattern else ""
 
 
@@ -335,7 +335,7 @@ def patterns_of(snapshot: Snapshot) -> list[PatternSnapshot]:
 
 
 def route_of(route: RouteSnapshot) -> dict[str, object]:
-    """Those of one route."""
+    """Return a route as plain data."""
     if route.calls is None:
         figures = asdict(route.ledger)
     else:

@@ -21,6 +21,7 @@ from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.command_origin import acting
 from rsb_bridge.model.snapshot import Event, Level
 from rsb_bridge.model.text import one_line, plural
+from rsb_bridge.model.wording import Wording
 from rsb_console.command.formatting import StatusLines, json_event, json_status, summary, text_event
 from rsb_console.command.shell import ALREADY_RUNNING, FAILURE, HUNG_UP, OK, encoded, keep_output_clean, print_error
 
@@ -44,6 +45,16 @@ _WRITTEN_WITHIN = 0.5  # s, of the 5 in which the program ends whatever its peer
 WAITING_LIMIT = 1 << 20
 """Bytes of lines that wait for a slow reader; a status line of 500 topics has 200 kB as JSON."""
 _TOO_SLOW = "they were not read fast enough"
+
+
+class HeadlessText(Wording):
+    """Reports of a bridge without a console, before its log begins."""
+
+    RUNS_ALREADY = "{problem}. To attach to it: {command}"
+    NOT_ATTACHABLE = "the bridge runs, but no console can attach to it: {problem}"
+    CONSOLE_CRASHED = (
+        "the console has crashed; the bridge goes on without it until a signal stops it (Ctrl-C or SIGTERM)"
+    )
 
 
 def run_headless(
@@ -74,10 +85,10 @@ def run_headless(
             server = serve(engine, session, file=path, control=control)
             resources.callback(server.close)
         except AlreadyRunningError as error:
-            print_error(f"{error}. To attach to it: {error.bridge.attach_command}")
+            print_error(HeadlessText.RUNS_ALREADY(problem=error, command=error.bridge.attach_command))
             return ALREADY_RUNNING
         except ControlError as error:
-            print_error(f"the bridge runs, but no console can attach to it: {error}")
+            print_error(HeadlessText.NOT_ATTACHABLE(problem=error))
         try:
             engine.start()
         except EngineError as error:
@@ -98,9 +109,7 @@ def bridge_on(engine: EngineApi, *, crashed: bool) -> int:
         crashed: the console has crashed, which is reported and makes the exit code non-zero.
     """
     if crashed:
-        print_error(
-            "the console has crashed; the bridge goes on without it until it is told to stop (Ctrl-C or SIGTERM)"
-        )
+        print_error(HeadlessText.CONSOLE_CRASHED())
     with Signals(ignore_hangup=True, has_terminal=True) as signals:
         code = bridge_until_told(engine, signals)
     return FAILURE if crashed else code

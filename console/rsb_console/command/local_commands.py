@@ -19,6 +19,7 @@ from rsb_bridge.config.keys import (
 )
 from rsb_bridge.config.session_file import SessionError, dump, load, save
 from rsb_bridge.config.thesis import import_bringup
+from rsb_bridge.model.wording import Wording
 from rsb_console.command.check import print_mistakes
 from rsb_console.command.shell import (
     FAILURE,
@@ -38,12 +39,25 @@ if TYPE_CHECKING:
 _IMPORT_OPTIONS = {"key_file": "--key-file PATH, or --no-encryption", "server_port": "--port N"}  # by what they give
 
 
+class LocalText(Wording):
+    """Reports of the commands that attach to no bridge."""
+
+    SESSION_MISSING = "--no-ui needs a session file: rsb-console run --no-ui SESSION"
+    NEW_KEY = "{path}: a new key, fingerprint {fingerprint}. Copy the file to the other side, and keep it secret."
+    KEY_OPTION = "{field} is given with {option}"
+    TERMINAL_GONE = "the console needs a terminal, and its own has gone. Without it: {instead}"
+    NO_TERMINAL = (
+        "the console needs a terminal, and this isn't one (a pipe, a file, or ssh without -t). Without it: {instead}"
+    )
+    PLAIN_TERMINAL = "the console needs a terminal, and TERM says this one can't draw. Without it: {instead}"
+
+
 def run(arguments: Namespace) -> int:
     """Bridge a session, with the console or without."""
     allow_many_descriptors()
     path: Path | None = arguments.session
     if path is None and arguments.no_ui:
-        print_error("--no-ui needs a session file: rsb-console run --no-ui SESSION")
+        print_error(LocalText.SESSION_MISSING())
         return USAGE
     try:
         session = load(path) if path is not None else None
@@ -105,9 +119,7 @@ def keygen(arguments: Namespace) -> int:
     except KeyFileError as error:
         print_error(str(error))
         return FAILURE
-    print_line(
-        f"{path}: a new key, fingerprint {fingerprint(key)}. Copy the file to the other side, and keep it secret."
-    )
+    print_line(LocalText.NEW_KEY(path=path, fingerprint=fingerprint(key)))
     return OK
 
 
@@ -166,7 +178,7 @@ def import_thesis(arguments: Namespace) -> int:
         print_error(f"not imported\n{error}")
         missing = {each.location for each in error.problems if not each.line} & _IMPORT_OPTIONS.keys()
         for location in sorted(missing):  # those in the file have its line
-            print_error(f"{location} is given with {_IMPORT_OPTIONS[location]}")
+            print_error(LocalText.KEY_OPTION(field=location, option=_IMPORT_OPTIONS[location]))
         return USAGE
     if output is None:
         print_lines(dump(session).removesuffix("\n"))
@@ -188,9 +200,9 @@ def can_draw(instead: str) -> bool:
     reason = None
     if not (sys.stdin.isatty() and sys.stdout.isatty()):
         gone = _has_hung_up(sys.stdin.fileno())
-        reason = "its own has gone" if gone else "this isn't one (a pipe, a file, or ssh without -t)"
+        reason = (LocalText.TERMINAL_GONE if gone else LocalText.NO_TERMINAL)(instead=instead)
     elif os.environ.get("TERM", "") in ("", "dumb"):
-        reason = "TERM says this one can't draw"
+        reason = LocalText.PLAIN_TERMINAL(instead=instead)
     if reason:
-        print_error(f"the console needs a terminal, and {reason}. Without it: {instead}")
+        print_error(reason)
     return reason is None

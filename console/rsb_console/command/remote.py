@@ -14,6 +14,7 @@ from rsb_bridge.control.bridges import running_bridges
 from rsb_bridge.control.remote_engine import RemoteEngine
 from rsb_bridge.model.link_budget import as_report, cost_of, told
 from rsb_bridge.model.snapshot import State
+from rsb_bridge.model.wording import Wording
 from rsb_console.command.echo import echo
 from rsb_console.command.figures import BW, HZ, print_figures
 from rsb_console.command.formatting import (
@@ -33,6 +34,7 @@ from rsb_console.command.status import print_status
 from rsb_console.command.target import (
     ANSWERED_WITHIN,
     NoBridgeError,
+    RouteChoice,
     UsageError,
     all_chosen,
     ask_history,
@@ -65,6 +67,44 @@ _TOLD_EVERY = 0.5
 _READ_SIZE = 4096
 _DIRECTIONS = ("transmit", "receive")
 """As the client sees it."""
+
+
+class RemoteProblem(Wording):
+    """Reasons why a command for a running bridge is refused, or fails."""
+
+    NOT_REACHED = "not {condition} within {seconds:g} s{reason}"
+    CONDITION_UNKNOWN = "--for {condition}: not one of flowing TOPIC, linked [CLIENT], stopped"
+    NOT_BRIDGED = "{topic} is not bridged{hint}; `rsb-console add` adds a topic"
+    NOT_BROUGHT = "no client has brought {topic} so far{hint}"
+    CLIENT_MISSING = "add {topic}: with which client? --link {links}"
+    RATE_WITHOUT_DRY_RUN = "add {topic}: --rate and --size are for --dry-run, which adds nothing"
+    DRY_RUN_OF_CALLS = "add {topic}: --dry-run is about topics: calls go ahead of them, and are not budgeted"
+    NOTHING_TO_CHANGE = "edit {topic}: nothing to change; for example: max_rate=5"
+    PROVIDER_OF_A_TOPIC = (
+        "add {topic}: a topic has a direction, and no provider; --service adds a service. transmit takes it from the "
+        "client to the server, receive from the server to the client, for example: rsb-console add {topic} transmit"
+    )
+    DIRECTION_MISSING = (
+        "add {topic}: the direction is missing. transmit takes it from the client to the server, receive from the "
+        "server to the client, for example: rsb-console add {topic} transmit"
+    )
+    DIRECTION_UNKNOWN = (
+        "add {topic}: {word!r} is no direction{hint} transmit takes it from the client to the server, receive from the "
+        "server to the client, for example: rsb-console add {topic} transmit"
+    )
+    PROVIDER_MISSING = (
+        "add {topic}: the provider is missing. It is the side whose node answers, client or server, for example: "
+        "rsb-console add {topic} --kind {kind} --provider client"
+    )
+    KEY_WITHOUT_VALUE = (
+        "add {topic}: {word!r} is no KEY=VALUE. The provider is the side whose node answers, client or server, for "
+        "example: rsb-console add {topic} --kind {kind} --provider client"
+    )
+    DISARMED = "{topic} is not armed any more: {reason}"
+    NO_MORE_MESSAGES = "no more messages of {topic} within {seconds:g} s{reason}"
+    NOTHING_TO_REPORT = "no bridge runs here, and you may read no history file of one"
+    NOTHING_OF_BRIDGE_TO_REPORT = "no bridge named {name!r} runs here, and you may read no history file of it"
+    SEVERAL_TO_REPORT = "no bridge runs here, and there are history files of several; say which:{found}"
 
 
 def run(name: str, arguments: Namespace) -> int:
@@ -133,7 +173,9 @@ def _echo(arguments: Namespace) -> int:
         if echo(engine, route, arguments):
             return OK
         why = f": {route.reason}" if (route := chosen_route(engine, arguments)).reason else ""
-    return failed(arguments, f"no more messages of {arguments.topic} within {arguments.timeout:g} s{why}", FAILURE)
+    return failed(
+        arguments, RemoteProblem.NO_MORE_MESSAGES(topic=arguments.topic, seconds=arguments.timeout, reason=why), FAILURE
+    )
 
 
 def _hz(arguments: Namespace) -> int:
@@ -232,7 +274,11 @@ def _wait(arguments: Namespace) -> int:
         reason = "" if held else _why_not(engine, arguments.wanted)
     if held:
         return done(arguments, seconds=round(time.monotonic() - began, 3))
-    return failed(arguments, f"not {' '.join(arguments.wanted)} within {arguments.timeout:g} s{reason}", FAILURE)
+    return failed(
+        arguments,
+        RemoteProblem.NOT_REACHED(condition=" ".join(arguments.wanted), seconds=arguments.timeout, reason=reason),
+        FAILURE,
+    )
 
 
 def _condition(wanted: list[str]) -> Callable[[RemoteEngine], bool]:
@@ -245,7 +291,7 @@ def _condition(wanted: list[str]) -> Callable[[RemoteEngine], bool]:
             return lambda engine: (name, State.OK) in [(link.name, link.state) for link in engine.snapshot().links]
         case ["stopped"]:
             return lambda engine: not engine.snapshot().running
-    raise UsageError(f"--for {' '.join(wanted)}: not one of flowing TOPIC, linked [CLIENT], stopped")
+    raise UsageError(RemoteProblem.CONDITION_UNKNOWN(condition=" ".join(wanted)))
 
 
 def _refuse_what_cannot_be(engine: RemoteEngine, wanted: list[str]) -> None:
@@ -262,7 +308,7 @@ def _refuse_what_cannot_be(engine: RemoteEngine, wanted: list[str]) -> None:
         case ["flowing", topic] if now.role == "client":
             known = [route.topic for route in now.routes]
             if not named(now.routes, topic):
-                raise UsageError(f"{topic} is not bridged{suggestion(topic, known)}; `rsb-console add` adds a topic")
+                raise UsageError(RemoteProblem.NOT_BRIDGED(topic=topic, hint=suggestion(topic, known)))
         case ["linked", name]:
             check_link(engine, name)
 
@@ -299,7 +345,8 @@ def _why_not(engine: RemoteEngine, wanted: list[str]) -> str:
 
 def _not_bridged(now: Snapshot, topic: str) -> str:
     hint = suggestion(topic, [route.topic for route in now.routes])
-    return f"no client has brought {topic} so far{hint}" if now.role == "server" else f"{topic} is not bridged{hint}"
+    problem = RemoteProblem.NOT_BROUGHT if now.role == "server" else RouteChoice.NOT_BRIDGED
+    return problem(topic=topic, hint=hint)
 
 
 # --- adding and editing
@@ -314,12 +361,12 @@ def _add(arguments: Namespace) -> int:
     else:
         keys = _provider_and_keys(arguments, kind)
     if (arguments.rate or arguments.size) and not arguments.dry_run:
-        raise UsageError(f"add {arguments.topic}: --rate and --size are for --dry-run, which adds nothing")
+        raise UsageError(RemoteProblem.RATE_WITHOUT_DRY_RUN(topic=arguments.topic))
     with attached(arguments) as engine:
         check_link(engine, arguments.link)
         links = [link.name for link in engine.snapshot().links]
         if len(links) > 1 and not arguments.link:
-            raise UsageError(f"add {arguments.topic}: with which client? --link {' or --link '.join(links)}")
+            raise UsageError(RemoteProblem.CLIENT_MISSING(topic=arguments.topic, links=" or --link ".join(links)))
         topic = _topic(values, keys, engine, None)
         if arguments.dry_run:
             return _say_cost(arguments, topic, engine, arguments.link or links[0])
@@ -329,7 +376,7 @@ def _add(arguments: Namespace) -> int:
 def _say_cost(arguments: Namespace, topic: Topic, engine: RemoteEngine, link: str) -> int:
     """Say what a topic would cost. Returns the exit code."""
     if topic.kind != "topic":
-        raise UsageError(f"add {topic.topic}: --dry-run is about topics: calls go ahead of them, and are not budgeted")
+        raise UsageError(RemoteProblem.DRY_RUN_OF_CALLS(topic=topic.topic))
     now = engine.snapshot()
     sends_here = (topic.direction == "transmit") == (now.role == "client")
     names = {topic.topic, topic.remote_topic, f"/{link}{topic.topic}"}
@@ -348,7 +395,7 @@ def _edit(arguments: Namespace) -> int:
     with attached(arguments) as engine:
         route = chosen(engine, arguments)
         if not arguments.keys:
-            raise UsageError(f"edit {arguments.topic}: nothing to change; for example: max_rate=5")
+            raise UsageError(RemoteProblem.NOTHING_TO_CHANGE(topic=arguments.topic))
         topic = _topic(values_of(route.spec), arguments.keys, engine, route.spec)
         return done(arguments, key=result(engine.edit_topic(route.key, topic, drop_arm=arguments.drop_arm)))
 
@@ -365,15 +412,11 @@ def _direction_and_keys(arguments: Namespace) -> tuple[str, list[str]]:
         words.remove(given)
         return given, words
     if arguments.provider is not None:
-        what = "a topic has a direction, and no provider; --service adds a service."
-    elif given is None:
-        what = "the direction is missing."
-    else:
-        what = f"{given!r} is no direction{suggestion(given, _DIRECTIONS) or '.'}"
-    raise UsageError(
-        f"add {arguments.topic}: {what} transmit takes it from the client to the server, receive from the server to "
-        f"the client, for example: rsb-console add {arguments.topic} transmit"
-    )
+        raise UsageError(RemoteProblem.PROVIDER_OF_A_TOPIC(topic=arguments.topic))
+    if given is None:
+        raise UsageError(RemoteProblem.DIRECTION_MISSING(topic=arguments.topic))
+    hint = suggestion(given, _DIRECTIONS) or "."
+    raise UsageError(RemoteProblem.DIRECTION_UNKNOWN(topic=arguments.topic, word=given, hint=hint))
 
 
 def _provider_and_keys(arguments: Namespace, kind: Kind) -> list[str]:
@@ -388,11 +431,9 @@ def _provider_and_keys(arguments: Namespace, kind: Kind) -> list[str]:
     given = next((word for word in words if "=" not in word), None)
     if given is None and any(word.startswith("provider=") for word in words):
         return words
-    what = "the provider is missing" if given is None else f"{given!r} is no KEY=VALUE"
-    raise UsageError(
-        f"add {arguments.topic}: {what}. It is the side whose node answers, client or server, for example: rsb-console "
-        f"add {arguments.topic} --kind {kind} --provider client"
-    )
+    if given is None:
+        raise UsageError(RemoteProblem.PROVIDER_MISSING(topic=arguments.topic, kind=kind))
+    raise UsageError(RemoteProblem.KEY_WITHOUT_VALUE(topic=arguments.topic, word=given, kind=kind))
 
 
 def _words(arguments: Namespace) -> list[str]:
@@ -436,7 +477,7 @@ def _arm(arguments: Namespace) -> int:
         result(engine.arming.arm(route.key))
         _say_armed(arguments, route)
         why, cause = _hold(engine, route.key)
-    return failed(arguments, f"{route.topic} is not armed any more: {why}", FAILURE, cause=cause)
+    return failed(arguments, RemoteProblem.DISARMED(topic=route.topic, reason=why), FAILURE, cause=cause)
 
 
 def _say_armed(arguments: Namespace, route: RouteSnapshot) -> None:
@@ -460,7 +501,7 @@ def _hold(engine: RemoteEngine, key: str) -> tuple[str, str]:
         if route is None:
             return "it is not bridged any more", "removed"
         if route.arming is None:
-            return "it need not be armed any more", ""
+            return "arming is not required any more", ""
         if not route.arming.armed:
             return route.arming.reason or route.reason, route.arming.why
 
@@ -520,11 +561,12 @@ def _report_of(arguments: Namespace, seconds: float) -> HistoryReport:
     else:
         kept = [files for files in kept_bridges(os.environ) if name in (None, files.stem)]
     if not kept:
-        which = "" if name is None else f" named {name!r}"
-        raise NoBridgeError(f"no bridge{which} runs here, and none has left its files where you may read them")
+        if name is None:
+            raise NoBridgeError(RemoteProblem.NOTHING_TO_REPORT())
+        raise NoBridgeError(RemoteProblem.NOTHING_OF_BRIDGE_TO_REPORT(name=name))
     if len(kept) > 1:
         found = "".join(f"\n  {files.stem}: {files.history}" for files in kept)
-        raise UsageError(f"no bridge runs here, and several have left their files; say which:{found}")
+        raise UsageError(RemoteProblem.SEVERAL_TO_REPORT(found=found))
     try:
         return history_files.report(kept[0], time.time(), seconds)
     except HistoryFileError as error:

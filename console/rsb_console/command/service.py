@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 from rsb_bridge.config.files import replace_file
 from rsb_bridge.config.session_file import SessionError, load
 from rsb_bridge.model.shortage import why_not_written
+from rsb_bridge.model.wording import Wording
 from rsb_console.command.shell import FAILURE, OK, USAGE, print_error, print_line, print_lines
 
 if TYPE_CHECKING:
@@ -58,6 +59,18 @@ _SOURCING = 'source "$0" && exec "$@"'
 _HOMES = ("/home/", "/root/", "/run/user/")
 _SYSTEM_UNITS = Path("/etc/systemd/system")
 _READABLE = 0o644
+
+
+class ServiceText(Wording):
+    """Reports of `rsb-console service`."""
+
+    OTHER_UNIT = (
+        "{path}: exists already, and is another unit; --force replaces it. This one: rsb-console service show {session}"
+    )
+    NO_UNIT = "{path}: there is no such unit"
+    ENABLED = "{name} is enabled; first run: {control} disable --now {name}"
+    FOREIGN_UNIT = "{path}: `service install` has not written this; --force removes it"
+    NOT_REMOVED = "{path}: cannot be removed: {reason}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -173,8 +186,7 @@ def _install(arguments: Namespace) -> int:
     try:
         old = path.read_text(encoding="utf-8") if path.exists() else None
         if old is not None and old != text and not arguments.force:
-            print_error(f"{path}: exists already, and is another unit; --force replaces it. This one: "
-                        f"rsb-console service show {arguments.session}")  # fmt: skip
+            print_error(ServiceText.OTHER_UNIT(path=path, session=arguments.session))
             return FAILURE
         path.parent.mkdir(parents=True, exist_ok=True)
         replace_file(path, text.encode())
@@ -208,17 +220,17 @@ def _uninstall(arguments: Namespace) -> int:
     enabled = [link for link in folder.glob(f"*.wants/{name}") if link.is_symlink()]
     try:
         if not path.exists():
-            print_error(f"{path}: there is no such unit")
+            print_error(ServiceText.NO_UNIT(path=path))
             return FAILURE
         if enabled:
-            print_error(f"{name} is enabled; first run: {control} disable --now {name}")
+            print_error(ServiceText.ENABLED(name=name, control=control))
             return FAILURE
         if not path.read_text(encoding="utf-8").startswith(MARK) and not arguments.force:
-            print_error(f"{path}: `service install` has not written this; --force removes it")
+            print_error(ServiceText.FOREIGN_UNIT(path=path))
             return FAILURE
         path.unlink()
     except OSError as error:
-        print_error(f"{path}: cannot be removed: {error.strerror}")
+        print_error(ServiceText.NOT_REMOVED(path=path, reason=error.strerror))
         return FAILURE
     print_lines(f"{path}: removed. Run next:\n  {control} daemon-reload")
     return OK
@@ -238,7 +250,7 @@ def _service(arguments: Namespace) -> Service:
 
 
 def _program() -> tuple[str, ...]:
-    """How this command was run, from anywhere."""
+    """Return the command line that runs this program from any folder."""
     found = shutil.which(sys.argv[0])
     if found is not None and Path(found).name == "rsb-console":
         return (os.path.abspath(found),)  # noqa: PTH100
@@ -252,7 +264,7 @@ def _own_setup(environ: Mapping[str, str]) -> Path | None:
 
 
 def _owner(session: Path) -> str:
-    """Whoever may read the session's keys: they have mode 0600."""
+    """Return the user who may read the session's keys, which have mode 0600."""
     try:
         return pwd.getpwuid(session.stat().st_uid).pw_name
     except (OSError, KeyError):

@@ -1,4 +1,4 @@
-"""What the commands share: exit codes, and standard output and error."""
+"""Exit codes, standard output and standard error of all commands."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ import resource
 import sys
 
 from rsb_bridge.model.text import one_line, several_lines
+from rsb_bridge.model.wording import Wording
 
 TYPE_CHECKING = False  # without typing, which takes a while
 if TYPE_CHECKING:
@@ -18,6 +19,14 @@ OK, FAILURE, USAGE, NOT_RUNNING, ALREADY_RUNNING, HUNG_UP, INTERRUPTED, TERMINAT
 NO_KEY = 3
 """``check``: the session has no mistake, but a key that it needs is not here."""
 _MOST_DESCRIPTORS = 65_536  # some systems' hard limit is a billion, and some programs go through all that they may have
+
+
+class CommandText(Wording):
+    """Reports of a command line that is misspelt, or whose command crashed."""
+
+    MISSPELT = "{word}: neither a command nor a file; did you mean `rsb-console {command}`?"
+    CRASHED = "{problem} (details: {log})"
+    CRASHED_WITHOUT_LOG = "{problem} (details: again with --debug; {log}: {reason})"
 
 
 class CleanErrors:

@@ -1,4 +1,4 @@
-"""Which running bridge a command means, attaching to it, and saying in words what goes wrong."""
+"""The running bridge that a command is for: finds it, attaches to it, and reports errors."""
 
 from __future__ import annotations
 
@@ -13,11 +13,19 @@ from rsb_bridge.config.keys import KeyFileError
 from rsb_bridge.config.topic_rules import A_KIND
 from rsb_bridge.config.yaml_text import SessionError
 from rsb_bridge.control.bridges import ask, running_bridges
-from rsb_bridge.control.control_sockets import ControlError, UnclearError, hidden_bridges, run_as, user_name
+from rsb_bridge.control.control_sockets import (
+    AttachProblem,
+    ControlError,
+    UnclearError,
+    hidden_bridges,
+    run_as,
+    user_name,
+)
 from rsb_bridge.control.remote_engine import RemoteEngine
 from rsb_bridge.model.patterns import is_pattern
 from rsb_bridge.model.snapshot import RouteSnapshot
 from rsb_bridge.model.text import join_first
+from rsb_bridge.model.wording import Wording
 from rsb_console.command.formatting import json_line
 from rsb_console.command.shell import FAILURE, NOT_RUNNING, OK, USAGE, print_error, print_line
 from rsb_console.session.draft import suggestion
@@ -40,12 +48,34 @@ Attach: TypeAlias = "Callable[[], RemoteEngine]"
 T = TypeVar("T")
 
 
+class BridgeChoice(Wording):
+    """Reasons why a command finds no bridge, or not one alone."""
+
+    NONE_RUNS = "no bridge runs here that you may attach to"
+    NONE_OF_YOURS_RUNS = "no bridge runs here that you may attach to; some may belong to {user}: {remedy}"
+    UNKNOWN = "no bridge {name!r} runs here; these do:{running}"
+    SEVERAL_OF_ONE_NAME = "several bridges of one name run here; say which:{options}"
+    SEVERAL = "several bridges run here; say which with --bridge NAME:{running}"
+    UNUSABLE = "{name} (pid {pid}): {problem}"
+
+
+class RouteChoice(Wording):
+    """Reasons why a command finds no route, pattern or link, or not one alone."""
+
+    SEVERAL = "{topic} is bridged {count} times; say which: {options}"
+    OF_ANOTHER_KIND = "{topic} is bridged as {actual}, and not as {wanted}"
+    NOT_BRIDGED = "{topic} is not bridged{hint}"
+    SEVERAL_PATTERNS = "{topic} is followed {count} times; say which: {options}"
+    UNKNOWN_PATTERN = "there is no pattern {topic}{hint}"
+    UNKNOWN_LINK = "{bridge} has no link {name!r}, only {known}"
+
+
 class UsageError(Exception):
-    """What was asked for is not clear, or not valid; the message says what would be."""
+    """A command that is ambiguous or invalid; the message names the remedy."""
 
 
 class NoBridgeError(Exception):
-    """No bridge runs, or not this one; the message says which do."""
+    """The bridge that a command needs does not run; the message lists those that do."""
 
 
 def what_to_attach(arguments: Namespace) -> Path | Attach | int:
@@ -63,7 +93,7 @@ def what_to_attach(arguments: Namespace) -> Path | Attach | int:
 
 
 def reported(work: Callable[[Namespace], T], arguments: Namespace) -> T | int:
-    """Do something; what goes wrong is said in words, and gives an exit code."""
+    """Do something; report an error, and return its exit code."""
     try:
         return work(arguments)
     except (UsageError, UnclearError) as error:
@@ -75,7 +105,7 @@ def reported(work: Callable[[Namespace], T], arguments: Namespace) -> T | int:
     except EngineError as error:
         return failed(arguments, str(error), FAILURE)
     except TimeoutError:
-        return failed(arguments, f"the bridge has not answered for {ANSWERED_WITHIN:.0f} s", FAILURE)
+        return failed(arguments, AttachProblem.SILENT_FOR(seconds=ANSWERED_WITHIN), FAILURE)
 
 
 def failed(arguments: Namespace, message: str, code: int, **more: str) -> int:
@@ -106,21 +136,22 @@ def chosen_bridge(arguments: Namespace) -> RunningBridge:
     running = "".join(f"\n  {bridge}" for bridge in found)
     if not found:
         other = hidden_bridges(os.environ)
-        hint = "" if other is None else f"; some may belong to {user_name(other)}: {run_as(other)}"
-        raise NoBridgeError(f"no bridge runs here that you may attach to{hint}")
+        if other is None:
+            raise NoBridgeError(BridgeChoice.NONE_RUNS())
+        raise NoBridgeError(BridgeChoice.NONE_OF_YOURS_RUNS(user=user_name(other), remedy=run_as(other)))
     if not chosen:
-        raise NoBridgeError(f"no bridge {name!r} runs here; these do:{running}")
+        raise NoBridgeError(BridgeChoice.UNKNOWN(name=name, running=running))
     if len({bridge.name for bridge in chosen}) < len(chosen):  # in folders of several users or services
         paths = "".join(f"\n  --control {bridge.path}  {bridge}" for bridge in chosen)
-        raise UsageError(f"several bridges of one name run here; say which:{paths}")
+        raise UsageError(BridgeChoice.SEVERAL_OF_ONE_NAME(options=paths))
     if len(chosen) > 1:
-        raise UsageError(f"several bridges run here; say which with --bridge NAME:{running}")
+        raise UsageError(BridgeChoice.SEVERAL(running=running))
     return _answering(chosen[0])
 
 
 def _answering(bridge: RunningBridge) -> RunningBridge:
     if bridge.info is None:
-        raise ControlError(f"{bridge.name} (pid {bridge.pid}): {bridge.problem}")
+        raise ControlError(BridgeChoice.UNUSABLE(name=bridge.name, pid=bridge.pid, problem=bridge.problem))
     return bridge
 
 
@@ -172,7 +203,7 @@ def fleet_file(arguments: Namespace) -> FleetFile:
 
 
 def ask_history(arguments: Namespace, seconds: float) -> HistoryReport:
-    """What happened to the bridge that the arguments mean, in the last so many s."""
+    """Return the history of the bridge that the arguments name, over the last `seconds`."""
     with attached(arguments, read_only=True) as engine:
         return result(engine.history(seconds))
 
@@ -207,7 +238,7 @@ def chosen_route(engine: RemoteEngine, arguments: Namespace) -> RouteSnapshot:
     if len(routes) == 1:
         return routes[0]
     which = "; ".join(_which(route, routes) for route in routes)
-    raise UsageError(f"{arguments.topic} is bridged {len(routes)} times; say which: {which}")
+    raise UsageError(RouteChoice.SEVERAL(topic=arguments.topic, count=len(routes), options=which))
 
 
 def _routes_meant(engine: RemoteEngine, arguments: Namespace) -> list[RouteSnapshot]:
@@ -231,9 +262,9 @@ def _routes_meant(engine: RemoteEngine, arguments: Namespace) -> list[RouteSnaps
         return routes
     if others := named(meant, arguments.topic):
         only = join_first(sorted({A_KIND[route.spec.kind] for route in others}), len(A_KIND))
-        raise UsageError(f"{arguments.topic} is bridged as {only}, and not as {_either(kinds)}")
+        raise UsageError(RouteChoice.OF_ANOTHER_KIND(topic=arguments.topic, actual=only, wanted=_either(kinds)))
     known = [route.topic for route in now.routes if route.spec.kind in kinds]
-    raise UsageError(f"{arguments.topic} is not bridged{suggestion(arguments.topic, known)}")
+    raise UsageError(RouteChoice.NOT_BRIDGED(topic=arguments.topic, hint=suggestion(arguments.topic, known)))
 
 
 def other_side(engine: RemoteEngine, route: RouteSnapshot) -> str:
@@ -253,7 +284,7 @@ def chosen(engine: RemoteEngine, arguments: Namespace) -> RouteSnapshot | Patter
     if len(found) == 1:
         return found[0]
     options = (f"--link {each.link} --direction {each.spec.direction} --kind {each.spec.kind}" for each in found)
-    raise UsageError(f"{arguments.topic} is followed {len(found)} times; say which: {'; '.join(options)}")
+    raise UsageError(RouteChoice.SEVERAL_PATTERNS(topic=arguments.topic, count=len(found), options="; ".join(options)))
 
 
 def all_chosen(engine: RemoteEngine, arguments: Namespace) -> Sequence[RouteSnapshot | PatternSnapshot]:
@@ -331,7 +362,7 @@ def _patterns_meant(engine: RemoteEngine, arguments: Namespace) -> list[PatternS
     if found:
         return found
     names = [each.spec.topic for each in known]
-    raise UsageError(f"there is no pattern {arguments.topic}{suggestion(arguments.topic, names)}")
+    raise UsageError(RouteChoice.UNKNOWN_PATTERN(topic=arguments.topic, hint=suggestion(arguments.topic, names)))
 
 
 def _which(route: RouteSnapshot, others: Sequence[RouteSnapshot]) -> str:
@@ -363,4 +394,6 @@ def check_link(engine: RemoteEngine, name: str) -> None:
     """
     known = [link.name for link in engine.snapshot().links]
     if name and name not in known:
-        raise UsageError(f"{engine.bridge.name} has no link {name!r}, only {', '.join(known) or 'none'}")
+        raise UsageError(
+            RouteChoice.UNKNOWN_LINK(bridge=engine.bridge.name, name=name, known=", ".join(known) or "none")
+        )

@@ -26,6 +26,7 @@ from rsb_bridge.config.keys import (
 from rsb_bridge.config.session_file import SessionFile, dump, edited_text, load_file, save
 from rsb_bridge.config.validation import validate
 from rsb_bridge.model.session import Client, Session, ZenohSettings
+from rsb_bridge.model.wording import Wording
 
 _ANY_ADDRESS = ("0.0.0.0", "::")  # noqa: S104 (looked for, not bound)
 _FAR_AWAY = (("192.0.2.1", socket.AF_INET), ("2001:db8::1", socket.AF_INET6))  # RFC 5737, RFC 3849: nobody's
@@ -33,8 +34,35 @@ _WITH_PORT = re.compile(r"(?:\[(?P<bracketed>[^]]+)\]|(?P<host>[^:\[\]]+)):(?P<p
 _NOT_IN_FILE_NAMES = re.compile(r"[^\w.-]+")
 
 
+class ClientFileProblem(Wording):
+    """Reasons why the clients of a session file cannot be listed or changed."""
+
+    NOT_A_SERVER = "{path}: this is a client's session; only a server's lists clients"
+    KEY_EXISTS = "{path} exists already: give another file, or this one explicitly to use its key"
+    NO_ENCRYPTION = "{path}: encryption is off (use_encryption): there are no keys"
+    NEXT_KEY_OF_SERVER = (
+        "{name} has the server's next_key_file, {file}, which is no client's own: in the session file, give "
+        "it as key_file and take next_key_file out, then `rsb-console reload`"
+    )
+    NEXT_KEY_EXISTS = (
+        "{name} has a next key already, in {file}: once the robot has it, `rsb-console client rekey {name} --finish`; "
+        "to have one more made, `rsb-console client rekey {name}`, which ends its link"
+    )
+    NO_NEXT_KEY = "{name} has no next key: `rsb-console client rekey {name} --keep-old` makes one"
+
+
+class RobotFileText(Wording):
+    """Advice about a robot's own session file."""
+
+    HEAD = "{name}, a client of the server {server}. Its key file belongs beside this file."
+    ADDRESS_GUESSED = "one address of the server; is it the one that this client reaches?"
+    SAVE_AS = "save the session there as {file}"
+    COPY_SECRET = "copy with `scp -p {files} USER@ROBOT:` (the key is secret: never by mail or chat)"  # noqa: S105 (a text)
+    COPY = "copy with `scp {files} USER@ROBOT:`"
+
+
 class Changed(NamedTuple):
-    """What became of a server's session file.
+    """A changed session file of a server.
 
     Attributes:
         file: as it is now.
@@ -58,7 +86,7 @@ def open_server(path: Path) -> SessionFile:
     """
     file = load_file(path)
     if file.session.role != "server":
-        raise ClientError(f"{path}: this is a client's session; only a server's lists clients")
+        raise ClientError(ClientFileProblem.NOT_A_SERVER(path=path))
     return file
 
 
@@ -101,7 +129,7 @@ def add_client(path: Path, client: Client) -> Changed:
     key_at, key, is_new = key_path_of(file, client), None, False
     if key_at is not None and key_at.exists():
         if made_here:
-            raise ClientError(f"{key_at} exists already: give another file, or this one explicitly to use its key")
+            raise ClientError(ClientFileProblem.KEY_EXISTS(path=key_at))
         key = read_key(key_at)
     elif key_at is not None:
         key, is_new = write_key(key_at), True
@@ -183,16 +211,13 @@ def key_places(file: SessionFile, client: Client) -> list[Path]:
 def check_encrypted(file: SessionFile) -> None:
     """Raise a ClientError where there are no keys."""
     if not file.session.use_encryption:
-        raise ClientError(f"{file.path}: encryption is off (use_encryption): there are no keys")
+        raise ClientError(ClientFileProblem.NO_ENCRYPTION(path=file.path))
 
 
 def check_own_next_key(of_session: str | None, of_client: str | None, name: str) -> None:
     """Raise a ClientError where a client's next key is every client's, and giving it up would concern them."""
     if of_session is not None and of_client is None:
-        raise ClientError(
-            f"{name} has the server's next_key_file, {of_session}, which is no client's own: in the session file, give "
-            "it as key_file and take next_key_file out, then `rsb-console reload`"
-        )
+        raise ClientError(ClientFileProblem.NEXT_KEY_OF_SERVER(name=name, file=of_session))
 
 
 def free_key_file(folder: Path, name: str) -> str:
@@ -267,8 +292,8 @@ def robot_file(session: Session, client: Client, address: str = "") -> str:
     lines = dump(robot).splitlines()
     if guessed:
         at = next(number for number, line in enumerate(lines) if line.startswith("server_ip:"))
-        lines[at] += "   # one address of the server; is it the one that this client reaches?"
-    head = f"# {client.name}, a client of the server {session.name}. Its key file belongs beside this file."
+        lines[at] += f"   # {RobotFileText.ADDRESS_GUESSED()}"
+    head = f"# {RobotFileText.HEAD(name=client.name, server=session.name)}"
     topics = "topics: []   # - {topic: /scan, direction: transmit}"
     return "".join(f"{line}\n" for line in (head, *lines, topics))
 
@@ -301,11 +326,10 @@ def copy_advice(client: Client, key_at: Path | None, robot_at: Path | None = Non
         robot_at: the robot's session file, where it is in one already.
     """
     files = " ".join(str(path) for path in (robot_at, key_at) if path is not None)
-    save_as = "" if robot_at is not None else f"save the session there as {key_file_name(client.name)[:-4]}.yaml"
-    copy = f"copy with `scp -p {files} USER@ROBOT:` (the key is secret: never by mail or chat)" if files else ""
-    if not key_at:
-        copy = f"copy with `scp {files} USER@ROBOT:`" if files else ""
-    return "; ".join(part for part in (save_as, copy) if part)
+    own_file = f"{key_file_name(client.name)[:-4]}.yaml"
+    save_as = "" if robot_at is not None else RobotFileText.SAVE_AS(file=own_file)
+    copy = RobotFileText.COPY_SECRET if key_at else RobotFileText.COPY
+    return "; ".join(part for part in (save_as, copy(files=files) if files else "") if part)
 
 
 def fingerprint_or_problem(key_at: Path | None) -> tuple[Key | None, str]:
@@ -332,10 +356,7 @@ def begin_rotation(path: Path, name: str) -> Changed:
     current = key_path_of(file, client)
     assert current is not None  # else the session has a mistake
     if (places := key_places(file, client))[1:]:
-        raise ClientError(
-            f"{name} has a next key already, in {places[1]}: once the robot has it, `rsb-console client rekey {name} "
-            f"--finish`; to have one more made, `rsb-console client rekey {name}`, which ends its link"
-        )
+        raise ClientError(ClientFileProblem.NEXT_KEY_EXISTS(name=name, file=places[1]))
     key_file = Path(client.key_file or file.session.key_file or "")
     following = str(key_file.with_name(free_key_file(current.parent, f"{key_file.stem}-next")))
     renewed = msgspec.structs.replace(client, next_key_file=following)
@@ -367,7 +388,7 @@ def finish_rotation(path: Path, name: str) -> Changed:
     check_encrypted(file)
     places = key_places(file, client)
     if not places[1:]:
-        raise ClientError(f"{name} has no next key: `rsb-console client rekey {name} --keep-old` makes one")
+        raise ClientError(ClientFileProblem.NO_NEXT_KEY(name=name))
     check_own_next_key(file.session.next_key_file, client.next_key_file, name)
     current, following = places
     key = read_key(following)

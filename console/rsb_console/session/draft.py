@@ -15,6 +15,7 @@ from rsb_bridge.config.topic_rules import overlaps
 from rsb_bridge.config.yaml_text import read_yaml
 from rsb_bridge.model.names import client_topic
 from rsb_bridge.model.session import Session, Topic
+from rsb_bridge.model.wording import Wording
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -136,8 +137,16 @@ def problems_of(topic: Topic, session: Session, replaced: Topic | None) -> dict[
     return messages
 
 
+class TypedProblem(Wording):
+    """Reasons why ``KEY=VALUE`` makes no topic."""
+
+    NOT_A_PAIR = "{text}: not KEY=VALUE, as in max_rate=5"
+    UNKNOWN_KEY = "{text}: unknown key{hint} (keys: {keys})"
+    KEY_OF_ANOTHER_KIND = "{text}: {hint} (keys: {keys})"
+
+
 class TypedError(ValueError):
-    """What is typed makes no topic; the message says what would."""
+    """Keys and values that make no topic; the message names the remedy."""
 
 
 def typed_topic(values: Mapping[str, str], keys: Sequence[str], session: Session, replaced: Topic | None) -> Topic:
@@ -157,10 +166,12 @@ def typed_topic(values: Mapping[str, str], keys: Sequence[str], session: Session
     for text in keys:
         key, is_pair, value = text.partition("=")
         if not is_pair:
-            raise TypedError(f"{text}: not KEY=VALUE, as in max_rate=5")
+            raise TypedError(TypedProblem.NOT_A_PAIR(text=text))
         if key not in known:
-            hint = hints_of(kind).get(key) or f"unknown key{suggestion(key, known)}"
-            raise TypedError(f"{text}: {hint} (keys: {', '.join(known)})")
+            foreign, keys = hints_of(kind).get(key), ", ".join(known)
+            if foreign:
+                raise TypedError(TypedProblem.KEY_OF_ANOTHER_KIND(text=text, hint=foreign, keys=keys))
+            raise TypedError(TypedProblem.UNKNOWN_KEY(text=text, hint=suggestion(key, known), keys=keys))
         changed[field_of(kind, key)] = _value(key, value)
     topic = topic_of(changed)
     if problems := problems_of(topic, session, replaced):

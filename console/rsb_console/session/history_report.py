@@ -16,6 +16,7 @@ from rsb_bridge.config.files import new_file
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.history import KEPT_FOR
 from rsb_bridge.model.text import escape_json, one_line, plural
+from rsb_bridge.model.wording import Wording
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
@@ -46,6 +47,21 @@ _COUNTS = (
 )  # fmt: skip
 
 
+class ReportText(Wording):
+    """Sentences of a report on a bridge's last hours."""
+
+    NO_TIME = "{span!r} is not a time like 8h, 30m or 90s"
+    TOO_LONG_AGO = "{span}: at most 24h are remembered"
+    RAN_ALL_THE_TIME = "The bridge ran all the time.{stopped}"
+    RAN_PARTLY = "The bridge ran for {watched} of it ({share}); nothing is known of {gaps}{more}.{stopped}"
+    STOPPED = " It does not run now."
+    NO_OUTAGES = "No outages."
+    OUTAGES_LEFT_OUT = "  At least {count:,} more, for which there was no room."
+    ACTIONS = "Operators, and the bridge itself"
+    ACTIONS_LEFT_OUT = "  {count:,} more before these."
+    CAUSE_WITH_FOLLOWERS = "{cause} ({followers} with it)"
+
+
 def parse_span(text: str) -> float:
     """A span of time as people write it: ``8h``, ``30m``, ``90s``.
 
@@ -58,9 +74,9 @@ def parse_span(text: str) -> float:
     found = _SPAN.fullmatch(text.strip())
     seconds = float(found[1]) * _UNITS[found[2]] if found else 0.0
     if not seconds:
-        raise ValueError(f"{text!r} is not a time like 8h, 30m or 90s")
+        raise ValueError(ReportText.NO_TIME(span=text))
     if seconds > KEPT_FOR:
-        raise ValueError(f"{text}: at most 24h are remembered")
+        raise ValueError(ReportText.TOO_LONG_AGO(span=text))
     return seconds
 
 
@@ -120,7 +136,8 @@ def how_long(outage: Outage) -> str:
 def why(report: HistoryReport, outage: Outage) -> str:
     """The cause, and what else was out for it."""
     also = followers(report, outage)
-    return f"{outage.cause or 'no cause known'}{also and f' ({also} with it)'}"
+    cause = outage.cause or "no cause known"
+    return ReportText.CAUSE_WITH_FOLLOWERS(cause=cause, followers=also) if also else cause
 
 
 def who(event: Event) -> str:
@@ -148,7 +165,7 @@ def text_report(report: HistoryReport) -> Iterator[str]:
     yield from _totals(report)
     yield ""
     outages = own(report.outages)
-    yield "Outages" if outages else "No outages."
+    yield "Outages" if outages else ReportText.NO_OUTAGES()
     for link in sorted({outage.link for outage in outages}):
         yield f"  {link}"
         of_link = [outage for outage in outages if outage.link == link]
@@ -158,15 +175,15 @@ def text_report(report: HistoryReport) -> Iterator[str]:
                 state = outage.state.upper()
                 yield f"      {_moment(report, outage.start)}  {state}  {how_long(outage)}: {why(report, outage)}"
     if report.outages_left_out:
-        yield f"  At least {report.outages_left_out:,} more, for which there was no room."
+        yield ReportText.OUTAGES_LEFT_OUT(count=report.outages_left_out)
     if report.actions:
         yield ""
-        yield "Operators, and the bridge itself"
+        yield ReportText.ACTIONS()
         for event in report.actions:
             who = f"{event.who}: " if event.who not in event.text else ""
             yield f"  {_moment(report, event.time)}  {who}{did(event)}"
     if report.actions_left_out:
-        yield f"  {report.actions_left_out:,} more before these."
+        yield ReportText.ACTIONS_LEFT_OUT(count=report.actions_left_out)
 
 
 def totals(report: HistoryReport) -> list[str]:
@@ -217,18 +234,16 @@ def _counted(kind: str, count: int) -> str:
 
 
 def _ran(report: HistoryReport) -> str:
-    running = "" if report.running else " It does not run now."
+    stopped = "" if report.running else ReportText.STOPPED()
     if not report.gaps:
-        return f"The bridge ran all the time.{running}"
+        return ReportText.RAN_ALL_THE_TIME(stopped=stopped)
     gaps = ", ".join(
         f"{_moment(report, gap.start)} to {_moment(report, gap.start + gap.seconds)}" for gap in report.gaps[-3:]
     )
     earlier = len(report.gaps) - 3
     more = f" and {earlier} {plural(earlier, 'earlier time')}" if earlier > 0 else ""
-    return (
-        f"The bridge ran for {length(report.watched)} of it ({percent(report.watched / report.span)}); "
-        f"nothing is known of {gaps}{more}.{running}"
-    )
+    share = percent(report.watched / report.span)
+    return ReportText.RAN_PARTLY(watched=length(report.watched), share=share, gaps=gaps, more=more, stopped=stopped)
 
 
 def _up(word: str, track: Track) -> str:

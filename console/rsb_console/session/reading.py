@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, TypeAlias
 from rsb_bridge.cdr.decoder import HEADER_LENGTH, Decoded, Items, decode
 from rsb_bridge.cdr.description import DescriptionError, read_description
 from rsb_bridge.model.text import escape_text
+from rsb_bridge.model.wording import Wording
 from rsb_console.look import formats
 
 if TYPE_CHECKING:
@@ -32,6 +33,27 @@ INDENT = "  "
 _ITEM = "- "
 _NARROWEST = 20  # cells for a value, however deep it stands
 _BYTES_IN_LINE = 16
+
+
+class StampText(Wording):
+    """Explanations of a message's stamp, and of how old it is."""
+
+    KEPT = "the message was kept for late joiners"
+    NOT_SET = "the stamp is not set"
+    AHEAD = "clocks differ: the stamp is {span} ahead"
+    OLD = "the stamp is {age} old: an old message, simulated time, or clocks differ"
+    CLOCKS_OF_PUBLISHER = "the stamp's publisher's clock to this machine's"
+    CLOCKS_OF_PEER = "the other side's clock to this machine's, their difference allowed for"
+    GUESSED = "header.stamp (by the look of it)"
+    AGE = "{stamp} {span} before ({clocks})"
+
+
+class MessageText(Wording):
+    """Descriptions of when and how a message came."""
+
+    KEPT = "{size}, kept for late joiners"
+    FROM_ROS = "{size}, taken from ROS{took} at {moment}"
+    OVER_LINK = "{size}, came over the link{took} at {moment}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -153,41 +175,41 @@ def _guessed_stamp(peeked: PeekedMessage) -> int | None:
 
 def _age(peeked: PeekedMessage, stamp: int, *, guessed: bool = False) -> StampAge:
     if peeked.is_kept:
-        return StampAge(stamp, None, "the message was kept for late joiners", "", guessed)
-    clocks = "the stamp's publisher's clock to this machine's"
+        return StampAge(stamp, None, StampText.KEPT(), "", guessed)
+    clocks = StampText.CLOCKS_OF_PUBLISHER()
     latency = peeked.time - stamp / 1e9
     if (offset := peeked.clock_offset) is not None:  # the other side's, where the publisher most likely is
         latency += offset
-        clocks = "the other side's clock to this machine's, their difference allowed for"
+        clocks = StampText.CLOCKS_OF_PEER()
     unsure = _SURE + (peeked.clock_uncertainty or 0.0)
     if stamp <= 0:
-        return StampAge(stamp, None, "the stamp is not set", "", guessed)
+        return StampAge(stamp, None, StampText.NOT_SET(), "", guessed)
     if latency < -unsure:
-        why = f"clocks differ: the stamp is {formats.span(-latency)} ahead"
+        why = StampText.AHEAD(span=formats.span(-latency))
         return StampAge(stamp, None, why, "", guessed)
     if latency > _NO_LATENCY:
-        why = f"the stamp is {formats.age(latency)} old: an old message, simulated time, or clocks differ"
+        why = StampText.OLD(age=formats.age(latency))
         return StampAge(stamp, None, why, "", guessed)
     return StampAge(stamp, max(latency, 0.0), "", clocks, guessed)
 
 
 def age_text(age: StampAge) -> str:
     """The age of a stamp in words."""
-    name = "header.stamp (by the look of it)" if age.guessed else "header.stamp"
+    name = StampText.GUESSED() if age.guessed else "header.stamp"
     if age.latency is None:
         return f"{name}: {age.why_none}"
-    return f"{name} {formats.span(age.latency)} before ({age.clocks})"
+    return StampText.AGE(stamp=name, span=formats.span(age.latency), clocks=age.clocks)
 
 
 def how_it_came(peeked: PeekedMessage) -> str:
     """When and how a message came, in words."""
     size = f"{formats.thousands(peeked.size)} B"
     if peeked.is_kept:
-        return f"{size}, kept for late joiners"
+        return MessageText.KEPT(size=size)
     moment = f"{formats.time_of_day(peeked.time)}.{int(peeked.time % 1 * 1000):03d}"
-    way = "taken from ROS" if peeked.outgoing else "came over the link"
     took = "" if peeked.latency is None else f" in {formats.latency(peeked.latency, peeked.clock_uncertainty)}"
-    return f"{size}, {way}{took} at {moment}"
+    way = MessageText.FROM_ROS if peeked.outgoing else MessageText.OVER_LINK
+    return way(size=size, took=took, moment=moment)
 
 
 def message_lines(message: Message, width: int, *, arrays: bool = True) -> Iterator[Line]:
