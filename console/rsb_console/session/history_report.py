@@ -16,6 +16,7 @@ from rsb_bridge.config.files import new_file
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.history import KEPT_FOR
 from rsb_bridge.model.text import escape_json, one_line, plural
+from rsb_bridge.model.wording import Wording
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
@@ -44,6 +45,12 @@ _COUNTS = (
     "missed_while_down",
     "asked", "answered", "refused", "lost", "late", "node_p50", "node_p99", "way_p50", "way_p99", "last_failure",
 )  # fmt: skip
+
+
+class ReportText(Wording):
+    """Texts of the summary."""
+
+    RAN_FOR = "The bridge ran for {watched} of it ({share})"
 
 
 def parse_span(text: str) -> float:
@@ -226,8 +233,8 @@ def _ran(report: HistoryReport) -> str:
     earlier = len(report.gaps) - 3
     more = f" and {earlier} {plural(earlier, 'earlier time')}" if earlier > 0 else ""
     return (
-        f"The bridge ran for {length(report.watched)} of it ({percent(report.watched / report.span)}); "
-        f"nothing is known of {gaps}{more}.{running}"
+        ReportText.RAN_FOR(watched=length(report.watched), share=percent(report.watched / report.span))
+        + f"; nothing is known of {gaps}{more}.{running}"
     )
 
 

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, TypeAlias
 from rsb_bridge.cdr.decoder import HEADER_LENGTH, Decoded, Items, decode
 from rsb_bridge.cdr.description import DescriptionError, read_description
 from rsb_bridge.model.text import escape_text
+from rsb_bridge.model.wording import Wording
 from rsb_console.look import formats
 
 if TYPE_CHECKING:
@@ -32,6 +33,16 @@ INDENT = "  "
 _ITEM = "- "
 _NARROWEST = 20  # cells for a value, however deep it stands
 _BYTES_IN_LINE = 16
+
+
+class ArrivalText(Wording):
+    """When and how a message came."""
+
+    STAMPED = "{stamp} {before} before ({clocks})"
+    OWN_CLOCK = "the stamp's publisher's clock to this machine's"
+    CLOCKS_DIFFER = "the other side's clock to this machine's, their difference allowed for"
+    FROM_ROS = "taken from ROS"
+    OVER_LINK = "came over the link"
 
 
 @dataclass(frozen=True, slots=True)
@@ -154,11 +165,11 @@ def _guessed_stamp(peeked: PeekedMessage) -> int | None:
 def _age(peeked: PeekedMessage, stamp: int, *, guessed: bool = False) -> StampAge:
     if peeked.is_kept:
         return StampAge(stamp, None, "the message was kept for late joiners", "", guessed)
-    clocks = "the stamp's publisher's clock to this machine's"
+    clocks = ArrivalText.OWN_CLOCK()
     latency = peeked.time - stamp / 1e9
     if (offset := peeked.clock_offset) is not None:  # the other side's, where the publisher most likely is
         latency += offset
-        clocks = "the other side's clock to this machine's, their difference allowed for"
+        clocks = ArrivalText.CLOCKS_DIFFER()
     unsure = _SURE + (peeked.clock_uncertainty or 0.0)
     if stamp <= 0:
         return StampAge(stamp, None, "the stamp is not set", "", guessed)
@@ -176,7 +187,7 @@ def age_text(age: StampAge) -> str:
     name = "header.stamp (by the look of it)" if age.guessed else "header.stamp"
     if age.latency is None:
         return f"{name}: {age.why_none}"
-    return f"{name} {formats.span(age.latency)} before ({age.clocks})"
+    return ArrivalText.STAMPED(stamp=name, before=formats.span(age.latency), clocks=age.clocks)
 
 
 def how_it_came(peeked: PeekedMessage) -> str:
@@ -185,7 +196,7 @@ def how_it_came(peeked: PeekedMessage) -> str:
     if peeked.is_kept:
         return f"{size}, kept for late joiners"
     moment = f"{formats.time_of_day(peeked.time)}.{int(peeked.time % 1 * 1000):03d}"
-    way = "taken from ROS" if peeked.outgoing else "came over the link"
+    way = (ArrivalText.FROM_ROS if peeked.outgoing else ArrivalText.OVER_LINK)()
     took = "" if peeked.latency is None else f" in {formats.latency(peeked.latency, peeked.clock_uncertainty)}"
     return f"{size}, {way}{took} at {moment}"
 

@@ -6,6 +6,7 @@ import textwrap
 from typing import TYPE_CHECKING
 
 from rsb_bridge.model.qos import AUTO
+from rsb_bridge.model.wording import Wording
 from rsb_console.look import formats
 from rsb_console.look.glyphs import (
     ARMED,
@@ -28,6 +29,18 @@ if TYPE_CHECKING:
 PLOT_HEIGHT = 4
 LABEL = 11  # cells of a figure's name
 TIED = "\N{NO-BREAK SPACE}"
+
+
+class DetailText(Wording):
+    """Texts of the details of a topic or a service."""
+
+    WHY_NOT_FLOWING = "Why it isn't flowing"
+    NOTHING_COMES = "and nothing comes now"
+    WHY_NO_ANSWER = "Why it doesn't answer"
+    NO_ANSWER_NOW = "and it does not answer now"
+    GIVEN_UP = "after {timeout:g} s without an answer"
+    ALL_PARAMETERS = "all parameters of the node"
+    UNKNOWN_TYPE = "type not known yet"
 
 
 def heading(route: RouteSnapshot, last: str, width: int) -> Iterator[Line]:
@@ -97,7 +110,7 @@ def _type(route: RouteSnapshot) -> str:
     """What is known of the type: all that parameters have are ROS's own."""
     if route.type_name or route.spec.type != AUTO:
         return route.type_name or f"{route.spec.type} (as configured)"
-    return "all parameters of the node" if route.spec.kind == "parameters" else "type not known yet"
+    return DetailText.ALL_PARAMETERS() if route.spec.kind == "parameters" else DetailText.UNKNOWN_TYPE()
 
 
 def stages(route: RouteSnapshot, question: str, nothing: str, width: int) -> Iterator[Line]:
