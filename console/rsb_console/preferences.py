@@ -35,7 +35,7 @@ class PreferenceProblem(Wording):
 
 
 class KeymapError(ValueError):
-    """A mistake in ``keys.yaml``; the message says which, for the user."""
+    """A mistake in ``keys.yaml``; the message is for the user."""
 
 
 def load_keymap(path: Path) -> dict[str, str]:

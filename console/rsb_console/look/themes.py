@@ -33,7 +33,7 @@ VARIABLES = {
     "quiet": "#808080",
     "rule": "#444444",
 }
-"""Defaults of the variables that our style sheet uses beside Textual's own."""
+"""Defaults of the variables that our style sheet adds to Textual's."""
 
 
 class ThemeProblem(Wording):
@@ -66,7 +66,7 @@ def config_path() -> Path:
 
 
 def shipped_path() -> Path:
-    """The folder of the shipped themes: beside the packages in a checkout, else among the installed shared data."""
+    """The folder of the shipped themes: in a checkout, next to the packages; else among the installed shared data."""
     checkout = Path(__file__).parents[3]
     if (checkout / "pyproject.toml").is_file():
         return checkout / "themes"
@@ -86,7 +86,7 @@ def load_themes(*folders: Path) -> Themes:
 
 
 class ThemeError(ValueError):
-    """A mistake in a theme file; the message says which, for the user."""
+    """A mistake in a theme file; the message is for the user."""
 
 
 def read_theme(path: Path) -> Theme:

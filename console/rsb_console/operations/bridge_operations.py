@@ -50,7 +50,7 @@ _RETRIED_ON_SERVER = "topics that were refused are opened again; clients whose l
 
 
 def arming_means(route: RouteSnapshot) -> str:
-    """What the operator is asked to agree to."""
+    """The question that the operator answers before arming."""
     deadman = route.arming.deadman if route.arming is not None else 0.0
     keys = f", or no key is pressed here for {deadman:g} s" if deadman else ""
     way = f"to {route.remote_topic} on the other side" if route.outgoing else f"from there to {route.topic} here"
@@ -122,7 +122,7 @@ class BridgeOperations:
             await self._console.command(engine.acknowledge(route.key, route.acknowledged is None))
 
     async def arm(self) -> None:
-        """Arm the topic under the cursor, after a question; disarm it at once, whoever armed it."""
+        """Arm the topic under the cursor, after a question; disarm it at once, even if another operator armed it."""
         from rsb_console.screens.dialog import ConfirmScreen  # noqa: PLC0415 -- keeps the start short
 
         engine, route = self._console.engine, self._selected()
@@ -314,7 +314,7 @@ class Deadman:
         self._pressed = False
 
     def saw(self, event: Event) -> None:
-        """Note a key, whatever it does."""
+        """Note a key press."""
         self._pressed |= isinstance(event, Key)
 
     def keep(self, engine: EngineApi | None, snapshot: Snapshot) -> None:

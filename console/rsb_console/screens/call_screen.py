@@ -43,7 +43,7 @@ _SET, _SET_LANE = "set", "set_parameters"
 _MOST_LINES = 2_000
 _NODES = 3
 _ASKED_LINES, _ASKED_CHARACTERS = 200, 4 << 10
-"""Of a request, what the question shows: all of one that somebody could read."""
+"""Limits of the part of a request that the question shows: as much as a person can read."""
 _CHECKED = 4 << 10
 """Characters of a request that are checked while it is typed: a longer one takes too long for that."""
 _KEYS = "F9 call   tab next   y copy the answer   esc close"
@@ -218,7 +218,7 @@ class CallScreen(FormScreen[Request]):
 
     @property
     def _where(self) -> str:
-        """Whom it is sent to."""
+        """The receiver of the call."""
         nodes = join_first(self._route.subscribers, _NODES) or "the node"
         return f"to {nodes} {f'behind {self.console.peer_of(self._route)}' if self._route.outgoing else 'on this side'}"
 
@@ -238,7 +238,7 @@ class CallScreen(FormScreen[Request]):
 
     @work(group="call")
     async def _call(self, request: Request) -> None:
-        """Wait for the answer; whoever closes the form waits no longer, though the call goes on."""
+        """Wait for the answer. Closing the form ends the wait, but not the call."""
         began = self._under_way_since = time.monotonic()
         self._set_answer("", None)
         try:
@@ -284,7 +284,7 @@ class CallScreen(FormScreen[Request]):
             self._pane.show(self._lines(what[0], width))
 
     def _state_text(self) -> str:
-        """How the route is now."""
+        """The current state of the route."""
         route = next((each for each in self.console.snapshot().routes if each.key == self._route.key), None)
         if route is None:
             return CallText.ROUTE_GONE(sign=FAILED)
@@ -292,7 +292,7 @@ class CallScreen(FormScreen[Request]):
         return f"{STATE_SIGN[route.state]} {STATE_WORD[route.state]}  {route.type_name}{reason}"
 
     def _progress(self) -> Line:
-        """What is waited for."""
+        """The progress of the call."""
         if self._under_way_since is None:
             return ((CallText.NOTHING_CALLED(), "dim"),) if self._verdict is None else ()
         waited = formats.age(time.monotonic() - self._under_way_since)

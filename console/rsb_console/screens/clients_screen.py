@@ -225,7 +225,7 @@ async def remove_client(console: Console, name: str) -> None:
 
 
 def _saved_path(console: Console) -> Path | None:
-    """The file of the server's session; says so where there is none."""
+    """The file of the server's session. Notify the operator if the session has no file."""
     if console.path is None or console.temporary:
         console.notify("save the session first (w): its file lists the clients", severity="warning", timeout=8)
         return None
@@ -286,7 +286,7 @@ class AddClientScreen(FormScreen[Client]):
 
 
 def _grants(text: str) -> tuple[str | Grant, ...]:
-    """What a field says; nothing, as long as it has a mistake, which is shown beside it."""
+    """The grants in a field, or nothing while it has a mistake."""
     try:
         return typed_grants(text)
     except GrantError:

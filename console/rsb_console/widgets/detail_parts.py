@@ -1,4 +1,4 @@
-"""What the details of a topic and those of a service have in common."""
+"""Parts of the details that topics and services share."""
 
 from __future__ import annotations
 
@@ -75,7 +75,7 @@ def acknowledged_by(record: Acknowledgement) -> str:
 
 
 def _until(arming: ArmingSnapshot) -> str:
-    """What disarms it."""
+    """The conditions that disarm it."""
     if not arming.deadman:
         return "until it is disarmed, the link drops or that console ends"
     return f"until no key is pressed on that console for {arming.deadman:g} s"
@@ -107,7 +107,7 @@ def crossing(route: RouteSnapshot, way: str, width: int) -> Iterator[Line]:
 
 
 def _type(route: RouteSnapshot) -> str:
-    """What is known of the type: all that parameters have are ROS's own."""
+    """The type, as far as the bridge knows it. Types of parameters are ROS's own."""
     if route.type_name or route.spec.type != AUTO:
         return route.type_name or f"{route.spec.type} (as configured)"
     return DetailText.ALL_PARAMETERS() if route.spec.kind == "parameters" else DetailText.UNKNOWN_TYPE()
@@ -195,7 +195,7 @@ def ledger(title: str, rows: Sequence[tuple[str, int, str, str]]) -> Iterator[Li
 
 
 def share(part: int, whole: int) -> str:
-    """A part in percent; empty: there is no whole."""
+    """A part in percent, or an empty string if the whole is 0."""
     return f"  {100 * part / whole:.1f} %" if whole > 0 else ""
 
 
@@ -206,7 +206,7 @@ def throughput(route: RouteSnapshot, width: int) -> Iterator[Line]:
 
 
 def nodes(name: str, of_route: Sequence[str], width: int) -> Iterator[Line]:
-    """Who has a part in it, as far as that is known."""
+    """The known nodes at one end of the route."""
     if of_route:
         yield from figure(name, [f"{node}," for node in of_route[:-1]] + [of_route[-1]], width)
 
