@@ -140,7 +140,7 @@ class ConsoleApp(TerminalApp[None]):
         self, session: Session, path: Path | None, resources: ExitStack | None = None, *, temporary: bool = False
     ) -> None:
         worker = self._run_session(session, path, resources, temporary=temporary)
-        await asyncio.shield(worker.wait())  # whoever waits may be cancelled; a start may not
+        await asyncio.shield(worker.wait())  # a caller may be cancelled, the start may not
 
     @work(group="session")
     async def _run_session(
@@ -199,7 +199,7 @@ class ConsoleApp(TerminalApp[None]):
 
     def _new_engine(self, session: Session, base: Path) -> EngineApi:
         from rsb_bridge.engine import Engine  # noqa: PLC0415 -- the first picture comes before the engine's imports
-        from rsb_bridge.history.state_folder import state_folder  # noqa: PLC0415 -- likewise
+        from rsb_bridge.history.state_folder import state_folder  # noqa: PLC0415 -- keeps the start short
 
         return Engine(session, base=base, state=None if self.temporary else state_folder(os.environ))
 

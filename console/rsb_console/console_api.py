@@ -1,4 +1,4 @@
-"""What screens and operations may ask of the app around them."""
+"""The interface of the app that screens and operations use."""
 
 from __future__ import annotations
 

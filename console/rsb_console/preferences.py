@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 import yaml
 
+from rsb_bridge.model.wording import Wording
 from rsb_console.actions import ACTIONS, BY_ID, FLEET_ACTIONS
 from rsb_console.look.themes import default_theme, load_themes, shipped_path
 
@@ -24,8 +25,17 @@ KEY_SIGNS = {
 UNICODE_KEY_SIGNS = {"enter": "⏎", "up": "↑", "down": "↓"}
 
 
+class PreferenceProblem(Wording):
+    """Mistakes in the user's settings."""
+
+    NO_KEYMAP = "{path}: must map action ids to keys, like 'pause: P'"
+    UNKNOWN_ACTIONS = "{path}: no action is called {actions}; the help (?) lists them"
+    SHARED_KEY = "{path}: {key!r} is for both {one} and {other}; give one another key"
+    UNKNOWN_THEME = "no theme is called {theme!r}; there are {themes}"
+
+
 class KeymapError(ValueError):
-    """A mistake in ``keys.yaml``; the message says which, for the user."""
+    """A mistake in ``keys.yaml``; the message is for the user."""
 
 
 def load_keymap(path: Path) -> dict[str, str]:
@@ -49,11 +59,11 @@ def load_keymap(path: Path) -> dict[str, str]:
     if loaded is None:
         return {}
     if not isinstance(loaded, dict):
-        raise KeymapError(f"{path}: must map action ids to keys, like 'pause: P'")
+        raise KeymapError(PreferenceProblem.NO_KEYMAP(path=path))
     keymap = {str(action): str(keys) for action, keys in loaded.items()}
     unknown = sorted(set(keymap) - set(BY_ID))
     if unknown:
-        raise KeymapError(f"{path}: no action is called {', '.join(unknown)}; the help (?) lists them")
+        raise KeymapError(PreferenceProblem.UNKNOWN_ACTIONS(path=path, actions=", ".join(unknown)))
     _refuse_shared_keys(path, keymap)
     return keymap
 
@@ -64,7 +74,8 @@ def _refuse_shared_keys(path: Path, keymap: Mapping[str, str]) -> None:
         for action in actions:
             for key in split_keys(keymap.get(action.id, action.keys)):
                 if key in owner:
-                    raise KeymapError(f"{path}: {key!r} is for both {owner[key]} and {action.id}; give one another key")
+                    shared = PreferenceProblem.SHARED_KEY(path=path, key=key, one=owner[key], other=action.id)
+                    raise KeymapError(shared)
                 owner[key] = action.id
 
 
@@ -102,7 +113,7 @@ class Preferences:
         self.themes = loaded.found
         problems = list(loaded.problems)
         if wanted is not None and wanted not in self.themes:
-            problems.append(f"no theme is called {wanted!r}; there are {', '.join(self.themes)}")
+            problems.append(PreferenceProblem.UNKNOWN_THEME(theme=wanted, themes=", ".join(self.themes)))
             wanted = None
         if problems:
             self.problems.append(("Themes skipped", "\n".join(problems)))

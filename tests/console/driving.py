@@ -8,11 +8,13 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from tests.console.scripted import SESSION, ScriptedEngine
+from tests.support.wording import says
 from textual.app import App, ScreenStackError
 from textual.events import Paste
 from textual.pilot import Pilot
 
 from rsb_bridge.model.snapshot import RouteSnapshot
+from rsb_bridge.model.wording import Wording
 from rsb_console.app import ConsoleApp
 from rsb_console.screens.form_screen import FormScreen
 from rsb_console.terminal.input_queue import _is_idle
@@ -78,9 +80,31 @@ async def until(pilot: Pilot[None], condition: Callable[..., object], what: str,
             return
 
 
-async def shown(pilot: Pilot[None], words: str, seconds: float = 60.0) -> None:
-    """Wait until `words` stand on the screen."""
-    await until(pilot, lambda: words in text(pilot.app), f"{words!r} on the screen", seconds)
+_BORDERS = "│┃▌▐█▊▎| "
+
+
+def is_shown(app: App[Any], words: str | Wording, **parameters: object) -> bool:
+    """Whether the screen shows some words, or a text of the program on one line or wrapped in a dialog."""
+    if isinstance(words, str):
+        return words in text(app)
+    lines = text(app).splitlines()
+    unwrapped = " ".join(line.strip(_BORDERS) for line in lines)
+    return any(says(each, words, **parameters) for each in (*lines, unwrapped))
+
+
+async def shown(pilot: Pilot[None], words: str | Wording, seconds: float = 60.0, **parameters: object) -> None:
+    """Wait until the screen shows some words, or a text of the program."""
+    await until(pilot, lambda: is_shown(pilot.app, words, **parameters), f"{words!r} on the screen", seconds)
+
+
+async def notified(pilot: Pilot[None], wording: Wording, **parameters: object) -> None:
+    """Wait for a notification with a text of the program."""
+
+    def is_there() -> bool:
+        texts = [f"{each.title} {each.message}" for each in pilot.app._notifications]
+        return any(says(each, wording, **parameters) for each in texts)
+
+    await until(pilot, is_there, f"a notification: {wording!r}")
 
 
 async def shown_at_the_end(pilot: Pilot[None], words: str, key: str = "G", seconds: float = 60.0) -> None:
@@ -102,9 +126,9 @@ async def told_to_add(pilot: Pilot[None], app: ConsoleApp) -> tuple[object, ...]
     return told() or ()
 
 
-async def gone(pilot: Pilot[None], words: str, seconds: float = 60.0) -> None:
-    """Wait until `words` stand on the screen no more."""
-    await until(pilot, lambda: words not in text(pilot.app), f"{words!r} gone", seconds)
+async def gone(pilot: Pilot[None], words: str | Wording, seconds: float = 60.0, **parameters: object) -> None:
+    """Wait until the screen no longer shows some words, or a text of the program."""
+    await until(pilot, lambda: not is_shown(pilot.app, words, **parameters), f"{words!r} gone", seconds)
 
 
 async def settled(pilot: Pilot[None], seconds: float = 60.0) -> None:

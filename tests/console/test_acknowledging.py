@@ -141,7 +141,7 @@ def test_what_one_console_acknowledges_another_and_the_shell_know(
     with subprocess.Popen(run, env=environ, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as bridge:
         try:
             eventually(lambda: bridges.running_bridges(machine.environ))
-            eventually(lambda: command("status") == 1, what="a link that is down")
+            eventually(lambda: command("status") == 1, what="the link goes down")
             attach = str(COMMAND), "attach", "robot1", "--theme", "dark"
             (tmp_path / "one").mkdir()
             (tmp_path / "other").mkdir()

@@ -4,10 +4,12 @@ from pathlib import Path
 
 import pytest
 from tests.console.driving import drive, engine_of, gone, scripted_app, shown, text, until
+from tests.support.wording import pattern
 from textual.pilot import Pilot
 
 from rsb_console.actions import ACTIONS, BY_ID, FLEET_ACTIONS, Action, Group
-from rsb_console.preferences import KeymapError, load_keymap, split_keys
+from rsb_console.preferences import KeymapError, PreferenceProblem, load_keymap, split_keys
+from rsb_console.screens.main import MainText
 
 EATEN = {"ctrl+s", "ctrl+q", "ctrl+a", "ctrl+b", "ctrl+j", "ctrl+enter"}
 
@@ -32,20 +34,27 @@ def test_no_action_hangs_on_a_key_that_terminals_eat(action: Action) -> None:
 
 
 @pytest.mark.parametrize(
-    ("content", "words"),
+    ("content", "problem", "parameters"),
     [
-        ("- pause", "must map action ids to keys"),
-        ("pawse: P", "no action is called pawse"),
-        ("pause: r", "'r' is for both pause and retry"),
-        ("pause: [", "line 1"),
+        ("- pause", PreferenceProblem.NO_KEYMAP, {}),
+        ("pawse: P", PreferenceProblem.UNKNOWN_ACTIONS, {"actions": "pawse"}),
+        ("pause: r", PreferenceProblem.SHARED_KEY, {"key": "r", "one": "pause", "other": "retry"}),
     ],
 )
-def test_a_mistake_in_the_users_keys_is_said(tmp_path: Path, content: str, words: str) -> None:
+def test_a_mistake_in_the_users_keys_is_reported(
+    tmp_path: Path, content: str, problem: PreferenceProblem, parameters: dict[str, object]
+) -> None:
     path = tmp_path / "keys.yaml"
     path.write_text(content)
-    with pytest.raises(KeymapError, match=r"keys\.yaml") as caught:
+    with pytest.raises(KeymapError, match=pattern(problem, path=path, **parameters)):
         load_keymap(path)
-    assert words in str(caught.value)
+
+
+def test_keys_that_are_no_yaml_are_reported_with_the_line(tmp_path: Path) -> None:
+    path = tmp_path / "keys.yaml"
+    path.write_text("pause: [")
+    with pytest.raises(KeymapError, match=r"keys\.yaml(.|\n)*line 1"):
+        load_keymap(path)
 
 
 def test_no_file_and_an_empty_one_change_nothing(tmp_path: Path) -> None:
@@ -120,7 +129,7 @@ def test_readonly_takes_away_whatever_changes_something() -> None:
         await shown(pilot, "read-only")
         await gone(pilot, "p pause")
         await pilot.press("p", "r")
-        await shown(pilot, "read-only: nothing can be changed here")
+        await shown(pilot, MainText.READ_ONLY)
         await pilot.press("question_mark")
         await shown(pilot, "Next line")
         assert not any(action.help in text(app) for action in ACTIONS if action.changes)

@@ -21,6 +21,7 @@ from tests.support.long import long
 
 from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import ArmingSnapshot, State
+from rsb_console.screens.main import MainText
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -32,7 +33,7 @@ if TYPE_CHECKING:
 
 CHATTER = "/chatter"
 DISARMED = route(
-    "/cmd_vel", State.DISARMED, outgoing=True, reason="nobody has armed it: arm it", cause="disarmed", rate=0.0,
+    "/cmd_vel", State.DISARMED, outgoing=True, reason="not armed", cause="disarmed", rate=0.0,
     arming=ArmingSnapshot(armed=False, deadman=60.0),
 )  # fmt: skip
 ARMED = replace(
@@ -153,7 +154,7 @@ def test_a_console_that_only_watches_arms_nothing() -> None:
         await shown(pilot, "/robot2/scan")
         put(app, DISARMED)
         await pilot.press("A")
-        await shown(pilot, "read-only: nothing can be changed here")
+        await shown(pilot, MainText.READ_ONLY)
         assert engine_of(app).commands == []
 
     drive(app, steps)

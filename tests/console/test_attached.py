@@ -22,6 +22,7 @@ from rsb_bridge.control import attached_console, bridges
 from rsb_bridge.model.session import Topic
 from rsb_console.actions import Group
 from rsb_console.app import ConsoleApp
+from rsb_console.operations.session_operations import SessionQuestion
 from rsb_console.screens.dialog import OfferScreen
 from rsb_console.screens.session_files import WelcomeScreen
 
@@ -101,7 +102,7 @@ def test_it_says_that_the_bridge_has_ended_and_comes_back(machine: Machine, engi
         await shown(pilot, "/robot2/scan")
         machine.served[-1].close("the bridge was stopped")
         await shown(pilot, "NOT ATTACHED: the bridge was stopped")
-        await until(pilot, lambda: "● ok" not in text(app), "nothing is called ok that is not known")
+        await until(pilot, lambda: "● ok" not in text(app), "unknown states are not OK")
         await pilot.press("R")
         await shown(pilot, "start it there")
         machine.serve(ScriptedEngine(routes=(route("/again"),)))
@@ -119,7 +120,7 @@ def test_a_session_that_runs_already_is_attached_to_instead(machine: Machine, en
     app = scripted_app(serve=serve)
 
     async def steps(pilot: Pilot[None]) -> None:
-        await shown(pilot, "robot1 already runs here. Attach to it?")
+        await shown(pilot, SessionQuestion.ALREADY_RUNS, name="robot1")
         assert app.engine is None, "a second bridge has not even begun"
         await pilot.press("y")
         await shown(pilot, "attached  ")
@@ -133,7 +134,7 @@ def test_a_session_that_runs_already_is_attached_to_instead(machine: Machine, en
     async def answer(pilot: Pilot[None]) -> None:
         await until(pilot, lambda: isinstance(offered.screen, OfferScreen), "the offer")
         await pilot.press("n")
-        await until(pilot, lambda: isinstance(offered.screen, WelcomeScreen), "all ways to begin")
+        await until(pilot, lambda: isinstance(offered.screen, WelcomeScreen), "the welcome screen")
         offered.main.run_worker(offered.sessions.attach_instead(serve()[1]), group=Group.SESSION, exclusive=True)
         await until(pilot, lambda: isinstance(offered.screen, OfferScreen), "the offer")
         await pilot.press("enter")  # the focus is on Yes
@@ -223,7 +224,7 @@ def test_attaching_in_a_terminal(
         assert headless[-1].poll() is None
 
         tmux("send-keys", f"{COMMAND} run {pair.client_path}", "Enter")
-        tmux.wait_for("robot1 already runs here. Attach to it?")
+        tmux.wait_for(SessionQuestion.ALREADY_RUNS(name="robot1"))
         tmux("send-keys", "y")
         tmux.wait_for("◇ UNHEARD")
 

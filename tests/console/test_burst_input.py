@@ -20,6 +20,7 @@ from textual.pilot import Pilot
 from rsb_bridge.config.session_file import save
 from rsb_console.app import ConsoleApp
 from rsb_console.screens.new_session import NewSessionScreen
+from rsb_console.screens.session_files import FileText
 from rsb_console.terminal.driver import KeyParser
 from rsb_console.widgets.form_inputs import FieldInput
 
@@ -31,7 +32,7 @@ FORMS = {  # the keys that open each form, and words in it
     "Add a topic": ("a", "Direction"),
     "Edit": ("e", "Direction"),
     "Sessions": ("o", "↑ ↓ and ⏎"),
-    "Save as": ("W", "Key files are relative"),
+    "Save as": ("W", FileText.RELATIVE_KEYS()),
     "New session": (["f2"], "Encryption"),
     "Import": (["f3"], "Session file"),
     "Generate a key": ("Kg", "Generate a key"),
@@ -159,7 +160,7 @@ def test_in_tmux_all_fields_of_each_form_at_once(how: str, tmp_path: Path) -> No
         (("F2",), "Encryption", "\tcart3\t10.0.0.20\t7070", ["Name           cart3 ", "Server         10.0.0.20 "]),
         (("F2",), "Encryption", "cart3\t10.0.0.20\t7070", ["Name           cart3 ", "Port           7070 "]),
         (("a",), "Direction", "/x\t\t\tstd_msgs/msg/String\t20", ["Topic          /x ", "std_msgs/msg/String ", "20 "]),
-        (("W",), "Key files are relative", ".copy", ["nav2.yaml.copy "]),
+        (("W",), FileText.RELATIVE_KEYS(), ".copy", ["nav2.yaml.copy "]),
         (("F3",), "Session file", "a.yaml\tcart3", ["a.yaml ", "cart3"]),
         (("K", "g"), "Generate a key", "2", ["2"]),
     ]
@@ -238,6 +239,6 @@ def test_in_tmux_whole_sentences_with_the_key_that_opens_the_form(tmp_path: Path
         picture = tmux.wait_for(f"/{SENTENCE} ")
         assert "Direction" not in picture
         tmux("send-keys", "-l", f"\x1bl/{SENTENCE}\rW\x15{SENTENCE}")
-        picture = tmux.wait_for("Key files are relative")
+        picture = tmux.wait_for(FileText.RELATIVE_KEYS())
         tmux.wait_for(f"File           {SENTENCE}")
         tmux("send-keys", "-l", "\x1bqy")

@@ -10,16 +10,18 @@ from textual.widgets import Button
 
 from rsb_bridge.config.session_file import save
 from rsb_console.app import ConsoleApp
+from rsb_console.operations.bridge_operations import OperationText
+from rsb_console.screens.session_files import FileText
 
 BEGINNINGS = {  # dialog: the key that opens it on the main screen, and words in it
     "Sessions": ("o", "↑ ↓ and ⏎"),
     "New session": ("f2", "Encryption"),
     "Import": ("f3", "config/bringup.yaml"),
-    "Save as": ("W", "Key files are relative"),
+    "Save as": ("W", FileText.RELATIVE_KEYS),
     "Add a topic": ("a", "Direction"),
     "Edit": ("e", "Direction"),
     "Remove": ("d", "It stops crossing"),
-    "Restart?": ("R", "All links are closed"),
+    "Restart?": ("R", OperationText.RESTART_MEANS),
     "Quit?": ("q", "The bridge stops"),
 }
 LABELS = {
@@ -61,7 +63,7 @@ async def press(app: ConsoleApp, pilot: Pilot[None], dialog: str, label: str) ->
     buttons[label].focus()
     await pilot.press("enter")
     if label == "Import":  # nothing is filled in
-        await shown(pilot, "missing: name the file")
+        await shown(pilot, FileText.MISSING)
     else:
         await until(pilot, lambda: app.screen is not screen or app._exit, f"{label} to do something")
     await pilot.pause()  # what is dismissed twice fails now

@@ -22,6 +22,7 @@ from tests.console.driving import (
     until,
 )
 from tests.console.scripted import CALL_ROUTES, ROUTES, ScriptedEngine, call_route
+from tests.support.wording import pattern, says
 from textual.pilot import Pilot
 from textual.widgets import Button
 
@@ -31,8 +32,10 @@ from rsb_bridge.model.calls import FieldError
 from rsb_bridge.model.snapshot import State
 from rsb_console.actions import BY_ID
 from rsb_console.app import ConsoleApp
-from rsb_console.screens.call_screen import answer_lines
-from rsb_console.session.parameter_values import KIND_NAMES, refusal, set_request
+from rsb_console.screens.call_screen import CallText, answer_lines
+from rsb_console.screens.dialog import ConfirmScreen
+from rsb_console.screens.main import MainText
+from rsb_console.session.parameter_values import KIND_NAMES, ValueText, refusal, set_request
 from rsb_console.widgets.lines import ScrolledLines
 
 MODE, MAP, NAVIGATE, PARAMETERS = CALL_ROUTES
@@ -72,21 +75,20 @@ def test_a_service_is_called_once_it_is_confirmed_and_answers(size: tuple[int, i
     async def test(app: ConsoleApp, pilot: Pilot[None]) -> None:
         await pilot.press("C")
         await shown(pilot, "data: false")
-        await shown(pilot, "nothing has been called yet")
+        await shown(pilot, CallText.NOTHING_CALLED)
         await fill(pilot, request="data: true")
         await pilot.press("f9")
         await shown(pilot, "Call /robot1/set_mode?")
         await until(pilot, lambda: app.focused is app.screen.query_one("#no", Button), "No is what enter gives")
-        await shown(pilot, "It is sent once, to the node behind 10.0.0.20:49152:")
+        await shown(pilot, CallText.REQUEST_SENT, where="to the node behind 10.0.0.20:49152")
         assert calls(app) == []
         await pilot.press("y")
         await until(pilot, lambda: calls(app) == [("call", MODE.key, "data: true", "")], "the call")
-        await shown(pilot, "▸ waiting for the answer")
-        await shown(pilot, "given up after 30 s")
+        await shown(pilot, CallText.WAITING_UNTIL, sign="▸", limit=30)
         engine_of(app).called.set_result("success: true\nmessage: moved\n")
         await shown(pilot, "message: moved")
-        await shown(pilot, "✓ answered after")
-        await gone(pilot, "waiting for the answer")
+        await shown(pilot, CallText.ANSWERED, sign="✓")
+        await gone(pilot, CallText.WAITING)
 
     test()
 
@@ -100,9 +102,9 @@ async def test_no_is_no_and_the_form_stays(app: ConsoleApp, pilot: Pilot[None]) 
     await pilot.press("enter")
     await gone(pilot, "Call /robot1/set_mode?")
     assert calls(app) == []
-    await shown(pilot, "nothing has been called yet")
+    await shown(pilot, CallText.NOTHING_CALLED)
     await pilot.press("escape")
-    await gone(pilot, "nothing has been called yet")
+    await gone(pilot, CallText.NOTHING_CALLED)
 
 
 @on(MODE)
@@ -111,8 +113,8 @@ async def test_why_there_is_no_answer_is_said_and_one_can_try_again(app: Console
     await shown(pilot, "data: false")
     await pilot.press("f9", "y")
     await until(pilot, lambda: calls(app), "the call")
-    engine_of(app).called.set_exception(EngineError("/set_mode gave no answer within 30 s\x1b[2J"))
-    await shown(pilot, "✗ /set_mode gave no answer within 30 s")
+    engine_of(app).called.set_exception(EngineError("no luck\x1b[2J"))
+    await shown(pilot, "✗ no luck")
     await settled(pilot)
     assert all(line.isprintable() for line in text(app).split("\n"))
     await pilot.press("f9", "y")
@@ -133,7 +135,7 @@ async def test_what_is_under_way_is_not_sent_again_and_keys_still_do_something(
     await until(pilot, lambda: app._notifications, "why not")
     assert len(calls(app)) == 1
     await pilot.press("escape")
-    await gone(pilot, "waiting for the answer")
+    await gone(pilot, CallText.WAITING)
     assert engine_of(app).called.cancelled(), "nobody waits any more"
     put(app, *ROUTES)
     await shown(pilot, "/robot1/scan")
@@ -144,7 +146,7 @@ async def test_what_is_no_request_is_said_as_it_is_typed(app: ConsoleApp, pilot:
     await pilot.press("C")
     await shown(pilot, "data: false")
     for wrong, words in (
-        ("- 1\n- 2", "not a mapping of fields"),
+        ("- 1\n- 2", CallText.NO_MAPPING),
         ("data: [", "while parsing"),
         ("a: &x 1\nb: *x", "alias"),
     ):
@@ -156,7 +158,7 @@ async def test_what_is_no_request_is_said_as_it_is_typed(app: ConsoleApp, pilot:
     await fill(pilot, request="")
     await gone(pilot, "aliases")
     await pilot.press("f9")
-    await shown(pilot, "(the default of every field)")
+    await shown(pilot, CallText.ALL_DEFAULTS)
     await pilot.press("y")
     await until(pilot, lambda: calls(app) == [("call", MODE.key, "", "")], "an empty request")
 
@@ -165,7 +167,7 @@ async def test_what_is_no_request_is_said_as_it_is_typed(app: ConsoleApp, pilot:
 async def test_without_the_type_the_form_says_why_and_can_be_filled_in(app: ConsoleApp, pilot: Pilot[None]) -> None:
     engine_of(app).templates = {}
     await pilot.press("C")
-    await shown(pilot, "Its fields are not known: std_srvs is not installed here")
+    await shown(pilot, "std_srvs is not installed")
     await fill(pilot, request="data: true")
     await pilot.press("f9", "y")
     await until(pilot, lambda: calls(app), "the call")
@@ -185,7 +187,8 @@ async def test_what_the_operator_has_written_is_not_replaced(app: ConsoleApp, pi
 @on(NAVIGATE)
 async def test_of_an_action_each_service_can_be_called(app: ConsoleApp, pilot: Pilot[None]) -> None:
     await pilot.press("C")
-    await shown(pilot, "◉ send_goal   ○ cancel_goal   ○ get_result")
+    for service in ("◉ send_goal", "○ cancel_goal", "○ get_result"):
+        await shown(pilot, service)
     await shown(pilot, "pose:")
     await choose(pilot, "lane", "cancel_goal")
     await gone(pilot, "pose:")
@@ -194,8 +197,8 @@ async def test_of_an_action_each_service_can_be_called(app: ConsoleApp, pilot: P
     await shown(pilot, "Call cancel_goal of /navigate_to_pose?")
     await pilot.press("y")
     await until(pilot, lambda: calls(app) == [("call", NAVIGATE.key, "goal_info: {}", "cancel_goal")], "the call")
-    await shown(pilot, "waiting for the answer")
-    await gone(pilot, "given up")  # a result may take as long as it likes
+    await shown(pilot, CallText.WAITING)
+    await gone(pilot, CallText.WAITING_UNTIL)  # a result may take as long as it likes
 
 
 @pytest.mark.parametrize("size", [(120, 36), NARROW])
@@ -205,7 +208,7 @@ def test_a_parameter_is_set_by_its_name_and_value(size: tuple[int, int]) -> None
         await pilot.press("C")
         await shown(pilot, "set one parameter")
         await pilot.press("f9")
-        await shown(pilot, "missing: name the parameter")
+        await shown(pilot, CallText.NAME_MISSING)
         await shown(pilot, "missing: 5, 5.0, true")
         await fill(pilot, name="max_vel_x", value="0.5")
         await pilot.press("enter")
@@ -219,7 +222,7 @@ def test_a_parameter_is_set_by_its_name_and_value(size: tuple[int, int]) -> None
             "parameters": [{"name": "max_vel_x", "value": {"type": "3", "double_value": "0.5"}}]
         }
         engine_of(app).called.set_result("results:\n- successful: true\n  reason: ''\n")
-        await shown(pilot, ": the node has set it")
+        await shown(pilot, CallText.VALUE_SET)
 
     test()
 
@@ -231,8 +234,7 @@ async def test_a_node_that_refuses_a_value_is_believed(app: ConsoleApp, pilot: P
     await pilot.press("f9", "y")
     await until(pilot, lambda: calls(app), "the call")
     engine_of(app).called.set_result("results:\n- successful: false\n  reason: Wrong parameter type\n")
-    await shown(pilot, "✗ answered after")
-    await shown(pilot, "the node refuses it: Wrong parameter type")
+    await shown(pilot, CallText.VALUE_REFUSED, sign="✗", why="Wrong parameter type")
 
 
 @on(PARAMETERS)
@@ -299,7 +301,7 @@ async def test_a_short_question_has_nothing_to_scroll(app: ConsoleApp, pilot: Pi
     await pilot.press("C")
     await shown(pilot, "data: false")
     await pilot.press("f9")
-    await shown(pilot, "y yes   n no")
+    await shown(pilot, ConfirmScreen.KEYS)
     await settled(pilot)
     await gone(pilot, "scroll")
 
@@ -380,7 +382,7 @@ def test_the_key_stands_in_the_footer_only_where_there_is_something_to_call() ->
         assert BY_ID["call"].changes
         await pilot.press("question_mark")
         await pilot.press("G")
-        await shown(pilot, "Call the service or action by hand")
+        await shown(pilot, BY_ID["call"].help)
 
     drive(app, steps)
 
@@ -391,7 +393,7 @@ async def test_a_service_has_no_message_to_look_at(app: ConsoleApp, pilot: Pilot
         await pilot.press(*keys)
         await until(pilot, lambda: app._notifications, "what it has instead")
         assert app.screen is app.main
-        assert any("C calls it by hand" in each.message for each in app._notifications)
+        assert any(says(each.message, MainText.NO_MESSAGES_BUT_CALLS, key="C") for each in app._notifications)
         app.clear_notifications()
     assert not any(command[0] == "peek" for command in engine_of(app).commands)
 
@@ -467,7 +469,7 @@ def test_what_is_not_of_the_type_that_is_asked_for_is_refused(value: str, kind: 
     "value", ["9223372036854775808", "-9223372036854775809", "9" * 5000, "[1, 0xffffffffffffffff]"]
 )
 def test_an_integer_beyond_64_bits_is_no_double_and_names_the_parameter(value: str) -> None:
-    with pytest.raises(FieldError, match=r"^max_rate: .* is no integer of 64 bits"):
+    with pytest.raises(FieldError, match="^max_rate: " + pattern(ValueText.NO_INTEGER, bits=64)):
         set_request("max_rate", value)
 
 
@@ -486,7 +488,7 @@ def test_a_long_value_is_shown_by_its_beginning() -> None:
     [
         ("results:\n- successful: true\n  reason: ''\n", None),
         ("results:\n- successful: false\n  reason: too fast\n", "too fast"),
-        ("results:\n- successful: false\n  reason: ''\n", "it does not say why"),
+        ("results:\n- successful: false\n  reason: ''\n", ValueText.NO_REASON()),
         ("results: []\n", None),
         ("- 1\n", None),
         ("[", None),

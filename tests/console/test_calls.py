@@ -22,6 +22,7 @@ from rsb_console.app import ConsoleApp
 from rsb_console.look import formats
 from rsb_console.widgets.columns import layout
 from rsb_console.widgets.detail import detail_lines
+from rsb_console.widgets.detail_parts import DetailText
 from rsb_console.widgets.topics import FAULTS
 
 ALL = (*ROUTES, *CALL_ROUTES)
@@ -159,7 +160,7 @@ async def test_a_service_that_is_down_is_a_fault_like_a_topic(app: ConsoleApp, p
 
 def test_a_service_that_does_not_answer_says_why() -> None:
     words = said(CALL_ROUTES[1])
-    assert "Why it doesn't answer" in words
+    assert DetailText.WHY_NO_ANSWER() in words
     assert "✗ server seen" in words
     assert "no server of /map_server/load_map in domain 4" in words
     assert "offered, called" in words
@@ -187,7 +188,7 @@ def test_the_ledger_of_calls_adds_up_and_late_answers_stand_apart(outgoing: bool
     assert ("← called by 10.0.0.20" in words) is not outgoing
     assert f"{'far node ' if outgoing else 'node here'}   p50 12.0 ms  p99 40.0 ms" in words
     assert "the way     p50 800 µs  p99 2.1 ms, there and back" in words
-    assert "given up    after 30 s without an answer" in words
+    assert f"given up    {DetailText.GIVEN_UP(timeout=30)}" in words
     assert "the call of 02:31:07: no answer within 30 s" in words
 
 
@@ -219,9 +220,9 @@ def test_callers_and_providers_are_named() -> None:
 
 
 def test_parameters_have_no_type_of_their_own() -> None:
-    assert "all parameters of the node" in said(CALL_ROUTES[3])
+    assert DetailText.ALL_PARAMETERS() in said(CALL_ROUTES[3])
     unknown = call_route("service", "/set_mode", type_name="")
-    assert "type not known yet" in said(unknown)
+    assert DetailText.UNKNOWN_TYPE() in said(unknown)
     asked_for = Topic("/set_mode", "transmit", "std_srvs/srv/SetBool", kind="service")
     assert "std_srvs/srv/SetBool (as configured)" in said(replace(unknown, spec=asked_for))
 

@@ -23,6 +23,9 @@ from textual.pilot import Pilot
 from rsb_bridge.config.keys import fingerprint, read_key, write_key
 from rsb_bridge.config.session_file import load, save
 from rsb_bridge.model.session import Client, Topic
+from rsb_console.screens.clients_screen import ClientText
+from rsb_console.screens.links_screen import CLIENT_KEYS
+from rsb_console.screens.new_session import HANDOUT
 
 pytestmark = pytest.mark.usefixtures("folder")
 SERVER = replace(SESSION, name="pc", role="server", key_file=None, clients=(Client("robot1", key_file="robot1.key"),))
@@ -47,7 +50,7 @@ async def links(pilot: Pilot[None]) -> None:
     """Open the links."""
     await shown(pilot, "/robot2/scan")
     await pilot.press("c")
-    await shown(pilot, "a add a client")
+    await shown(pilot, CLIENT_KEYS)
 
 
 @pytest.mark.parametrize("size", [(120, 36), NARROW])
@@ -59,7 +62,7 @@ def test_a_client_is_added_at_once_and_in_the_file(path: Path, size: tuple[int, 
         await pilot.press("a")
         await shown(pilot, "Add a client")
         await fill(pilot, name="robot1")
-        await shown(pilot, "is a client already")
+        await shown(pilot, ClientText.EXISTS)
         await fill(pilot, name="robot2", deny="/camera/*, raw")
         await shown(pilot, "'raw' matches no topic")
         await fill(pilot, deny="/camera/* /raw")
@@ -145,7 +148,7 @@ def test_only_a_servers_operator_has_these_keys(path: Path, readonly: bool) -> N
         await shown(pilot, "/robot2/scan")
         await pilot.press("c")
         await shown(pilot, "esc close")
-        await gone(pilot, "a add a client")
+        await gone(pilot, CLIENT_KEYS)
         await pilot.press("a", "d")
         await pilot.pause()
         await gone(pilot, "Add a client")
@@ -178,7 +181,7 @@ def test_a_fleets_server_is_made_with_its_keys(folder: Path) -> None:
         await shown(pilot, "robot2.key will be created")
         assert not form_of(app).fields["key_file"].display
         await pilot.press("enter")
-        await shown(pilot, "What the clients need")
+        await shown(pilot, HANDOUT)
         await shown(pilot, "name: robot1")
         for group in fingerprint(read_key(folder / "robot2.key")).split():
             await shown_at_the_end(pilot, group, "end")
@@ -216,7 +219,7 @@ def test_clients_are_asked_for_only_of_a_server(folder: Path) -> None:
 async def back_on_main(pilot: Pilot[None]) -> None:
     """Close the links."""
     await pilot.press("escape")
-    await gone(pilot, "a add a client")
+    await gone(pilot, CLIENT_KEYS)
 
 
 def test_a_removed_client_comes_back_with_its_key(path: Path) -> None:
@@ -232,12 +235,12 @@ def test_a_removed_client_comes_back_with_its_key(path: Path) -> None:
         engine_of(app).session = load(path)
         await back_on_main(pilot)
         await pilot.press("u")
-        await shown(pilot, "Undo the removal of the client robot1?")
+        await shown(pilot, ClientText.UNDO_REMOVAL, name="robot1")
         await pilot.press("enter")  # the focus is on No
         await gone(pilot, "Undo the removal")
         assert len(load(path).clients) == 1
         await pilot.press("u")
-        await shown(pilot, "Undo the removal of the client robot1?")
+        await shown(pilot, ClientText.UNDO_REMOVAL, name="robot1")
         await pilot.press("y")
         await gone(pilot, "Undo the removal")
         (robot1,) = SERVER.clients

@@ -23,6 +23,7 @@ from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import Ledger, RouteSnapshot, State
 from rsb_console.look import formats
 from rsb_console.widgets.detail import detail_lines
+from rsb_console.widgets.detail_parts import DetailText
 
 
 def said(about: RouteSnapshot, width: int = 60) -> str:
@@ -72,7 +73,7 @@ def test_the_keys_of_a_list_scroll_it() -> None:
 def test_a_type_that_was_asked_for_is_named_before_it_is_found() -> None:
     waiting = route("/scan", State.WAITING, type_name="", spec=Topic("/scan", "receive", type="LaserScan"))
     assert "LaserScan (as configured)" in said(waiting)
-    assert "type not known yet" in said(replace(waiting, spec=Topic("/scan", "receive")))
+    assert DetailText.UNKNOWN_TYPE() in said(replace(waiting, spec=Topic("/scan", "receive")))
 
 
 def test_a_client_calls_its_peer_by_its_address() -> None:
@@ -152,7 +153,7 @@ def test_no_latency_is_below_zero() -> None:
 
 @pytest.mark.parametrize("about", ROUTES, ids=lambda about: about.state.value)
 def test_only_what_does_not_flow_has_a_why(about: RouteSnapshot) -> None:
-    assert ("Why it isn't flowing" in said(about)) is (about.state is not State.OK)
+    assert (DetailText.WHY_NOT_FLOWING() in said(about)) is (about.state is not State.OK)
 
 
 def test_what_flows_with_a_fault_says_which_and_what_has_stopped_passes_no_stage() -> None:
@@ -163,7 +164,7 @@ def test_what_flows_with_a_fault_says_which_and_what_has_stopped_passes_no_stage
     assert "nothing for 3 s" in stopped
     assert "Rate  0 Hz" in stopped
     assert "all 10 passed before" in stopped
-    assert "and nothing comes now" in stopped
+    assert DetailText.NOTHING_COMES() in stopped
 
 
 def test_what_is_throttled_on_purpose_is_no_loss() -> None:

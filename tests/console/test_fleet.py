@@ -39,7 +39,7 @@ if TYPE_CHECKING:
     from rsb_console.fleet.rolling import Step
 
 SILENT = robot(
-    "robot2", RobotState.MISSING, why="the peer is silent", seen=NOW - 600, since=NOW - 600, links_up=0, flowing=0,
+    "robot2", RobotState.MISSING, why="cable pulled", seen=NOW - 600, since=NOW - 600, links_up=0, flowing=0,
     group="yard",
 )  # fmt: skip
 STALE = robot(
@@ -119,7 +119,7 @@ def test_no_key_twice() -> None:
 def test_the_worst_first_and_why() -> None:
     async def steps(bed: Bed) -> None:
         assert bed.listed == ["robot2", "robot11", "robot3", "robot4", "robot1", "robot12"]
-        await bed.shown("the peer is silent")
+        await bed.shown("cable pulled")
         await bed.press("j")
         await bed.shown("/scan STALE")
         await bed.shown("lost 12% in 60 s")
@@ -256,8 +256,8 @@ def test_what_has_gone_is_dismissed() -> None:
 
 def test_a_source_that_knows_nothing_says_so() -> None:
     async def steps(bed: Bed) -> None:
-        bed.source.problem = "the bridge does not answer"
-        await bed.shown("control: the bridge does not answer")
+        bed.source.problem = "socket closed"
+        await bed.shown("control: socket closed")
 
     Bed().run(steps)
 

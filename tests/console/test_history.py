@@ -27,6 +27,8 @@ from textual.pilot import Pilot
 from rsb_bridge.api import EngineError
 from rsb_bridge.model.history import Gap, HistoryReport
 from rsb_bridge.model.session import Session
+from rsb_console.screens.history_screen import HELP, HistoryText
+from rsb_console.session.history_report import ReportText
 
 if TYPE_CHECKING:
     from rsb_console.app import ConsoleApp
@@ -55,7 +57,7 @@ def test_it_shows_outages_and_actions_with_cause_and_length(size: tuple[int, int
         picture = text(app)
         assert picture.index("▲ STALE") < picture.index("anna") < picture.index("✗ DOWN"), "the newest first"
         await shown(pilot, "=nothing for 15 s")
-        await shown(pilot, "/ filter   x export   esc close")
+        await shown(pilot, HELP[-30:])
         await shown_at_the_end(pilot, "the server does not answer (2 topics with it)")
         await shown(pilot, "rate")
         await pilot.press("k", "k")
@@ -97,7 +99,7 @@ def test_the_span_the_order_and_the_filter() -> None:
         await shown(pilot, "last 1 h")
         await shown(pilot, "✗ DOWN")
         await pilot.press("s")
-        await shown(pilot, "by robot and topic")
+        await shown(pilot, HistoryText.BY_TOPIC)
         await shown(pilot, "✗ DOWN")
         assert text(app).index("✗ DOWN") > text(app).index("START")
         await pilot.press("slash")
@@ -115,7 +117,7 @@ class Silent(ScriptedEngine):
 
     def history(self, seconds: float) -> "Future[HistoryReport]":
         failed: Future[HistoryReport] = Future()
-        failed.set_exception(EngineError("the bridge has ended"))
+        failed.set_exception(EngineError("no bridge"))
         return failed
 
 
@@ -125,7 +127,7 @@ def test_what_is_not_known_is_said() -> None:
     async def steps(pilot: Pilot[None]) -> None:
         await shown(pilot, "/robot2/scan")
         await pilot.press("h")
-        await shown(pilot, "not known at present: the bridge has ended")
+        await shown(pilot, HistoryText.NOT_KNOWN, error="no bridge")
 
     drive(app, steps)
 
@@ -144,8 +146,8 @@ def test_a_time_that_nobody_watched_is_told() -> None:
     async def steps(pilot: Pilot[None]) -> None:
         await shown(pilot, "/robot2/scan")
         await pilot.press("h")
-        await shown(pilot, "The bridge ran for 30 min of it (50.0 %)")
-        await shown(pilot, "did not run, or the machine slept")
+        await shown(pilot, ReportText.RAN_FOR, watched="30 min", share="50.0 %")
+        await shown(pilot, HistoryText.GAP)
         assert engine_as(app, Slept).remembered.gaps
 
     drive(app, steps)

@@ -15,7 +15,9 @@ from rsb_bridge.config.keys import fingerprint, read_key, write_key
 from rsb_bridge.model.session import Client
 from rsb_bridge.model.snapshot import State
 from rsb_console.screens import bluetooth_screen
-from rsb_console.screens.keys_screen import key_files
+from rsb_console.screens.keys_screen import KeyText, key_files
+from rsb_console.screens.links_screen import LinkText
+from rsb_console.session.saving import PathProblem
 
 # -- keys ------------------------------------------------------------------------------------------------------------
 
@@ -46,9 +48,9 @@ def test_a_key_is_replaced_only_with_a_yes(tmp_path: Path, size: tuple[int, int]
         await pilot.press("K")
         await shown(pilot, fingerprint(old))
         await pilot.press("g", "enter")
-        await shown(pilot, "Replace the key in r.key?")
+        await shown(pilot, KeyText.REPLACE, file="r.key")
         await pilot.press("enter")  # the focus is on No
-        await gone(pilot, "Replace the key in r.key?")
+        await gone(pilot, KeyText.REPLACE, file="r.key")
         assert read_key(tmp_path / "r.key") == old
         await pilot.press("enter", "y")
         await gone(pilot, "Generate a key")
@@ -69,7 +71,7 @@ def test_a_new_key_goes_where_it_is_wanted_and_a_bad_place_is_refused(tmp_path: 
         await pilot.press("g")
         await shown(pilot, "Generate a key")
         await fill(pilot, path=str(tmp_path / "nowhere" / "new.key"))
-        await shown(pilot, "there is no folder")
+        await shown(pilot, PathProblem.NO_FOLDER)
         await fill(pilot, path=str(tmp_path / "new.key"))
         await pilot.press("enter")
         await shown(pilot, "new.key")
@@ -111,13 +113,13 @@ def test_a_key_says_whether_a_link_uses_it_and_when_it_was_written(tmp_path: Pat
         await shown(pilot, "/robot2/scan")
         await pilot.press("K")
         await shown(pilot, "written ")
-        await gone(pilot, "in use by a link")
+        await gone(pilot, KeyText.IN_USE)
         await pilot.press("escape")
         await gone(pilot, "Key files")
         used = replace(LINK, fingerprint=fingerprint(key))
         engine_of(app).now = replace(engine_of(app).now, links=(used,))
         await pilot.press("K")
-        await shown(pilot, "in use by a link, written ")
+        await shown(pilot, KeyText.IN_USE)
 
     drive(app, steps)
 
@@ -130,9 +132,9 @@ def test_a_link_says_which_of_two_keys_is_in_use() -> None:
         await shown(pilot, "/robot2/scan")
         engine_of(app).now = replace(engine_of(app).now, links=(valid,))
         await pilot.press("c")
-        await shown(pilot, "aaaa bbbb cccc dddd  valid too; not in use yet")
+        await shown(pilot, f"aaaa bbbb cccc dddd  {LinkText.NEXT_KEY_UNUSED()}")
         engine_of(app).now = replace(engine_of(app).now, links=(replace(valid, fingerprint=valid.next_fingerprint),))
-        await shown(pilot, "aaaa bbbb cccc dddd  in use: the old one can be given up")
+        await shown(pilot, f"aaaa bbbb cccc dddd  {LinkText.NEXT_KEY_USED()}")
 
     drive(app, steps)
 

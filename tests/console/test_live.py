@@ -123,4 +123,4 @@ def wait_for_port(port: int, process: subprocess.Popen[bytes]) -> None:
             if sock.connect_ex(("127.0.0.1", port)) == 0:
                 return
         time.sleep(0.05)
-    pytest.fail("the other side does not listen")
+    pytest.fail("nobody listens there")

@@ -15,6 +15,7 @@ from rsb_bridge.config.session_file import load
 from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import RouteSnapshot, State
 from rsb_console.app import ConsoleApp
+from rsb_console.screens.call_screen import CallText
 
 pytest.importorskip("rclpy", reason="needs ROS 2")
 pytest.importorskip("std_srvs", reason="needs ROS 2's services")
@@ -87,7 +88,7 @@ def test_a_service_and_a_parameter_of_a_far_node(tmp_path: Path) -> None:
         await usable(app, pilot, f"/{NODE}")
         await pilot.press("C")
         await shown(pilot, "set one parameter")
-        for value, words in (("0.9", "the node has set it"), ("1.5", "refuses it: too fast"), ("fast", "Wrong")):
+        for value, words in (("0.9", CallText.VALUE_SET), ("1.5", "refuses it: too fast"), ("fast", "Wrong")):
             await fill(pilot, name="speed", value=value)
             await pilot.press("f9")
             await shown(pilot, f"Set speed of /{NODE}?")

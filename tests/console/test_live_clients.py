@@ -14,6 +14,7 @@ from rsb_bridge.config.session_file import load, parse, save
 from rsb_bridge.model.session import Client, Topic
 from rsb_bridge.model.snapshot import LinkSnapshot, State
 from rsb_console.app import ConsoleApp
+from rsb_console.screens.links_screen import CLIENT_KEYS
 from rsb_console.session.client_files import handed_out, open_server, robot_file
 
 pytest.importorskip("rclpy", reason="needs ROS 2")
@@ -47,7 +48,7 @@ def test_a_fleet_grows_and_shrinks_under_its_operators_hands(tmp_path: Path) -> 
         await until(pilot, lambda: flows(app.snapshot(), CHATTER), "20 Hz")
 
         await pilot.press("c")
-        await shown(pilot, "a add a client")
+        await shown(pilot, CLIENT_KEYS)
         await pilot.press("a")
         await shown(pilot, "Add a client")
         await fill(pilot, name="robot2")
@@ -57,7 +58,7 @@ def test_a_fleet_grows_and_shrinks_under_its_operators_hands(tmp_path: Path) -> 
         with running(str(COMMAND), "run", "--no-ui", str(robot2)):
             await until(pilot, lambda: link_of(app, "robot2"), "robot2")
             await pilot.press("escape")
-            await shown(pilot, "a add a client")
+            await shown(pilot, CLIENT_KEYS)
             links = app.screen.query_one("#links")
             await until(pilot, lambda: getattr(links, "keys", ()) == ["robot1", "robot2"], "both, none of them worse")
             await pilot.press("j")

@@ -16,6 +16,7 @@ from rsb_bridge.engine import Engine
 from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import Snapshot
 from rsb_console.app import ConsoleApp
+from rsb_console.operations.session_operations import SessionQuestion
 from rsb_console.screens.dialog import ConfirmScreen
 from rsb_console.session.demo_session import running_demo
 
@@ -62,7 +63,7 @@ def test_a_topic_of_either_sides_graph_is_added_flows_and_is_saved(
         await pilot.press("enter")
         await until(pilot, lambda: flows(app.snapshot()), "20 Hz")
         await pilot.press("q")
-        await shown(pilot, f"Not saved (w saves): added {CHATTER}.")
+        await shown(pilot, SessionQuestion.NOT_SAVED, changes=f"added {CHATTER}")
         await pilot.press("n", "w", "y")
         await shown(pilot, "saved:")
 

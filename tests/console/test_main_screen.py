@@ -30,7 +30,9 @@ from rsb_bridge.model.snapshot import Event, Level, State
 from rsb_console.app import ConsoleApp
 from rsb_console.look import formats
 from rsb_console.screens.dialog import ConfirmScreen
+from rsb_console.screens.main import EmptyTable
 from rsb_console.session.history_report import export_topics
+from rsb_console.widgets.detail_parts import DetailText
 
 
 @on_main()
@@ -68,11 +70,11 @@ def test_over_ssh_it_begins_at_two_hertz(monkeypatch: pytest.MonkeyPatch) -> Non
 
 @on_main()
 async def test_detail_says_why(app: ConsoleApp, pilot: Pilot[None]) -> None:
-    await shown(pilot, "Why it isn't flowing")
+    await shown(pilot, DetailText.WHY_NOT_FLOWING)
     await shown(pilot, "✗ publisher seen")
     await shown(pilot, "no publisher of /scan in domain 4")
     await shown_at_the_end(pilot, "all 10 passed")
-    await gone(pilot, "Why it isn't flowing")
+    await gone(pilot, DetailText.WHY_NOT_FLOWING)
     await pilot.press("z")
 
 
@@ -179,17 +181,17 @@ async def test_a_link_that_nobody_has_joined_yet_is_no_fault(app: ConsoleApp, pi
 
 @on_main()
 async def test_links_with_a_fault_have_a_line_on_the_main_screen(app: ConsoleApp, pilot: Pilot[None]) -> None:
-    gone_robot = replace(LINK, name="robot2", state=State.DOWN, cause="lost", reason="the peer is silent", since=NOW)
+    gone_robot = replace(LINK, name="robot2", state=State.DOWN, cause="lost", reason="cable pulled", since=NOW)
     put(app, links=(LINK, gone_robot), role="server")
     since = formats.time_of_day(NOW)[:5]
-    await shown(pilot, f"✗ robot2: missing since {since}, last seen at {LINK.peer}: the peer is silent")
+    await shown(pilot, f"✗ robot2: missing since {since}, last seen at {LINK.peer}: cable pulled")
     differ = replace(LINK, name="robot2", state=State.DOWN, cause="wrong_key", reason="the keys of 'robot2' differ: …")
     put(app, links=(LINK, differ), role="server")
     await shown(pilot, "✗ robot2: the keys of 'robot2' differ")
-    twice = replace(LINK, cause="name_taken", warning="a second client at 10.0.0.9 calls itself 'robot1' too")
+    twice = replace(LINK, cause="name_taken", warning="a namesake at 10.0.0.9")
     for role in ("server", "client"):
         put(app, links=(twice,), role=role)
-        await shown(pilot, "! robot1: a second client at 10.0.0.9")
+        await shown(pilot, "! robot1: a namesake at 10.0.0.9")
         assert " !1" in text(app).splitlines()[-1]
     put(app, links=(LINK,), role="server")
     await gone(pilot, "a second client")
@@ -309,7 +311,7 @@ class Dying(ScriptedEngine):
     """An engine that ends by itself, as after a fault of ROS's."""
 
     def die(self) -> None:
-        self.happened.append(Event(5, NOW, Level.ERROR, "engine.error", "the ROS node is gone"))
+        self.happened.append(Event(5, NOW, Level.ERROR, "engine.error", "node broken"))
         self.now = replace(self.now, running=False, links=(), routes=())
 
 
@@ -324,7 +326,7 @@ def test_an_engine_that_has_died_says_why_and_can_be_started_anew(temporary: boo
         dead = engine_as(app, Dying)
         dead.die()
         app.pull()
-        await shown(pilot, "✗ STOPPED: R starts it again, the ROS node is gone")
+        await shown(pilot, "✗ STOPPED: R starts it again, node broken")
         await pilot.press("R")
         await shown(pilot, "● LINKED")
         await shown(pilot, "/robot2/scan")
@@ -371,8 +373,8 @@ def test_what_vanishes_with_its_session_is_neither_unsaved_nor_recent(tmp_path: 
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        ({"session": None, "path": None}, "No session. o opens one, f2 writes a new one, f5 shows all ways"),
-        ({"session": None, "path": None, "readonly": True}, "No session. Start the console with one"),
+        ({"session": None, "path": None}, EmptyTable.NO_SESSION(opens="o", new="f2", welcome="f5")[:60]),
+        ({"session": None, "path": None, "readonly": True}, EmptyTable.NO_SESSION_READ_ONLY().partition(":")[0]),
         ({}, "No topics yet. a adds one."),
         ({"readonly": True}, "No topics yet."),
     ],
@@ -385,7 +387,7 @@ def test_an_empty_screen_says_what_to_press(size: tuple[int, int], options: dict
         if "session" in options:
             await shown(pilot, "Open a session")
             await pilot.press("escape")
-            await until(pilot, lambda: "no session" in text(app).splitlines()[0], "the same in the header")
+            await until(pilot, lambda: "no session" in text(app).splitlines()[0], "the header too")
         await until(pilot, lambda: words in " ".join(text(app).split()), words)
 
     drive(app, steps, size)
@@ -409,12 +411,12 @@ def test_an_engine_that_cannot_start_says_why_and_the_console_stays() -> None:
     class Broken(ScriptedEngine):
         def start(self) -> None:
             self.now = replace(self.now, running=False, links=(), routes=())
-            raise EngineError("port 49152 is taken by another program")
+            raise EngineError("port 49152 taken")
 
     app = scripted_app(make_engine=Broken)
 
     async def steps(pilot: Pilot[None]) -> None:
-        await shown(pilot, "port 49152 is taken by another program")
+        await shown(pilot, "port 49152 taken")
         await shown(pilot, "not started")
         assert app.is_running
 
@@ -429,7 +431,7 @@ def test_a_refused_command_is_said_in_words() -> None:
     class Refusing(ScriptedEngine):
         def pause(self, key: str, paused: bool) -> Future[None]:
             future: Future[None] = Future()
-            future.set_exception(EngineError("there is no route any more"))
+            future.set_exception(EngineError("route gone"))
             return future
 
     app = scripted_app(make_engine=Refusing)
@@ -437,7 +439,7 @@ def test_a_refused_command_is_said_in_words() -> None:
     async def steps(pilot: Pilot[None]) -> None:
         await shown(pilot, "p pause")
         await pilot.press("p")
-        await shown(pilot, "there is no route any more")
+        await shown(pilot, "route gone")
 
     drive(app, steps)
 

@@ -29,7 +29,8 @@ from textual.pilot import Pilot
 from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import PeekedMessage, State
 from rsb_console.app import ConsoleApp
-from rsb_console.session.reading import ReadMessage, hex_lines, message_lines, plain, read_message
+from rsb_console.screens.message_screen import MessageText
+from rsb_console.session.reading import ArrivalText, ReadMessage, hex_lines, message_lines, plain, read_message
 
 pytest.importorskip("rclpy", reason="needs ROS 2")
 
@@ -80,14 +81,14 @@ def test_a_topic_shows_its_latest_message_and_goes_on_with_what_comes(keys: list
         await pilot.press(*keys)
         await shown(pilot, 'child_frame_id: "base"')
         screen = text(app)
-        assert "nav_msgs/msg/Odometry  716 B, came over the link in 3.1 ms at " in screen
-        assert "header.stamp 5.0 ms before (the stamp's publisher's clock to this machine's)" in screen
+        assert f"nav_msgs/msg/Odometry  716 B, {ArrivalText.OVER_LINK()} in 3.1 ms at " in screen
+        assert ArrivalText.STAMPED(stamp="header.stamp", before="5.0 ms", clocks=ArrivalText.OWN_CLOCK()) in screen
         assert engine.commands[:2] == [("peek", "/robot2/scan", True), ("describe", "/robot2/scan")]
         await answered(pilot, peeked(odometry("other")))
         await shown(pilot, 'child_frame_id: "other"')
         assert engine.commands.count(("describe", "/robot2/scan")) == 1, "the type is known"
         await answered(pilot, None)
-        await shown(pilot, "waiting for a message")
+        await shown(pilot, MessageText.WAITING)
         await shown(pilot, 'child_frame_id: "other"')  # the last one stays
         await until(pilot, lambda: not engine.looking.done(), "a look at the next message")
         await pilot.press("escape")
@@ -113,7 +114,7 @@ def test_keys_do_something_while_a_message_is_read(monkeypatch: pytest.MonkeyPat
         engine_of(app).described = installed_description("nav_msgs/msg/Odometry")
         engine_of(app).peeked.append(peeked(odometry()))
         await pilot.press("v")
-        await until(pilot, began.is_set, "a message that is read")
+        await until(pilot, began.is_set, "reading begins")
         await pilot.press("space")
         await shown(pilot, "HELD")
         may_go_on.set()
@@ -149,7 +150,7 @@ def test_why_no_message_comes_is_said() -> None:
         put(app, route("/quiet", State.WAITING, reason="no publisher of /quiet in domain 4"))
         await shown(pilot, "/quiet")
         await pilot.press("v")
-        await shown(pilot, "waiting for a message")
+        await shown(pilot, MessageText.WAITING)
         await shown(pilot, "WAIT no publisher of /quiet in domain 4")
 
     drive(app, steps, NARROW)
@@ -250,7 +251,9 @@ def test_in_a_terminal_attached_and_read_only(
             tmux("send-keys", "v")
             first = tmux.wait_for("data: ")
             came = next(line for line in first.splitlines() if "std_msgs/msg/String" in line)
-            assert " B, taken from ROS" in came or " B, came over the link" in came, "both sides are robot1"
+            assert any(f" B, {way()}" in came for way in (ArrivalText.FROM_ROS, ArrivalText.OVER_LINK)), (
+                "both sides are robot1"
+            )
             tmux.wait_for(came, there=False)
             tmux("send-keys", "Escape")
             tmux.wait_for("data: ", there=False)

@@ -9,6 +9,7 @@ from tests.console.scripted import NOW
 
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.snapshot import Event, Level, Reloaded
+from rsb_console.operations.bridge_operations import OperationText
 
 if TYPE_CHECKING:
     from textual.pilot import Pilot
@@ -42,7 +43,7 @@ def test_what_cannot_change_is_said() -> None:
         await shown(pilot, "server_port 1 → 2: restart")
         engine_of(app).reloads = Reloaded()
         await pilot.press("f6")
-        await shown(pilot, "the bridge does what the session file says")
+        await shown(pilot, OperationText.AS_IN_FILE)
         assert engine_of(app).commands == [("reload", True), ("reload", True)]
 
     drive(app, steps)

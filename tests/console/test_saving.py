@@ -14,6 +14,9 @@ from rsb_bridge.config.keys import read_key, write_key
 from rsb_bridge.config.session_file import dump, load, save
 from rsb_bridge.model.session import Client, Session, Topic
 from rsb_console.app import ConsoleApp
+from rsb_console.operations.bridge_operations import OperationText
+from rsb_console.operations.session_operations import SessionQuestion
+from rsb_console.screens.save_screens import SaveText
 from rsb_console.screens.session_files import LIMIT, recent_sessions, remember
 from rsb_console.session.saving import moved, unsaved
 
@@ -101,12 +104,12 @@ def test_what_somebody_changed_on_disk_meanwhile_is_not_overwritten(folder: Path
         changed(app, Topic("/new", "transmit"))
         path.write_text(edited)
         await pilot.press("w")
-        await shown(pilot, "nav2.yaml was changed on disk")
+        await shown(pilot, SaveText.CHANGED_ON_DISK, file="nav2.yaml")
         await pilot.press("enter")  # the focus is on Cancel
         await shut(pilot)
         assert path.read_text() == edited
         await pilot.press("w")
-        await shown(pilot, "nav2.yaml was changed on disk")
+        await shown(pilot, SaveText.CHANGED_ON_DISK, file="nav2.yaml")
         await pilot.click("#save_as")
         await shown(pilot, "Save as")
         await fill(pilot, path="other.yaml")
@@ -153,7 +156,7 @@ def test_a_file_that_was_changed_on_disk_can_be_overwritten_with_its_new_comment
         now = changed(app, Topic("/new", "transmit"))
         path.write_text(edited)
         await pilot.press("w")
-        await shown(pilot, "nav2.yaml was changed on disk")
+        await shown(pilot, SaveText.CHANGED_ON_DISK, file="nav2.yaml")
         await pilot.click("#overwrite")
         await shown(pilot, "Changes: added /new; changed stale_after.")
         await shown(pilot, "-stale_after: 3.0")
@@ -177,9 +180,9 @@ def test_a_file_that_was_changed_on_disk_can_be_reloaded(folder: Path) -> None:
         changed(app, Topic("/new", "transmit"))
         save(later, path)
         await pilot.press("w")
-        await shown(pilot, "nav2.yaml was changed on disk")
+        await shown(pilot, SaveText.CHANGED_ON_DISK, file="nav2.yaml")
         await pilot.click("#reload")
-        await shown(pilot, "Reload the session file?")
+        await shown(pilot, OperationText.RELOAD)
         await pilot.press("y")
         await shown(pilot, "reloaded")
         assert engine_of(app).commands == [("reload", True), ("reload", False)]
@@ -327,7 +330,7 @@ def test_what_ends_with_the_console_is_saved_with_its_key(folder: Path) -> None:
     async def steps(pilot: Pilot[None]) -> None:
         await shown(pilot, "/robot2/scan")
         await save_as(pilot, "kept.yaml")
-        await shown(pilot, "its key is saved, too: ")
+        await shown(pilot, SaveText.KEY_SAVED)
         await pilot.press("w")
         await shown(pilot, "nothing to save:")
         changed(app, Topic("/new", "transmit"))
@@ -350,7 +353,7 @@ def test_a_key_that_cannot_be_saved_is_told(folder: Path) -> None:
     async def steps(pilot: Pilot[None]) -> None:
         await shown(pilot, "/robot2/scan")
         await save_as(pilot, "kept.yaml")
-        await shown(pilot, "The key is not saved")
+        await shown(pilot, SaveText.KEY_NOT_SAVED)
         assert not (folder / "kept.yaml").exists()
 
     drive(app, steps)
@@ -378,7 +381,7 @@ def test_quitting_names_what_is_not_saved(folder: Path) -> None:
         await shown(pilot, "/robot2/scan")
         changed(app, Topic("/new", "transmit"))
         await pilot.press("q")
-        await shown(pilot, "Not saved (w saves): added /new.")
+        await shown(pilot, SessionQuestion.NOT_SAVED, changes="added /new")
         await pilot.press("enter")
         await shut(pilot)
         assert app.is_running

@@ -11,7 +11,8 @@ from textual.pilot import Pilot
 from rsb_bridge.config.keys import fingerprint, read_key, write_key
 from rsb_bridge.config.session_file import load, save
 from rsb_bridge.model.session import Session, Topic
-from rsb_console.screens.session_files import WelcomeScreen, recent_sessions, remember
+from rsb_console.screens.session_files import FileText, WelcomeScreen, recent_sessions, remember
+from rsb_console.session.saving import PathProblem
 
 BRINGUP = """\
 client_node:
@@ -198,8 +199,8 @@ MISTAKES = [
     ("server_port", "0", "missing, or 0: give a port"),
     ("domain_id", "233", "0 to 232"),
     ("key_file", "nokey", "holds no key"),
-    ("key_file", "nowhere/a.key", "there is no folder nowhere"),
-    ("path", "nowhere/a.yaml", "there is no folder nowhere"),
+    ("key_file", "nowhere/a.key", PathProblem.NO_FOLDER(folder="nowhere")),
+    ("path", "nowhere/a.yaml", PathProblem.NO_FOLDER(folder="nowhere")),
     ("path", ".", "is a folder"),
 ]
 
@@ -300,7 +301,7 @@ def test_a_file_that_is_there_is_not_said_to_be_missing_and_names_the_session(ro
         await pilot.press("i")
         await shown(pilot, "config/bringup.yaml")
         await fill(pilot, bringup=typed)
-        await shown(pilot, "the file exists: ⏎ picks it")
+        await shown(pilot, FileText.EXISTS)
         await gone(pilot, "no such file")
         await pilot.press("enter")
         form = form_of(app)

@@ -31,7 +31,7 @@ from rsb_bridge.model.snapshot import State
 from rsb_console.app import ConsoleApp
 from rsb_console.look import formats
 from rsb_console.look.glyphs import to_ascii
-from rsb_console.screens.new_session import FIELDS
+from rsb_console.screens.new_session import FIELDS, MissingField
 from rsb_console.widgets.filter import Pattern
 from rsb_console.widgets.form_inputs import Choice
 from rsb_console.widgets.topics import TopicsTable
@@ -109,7 +109,7 @@ def test_an_empty_port_is_missing() -> None:
         await fill(pilot, server_port="")
         form_of(app).fields["server_port"].touched = True
         await fill(pilot, name="robot1")
-        await shown(pilot, "missing: give the port")
+        await shown(pilot, MissingField.PORT)
 
     drive(app, steps)
 

@@ -3,11 +3,14 @@
 from pathlib import Path
 
 import pytest
-from tests.console.driving import drive, scripted_app, shown
+from tests.console.driving import drive, notified, scripted_app, shown
+from tests.support.wording import says
 from textual.color import Color
 from textual.pilot import Pilot
 
 from rsb_console.look import themes
+from rsb_console.look.themes import ThemeProblem
+from rsb_console.preferences import PreferenceProblem
 
 SHIPPED = themes.load_themes(themes.shipped_path())
 
@@ -63,28 +66,41 @@ def test_the_terminal_theme_names_the_terminals_own_colours() -> None:
 
 
 @pytest.mark.parametrize(
-    ("content", "words"),
+    ("content", "problem", "parameters"),
     [
-        ("", "must map names to colours"),
-        ("- red", "must map names to colours"),
-        ("dark: true", "primary is missing"),
-        ('primary: "#12345"', "primary: '#12345' is not a colour"),
-        ("primary: 7", "primary: 7 is not a colour"),
-        ("primary: red\ncolour: blue", "colour: not part of a theme"),
-        ("primary: red\ndark: maybe", "dark: 'maybe' is neither true nor false"),
-        ("primary: red\nvariables: [1]", "variables: must map"),
-        ("primary: red\nvariables: {row-cursor: nope}", "variables.row-cursor: 'nope' is not a colour"),
-        ("primary: [", "line 1"),
+        ("", ThemeProblem.NO_MAPPING, {}),
+        ("- red", ThemeProblem.NO_MAPPING, {}),
+        ("dark: true", ThemeProblem.KEY_MISSING, {"key": "primary"}),
+        ('primary: "#12345"', ThemeProblem.NO_COLOR, {"key": "primary", "value": "#12345"}),
+        ("primary: 7", ThemeProblem.NO_COLOR, {"key": "primary", "value": 7}),
+        ("primary: red\ncolour: blue", ThemeProblem.UNKNOWN_KEYS, {"keys": "colour"}),
+        ("primary: red\ndark: maybe", ThemeProblem.NO_SWITCH, {"key": "dark", "value": "maybe"}),
+        ("primary: red\nvariables: [1]", ThemeProblem.NO_VARIABLES, {}),
+        (
+            "primary: red\nvariables: {row-cursor: nope}",
+            ThemeProblem.NO_COLOR,
+            {"key": "variables.row-cursor", "value": "nope"},
+        ),
     ],
 )
-def test_a_mistake_is_said(tmp_path: Path, content: str, words: str) -> None:
+def test_a_mistake_is_reported(
+    tmp_path: Path, content: str, problem: ThemeProblem, parameters: dict[str, object]
+) -> None:
     path = tmp_path / "mine.yaml"
     path.write_text(content)
     loaded = themes.load_themes(tmp_path)
     assert loaded.found == {}
-    (problem,) = loaded.problems
-    assert problem.startswith(str(path))
-    assert words in problem
+    (reported,) = loaded.problems
+    assert reported.startswith(str(path))
+    assert says(reported, problem, **parameters)
+
+
+def test_a_file_that_is_no_yaml_is_reported_with_the_line(tmp_path: Path) -> None:
+    path = tmp_path / "mine.yaml"
+    path.write_text("primary: [")
+    (reported,) = themes.load_themes(tmp_path).problems
+    assert reported.startswith(str(path))
+    assert "line 1" in reported
 
 
 def test_a_users_theme_stands_beside_the_shipped_ones_and_may_replace_one(tmp_path: Path) -> None:
@@ -112,7 +128,7 @@ def test_an_unknown_theme_falls_back_and_is_named() -> None:
     app = scripted_app(theme="nope")
 
     async def steps(pilot: Pilot[None]) -> None:
-        await shown(pilot, "no theme is called 'nope'")
+        await notified(pilot, PreferenceProblem.UNKNOWN_THEME, theme="nope")
         assert app.theme == "dark"
 
     drive(app, steps)

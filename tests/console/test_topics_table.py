@@ -9,6 +9,7 @@ from textual.pilot import Pilot
 
 from rsb_bridge.model.snapshot import State
 from rsb_console.app import ConsoleApp
+from rsb_console.widgets.filter import PatternProblem
 
 
 @on_main()
@@ -134,7 +135,7 @@ async def test_an_inverted_filter(app: ConsoleApp, pilot: Pilot[None]) -> None:
 @on_main()
 async def test_a_filter_that_is_no_regular_expression_is_refused_in_words(app: ConsoleApp, pilot: Pilot[None]) -> None:
     await pilot.press("slash", *"/scan(")
-    await shown(pilot, "not a regular expression")
+    await shown(pilot, PatternProblem.NO_REGEX)
     assert listed(app) == ["/robot2/scan", "/robot1/scan"]
     await pilot.press("escape")
     await until(pilot, lambda: not app.main.prompt.display, "the prompt closed")

@@ -20,6 +20,7 @@ from rsb_bridge.api import EngineError
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import Event, Level, PatternSnapshot, Snapshot, State
+from rsb_console.operations.bridge_operations import OperationText
 from rsb_console.screens.dialog import ConfirmScreen, UndoScreen
 from rsb_console.session.changes import STEPS, Changes, Paused
 
@@ -104,7 +105,7 @@ def test_a_removed_topic_comes_back_with_all_its_fields(size: tuple[int, int]) -
         await until(pilot, lambda: engine.undone, "an undo")
         assert engine.undone == [("add", SCAN, "robot1")]
         await pilot.press("u")
-        await shown(pilot, "nothing more to undo")
+        await shown(pilot, OperationText.NOTHING_MORE_TO_UNDO)
 
     on_scan(steps, size)
 
@@ -230,7 +231,7 @@ def test_what_somebody_else_has_changed_since_is_left_alone() -> None:
         await refused(app, pilot, "anna on pts/3")
         assert engine.undone == []
         await pilot.press("u")
-        await shown(pilot, "nothing more to undo")
+        await shown(pilot, OperationText.NOTHING_MORE_TO_UNDO)
 
     on_scan(steps)
 
@@ -371,4 +372,4 @@ def test_in_a_terminal(tmp_path: Path) -> None:
         tmux.wait_for("/scan")
         tmux.wait_for("/cmd_vel")
         tmux("send-keys", "u")
-        tmux.wait_for("nothing more to undo")
+        tmux.wait_for(OperationText.NOTHING_MORE_TO_UNDO())

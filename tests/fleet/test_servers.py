@@ -51,9 +51,9 @@ def test_one_robot_for_each_client(fleet: ServerFleet, engine: ServerEngine) -> 
     one, two, three = fleet.robots()
     assert [one.name, one.group, two.group, three.group] == ["robot1", "hall", "yard", ""]
     assert (one.state, one.flowing, one.routes) == (RobotState.OK, 2, 2)
-    engine.link("robot2", state=State.DOWN, reason="the peer is silent", since=NOW)
+    engine.link("robot2", state=State.DOWN, reason="cable pulled", since=NOW)
     eventually(lambda: fleet.robots()[1].state is RobotState.MISSING)
-    assert fleet.robots()[1].why == "the peer is silent"
+    assert fleet.robots()[1].why == "cable pulled"
     assert fleet.problem == ""
 
 

@@ -43,7 +43,7 @@ class FleetSource(Protocol):
 
     @property
     def problem(self) -> str:
-        """Why nothing is known at present; empty: something is."""
+        """The reason why the source has no current data, or an empty string."""
         ...
 
     def start(self) -> None:
@@ -55,7 +55,7 @@ class FleetSource(Protocol):
         ...
 
     def wait(self) -> None:
-        """Wait until each robot has said how it is, or why nothing is known of it; some seconds at most."""
+        """Wait some seconds at most until the state of each robot is known, or the reason why it is not."""
         ...
 
     def stop(self) -> None:
@@ -146,7 +146,7 @@ class Fleet:
             source.wait()
 
     def stop(self) -> None:
-        """End it, and keep what is known for the next time."""
+        """Stop, and save the known robots for the next start."""
         self._memory.save()
         for source in self.sources:
             source.stop()
@@ -338,7 +338,7 @@ class Memory:
 
 
 def _read(path: Path | None) -> list[Remembered]:
-    """What a file has; one that is damaged or too large has nothing."""
+    """The contents of a file, or nothing if it is damaged or too large."""
     if path is None:
         return []
     try:

@@ -147,7 +147,7 @@ class Rollout:
         """To be set on another thread: no further robot is begun."""
 
     def plan(self) -> list[Step]:
-        """What would change on each robot; nothing does. Once it is cancelled, no further robot is asked."""
+        """Ask each robot for the effect of the change, without changing it. Cancelling asks no further robot."""
         return [self._planned(robot) for robot in self._robots if not self.cancelled]
 
     def _planned(self, robot: Robot) -> Step:
@@ -207,7 +207,7 @@ class Rollout:
         return outcome
 
     def undo(self, outcome: Outcome, tell: Callable[[Step, str], None]) -> list[tuple[Step, str]]:
-        """Put back what was before, the last robot first. Gives those of which it could not be, and why."""
+        """Restore the previous settings, the last robot first. Return the robots that failed, with the reasons."""
         failed = []
         for step in outcome.changed:
             tell(step, "putting back")
@@ -275,12 +275,12 @@ class Rollout:
 
 
 def said(step: Step) -> str:
-    """What a step would change, in words."""
+    """Describe the change that a step makes."""
     return step.problem or ", ".join(step.changes) or "nothing to change"
 
 
 def report(rollout: Rollout, outcome: Outcome) -> Iterator[str]:
-    """Where a change has stopped, and why; what is done, and what is not."""
+    """Report where and why a change stopped, and the robots with and without it."""
     if outcome.failed is not None:
         has_it = f"it has {' '.join(rollout.keys)}" if outcome.was_changed else "it is as it was"
         yield f"stopped at {outcome.failed.name}: {outcome.why} ({has_it})"
@@ -291,7 +291,7 @@ def report(rollout: Rollout, outcome: Outcome) -> Iterator[str]:
 
 
 def way_back(rollout: Rollout, outcome: Outcome, file: str = "FILE") -> Iterator[str]:
-    """The commands that put back what was before; `file` is the fleet file, for robots over Zenoh."""
+    """The commands that restore the previous settings; `file` is the fleet file, for robots over Zenoh."""
     over = f" --fleet {file}" if any(step.robot.source.kind == "fleet" for step in outcome.changed) else ""
     by_keys: dict[str, list[str]] = {}
     for step in outcome.changed:

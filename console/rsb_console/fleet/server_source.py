@@ -116,7 +116,7 @@ class RobotEngine(RemoteEngine):
         return super().retry(link or self._robot)
 
     def history(self, seconds: float) -> Future[HistoryReport]:
-        """What happened to the robot, and to the server as a whole."""
+        """The events of the robot and of the server as a whole."""
         own: Future[HistoryReport] = Future()
 
         def take(asked: Future[HistoryReport]) -> None:

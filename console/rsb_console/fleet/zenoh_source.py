@@ -119,7 +119,7 @@ class ZenohFleet:
             presence.close()
 
     async def _all_heard(self) -> None:
-        """Wait until every engine that is there has said how it is, or why not."""
+        """Wait for the first report of every engine present."""
         while self._silent:
             self._news.clear()
             await self._news.wait()
@@ -191,7 +191,7 @@ class ZenohFleet:
             await asyncio.sleep(backoff.next())
 
     def _has_spoken(self, member: Member) -> None:
-        """It is known how an engine is, or why not."""
+        """Stop waiting for an engine's first report."""
         self._silent.discard(member.address)
         self._news.set()
 

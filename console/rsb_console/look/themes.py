@@ -18,6 +18,8 @@ from platformdirs import user_config_path
 from textual.color import Color, ColorParseError
 from textual.theme import Theme
 
+from rsb_bridge.model.wording import Wording
+
 REQUIRED = ("primary",)
 COLORS = ("secondary", "warning", "error", "success", "accent", "foreground", "background", "surface", "panel", "boost")
 SWITCHES = ("dark", "ansi")
@@ -31,7 +33,18 @@ VARIABLES = {
     "quiet": "#808080",
     "rule": "#444444",
 }
-"""Defaults of the variables that our style sheet uses beside Textual's own."""
+"""Defaults of the variables that our style sheet adds to Textual's."""
+
+
+class ThemeProblem(Wording):
+    """Mistakes in a theme file."""
+
+    NO_MAPPING = 'must map names to colours, like primary: "#5fafff"'
+    UNKNOWN_KEYS = "{keys}: not part of a theme; it has {known}"
+    KEY_MISSING = "{key} is missing"
+    NO_SWITCH = "{key}: {value!r} is neither true nor false"
+    NO_VARIABLES = "variables: must map names to values"
+    NO_COLOR = '{key}: {value!r} is not a colour; give "#rrggbb" in quotes, or a name'
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,7 +66,7 @@ def config_path() -> Path:
 
 
 def shipped_path() -> Path:
-    """The folder of the shipped themes: beside the packages in a checkout, else among the installed shared data."""
+    """The folder of the shipped themes: in a checkout, next to the packages; else among the installed shared data."""
     checkout = Path(__file__).parents[3]
     if (checkout / "pyproject.toml").is_file():
         return checkout / "themes"
@@ -73,7 +86,7 @@ def load_themes(*folders: Path) -> Themes:
 
 
 class ThemeError(ValueError):
-    """A mistake in a theme file; the message says which, for the user."""
+    """A mistake in a theme file; the message is for the user."""
 
 
 def read_theme(path: Path) -> Theme:
@@ -88,22 +101,22 @@ def read_theme(path: Path) -> Theme:
     except yaml.YAMLError as error:
         raise ThemeError(" ".join(str(error).split())) from None
     if not isinstance(loaded, dict):
-        raise ThemeError('must map names to colours, like primary: "#5fafff"')
+        raise ThemeError(ThemeProblem.NO_MAPPING())
     unknown = sorted(str(key) for key in loaded if key not in {*REQUIRED, *COLORS, *SWITCHES, "variables"})
     if unknown:
-        raise ThemeError(f"{', '.join(unknown)}: not part of a theme; it has {', '.join((*REQUIRED, *COLORS))}")
+        raise ThemeError(ThemeProblem.UNKNOWN_KEYS(keys=", ".join(unknown), known=", ".join((*REQUIRED, *COLORS))))
     for key in REQUIRED:
         if key not in loaded:
-            raise ThemeError(f"{key} is missing")
+            raise ThemeError(ThemeProblem.KEY_MISSING(key=key))
     for key in (*REQUIRED, *COLORS):
         if key in loaded:
             _check_color(key, loaded[key])
     for key in SWITCHES:
         if not isinstance(loaded.get(key, True), bool):
-            raise ThemeError(f"{key}: {loaded[key]!r} is neither true nor false")
+            raise ThemeError(ThemeProblem.NO_SWITCH(key=key, value=loaded[key]))
     variables = loaded.pop("variables", {})
     if not isinstance(variables, dict):
-        raise ThemeError("variables: must map names to values")
+        raise ThemeError(ThemeProblem.NO_VARIABLES())
     for key, value in variables.items():
         if key in VARIABLES:
             _check_color(f"variables.{key}", value)
@@ -114,7 +127,7 @@ def _check_color(key: str, value: Any) -> None:
     try:
         Color.parse(value)
     except (ColorParseError, TypeError, AttributeError):
-        raise ThemeError(f'{key}: {value!r} is not a colour; give "#rrggbb" in quotes, or a name') from None
+        raise ThemeError(ThemeProblem.NO_COLOR(key=key, value=value)) from None
 
 
 def default_theme(environ: dict[str, str] | os._Environ[str] = os.environ) -> str:

@@ -9,6 +9,7 @@ from textual.events import Key
 
 from rsb_bridge.api import EngineError
 from rsb_bridge.model.snapshot import State
+from rsb_bridge.model.wording import Wording
 from rsb_console.look.formats import PatternRow
 from rsb_console.session.changes import (
     Added,
@@ -32,11 +33,24 @@ if TYPE_CHECKING:
     from rsb_console.screens.topic_form import Draft
 
 _LINES_SHOWN = 12
+
+
+class OperationText(Wording):
+    """Questions and notes about changes of the bridge."""
+
+    NOTHING_TO_UNDO = "nothing to undo: nothing was changed on this console"
+    NOTHING_MORE_TO_UNDO = "nothing more to undo"
+    AS_IN_FILE = "the bridge does what the session file says"
+    RELOAD = "Reload the session file?"
+    ENDED_ELSEWHERE = "the bridge has ended in its own process: start it there"
+    RESTART_MEANS = "All links are closed on both sides and opened again. Nothing crosses for a few seconds."
+
+
 _RETRIED_ON_SERVER = "topics that were refused are opened again; clients whose links were shut down may come back"
 
 
 def arming_means(route: RouteSnapshot) -> str:
-    """What the operator is asked to agree to."""
+    """The question that the operator answers before arming."""
     deadman = route.arming.deadman if route.arming is not None else 0.0
     keys = f", or no key is pressed here for {deadman:g} s" if deadman else ""
     way = f"to {route.remote_topic} on the other side" if route.outgoing else f"from there to {route.topic} here"
@@ -108,7 +122,7 @@ class BridgeOperations:
             await self._console.command(engine.acknowledge(route.key, route.acknowledged is None))
 
     async def arm(self) -> None:
-        """Arm the topic under the cursor, after a question; disarm it at once, whoever armed it."""
+        """Arm the topic under the cursor, after a question; disarm it at once, even if another operator armed it."""
         from rsb_console.screens.dialog import ConfirmScreen  # noqa: PLC0415 -- keeps the start short
 
         engine, route = self._console.engine, self._selected()
@@ -230,8 +244,8 @@ class BridgeOperations:
         if engine is None or self._undoing:
             return
         if change is None:
-            unchanged = "nothing to undo: nothing was changed on this console"
-            self._console.notify("nothing more to undo" if changes.dropped else unchanged, timeout=4)
+            nothing = OperationText.NOTHING_MORE_TO_UNDO if changes.dropped else OperationText.NOTHING_TO_UNDO
+            self._console.notify(nothing(), timeout=4)
             return
         self._undoing = True
         try:
@@ -264,14 +278,14 @@ class BridgeOperations:
             self._console.notify(str(error), title="Not reloaded", severity="error", markup=False, timeout=15)
             return
         if not differs.changed and not differs.left:
-            self._console.notify("the bridge does what the session file says", timeout=3)
+            self._console.notify(OperationText.AS_IN_FILE(), timeout=3)
         elif not differs.changed:
             self._console.notify("\n".join(differs.left), title="Not in place", markup=False, timeout=15)
         else:
             lines = [*differs.changed, *differs.left]
             more = [f"… and {len(lines) - _LINES_SHOWN} more"] if len(lines) > _LINES_SHOWN else []
             message = "\n".join(lines[:_LINES_SHOWN] + more)
-            agreed = await self._console.ask(ConfirmScreen("Reload the session file?", message, "Reload"))
+            agreed = await self._console.ask(ConfirmScreen(OperationText.RELOAD(), message, "Reload"))
             path = self._console.path
             if agreed and await self._console.command(engine.reload(), "reloaded") and path is not None:
                 self._console.saved_to(engine.session, path)
@@ -284,13 +298,12 @@ class BridgeOperations:
         if engine is None:
             return
         if not self._console.snapshot().running and self._console.attached_to:
-            self._console.notify("the bridge has ended in its own process: start it there", severity="warning")
+            self._console.notify(OperationText.ENDED_ELSEWHERE(), severity="warning")
             return
         if not self._console.snapshot().running:
             await self._console.start_again()
             return
-        message = "All links are closed on both sides and opened again. Nothing crosses for a few seconds."
-        if await self._console.ask(ConfirmScreen("Restart the bridge?", message, "Restart")):
+        if await self._console.ask(ConfirmScreen("Restart the bridge?", OperationText.RESTART_MEANS(), "Restart")):
             await self._console.ask(RestartScreen(engine))
 
 
@@ -301,7 +314,7 @@ class Deadman:
         self._pressed = False
 
     def saw(self, event: Event) -> None:
-        """Note a key, whatever it does."""
+        """Note a key press."""
         self._pressed |= isinstance(event, Key)
 
     def keep(self, engine: EngineApi | None, snapshot: Snapshot) -> None:

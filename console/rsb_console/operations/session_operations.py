@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 from rsb_bridge.api import EngineError
 from rsb_bridge.control.control_sockets import SUFFIX
+from rsb_bridge.model.wording import Wording
 
 if TYPE_CHECKING:
     from collections.abc import Awaitable, Callable
@@ -19,6 +20,13 @@ if TYPE_CHECKING:
     from rsb_console.console_api import Console
 
 _ANOTHER_DEMO = "This robot and its bridges end; a new robot starts, with the topics that a demo begins with."
+
+
+class SessionQuestion(Wording):
+    """Questions about a session, and the reasons for them."""
+
+    NOT_SAVED = "Not saved (w saves): {changes}."
+    ALREADY_RUNS = "{name} already runs here. Attach to it?"
 
 
 class SessionOperations:
@@ -56,7 +64,7 @@ class SessionOperations:
         if engine is not None and saved is not None:
             changes = unsaved(saved, engine.session)
             if changes and (path is None or file_of(path, engine.session) is None):
-                reasons.append(f"Not saved (w saves): {changes}.")
+                reasons.append(SessionQuestion.NOT_SAVED(changes=changes))
         if not reasons:
             return True
         answer = await self._console.ask(ConfirmScreen(title, "\n".join(reasons), yes))
@@ -87,7 +95,7 @@ class SessionOperations:
         from rsb_console.screens.dialog import OfferScreen  # noqa: PLC0415 -- keeps the start short
 
         message = f"{running}\n\nA second bridge of one session would take the link away from the first."
-        title = f"{running.name} already runs here. Attach to it?"
+        title = SessionQuestion.ALREADY_RUNS(name=running.name)
         if self._console.readonly or await self._console.ask(OfferScreen(title, message, "Attach")):
             await self._console.attach(running.path)
         else:
@@ -204,7 +212,7 @@ class SessionOperations:
                 return
 
     async def _save_to(self, path: Path) -> bool:
-        """Save the session to a file; False: not, and the operator may name another one."""
+        """Save the session to a file. Return False if the operator may name another one."""
         from rsb_console.screens.save_screens import ChangedScreen, save_elsewhere  # noqa: PLC0415 -- keeps the start short
         from rsb_console.session.saving import file_of, is_changed, reopened  # noqa: PLC0415 -- keeps the start short
 

@@ -37,7 +37,7 @@ class Machines(SelectableList):
         self._machines: dict[str, Adapter | Device] = {}
 
     def show(self, found: Scan) -> None:
-        """Show what was found: adapters first."""
+        """Show the search results: adapters first."""
         machines: list[Adapter | Device] = [*found.adapters, *found.devices]
         self._machines = {one.address: one for one in machines}
         self.show_keys(list(self._machines))

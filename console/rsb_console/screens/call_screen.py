@@ -18,6 +18,7 @@ from rsb_bridge.config.fields_text import read_fields
 from rsb_bridge.model.calls import FieldError
 from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.text import join_first, sanitize_text
+from rsb_bridge.model.wording import Wording
 from rsb_console.look import formats
 from rsb_console.look.glyphs import DONE, FAILED, STATE_SIGN, STATE_WORD, UNDER_WAY
 from rsb_console.screens.dialog import ConfirmScreen
@@ -42,10 +43,28 @@ _SET, _SET_LANE = "set", "set_parameters"
 _MOST_LINES = 2_000
 _NODES = 3
 _ASKED_LINES, _ASKED_CHARACTERS = 200, 4 << 10
-"""Of a request, what the question shows: all of one that somebody could read."""
+"""Limits of the part of a request that the question shows: as much as a person can read."""
 _CHECKED = 4 << 10
 """Characters of a request that are checked while it is typed: a longer one takes too long for that."""
 _KEYS = "F9 call   tab next   y copy the answer   esc close"
+
+
+class CallText(Wording):
+    """Texts of the form."""
+
+    NOTHING_CALLED = "nothing has been called yet"
+    WAITING = "{sign} waiting for the answer, {waited}"
+    WAITING_UNTIL = "{sign} waiting for the answer, {waited}; given up after {limit:g} s"
+    NAME_MISSING = "missing: name the parameter, as `ros2 param list` does"
+    NO_MAPPING = "not a mapping of fields: write data: true, say, with a line for each field"
+    VALUE_SENT = "Its new value is sent {where}:"
+    REQUEST_SENT = "It is sent once, {where}:"
+    ALL_DEFAULTS = "(the default of every field)"
+    ANSWERED = "{sign} answered after {took}"
+    VALUE_SET = "{sign} answered after {took}: the node has set it"
+    VALUE_REFUSED = "{sign} answered after {took}: the node refuses it: {why}"
+    STILL_CALLING = "the call before this one is not answered yet"
+    ROUTE_GONE = "{sign} it is not bridged any more"
 
 
 class Request(NamedTuple):
@@ -176,12 +195,12 @@ class CallScreen(FormScreen[Request]):
         key = "value" if self._lane == _SET else "request"
         found = {}
         if self._lane == _SET and not values["name"]:
-            found["name"] = "missing: name the parameter, as `ros2 param list` does"
+            found["name"] = CallText.NAME_MISSING()
         try:
             if self._lane == _SET:
                 set_request(values["name"], values["value"])
             elif len(text := values["request"]) <= _CHECKED and not isinstance(read_fields(text), dict):
-                found[key] = "not a mapping of fields: write data: true, say, with a line for each field"
+                found[key] = CallText.NO_MAPPING()
         except FieldError as error:
             found[key] = str(error)
         return found
@@ -190,15 +209,16 @@ class CallScreen(FormScreen[Request]):
         name = self._route.topic
         if self._lane == _SET:
             made = set_request(values["name"], values["value"])
-            means = f"Its new value is sent {self._where}:\n{made.meaning}"
+            means = f"{CallText.VALUE_SENT(where=self._where)}\n{made.meaning}"
             return Request(_SET_LANE, made.text, f"Set {values['name']} of {name}?", means, "Set", sets=True)
         service = f"{self._lane} of {name}" if self._lane else name
-        means = f"It is sent once, {self._where}:\n{_beginning(values['request']) or '(the default of every field)'}"
+        fields = _beginning(values["request"]) or CallText.ALL_DEFAULTS()
+        means = f"{CallText.REQUEST_SENT(where=self._where)}\n{fields}"
         return Request(self._lane, values["request"], f"Call {service}?", means, "Call", sets=False)
 
     @property
     def _where(self) -> str:
-        """Whom it is sent to."""
+        """The receiver of the call."""
         nodes = join_first(self._route.subscribers, _NODES) or "the node"
         return f"to {nodes} {f'behind {self.console.peer_of(self._route)}' if self._route.outgoing else 'on this side'}"
 
@@ -211,14 +231,14 @@ class CallScreen(FormScreen[Request]):
     async def accept(self, result: Request) -> None:
         """Ask, and call."""
         if self._under_way_since is not None:
-            self.notify("the call before this one is still under way", timeout=3)
+            self.notify(CallText.STILL_CALLING(), timeout=3)
         elif await self.console.ask(ConfirmScreen(result.question, result.means, result.yes)):
             self._pane.focus()
             self._call(result)
 
     @work(group="call")
     async def _call(self, request: Request) -> None:
-        """Wait for the answer; whoever closes the form waits no longer, though the call goes on."""
+        """Wait for the answer. Closing the form ends the wait, but not the call."""
         began = self._under_way_since = time.monotonic()
         self._set_answer("", None)
         try:
@@ -228,12 +248,14 @@ class CallScreen(FormScreen[Request]):
         except EngineError as error:
             self._set_answer("", Verdict(f"{FAILED} {_clean(str(error))}", "down"))
         else:
-            took = f"answered after {formats.span(time.monotonic() - began)}"
+            took = formats.span(time.monotonic() - began)
             refused = refusal(answer) if request.sets else None
-            verdict = Verdict(f"{DONE} {took}{': the node has set it' if request.sets else ''}", "ok")
             if refused is not None:
-                verdict = Verdict(f"{FAILED} {took}: the node refuses it: {_clean(refused)}", "down")
-            self._set_answer(answer, verdict)
+                refusal_text = CallText.VALUE_REFUSED(sign=FAILED, took=took, why=_clean(refused))
+                self._set_answer(answer, Verdict(refusal_text, "down"))
+            else:
+                done = CallText.VALUE_SET if request.sets else CallText.ANSWERED
+                self._set_answer(answer, Verdict(done(sign=DONE, took=took), "ok"))
         finally:
             self._under_way_since = None
         self._draw()
@@ -262,20 +284,22 @@ class CallScreen(FormScreen[Request]):
             self._pane.show(self._lines(what[0], width))
 
     def _state_text(self) -> str:
-        """How the route is now."""
+        """The current state of the route."""
         route = next((each for each in self.console.snapshot().routes if each.key == self._route.key), None)
         if route is None:
-            return f"{FAILED} it is not bridged any more"
+            return CallText.ROUTE_GONE(sign=FAILED)
         reason = "" if route.state is State.OK or not route.reason else f"  {route.reason}"
         return f"{STATE_SIGN[route.state]} {STATE_WORD[route.state]}  {route.type_name}{reason}"
 
     def _progress(self) -> Line:
-        """What is waited for."""
+        """The progress of the call."""
         if self._under_way_since is None:
-            return (("nothing has been called yet", "dim"),) if self._verdict is None else ()
+            return ((CallText.NOTHING_CALLED(), "dim"),) if self._verdict is None else ()
         waited = formats.age(time.monotonic() - self._under_way_since)
-        limit = f"; given up after {self._route.spec.call_timeout:g} s" if self._route.spec.kind != "action" else ""
-        return ((f"{UNDER_WAY} waiting for the answer, {waited}{limit}", "waiting"),)
+        if self._route.spec.kind == "action":
+            return ((CallText.WAITING(sign=UNDER_WAY, waited=waited), "waiting"),)
+        limit = self._route.spec.call_timeout
+        return ((CallText.WAITING_UNTIL(sign=UNDER_WAY, waited=waited, limit=limit), "waiting"),)
 
     def _lines(self, progress: Line, width: int) -> Iterator[Line]:
         if progress:

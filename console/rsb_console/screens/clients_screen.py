@@ -20,6 +20,7 @@ from rsb_bridge.config.rights import GrantError, typed_grants
 from rsb_bridge.config.session_file import SessionError, validate
 from rsb_bridge.model.command_origin import undoing
 from rsb_bridge.model.session import Client, Grant
+from rsb_bridge.model.wording import Wording
 from rsb_console.screens.dialog import ConfirmScreen
 from rsb_console.screens.form_screen import FormScreen
 from rsb_console.session import client_files
@@ -50,6 +51,13 @@ FIELDS = (
     Spec("allow", "Allowed", "Patterns of the topics that it may bridge, like /camera/*. Empty: all.", blank="all"),
     Spec("deny", "Denied", "Patterns of the topics that it may not bridge; stronger than those above.", blank="none"),
 )  # fmt: skip
+
+
+class ClientText(Wording):
+    """Texts about a server's clients."""
+
+    EXISTS = "is a client already"
+    UNDO_REMOVAL = "Undo the removal of the client {name}?"
 
 
 @dataclass(frozen=True, slots=True)
@@ -145,7 +153,7 @@ class ClientRemoved(_ClientChange):
             f"adds {name} to the bridge and to {self.path.name} again{key}",
             "It may connect again, and its topics cross. This arms nothing.",
         )
-        return Undo(f"Undo the removal of the client {name}?", lines, "Add again", True, act)
+        return Undo(ClientText.UNDO_REMOVAL(name=name), lines, "Add again", True, act)
 
 
 def _client(session: Session, name: str) -> Client | None:
@@ -217,7 +225,7 @@ async def remove_client(console: Console, name: str) -> None:
 
 
 def _saved_path(console: Console) -> Path | None:
-    """The file of the server's session; says so where there is none."""
+    """The file of the server's session. Notify the operator if the session has no file."""
     if console.path is None or console.temporary:
         console.notify("save the session first (w): its file lists the clients", severity="warning", timeout=8)
         return None
@@ -255,7 +263,7 @@ class AddClientScreen(FormScreen[Client]):
         try:
             session = with_client(self._session, client_files.with_key_file(self._session, client))
         except ClientError:
-            return {"name": "is a client already"}
+            return {"name": ClientText.EXISTS()}
         problems: dict[str, str] = {}
         here = f"clients[{len(session.clients) - 1}]."
         for problem in validate(session):
@@ -278,7 +286,7 @@ class AddClientScreen(FormScreen[Client]):
 
 
 def _grants(text: str) -> tuple[str | Grant, ...]:
-    """What a field says; nothing, as long as it has a mistake, which is shown beside it."""
+    """The grants in a field, or nothing while it has a mistake."""
     try:
         return typed_grants(text)
     except GrantError:

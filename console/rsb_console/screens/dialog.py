@@ -107,7 +107,7 @@ class ConfirmScreen(ModalScreen[bool]):
         getattr(self._scrolled, f"scroll_{to}")(animate=False)
 
     def compose_message(self) -> ComposeResult:
-        """What the operator has to know."""
+        """The text of the dialog."""
         yield Static(self._message, markup=False)
 
     def compose_buttons(self) -> ComposeResult:
@@ -152,7 +152,7 @@ class UndoScreen(ConfirmScreen):
 
 
 class Steps(LiveLines, can_focus=False):
-    """What is done and what is being done, each with the time it took."""
+    """The steps so far, each with its duration."""
 
     def __init__(self) -> None:
         super().__init__(id="steps")

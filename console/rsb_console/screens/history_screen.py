@@ -14,6 +14,7 @@ from textual.screen import ModalScreen
 from rsb_bridge.api import EngineError
 from rsb_bridge.model.shortage import why_not_written
 from rsb_bridge.model.snapshot import State
+from rsb_bridge.model.wording import Wording
 from rsb_console.look import formats
 from rsb_console.look.glyphs import STATE_SIGN, STATE_WORD, sparkline
 from rsb_console.screens.dialog import Dialog
@@ -39,6 +40,14 @@ _START, _LENGTH, _ROBOT, _STATE = 13, 14, 12, 9
 _TOPIC_NARROW, _TOPIC_WIDE = 18, 30
 _LABEL = 9
 HELP = "h 1, 8 or 24 hours   s by time or robot   / filter   x export   esc close"
+
+
+class HistoryText(Wording):
+    """Texts of the history."""
+
+    BY_TOPIC = "by robot and topic"
+    NOT_KNOWN = "not known at present: {error}"
+    GAP = "the bridge did not run, or the machine slept"
 
 
 class Row(NamedTuple):
@@ -92,7 +101,7 @@ def rows_of(report: HistoryReport) -> list[Row]:
     ]  # fmt: skip
     rows += [
         Row(f"gap{gap.start:.0f}", gap.start, history_report.length(gap.seconds), "", "", "unknown", "dim",
-            "the bridge did not run, or the machine slept", None)
+            HistoryText.GAP(), None)
         for gap in report.gaps
     ]  # fmt: skip
     return sorted(rows, key=lambda row: -row.start)
@@ -205,7 +214,7 @@ class HistoryScreen(ModalScreen[None]):
                 self._report = await asyncio.wrap_future(engine.history(self._span))
                 self._problem = ""
             except EngineError as error:
-                self._problem = f"not known at present: {error}"
+                self._problem = HistoryText.NOT_KNOWN(error=error)
         self.show()
 
     def show(self) -> None:
@@ -214,7 +223,7 @@ class HistoryScreen(ModalScreen[None]):
         parts = [
             "What happened",
             f"last {history_report.length(self._span)}",
-            "by robot and topic" if self._by_topic else "",
+            HistoryText.BY_TOPIC() if self._by_topic else "",
         ]
         parts.append("" if self.pattern is None else f"/{self.pattern.text}")
         self.query_one(Dialog).border_title = " ▸ ".join(part for part in parts if part)

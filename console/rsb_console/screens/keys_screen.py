@@ -24,6 +24,7 @@ from rsb_bridge.config.keys import (
     written,
 )
 from rsb_bridge.model.snapshot import State
+from rsb_bridge.model.wording import Wording
 from rsb_console.screens.dialog import ConfirmScreen, Dialog
 from rsb_console.screens.form_screen import FormScreen
 from rsb_console.session.saving import path_problem
@@ -41,6 +42,15 @@ if TYPE_CHECKING:
     from rsb_console.console_api import Console
 
 NAME_WIDTH = 30
+
+
+class KeyText(Wording):
+    """Texts about key files."""
+
+    IN_USE = "in use by a link, written {when}"
+    WRITTEN = "written {when}"
+    REPLACE = "Replace the key in {file}?"
+    REPLACE_MEANS = "The old key is lost. A peer that holds only the old key can no longer link."
 
 
 class KeyFile(NamedTuple):
@@ -81,8 +91,8 @@ def look_at(path: Path, user: str, used_by: Sequence[str], now: float) -> KeyFil
     except KeyFileError as error:
         return KeyFile(path, user, mode, "", "", str(error))
     mark = fingerprint(key)
-    use = "in use by a link, written" if mark in used_by else "written"
-    return KeyFile(path, user, mode, mark, f"{use} {written(key, now)}", "\n".join(key.warnings))
+    use = KeyText.IN_USE if mark in used_by else KeyText.WRITTEN
+    return KeyFile(path, user, mode, mark, use(when=written(key, now)), "\n".join(key.warnings))
 
 
 def key_files(session: Session, base: Path) -> dict[Path, str]:
@@ -217,8 +227,8 @@ class GenerateScreen(FormScreen[Path]):
         """Write it; never over another without a yes."""
         exists = result.exists()  # noqa: ASYNC240 -- one stat
         if exists:
-            message = "Whoever holds only the old key can no longer link. The old key is lost."
-            if not await self.console.ask(ConfirmScreen(f"Replace the key in {result.name}?", message, "Replace")):
+            message = KeyText.REPLACE_MEANS()
+            if not await self.console.ask(ConfirmScreen(KeyText.REPLACE(file=result.name), message, "Replace")):
                 return
         try:
             key = write_key(result, force=exists)

@@ -12,6 +12,7 @@ from textual.screen import ModalScreen
 
 from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.verdict import LinkCause
+from rsb_bridge.model.wording import Wording
 from rsb_console.look import formats
 from rsb_console.look.glyphs import ACK_WORD, STATE_SIGN, STATE_WORD
 from rsb_console.screens.dialog import Dialog
@@ -33,6 +34,16 @@ if TYPE_CHECKING:
 
 HEADING = f" {'STATE':<8}{'NAME':<12}{'SINCE':>9}{'RTT':>8}{'CLOCK':>10}{'TOPICS':>7}{'RX':>9}{'TX':>9}  KEY"
 LABEL = 15  # cells of a figure's name
+
+
+CLIENT_KEYS = "a add a client   d remove it   "
+
+
+class LinkText(Wording):
+    """Texts of the details of a link."""
+
+    NEXT_KEY_USED = "in use: the old one can be given up"
+    NEXT_KEY_UNUSED = "valid too; not in use yet"
 
 
 class LinksTable(SelectableList):
@@ -125,7 +136,7 @@ def _detail(link: LinkSnapshot, width: int, *, server: bool) -> Iterator[Line]:
         yield (_label("key"), (link.fingerprint, "strong"), (f"  {link.cipher}", "dim"))
         if link.next_fingerprint:
             taken = link.fingerprint == link.next_fingerprint
-            which = "in use: the old one can be given up" if taken else "valid too; not in use yet"
+            which = (LinkText.NEXT_KEY_USED if taken else LinkText.NEXT_KEY_UNUSED)()
             yield (_label("next key"), (link.next_fingerprint, "strong"), (f"  {which}", "dim"))
     else:
         yield (_label("key"), (" NOT ENCRYPTED ", "alarm"))
@@ -198,7 +209,7 @@ class LinksScreen(ModalScreen[None]):
 
     def compose(self) -> ComposeResult:
         """The table, and more about the link under the cursor."""
-        clients = "a add a client   d remove it   " if self._is_server else ""
+        clients = CLIENT_KEYS if self._is_server else ""
         keys = "" if self.console.readonly else f"{clients}r try again now   i acknowledge   "
         yield Dialog("Links", self.table, self.detail, keys=f"⏎ detail   {keys}esc close")
 

@@ -14,6 +14,7 @@ from textual.widgets import Static
 
 from rsb_bridge.model.shortage import why_not_written
 from rsb_bridge.model.snapshot import Level
+from rsb_bridge.model.wording import Wording
 from rsb_console.actions import ACTIONS, BY_ID, Group, bindings
 from rsb_console.look import formats
 from rsb_console.look.formats import PatternRow
@@ -38,6 +39,22 @@ if TYPE_CHECKING:
     from rsb_console.widgets.selectable_list import SelectableList
 
 MODES = ("-detail", "-log", "-table")  # classes that give one pane the screen
+
+
+class EmptyTable(Wording):
+    """Texts of a table without topics."""
+
+    NO_MATCH = "Nothing here matches. {back} shows all topics."
+    NO_SESSION = "No session. {opens} opens one, {new} writes a new one, {welcome} shows all ways to begin."
+    NO_SESSION_READ_ONLY = "No session. Start the console with one: rsb-console --readonly SESSION"
+
+
+class MainText(Wording):
+    """Notes of the main screen."""
+
+    READ_ONLY = "read-only: nothing can be changed here"
+    NO_MESSAGES = "{topic} has calls, no messages"
+    NO_MESSAGES_BUT_CALLS = "{topic} has calls, no messages: {key} calls it by hand"
 
 
 class Panes(Horizontal):
@@ -146,12 +163,12 @@ class MainScreen(Screen[None]):
     def _why_empty(self, snapshot: Snapshot) -> str:
         """Why the table has no topic, and what to press."""
         if self.topics.routes:
-            return f"Nothing here matches. {self._key('back')} shows all topics."
+            return EmptyTable.NO_MATCH(back=self._key("back"))
         if self.console.engine is None and self.console.readonly:
-            return "No session. Start the console with one: rsb-console --readonly SESSION"
+            return EmptyTable.NO_SESSION_READ_ONLY()
         if self.console.engine is None:
             opens, new, welcome = (self._key(action) for action in ("sessions", "new_session", "welcome"))
-            return f"No session. {opens} opens one, {new} writes a new one, {welcome} shows all ways to begin."
+            return EmptyTable.NO_SESSION(opens=opens, new=new, welcome=welcome)
         if not snapshot.running:
             return self._cause_of_death() if not self.console.note else ""
         if self.console.readonly:
@@ -213,7 +230,7 @@ class MainScreen(Screen[None]):
     def on_key(self, event: events.Key) -> None:
         """Say why a key that would change something does nothing."""
         if self.console.readonly and any(a.changes and event.key in self.console.preferences.keys(a) for a in ACTIONS):
-            self.notify("read-only: nothing can be changed here", timeout=2)
+            self.notify(MainText.READ_ONLY(), timeout=2)
 
     def on_screen_suspend(self) -> None:
         self.show_keys()
@@ -348,8 +365,8 @@ class MainScreen(Screen[None]):
         elif route.calls is None:
             self.app.push_screen(MessageScreen(self.console, route))
         else:
-            by_hand = "" if self.console.readonly else f": {self._key('call')} calls it by hand"
-            self.notify(f"{route.topic} has calls, no messages{by_hand}", markup=False, timeout=4)
+            text = MainText.NO_MESSAGES if self.console.readonly else MainText.NO_MESSAGES_BUT_CALLS
+            self.notify(text(topic=route.topic, key=self._key("call")), markup=False, timeout=4)
 
     def action_zoom(self) -> None:
         """Give the focused pane the screen, or take it back."""

@@ -14,6 +14,7 @@ from textual.screen import ModalScreen
 from rsb_bridge.api import EngineError
 from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.text import escape_text
+from rsb_bridge.model.wording import Wording
 from rsb_console.look import formats
 from rsb_console.look.glyphs import STATE_SIGN, STATE_WORD
 from rsb_console.session.reading import KnownTypes, age_text, hex_lines, how_it_came, message_lines, plain, read_message
@@ -38,6 +39,12 @@ _HEX = 1024  # bytes
 _MOST_LINES = 2_000
 _TRIED_AGAIN_AFTER = 1.0  # s
 _KEYS = " esc back · space hold · y copy "
+
+
+class MessageText(Wording):
+    """Texts beside a message."""
+
+    WAITING = "waiting for a message, {waited}"
 
 
 class MessageScreen(ModalScreen[None]):
@@ -169,7 +176,7 @@ class MessageScreen(ModalScreen[None]):
             if route is not None and route.state is not State.OK:
                 reason = f" {route.reason}" if route.reason else ""
                 state = ((f"  {STATE_SIGN[route.state]} {STATE_WORD[route.state]}{reason}", route.state.value),)
-            yield ((f"waiting for a message, {formats.age(waited)}", "waiting"), *state)
+            yield ((MessageText.WAITING(waited=formats.age(waited)), "waiting"), *state)
 
     # -- keys ---------------------------------------------------------------------------------------------------------
 

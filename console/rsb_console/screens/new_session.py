@@ -14,11 +14,12 @@ from rsb_bridge.config.session_file import SessionError, SessionFile, validate
 from rsb_bridge.config.thesis import import_bringup
 from rsb_bridge.model.limits import CHANNEL, DEFAULT_PORT, SAFE_DOMAIN
 from rsb_bridge.model.session import Client, Session
+from rsb_bridge.model.wording import Wording
 from rsb_console.screens.clients_screen import HandoutScreen, words
 from rsb_console.screens.dialog import ConfirmScreen
 from rsb_console.screens.form_screen import FormScreen
 from rsb_console.screens.save_screens import save_asking
-from rsb_console.screens.session_files import Opened, is_file, is_path, no_suggestion, suggestions, yaml_files
+from rsb_console.screens.session_files import FileText, Opened, is_file, is_path, no_suggestion, suggestions, yaml_files
 from rsb_console.session.client_files import handed_out, key_file_name
 from rsb_console.session.saving import path_problem
 from rsb_console.terminal.input_queue import DIALOG
@@ -33,6 +34,7 @@ if TYPE_CHECKING:
     from rsb_bridge.model.session import Role
     from rsb_console.console_api import Console
 
+HANDOUT = "What the clients need"
 YES_NO = (("yes", "yes"), ("no", "no"))
 NUMBERS = ("server_port", "domain_id")
 FIELDS = (
@@ -71,6 +73,14 @@ IMPORT_FIELDS = (
     Spec("use_encryption", "Encryption", "As in the launch file (-encrypt).", options=YES_NO),
     Spec("path", "Session file", "Where the session is saved.", edited=True),
 )  # fmt: skip
+
+
+class MissingField(Wording):
+    """Fields that must be filled in."""
+
+    NAME = "missing: give one"
+    ADDRESS = "missing: give the server's address"
+    PORT = "missing: give the port"
 
 
 class NewSession(NamedTuple):
@@ -150,15 +160,15 @@ class NewSessionScreen(FormScreen[NewSession]):
         if len(set(names)) < len(names):
             problems["clients"] = f"{next(each for each in names if names.count(each) > 1)} is there twice"
         if not values["name"]:
-            problems["name"] = "missing: give one"
+            problems["name"] = MissingField.NAME()
         if not values["server_ip"]:
-            problems["server_ip"] = "missing: give the server's address"
+            problems["server_ip"] = MissingField.ADDRESS()
         if not values["server_port"]:
-            problems["server_port"] = "missing: give the port"
+            problems["server_port"] = MissingField.PORT()
         if values["name"] or values["path"]:
             problems |= _at("path", path_problem(str(new.path)))
         else:
-            problems["path"] = "missing: name the file"
+            problems["path"] = FileText.MISSING()
         if not {"key_file", "name", "clients"} & problems.keys():
             for path in _key_paths(new):
                 problems |= _at("clients" if new.session.clients else "key_file", _key_problem(path))
@@ -200,7 +210,7 @@ class NewSessionScreen(FormScreen[NewSession]):
                 self.notify(message, title="A new key", markup=False, timeout=15)
         if result.session.clients:
             handed = handed_out(SessionFile(result.path, "", result.session))
-            await self.console.ask(HandoutScreen("What the clients need", handed))
+            await self.console.ask(HandoutScreen(HANDOUT, handed))
         if await self._may_run(result.path):
             self.dismiss(result)
 
@@ -287,11 +297,11 @@ class ImportScreen(FormScreen[Opened]):
     def problems(self, values: Mapping[str, str]) -> dict[str, str]:
         problems = {}
         if not values["name"]:
-            problems["name"] = "missing: give one"
+            problems["name"] = MissingField.NAME()
         if problem := path_problem(values["path"]):
             problems["path"] = problem
         if not values["bringup"]:
-            problems["bringup"] = "missing: name the file"
+            problems["bringup"] = FileText.MISSING()
         if not problems.keys() & {"bringup", "name"}:
             problems |= self._import(values)
         return problems

@@ -11,6 +11,7 @@ from textual.widgets import Button, Static
 
 from rsb_bridge.config.keys import KeyFileError, copy_key
 from rsb_bridge.config.session_file import SessionError, UneditableError, backup_path, edited_text, save
+from rsb_bridge.model.wording import Wording
 from rsb_console.screens.dialog import ConfirmScreen
 from rsb_console.session.saving import difference, file_of, moved, rescued, text_of, unsaved
 from rsb_console.widgets.lines import Line, LiveLines, clip
@@ -28,6 +29,14 @@ if TYPE_CHECKING:
 
 _LOOKS = {"+": "ok", "-": "down", "@": "dim"}
 _UNWRAPPED, _NARROWEST = 1 << 20, 10  # cells
+
+
+class SaveText(Wording):
+    """Texts about saving a session."""
+
+    KEY_SAVED = "its key is saved, too: {file}"
+    KEY_NOT_SAVED = "The key is not saved"
+    CHANGED_ON_DISK = "{file} was changed on disk"
 
 
 async def save_elsewhere(console: Console, session: Session, path: Path, opened: SessionFile | None) -> bool:
@@ -51,9 +60,9 @@ async def save_elsewhere(console: Console, session: Session, path: Path, opened:
             return False
         for file, key in files.items():
             copy_key(key, file)
-            console.notify(f"its key is saved, too: {file}", markup=False)
+            console.notify(SaveText.KEY_SAVED(file=file), markup=False)
     except KeyFileError as error:
-        console.notify(str(error), title="The key is not saved", severity="error", markup=False, timeout=15)
+        console.notify(str(error), title=SaveText.KEY_NOT_SAVED(), severity="error", markup=False, timeout=15)
         return False
     return True
 
@@ -187,7 +196,7 @@ class ChangedScreen(ModalScreen[ChangedAnswer]):
     def compose(self) -> ComposeResult:
         """What happened, and a button for each way on."""
         with Vertical(classes="dialog -wide") as dialog:
-            dialog.border_title = f"{self._path.name} was changed on disk"
+            dialog.border_title = SaveText.CHANGED_ON_DISK(file=self._path.name)
             yield Static(
                 "Somebody else has changed the file since it was opened here.\n"
                 "Reload: the bridge does what the file says; what was changed here and not saved is lost.\n"

@@ -14,6 +14,7 @@ from textual.widgets import Button, Static
 
 from rsb_bridge.config.files import replace_file, typed_path
 from rsb_bridge.config.session_file import SessionError, load
+from rsb_bridge.model.wording import Wording
 from rsb_console.screens.dialog import Dialog
 from rsb_console.screens.form_screen import FormScreen
 from rsb_console.session.saving import path_problem
@@ -35,6 +36,18 @@ MORE = {"new_session": "New…", "import_session": "Import…", "save": "Save", 
 ABOUT = """\
 Bridges ROS 2 topics between domains and networks over encrypted sockets,
 and shows what flows and what doesn't."""
+
+
+class FileText(Wording):
+    """Advice on files that an operator may name."""
+
+    NONE_HERE = "no YAML file here; type a path"
+    EXISTS = "the file exists: ⏎ picks it"
+    NOT_FOUND = "no such file; type its path"
+    MISSING = "missing: name the file"
+    RELATIVE_KEYS = "Key files are relative to its folder."
+
+
 CHOICES = {
     "demo": ("d", "Demo", "a simulated robot, bridged on this machine"),
     "new_session": ("n", "New session", "a form that writes the session file and the key"),
@@ -110,11 +123,11 @@ def is_file(path: Path) -> bool:
 def no_suggestion(text: str) -> str:
     """What to say where none of the files offered is what was typed: a path need not be among them."""
     if not text:
-        return "no YAML file here; type a path"
+        return FileText.NONE_HERE()
     path = typed_path(text)
     if is_file(path):
-        return "the file exists: ⏎ picks it"
-    return "no such file; type its path"
+        return FileText.EXISTS()
+    return FileText.NOT_FOUND()
 
 
 class SessionsScreen(FormScreen[Opened | str]):
@@ -158,7 +171,7 @@ class SessionsScreen(FormScreen[Opened | str]):
         self.submit()
 
     def problems(self, values: Mapping[str, str]) -> dict[str, str]:
-        return {} if self.result(values) else {"path": "missing: name the file"}
+        return {} if self.result(values) else {"path": FileText.MISSING()}
 
     def result(self, values: Mapping[str, str]) -> str:
         """The path, picked or typed; `accept` makes a session of it."""
@@ -190,7 +203,7 @@ class SaveAsScreen(FormScreen[Path]):
     def __init__(self, path: Path) -> None:
         super().__init__(
             "Save as",
-            [Field(Spec("path", "File", "Key files are relative to its folder.", str(path), edited=True))],
+            [Field(Spec("path", "File", FileText.RELATIVE_KEYS(), str(path), edited=True))],
             "Save",
         )
 

@@ -10,6 +10,7 @@ import yaml
 from rsb_bridge.config.fields_text import read_fields
 from rsb_bridge.config.yaml_text import YamlError, compose, dump_yaml
 from rsb_bridge.model.calls import FieldError
+from rsb_bridge.model.wording import Wording
 
 
 class Kind(NamedTuple):
@@ -62,6 +63,13 @@ _DOUBLE = re.compile(r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?|[-+]?
 _SHOWN = 60
 _DIGITS = 40
 _BITS = 64
+
+
+class ValueText(Wording):
+    """Texts about a parameter's value."""
+
+    NO_INTEGER = "{value} is no integer of {bits} bits; a double has a point, a text quotation marks"
+    NO_REASON = "it does not say why"
 
 
 class ParameterRequest(NamedTuple):
@@ -152,7 +160,7 @@ def _integer(text: str) -> int:
     number = int(text, 0 if _BASED.fullmatch(text) else 10) if len(text) <= _DIGITS else None
     if number is None or not -(1 << _BITS - 1) <= number < 1 << _BITS - 1:
         cut = f"{text[:_DIGITS]}{'…' * (len(text) > _DIGITS)}"
-        raise OverflowError(f"{cut} is no integer of {_BITS} bits; a double has a point, a text quotation marks")
+        raise OverflowError(ValueText.NO_INTEGER(value=cut, bits=_BITS))
     return number
 
 
@@ -190,5 +198,5 @@ def refusal(answer: str) -> str | None:
     results = fields.get("results") if isinstance(fields, dict) else None
     for each in results if isinstance(results, list) else []:
         if isinstance(each, dict) and each.get("successful") == "false":
-            return str(each.get("reason") or "it does not say why")
+            return str(each.get("reason") or ValueText.NO_REASON())
     return None

@@ -14,6 +14,7 @@ from rsb_bridge.config.files import typed_path
 from rsb_bridge.config.keys import Key, KeyFileError, key_path, read_key
 from rsb_bridge.config.session_file import SessionError, SessionFile, load_file, same
 from rsb_bridge.config.yaml_text import read_text
+from rsb_bridge.model.wording import Wording
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -21,6 +22,15 @@ if TYPE_CHECKING:
     from rsb_bridge.model.session import Client, Session
 
     _Entry = TypeVar("_Entry", Session, Client)
+
+
+class PathProblem(Wording):
+    """Reasons why a session cannot be written to a path."""
+
+    MISSING = "missing: name the file"
+    IS_FOLDER = "is a folder: name a file in it"
+    NO_FOLDER = "there is no folder {folder}"
+    NOT_WRITABLE = "cannot be written: {error}"
 
 
 def unsaved(saved: Session, now: Session) -> str:
@@ -149,13 +159,13 @@ def path_problem(text: str) -> str:
     """Say why a session cannot be written to a path that was typed; empty: nothing seems to prevent it."""
     path = typed_path(text)
     if not text:
-        return "missing: name the file"
+        return PathProblem.MISSING()
     try:
         if path.is_dir():
-            return "is a folder: name a file in it"
-        return "" if path.parent.is_dir() else f"there is no folder {path.parent}"
+            return PathProblem.IS_FOLDER()
+        return "" if path.parent.is_dir() else PathProblem.NO_FOLDER(folder=path.parent)
     except OSError as error:  # a name that is too long, or a folder without permission
-        return f"cannot be written: {error.strerror}"
+        return PathProblem.NOT_WRITABLE(error=error.strerror)
 
 
 def file_of(path: Path, session: Session) -> SessionFile | None:

@@ -134,7 +134,7 @@ def state_counts(
 
 
 def calls_group(routes: Iterable[RouteSnapshot]) -> list[Line]:
-    """Count the calls that are under way, and those that will have no answer; nothing where only topics are bridged."""
+    """Count the open calls and the unanswered ones. Show nothing if no service is bridged."""
     counts = [route.calls for route in routes if route.calls is not None]
     if not counts:
         return []
@@ -297,7 +297,7 @@ class KeyBar(LiveLines):
         return [short[index] for index in sorted(fitting)]
 
     async def on_click(self, event: events.Click) -> None:
-        """Do what stands under the mouse."""
+        """Run the action under the mouse."""
         edge = 0
         for entry, pieces in self._fitting():
             edge += width_of(pieces)

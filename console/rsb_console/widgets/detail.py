@@ -9,6 +9,7 @@ from rsb_console.look import formats
 from rsb_console.look.formats import PatternRow
 from rsb_console.look.glyphs import DONE, FAILED, IN, OUT, UNDER_WAY, UNKNOWN
 from rsb_console.widgets import detail_parts as parts
+from rsb_console.widgets.detail_parts import DetailText
 from rsb_console.widgets.lines import Line, LiveLines, fit
 
 if TYPE_CHECKING:
@@ -111,7 +112,7 @@ def _topic_lines(route: RouteSnapshot, peer: str, width: int) -> Iterator[Line]:
     yield from parts.heading(route, "message", width)
     yield from parts.crossing(route, f"{f'{OUT} to' if route.outgoing else f'{IN} from'} {peer}", width)
     yield ()
-    yield from parts.stages(route, "Why it isn't flowing", "and nothing comes now", width)
+    yield from parts.stages(route, DetailText.WHY_NOT_FLOWING(), DetailText.NOTHING_COMES(), width)
     yield ()
     yield from parts.plot(route, "Rate", "Hz", width)
     yield ()
@@ -174,7 +175,7 @@ def call_lines(route: RouteSnapshot, calls: CallsSnapshot, peer: str, width: int
     yield from parts.heading(route, "call", width)
     yield from parts.crossing(route, f"{f'{OUT} answered by' if route.outgoing else f'{IN} called by'} {peer}", width)
     yield ()
-    yield from parts.stages(route, "Why it doesn't answer", "and it does not answer now", width)
+    yield from parts.stages(route, DetailText.WHY_NO_ANSWER(), DetailText.NO_ANSWER_NOW(), width)
     if calls.last_failure:
         yield ()
         yield ((" Last failure", "head"),)
@@ -224,7 +225,7 @@ def _goals(goals: Sequence[GoalSnapshot], width: int) -> Iterator[Line]:
 def _calls_figures(route: RouteSnapshot, calls: CallsSnapshot, width: int) -> Iterator[Line]:
     yield from _latency("far node" if route.outgoing else "node here", calls.node_p50, calls.node_p99, "", width)
     yield from _latency("the way", calls.way_p50, calls.way_p99, ", there and back", width)
-    yield parts.labelled("given up", f"after {route.spec.call_timeout:g} s without an answer")
+    yield parts.labelled("given up", DetailText.GIVEN_UP(timeout=route.spec.call_timeout))
     yield from parts.throughput(route, width)
     yield from parts.nodes("callers", route.publishers, width)
     yield from parts.nodes("providers", route.subscribers, width)

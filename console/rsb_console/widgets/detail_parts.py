@@ -1,4 +1,4 @@
-"""What the details of a topic and those of a service have in common."""
+"""Parts of the details that topics and services share."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import textwrap
 from typing import TYPE_CHECKING
 
 from rsb_bridge.model.qos import AUTO
+from rsb_bridge.model.wording import Wording
 from rsb_console.look import formats
 from rsb_console.look.glyphs import (
     ARMED,
@@ -28,6 +29,18 @@ if TYPE_CHECKING:
 PLOT_HEIGHT = 4
 LABEL = 11  # cells of a figure's name
 TIED = "\N{NO-BREAK SPACE}"
+
+
+class DetailText(Wording):
+    """Texts of the details of a topic or a service."""
+
+    WHY_NOT_FLOWING = "Why it isn't flowing"
+    NOTHING_COMES = "and nothing comes now"
+    WHY_NO_ANSWER = "Why it doesn't answer"
+    NO_ANSWER_NOW = "and it does not answer now"
+    GIVEN_UP = "after {timeout:g} s without an answer"
+    ALL_PARAMETERS = "all parameters of the node"
+    UNKNOWN_TYPE = "type not known yet"
 
 
 def heading(route: RouteSnapshot, last: str, width: int) -> Iterator[Line]:
@@ -62,7 +75,7 @@ def acknowledged_by(record: Acknowledgement) -> str:
 
 
 def _until(arming: ArmingSnapshot) -> str:
-    """What disarms it."""
+    """The conditions that disarm it."""
     if not arming.deadman:
         return "until it is disarmed, the link drops or that console ends"
     return f"until no key is pressed on that console for {arming.deadman:g} s"
@@ -94,10 +107,10 @@ def crossing(route: RouteSnapshot, way: str, width: int) -> Iterator[Line]:
 
 
 def _type(route: RouteSnapshot) -> str:
-    """What is known of the type: all that parameters have are ROS's own."""
+    """The type, as far as the bridge knows it. Types of parameters are ROS's own."""
     if route.type_name or route.spec.type != AUTO:
         return route.type_name or f"{route.spec.type} (as configured)"
-    return "all parameters of the node" if route.spec.kind == "parameters" else "type not known yet"
+    return DetailText.ALL_PARAMETERS() if route.spec.kind == "parameters" else DetailText.UNKNOWN_TYPE()
 
 
 def stages(route: RouteSnapshot, question: str, nothing: str, width: int) -> Iterator[Line]:
@@ -182,7 +195,7 @@ def ledger(title: str, rows: Sequence[tuple[str, int, str, str]]) -> Iterator[Li
 
 
 def share(part: int, whole: int) -> str:
-    """A part in percent; empty: there is no whole."""
+    """A part in percent, or an empty string if the whole is 0."""
     return f"  {100 * part / whole:.1f} %" if whole > 0 else ""
 
 
@@ -193,7 +206,7 @@ def throughput(route: RouteSnapshot, width: int) -> Iterator[Line]:
 
 
 def nodes(name: str, of_route: Sequence[str], width: int) -> Iterator[Line]:
-    """Who has a part in it, as far as that is known."""
+    """The known nodes at one end of the route."""
     if of_route:
         yield from figure(name, [f"{node}," for node in of_route[:-1]] + [of_route[-1]], width)
 

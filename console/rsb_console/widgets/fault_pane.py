@@ -1,4 +1,4 @@
-"""What is wrong, in words: a line or more for each fault, whichever topic the cursor is on."""
+"""The pane of faults: a line or more for each fault."""
 
 from __future__ import annotations
 
@@ -203,7 +203,7 @@ def faults_of(snapshot: Snapshot) -> list[Fault]:
 
 
 def _link_faults(snapshot: Snapshot) -> Iterator[Fault]:
-    """A single link that waits is told of in the header."""
+    """The header shows a single link that waits."""
     single = len(snapshot.links) == 1
     for link in sorted(snapshot.links, key=lambda link: (link.state.rank, link.name)):
         if link.acknowledged is not None:

@@ -11,6 +11,8 @@ from textual.containers import Horizontal
 from textual.message import Message
 from textual.widgets import Input, Static
 
+from rsb_bridge.model.wording import Wording
+
 if TYPE_CHECKING:
     from collections.abc import Collection, Mapping
 
@@ -18,6 +20,12 @@ if TYPE_CHECKING:
 
 COLUMNS = ("state", "kind", "topic", "robot", "group", "via", "type", "why")
 _TERM = re.compile(rf"(?P<not>!*)(?:(?P<column>{'|'.join(COLUMNS)}):)?(?P<text>.*)", re.IGNORECASE)
+
+
+class PatternProblem(Wording):
+    """Mistakes in a pattern."""
+
+    NO_REGEX = "not a regular expression: {error}"
 
 
 class PatternError(ValueError):
@@ -88,7 +96,7 @@ def _term(typed: str) -> _Term | None:
     try:
         regex = re.compile(parts["text"], re.IGNORECASE)
     except re.error as error:
-        raise PatternError(f"not a regular expression: {error}") from None
+        raise PatternError(PatternProblem.NO_REGEX(error=error)) from None
     return _Term((parts["column"] or "").lower(), regex, bool(parts["not"]))
 
 
@@ -134,7 +142,7 @@ class Prompt(Horizontal):
         self.screen.set_focus(field)
 
     def on_input_changed(self, event: Input.Changed) -> None:
-        """Filter by what stands there now."""
+        """Filter by the current input."""
         event.stop()
         problem = self.query_one("#problem", Static)
         try:

@@ -305,7 +305,7 @@ class FleetTable(SelectableList):
 
     @property
     def described(self) -> tuple[str, list[Row]]:
-        """What is under the cursor, by its name: a robot, or those of a group, the worst first."""
+        """The name under the cursor and its robots, the worst first."""
         if (group := self.selected_group) is not None:
             rows = sorted(self._groups.get(group, ()), key=STATE.order)
             return group or "no group", rows
@@ -440,7 +440,7 @@ def state_counts(robots: Iterable[Robot]) -> Line:
 
 
 class FleetStatus(LiveLines):
-    """How many robots there are, and how they are; below it, each source of which nothing is known."""
+    """The number of robots in each state, and below it each source without data."""
 
     can_focus = False
 
@@ -456,7 +456,7 @@ class FleetStatus(LiveLines):
         return fit(self._lines[index], self.width)
 
     def show(self, table: FleetTable, fleet: Fleet, *, readonly: bool) -> None:
-        """Show the state of all robots, whatever filter the table has."""
+        """Show the state of all robots, even of those that the filter hides."""
         robots = [row.robot for row in table.rows.values()]
         names = ", ".join(source.name for source in fleet.sources)
         # Over Zenoh a server is a line, too: what crosses its links is counted where its clients are.
@@ -487,7 +487,7 @@ class FleetStatus(LiveLines):
 
 
 class RobotDetail(LiveLines):
-    """What has no room in the table: why, and whose the figures are."""
+    """Details for which the table has no room: the cause, and the source of the figures."""
 
     can_focus = False
     LINES = 4

@@ -231,7 +231,7 @@ class Choice(Widget, can_focus=True):
             self.post_message(self.Mistyped(typed, self))
 
     def action_submit(self) -> None:
-        """As enter in any other field."""
+        """Submit the field, like enter in any other field."""
         self.post_message(self.Submitted())
 
     def _pieces(self) -> list[str]:

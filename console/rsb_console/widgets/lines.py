@@ -69,7 +69,7 @@ class LiveLines(ScrollView):
         return False
 
     def index_at(self, y: int) -> int:
-        """The line that stands at screen row `y` of this pane."""
+        """The line at screen row `y` of this pane."""
         return y if y < self.sticky else y + self._top
 
     def sync(self) -> None:
@@ -101,7 +101,7 @@ class LiveLines(ScrollView):
         return self.line(index), self.is_cursor(index)
 
     def refresh(self, *regions: Region, repaint: bool = True, layout: bool = False, recompose: bool = False) -> Self:
-        """Have it drawn anew (Textual's)."""
+        """Redraw the widget (Textual's)."""
         self._finished = None
         return super().refresh(*regions, repaint=repaint, layout=layout, recompose=recompose)
 

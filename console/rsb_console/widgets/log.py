@@ -96,7 +96,7 @@ class LogPane(SelectableList):
 
     @property
     def listed(self) -> list[Event]:
-        """What is shown, oldest first."""
+        """The events shown, oldest first."""
         return list(self._shown.values())[::-1]
 
     def on_blur(self) -> None:

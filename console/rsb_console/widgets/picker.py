@@ -60,7 +60,7 @@ class SuggestionList(SelectableList, can_focus=False):
 
     @property
     def current(self) -> Suggestion | None:
-        """The one under the cursor; None: there is none."""
+        """The suggestion under the cursor, or None."""
         return None if self.cursor_key is None else self._suggestions[self.cursor_key]
 
     @property
@@ -157,7 +157,7 @@ class PickField(Field):
 
     @property
     def picked(self) -> Suggestion | None:
-        """What enter would pick; None: the text as it stands."""
+        """The suggestion that enter picks, or None for the typed text."""
         return self.list.current if self.list.marks_cursor else None
 
     @on(Input.Changed)

@@ -54,7 +54,7 @@ class SelectableList(LiveLines, can_focus=True):
 
     @property
     def follows_top(self) -> bool:
-        """Whether the cursor stays on the first item, whichever that is: until the operator moves it, if at all."""
+        """Whether the cursor stays on the first item, until the operator moves it."""
         return self.begins_at_top and not self._moved
 
     @property
@@ -68,7 +68,7 @@ class SelectableList(LiveLines, can_focus=True):
 
     @property
     def cursor_key(self) -> str | None:
-        """The key of the item under the cursor; None: the list is empty."""
+        """The key of the item under the cursor, or None if the list is empty."""
         return self.keys[self._cursor] if self._cursor < len(self.keys) else None
 
     def show_keys(self, keys: Sequence[str]) -> None:

@@ -49,7 +49,7 @@ class TopicsTable(SelectableList):
 
     @property
     def subject(self) -> str:
-        """What it lists, for a title."""
+        """The name of the contents, for a title."""
         return "Topics and calls" if self._calls else "Topics"
 
     def explain(self, empty: str) -> None:
