@@ -12,6 +12,7 @@ from tests.support.waiting import eventually, holds
 from tests.support.wording import pattern
 
 from rsb_bridge.api import EngineError
+from rsb_bridge.link.errors import Denied
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.snapshot import State
 from rsb_bridge.transport.listening import ListenProblem
@@ -109,7 +110,7 @@ def test_another_restart_takes_the_place_of_the_attempts(bridge: Bridge, thief: 
 def test_two_restarts_at_once_are_one(bridge: Bridge) -> None:
     server, client = bridge.both()
     first, second = server.restart(), server.restart()
-    with pytest.raises(EngineError, match="a restart is under way already"):
+    with pytest.raises(EngineError, match=pattern(Denied.RESTARTING)):
         second.result(60)
     first.result(60)
     eventually(lambda: linked(client) and linked(server))  # the server knows first
