@@ -21,7 +21,15 @@ from rsb_bridge.route.combined_verdict import CombinedVerdict, lasting, record_o
 from rsb_bridge.route.lateness import QUEUE, WAY, Late, late_verdict
 from rsb_bridge.route.lease import Standstill
 from rsb_bridge.route.thinning import Share, ThinningShare
-from rsb_bridge.route.topic_verdict import LOWER_MTU, USE_TCP, Facts, judge, named
+from rsb_bridge.route.topic_verdict import (
+    LOWER_MTU,
+    PUBLISHED_NOTHING,
+    STOPPED_PUBLISHING,
+    USE_TCP,
+    Facts,
+    judge,
+    named,
+)
 from rsb_bridge.telemetry.watches import Loss
 from rsb_bridge.wire.records import VerdictRecord
 
@@ -130,7 +138,7 @@ def test_a_route_that_flows_is_fine() -> None:
             Cause.SIMILAR_NAME,
             ["/chat", "domain 2", "/char"],
         ),
-        (SENDER, {"came": False}, State.WAITING, Cause.PUBLISHER_SILENT, ["/talker"]),
+        (SENDER, {"came": False}, State.WAITING, Cause.PUBLISHER_SILENT, [f"/talker {PUBLISHED_NOTHING[0]}"]),
         (RECEIVER, {"came": False}, State.WAITING, Cause.NO_MESSAGE, []),
         (
             SENDER,
@@ -144,7 +152,7 @@ def test_a_route_that_flows_is_fine() -> None:
             {"stopped_since": NOW - 3.0, "expected_rate": 10.0},
             State.STOPPED,
             Cause.PUBLISHER_SILENT,
-            ["3 s", "10 Hz", "/talker"],
+            ["3 s", "10 Hz", f"/talker {STOPPED_PUBLISHING[0]}"],
         ),
         (
             SENDER,
