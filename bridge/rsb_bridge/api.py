@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Protocol
 
+from rsb_bridge.model.wording import Wording
+
 if TYPE_CHECKING:
     from collections.abc import Callable
     from concurrent.futures import Future
@@ -13,6 +15,15 @@ if TYPE_CHECKING:
     from rsb_bridge.model.history import HistoryReport
     from rsb_bridge.model.session import Client, Session, Topic
     from rsb_bridge.model.snapshot import Event, PeekedMessage, Reloaded, Snapshot, TopicInfo
+
+
+class Unable(Wording):
+    """Reasons why an engine does not do what was asked, whatever its links do."""
+
+    NOT_RUNNING = "the engine is not running"
+    STOPPED_BEFORE_START = "the engine was stopped before it had started"
+    NOT_A_SERVER = "only a server has clients"
+    NO_FILE = "this session is in no file: save it first"
 
 
 class EngineError(Exception):

@@ -13,11 +13,14 @@ from std_srvs.srv import SetBool, Trigger
 from tests.calls.ledgers import called, counts, nothing_left
 from tests.support.bridge import happened, route
 from tests.support.waiting import eventually
+from tests.support.wording import pattern
 
 from rsb_bridge.api import EngineError, InvalidRequestError
 from rsb_bridge.engine.inspector import CALLS_AT_ONCE
+from rsb_bridge.link.errors import Denied
 from rsb_bridge.model.calls import FIELDS_LENGTH
 from rsb_bridge.model.codes import EventCode
+from rsb_bridge.model.command_origin import OWN_CONSOLE
 from rsb_bridge.model.session import Topic
 
 if TYPE_CHECKING:
@@ -106,12 +109,12 @@ def test_both_sides_record_who_called_what(bridge: Bridge, lamp: Lamp) -> None:
         mine = eventually(lambda engine=engine: happened(engine, EventCode.OPERATOR_CALLED))
         assert (mine.topic, mine.who, mine.new, mine.from_peer) == (
             "/set",
-            "the bridge's own console",
+            OWN_CONSOLE,
             "data: true",
             False,
         )
         theirs = eventually(lambda other=other: happened(other, EventCode.OPERATOR_CALLED, "says"))
-        assert theirs.who == f"{says} says: the bridge's own console"
+        assert theirs.who == f"{says} says: {OWN_CONSOLE}"
         assert (theirs.topic, theirs.new, theirs.from_peer) == ("/set", "data: true", True)
 
 
@@ -129,7 +132,7 @@ def test_both_sides_record_what_became_of_a_call(bridge: Bridge, lamp: Lamp) -> 
                 return []
             assert len(found) == count
             assert found[-1].topic == "/set"
-            assert "the bridge's own console" in found[-1].who
+            assert OWN_CONSOLE in found[-1].who
             newest.append(found[-1].new)
         return newest
 
@@ -177,7 +180,7 @@ def test_a_console_of_another_process_calls_under_its_own_name_and_one_that_only
     ready(client, "/set")
     assert yaml.safe_load(by_hand(remote, "/set", "data: true").result(60))["success"]
     event = eventually(lambda: happened(client, EventCode.OPERATOR_CALLED))
-    assert event.who != "the bridge's own console"
+    assert event.who != OWN_CONSOLE
     with pytest.raises(EngineError):
         by_hand(watcher, "/set", "data: true").result(60)
     with pytest.raises(EngineError, match="too long"):
@@ -307,7 +310,7 @@ def test_operators_call_so_much_at_once_and_no_more(bridge: Bridge, lamp: Lamp) 
     lamp.goes_on.clear()
     key = route(client, "/set").key
     waiting = [client.call(key, "data: true") for _ in range(CALLS_AT_ONCE)]
-    with pytest.raises(EngineError, match=f"{CALLS_AT_ONCE} calls by hand are under way"):
+    with pytest.raises(EngineError, match=pattern(Denied.TOO_MANY_CALLS, limit=CALLS_AT_ONCE)):
         client.call(key, "data: false").result(60)
     lamp.goes_on.set()
     assert all(yaml.safe_load(each.result(60))["success"] for each in waiting)

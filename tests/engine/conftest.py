@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 def _answers_take_their_time() -> Iterator[None]:
     """A slow machine may need more than the 5 s that an operator waits: no test here is about that deadline."""
     with pytest.MonkeyPatch.context() as patch:
-        for deadline in ("link.roles._RESTART_WITHIN", "link.topic_lists._ANSWERED_WITHIN"):
+        for deadline in ("link.roles._RESTART_WITHIN", "link.questions._ANSWERED_WITHIN"):
             patch.setattr(f"rsb_bridge.{deadline}", 60.0)
         patch.setattr("rsb_bridge.route.arming.ANSWERED_WITHIN", 25.0)
         yield

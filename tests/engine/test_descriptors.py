@@ -20,6 +20,7 @@ from tests.support.waiting import eventually
 
 from rsb_bridge.config.keys import read_key
 from rsb_bridge.control.remote_engine import RemoteEngine
+from rsb_bridge.link.server_link import PortDenied
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.model.session import Client, Topic
@@ -117,8 +118,7 @@ def test_topics_beyond_the_limit(side: str, bridge: Bridge, programs: Programs) 
     other = bridge.start(session)
     message = {
         "client": Scarcity.ROUTE_WITHOUT_STREAM(side="client", limit=150, remedy=MORE_DESCRIPTORS),
-        "server": "robot1's topics may hold no more of the server's 150 file descriptors than are left for everyone "
-        "else: raise the limit (ulimit -n",
+        "server": PortDenied.TOO_MANY_DESCRIPTORS(client="robot1", limit=150, remedy=MORE_DESCRIPTORS),
     }[side]
     eventually(lambda: happened(other, EventCode.ROUTE_CONNECTED) and message in "".join(short.said))
     refused = eventually(lambda: [route for route in now(other).routes if message in route.reason])
@@ -146,7 +146,7 @@ def test_one_client_that_takes_all_it_can_leaves_enough_for_the_next(
         while hog.has_stream(hog.route(f"/hogged{taken}", "tcp", Qos())):
             taken += 1
         assert TOPICS // 4 < taken < 128
-        server.wait_for("robot1's topics may hold no more of the server's 256 file descriptors")
+        server.wait_for(PortDenied.TOO_MANY_DESCRIPTORS(client="robot1", limit=256, remedy=MORE_DESCRIPTORS))
         for _ in range(TOPICS):
             resources.enter_context(socket.create_connection(("127.0.0.1", bridge.port)))
         client = bridge.client(*(Topic(name, "transmit") for name in names), name="robot2", key_file="other.key")

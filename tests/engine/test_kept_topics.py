@@ -9,9 +9,11 @@ from msgspec.structs import replace
 from tests.support.bridge import carries, find, happened, heard, linked, route
 from tests.support.domain import text
 from tests.support.waiting import eventually
+from tests.support.wording import pattern
 
 from rsb_bridge.api import EngineError
 from rsb_bridge.config.session_file import load_file, save
+from rsb_bridge.link.errors import Denied
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.session import Client, Topic
 
@@ -99,9 +101,9 @@ def test_what_the_client_refuses_is_said_on_both_sides(bridge: Bridge) -> None:
     server = bridge.server(clients=(Client("robot1", topics=(halt,)),), shutdown_topic=None)
     client = bridge.client(shutdown_topic="/halt", allow=("/halt",))
     # It is tried again, and there is no reason to show meanwhile.
-    words = "refused by the other side: /halt is this side's shutdown topic"
-    eventually(lambda: words in route(server, "/halt").reason)
-    assert happened(client, EventCode.ROUTE_REFUSED, "refused /halt: /halt is this side's shutdown topic")
+    reason = Denied.SHUTDOWN_TOPIC(topic="/halt")
+    eventually(lambda: reason in route(server, "/halt").reason)
+    assert happened(client, EventCode.ROUTE_REFUSED, f"/halt: {reason}")
     assert find(client, "/halt") is None
     assert server.session.clients == (Client("robot1", topics=(halt,)),)
 
@@ -126,5 +128,5 @@ def test_a_topic_has_the_name_that_the_servers_screen_shows(bridge: Bridge) -> N
     server.edit_topic(route(server, "/robot1/odom").key, replace(both, max_rate=5.0)).result(60)
     names = [topic.topic for topic in server.session.clients[0].topics]
     assert names == ["/words", "/map", "/scan", "/robot1/odom"]
-    with pytest.raises(EngineError, match="say which client: one of robot1, robot2"):
+    with pytest.raises(EngineError, match=pattern(Denied.WHICH_CLIENT, clients="robot1, robot2")):
         server.add_topic(Topic("/tf", "transmit")).result(60)

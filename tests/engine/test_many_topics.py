@@ -16,6 +16,7 @@ from tests.support.waiting import eventually
 
 from rsb_bridge.config.keys import read_key
 from rsb_bridge.link import client_link as link_client
+from rsb_bridge.link.pending_connections import Rejected
 from rsb_bridge.link.roles import ServerRole
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.session import Topic
@@ -31,7 +32,6 @@ if TYPE_CHECKING:
     from rsb_bridge.wire.messages import ControlMessage
 
 TOPICS = 200
-TOO_MANY = "too many unauthenticated connections"
 
 
 @pytest.fixture
@@ -111,14 +111,14 @@ def test_a_stranger_has_no_more_connections_because_of_a_client(bridge: Bridge) 
         come(60, "127.0.0.2")
         come(10, "127.0.0.3")
         eventually(lambda: pending(server) == TOPICS + 130)
-        assert not happened(server, EventCode.LINK_REJECTED, TOO_MANY)
+        assert not happened(server, EventCode.LINK_REJECTED, Rejected.TOO_MANY)
         come(5, "127.0.0.2")
-        crowded = eventually(lambda: happened(server, EventCode.LINK_REJECTED, TOO_MANY))
+        crowded = eventually(lambda: happened(server, EventCode.LINK_REJECTED, Rejected.TOO_MANY))
         assert crowded.text.startswith("rejected a client at 127.0.0.2:")
         come(5, "127.0.0.1")
         eventually(
             lambda: (
-                (event := happened(server, EventCode.LINK_REJECTED, TOO_MANY))
+                (event := happened(server, EventCode.LINK_REJECTED, Rejected.TOO_MANY))
                 and event.text.startswith("rejected a client at 127.0.0.1:")
             )
         )

@@ -16,10 +16,12 @@ from tests.support.domain import LATCHED, text
 from tests.support.filled import filled
 from tests.support.participants import KnownNode
 from tests.support.waiting import eventually
+from tests.support.wording import pattern
 
 from rsb_bridge.api import EngineError
 from rsb_bridge.cdr.decoder import decode
 from rsb_bridge.cdr.description import hash_of_text, read_description
+from rsb_bridge.link.errors import Denied
 from rsb_bridge.link.questions import TypeQuestions
 from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import PEEK_LIMIT
@@ -273,9 +275,9 @@ def test_where_nobody_describes_it_that_is_said(bridge: Bridge, robot: Domain) -
     for engine in (server, client):
         eventually(lambda engine=engine: route(engine, "/odom").type_hash)
         began = time.monotonic()
-        with pytest.raises(EngineError, match="nav_msgs/msg/Odometry is not installed on either side, and no node"):
+        with pytest.raises(EngineError, match=pattern(Denied.TYPE_NOT_INSTALLED, type_name="nav_msgs/msg/Odometry")):
             engine.describe(key(engine, "/odom")).result(30)
-        with pytest.raises(EngineError, match="is not installed on either side"):
+        with pytest.raises(EngineError, match=pattern(Denied.TYPE_NOT_INSTALLED)):
             engine.describe(key(engine, "/odom")).result(30)
         assert time.monotonic() - began < 25
 
@@ -291,7 +293,7 @@ def test_a_wrong_description_is_not_believed(bridge: Bridge, robot: Domain, pc: 
     client = bridge.start(bridge.client_session(Topic("/odom", "transmit")), Lies(bridge.robot.id, "robot"))
     eventually(lambda: linked(client) and route(server, "/odom").type_hash)
     for engine in (client, server):
-        with pytest.raises(EngineError, match="is not installed on either side"):
+        with pytest.raises(EngineError, match=pattern(Denied.TYPE_NOT_INSTALLED)):
             engine.describe(key(engine, "/odom")).result(30)
 
 

@@ -10,8 +10,9 @@ import pytest
 from tests.support.bridge import carries, find, happened, heard, link, linked, route
 from tests.support.domain import text
 from tests.support.waiting import eventually, holds
+from tests.support.wording import pattern
 
-from rsb_bridge.api import EngineError
+from rsb_bridge.api import EngineError, Unable
 from rsb_bridge.config.session_file import load, save
 from rsb_bridge.engine import engine as engine_module
 from rsb_bridge.model.codes import EventCode
@@ -330,7 +331,7 @@ def test_other_changes_wait_for_a_reload_that_is_under_way(
 
 def test_a_session_in_no_file_is_not_reloaded(bridge: Bridge) -> None:
     server = bridge.server()
-    with pytest.raises(EngineError, match="in no file: save it first"):
+    with pytest.raises(EngineError, match=pattern(Unable.NO_FILE)):
         server.reload().result(60)
 
 

@@ -17,7 +17,7 @@ from tests.support.resources import resources
 from tests.support.waiting import eventually
 from tests.support.wording import pattern
 
-from rsb_bridge.api import EngineError
+from rsb_bridge.api import EngineError, Unable
 from rsb_bridge.engine import Engine
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.session import Topic
@@ -156,7 +156,7 @@ def test_a_restart_that_waits_fails(bridge: Bridge) -> None:
     restart = client.restart()
     assert not wait([restart], 0.3).done
     stops(client)
-    with pytest.raises(EngineError, match="the engine is not running"):
+    with pytest.raises(EngineError, match=pattern(Unable.NOT_RUNNING)):
         restart.result(0)
 
 
@@ -213,7 +213,7 @@ def test_a_stop_while_it_starts_wins(bridge: Bridge, robot: Domain) -> None:
         stopping = threads.submit(engine.stop)
         eventually(lambda: engine._stop_wanted)
         ros.may_return.set()
-        with pytest.raises(EngineError, match="was stopped before it had started"):
+        with pytest.raises(EngineError, match=pattern(Unable.STOPPED_BEFORE_START)):
             starting.result(60)
         stopping.result(60)
     assert not engine.snapshot().running
@@ -232,7 +232,7 @@ def test_a_stop_does_not_wait_for_a_start_that_hangs(bridge: Bridge, robot: Doma
         engine.stop(timeout=0.1)
         assert not starting.done()
         ros.may_return.set()
-        with pytest.raises(EngineError, match="was stopped before it had started"):
+        with pytest.raises(EngineError, match=pattern(Unable.STOPPED_BEFORE_START)):
             starting.result(60)
     eventually(lambda: not [each for each in threading.enumerate() if each.name in ("rsb-io", "ros")])
 

@@ -14,6 +14,7 @@ from tests.support.waiting import eventually
 from rsb_bridge.config.keys import read_key
 from rsb_bridge.config.session_file import load_file, save
 from rsb_bridge.link import proposals
+from rsb_bridge.link.errors import Denied
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.model.session import Client, Grant, Topic
@@ -146,9 +147,9 @@ def test_a_server_has_a_client_keep_so_many_topics(bridge: Bridge, monkeypatch: 
     topics = tuple(Topic(f"/t{number}", "transmit") for number in range(3))
     server = bridge.server(clients=(Client("robot1", topics=topics),))
     client = bridge.client(Topic("/own", "transmit"), Topic("/own2", "transmit"))
-    eventually(lambda: "which is the limit" in route(server, "/t2").reason)
+    eventually(lambda: Denied.TOO_MANY_OF_SERVER(client="robot1", count=2) in route(server, "/t2").reason)
     assert {each.topic for each in now(client).routes} == {"/own", "/own2", "/t0", "/t1"}
-    assert happened(client, EventCode.ROUTE_REFUSED, "which is the limit")
+    assert happened(client, EventCode.ROUTE_REFUSED, Denied.TOO_MANY_OF_SERVER, count=2)
     client.restart().result(60)
     eventually(lambda: linked(server))
     eventually(lambda: all(stage(server, topic.topic, "peer accepted") for topic in topics[:2]))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import socket
 import threading
+from datetime import UTC, datetime
 from typing import TYPE_CHECKING
 from unittest.mock import MagicMock
 
@@ -15,6 +16,7 @@ from tests.support.waiting import eventually, holds
 from rsb_bridge.config.keys import fingerprint, read_key
 from rsb_bridge.link import server_link
 from rsb_bridge.link.link import Link
+from rsb_bridge.link.refused_clients import REMEDY, SameName
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.session import Client
 from rsb_bridge.model.snapshot import Level, State
@@ -81,16 +83,17 @@ def test_of_two_clients_of_one_name_the_first_keeps_the_link(bridge: Bridge) -> 
     eventually(lambda: link(second).cause == LinkCause.NAME_TAKEN)
     host = socket.gethostname()
     assert link(second).state is State.DOWN
-    assert "'robot1' is linked already, since 2" in link(second).reason
-    assert f"UTC, at {link(server).peer} (host {host}): stop one of the two" in link(second).reason
+    since = datetime.fromtimestamp(up_since, UTC)
+    taken = SameName.TAKEN(name="robot1", since=since, address=f"{link(server).peer} (host {host})")
+    assert f"{taken}: {REMEDY}" in link(second).reason
     assert as_json(second) == ("down", "name_taken", link(second).reason)
     for engine in (server, first):
         # Each on its own: where the second client is late with its next attempt, the warning ends for a moment.
-        words = f"a second client at 127.0.0.1 (host {host}) calls itself 'robot1' too"
+        words = SameName.SECOND(address=f"127.0.0.1 (host {host})", name="robot1")
         eventually(lambda engine=engine, words=words: words in link(engine).warning)
         eventually(lambda engine=engine: link(engine).cause == LinkCause.NAME_TAKEN)
         eventually(lambda engine=engine: as_json(engine)[:2] == ("ok", "name_taken"))
-        eventually(lambda engine=engine: as_json(engine)[2].startswith("a second client at 127.0.0.1"))
+        eventually(lambda engine=engine, words=words: words in as_json(engine)[2])
         event = happened(engine, EventCode.LINK_NAME_TAKEN)
         assert event is not None
         assert (event.link, event.level) == ("robot1", Level.WARNING)
@@ -139,12 +142,12 @@ def test_several_second_clients_are_one_warning(bridge: Bridge) -> None:
     for host in ("spare2", "spare3", "spare1"):
         try_as(bridge, host)
     # The one that came last is named, not whichever tried last. They count for a few seconds after they tried.
-    words = "a second client at 127.0.0.1 (host spare3) and 2 others call themselves 'robot1' too, and are refused"
+    words = SameName.SEVERAL(address="127.0.0.1 (host spare3)", others="2 others", name="robot1")
     for engine in (server, first):
         warning = eventually(lambda engine=engine: found if words in (found := link(engine).warning) else "")
-        assert warning.endswith(": stop all but one, or give each a name and a key of its own")
+        assert warning.endswith(f": {SameName.REMEDY_FOR_SEVERAL()}")
     (event,) = [event for event in first.events() if event.code == EventCode.LINK_NAME_TAKEN]
-    assert "(host spare1) calls itself 'robot1' too, and is refused" in event.text
+    assert SameName.SECOND(address="127.0.0.1 (host spare1)", name="robot1") in event.text
 
 
 @pytest.mark.usefixtures("heard_of")

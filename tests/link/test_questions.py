@@ -7,8 +7,9 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 from tests.support.slices import finish
+from tests.support.wording import pattern
 
-from rsb_bridge.link.errors import LinkError
+from rsb_bridge.link.errors import Denied, LinkError
 from rsb_bridge.link.questions import QUESTIONS_KEPT, Questions, TopicLists
 from rsb_bridge.ros.ros_graph import CALLED
 from rsb_bridge.ros.stand_in import NoRos
@@ -80,7 +81,7 @@ def test_an_earlier_asker_s_timeout_harms_no_later_one(loop: VirtualLoop, side: 
         first = asyncio.ensure_future(side.ask())
         await asyncio.sleep(3.0)
         second = asyncio.ensure_future(side.ask())
-        with pytest.raises(LinkError, match="the other side did not answer"):
+        with pytest.raises(LinkError, match=pattern(Denied.NO_ANSWER)):
             await first
         assert loop.time() == 5.0
         third = asyncio.ensure_future(side.ask())

@@ -9,11 +9,12 @@ from tests.support.bridge import happened, linked, route, says
 from tests.support.ports import free_port
 from tests.support.rogue import Rogue
 from tests.support.waiting import eventually
+from tests.support.wording import pattern
 
 from rsb_bridge.config.keys import read_key
-from rsb_bridge.link.server_link import TopicPorts, check_topic_port
+from rsb_bridge.link.server_link import PortDenied, TopicPorts, check_topic_port
 from rsb_bridge.model.codes import EventCode
-from rsb_bridge.model.limits import DEFAULT_PORT, PORTS_PER_CLIENT, discovery_domain
+from rsb_bridge.model.limits import DEFAULT_PORT, PORTS_PER_CLIENT, dds_ports, discovery_domain
 from rsb_bridge.model.session import Session, Topic
 from rsb_bridge.model.transports import named
 from rsb_bridge.transport.transport import ListenError
@@ -44,9 +45,10 @@ def test_a_port_of_the_servers_domain_is_refused_on_both_sides(protocol: Any, br
     """ROS nodes of the server's machine would no longer find each other."""
     port = 7400 + 250 * bridge.pc.id + 249
     server, client = bridge.both(Topic("/scan", "transmit", protocol=protocol, port=port))
-    domains = f"port {port} is reserved for discovery in the server's ROS domain"
+    domain = bridge.pc.id
+    reason = PortDenied.DISCOVERY(kind="port", port=port, domain=domain, ports=dds_ports(domain))
     for engine in (server, client):
-        eventually(lambda engine=engine: says(engine, "/scan", "leave the topic's port out", domains))
+        eventually(lambda engine=engine: says(engine, "/scan", reason))
     assert happened(server, EventCode.ROUTE_REFUSED, f"port {port}")
 
 
@@ -61,9 +63,9 @@ def test_the_ports_of_a_domain(domain: int, port: int, is_free: bool) -> None:
         if is_free:
             check_topic_port(domain, transport, port)
         else:
-            with pytest.raises(ListenError, match=f"ROS domain {domain} .*leave the topic's port out"):
+            with pytest.raises(ListenError, match=pattern(PortDenied.DISCOVERY, port=port, domain=domain)):
                 check_topic_port(domain, transport, port)
-    with pytest.raises(ListenError, match="1024 to 65535; give one of these"):
+    with pytest.raises(ListenError, match=pattern(PortDenied.OUT_OF_RANGE, port=1023, allowed=TCP.topic_ports)):
         check_topic_port(domain, TCP, 1023)
 
 
@@ -109,8 +111,7 @@ def test_a_client_has_so_many_however_it_asks(bridge: Bridge) -> None:
         rogue.say(*proposals)
         answers = [answer_of(rogue) for _ in ports]
         (refused,) = [answer for answer in answers if isinstance(answer, Refuse)]
-        assert f"robot1's topics already have {PORTS_PER_CLIENT} ports of their own" in refused.reason
-        assert "under ports in the server's session file" in refused.reason
+        assert PortDenied.TOO_MANY(client="robot1", limit=PORTS_PER_CLIENT) in refused.reason
         accepted = next(answer.route for answer in answers if isinstance(answer, Accept))
         rogue.say(Close(route=accepted, reason="", removed=True))
         assert isinstance(asks(rogue, 101, ports[-1]), Accept)
@@ -129,9 +130,9 @@ def test_none(ports: Any, bridge: Bridge) -> None:
         bridge.server(ports=ports),
         bridge.client(Topic("/a", "transmit", port=port), Topic("/b", "transmit")),
     )
-    remedy = "leave the topic's port out, so that it shares the link's, or add it there"
+    reason = PortDenied.NOT_LISTED(port=port, allowed="none")
     for engine in (server, client):
-        eventually(lambda engine=engine: linked(engine) and says(engine, "/a", "ports: none", remedy))
+        eventually(lambda engine=engine: linked(engine) and says(engine, "/a", reason))
     assert not route(client, "/b").reason.startswith("refused")
 
 
@@ -141,7 +142,7 @@ def test_a_list_is_what_clients_may_have() -> None:
     ports = TopicPorts("robot1")
     for port in listed:
         ports.reserve(session, UDP, port)
-    with pytest.raises(ListenError, match=r"port 12031: the server's session has ports: 12001, .* and 18 more; "):
+    with pytest.raises(ListenError, match=r"port 12031: .* 12001, .* and 18 more; "):
         ports.reserve(session, UDP, 12031)
     ports.reserve(session, RFCOMM, 5)
 

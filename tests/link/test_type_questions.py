@@ -7,10 +7,11 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 import zstandard
+from tests.support.wording import pattern
 
 from rsb_bridge.cdr.description import DESCRIPTION_LIMIT, Field, FieldType, MessageType, TypeDescription, hash_of_text
 from rsb_bridge.cdr.description import text_of as text_of_description
-from rsb_bridge.link.errors import LinkError
+from rsb_bridge.link.errors import Denied, LinkError
 from rsb_bridge.link.questions import TypeQuestions
 from rsb_bridge.ros import type_descriptions
 from rsb_bridge.ros.ros_interface import RosError
@@ -110,7 +111,7 @@ def test_an_answer_that_proves_itself_is_kept() -> None:
 )
 def test_any_other_is_as_none(answer: bytes | None) -> None:
     async def run() -> None:
-        with pytest.raises(LinkError, match="a_msgs/msg/B is not installed on either side"):
+        with pytest.raises(LinkError, match=pattern(Denied.TYPE_NOT_INSTALLED, type_name="a_msgs/msg/B")):
             await Side().ask(answer)
 
     asyncio.run(run())

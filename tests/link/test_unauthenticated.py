@@ -19,6 +19,7 @@ from tests.support.waiting import eventually
 from tests.support.wording import has_text
 
 from rsb_bridge.config.keys import read_key
+from rsb_bridge.link.pending_connections import Rejected
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.session import Client, Topic
 from rsb_bridge.model.verdict import LinkCause
@@ -233,8 +234,8 @@ def test_half_a_handshake_and_then_nothing(friend: Any, bridge: Bridge) -> None:
         newcomer = bridge.client(name="robot2", key_file="other.key")
         eventually(lambda: linked(newcomer, "robot2"))
         served(server, out, there, 0.5)
-        assert b"no handshake within 5 s" in strangers[-1].recv(4096)
-    assert happened(server, EventCode.LINK_REJECTED, "no handshake within 5 s")
+        assert Rejected.NO_HANDSHAKE(seconds=5).encode() in strangers[-1].recv(4096)
+    assert happened(server, EventCode.LINK_REJECTED, Rejected.NO_HANDSHAKE, seconds=5)
 
 
 def test_a_client_links_beside_a_flood_of_connections_from_its_own_address(friend: Any, bridge: Bridge) -> None:

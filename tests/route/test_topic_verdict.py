@@ -21,7 +21,15 @@ from rsb_bridge.route.combined_verdict import CombinedVerdict, lasting, record_o
 from rsb_bridge.route.lateness import QUEUE, WAY, Late, late_verdict
 from rsb_bridge.route.lease import Standstill
 from rsb_bridge.route.thinning import Share, ThinningShare
-from rsb_bridge.route.topic_verdict import LOWER_MTU, USE_TCP, Facts, judge, named
+from rsb_bridge.route.topic_verdict import (
+    LOWER_MTU,
+    PUBLISHED_NOTHING,
+    STOPPED_PUBLISHING,
+    USE_TCP,
+    Facts,
+    judge,
+    named,
+)
 from rsb_bridge.telemetry.watches import Loss
 from rsb_bridge.wire.records import VerdictRecord
 
@@ -65,7 +73,7 @@ def test_a_route_that_flows_is_fine() -> None:
             {"breaking": "Connection timed out", "refusal": "data connection: Connection timed out"},
             State.DOWN,
             Cause.NO_PATH,
-            ["(Connection timed out)", "though the link is up", "MTU"],
+            ["(Connection timed out)", "MTU"],
         ),
         (
             SENDER,
@@ -86,21 +94,21 @@ def test_a_route_that_flows_is_fine() -> None:
             {"endpoints": [endpoint("/a", BEST_EFFORT)], "came": False, "stale_since": NOW - 16.0},
             State.DOWN,
             Cause.QOS_INCOMPATIBLE,
-            ["/a offers best_effort", "asks for reliable", "its messages are not received", "qos: auto"],
+            ["/a ", "best_effort", "reliable", "qos: auto"],
         ),
         (
             SENDER,
             {"endpoints": [TALKER, endpoint("/a", BEST_EFFORT)]},
             State.UNHEARD,
             Cause.QOS_INCOMPATIBLE,
-            ["/a offers best_effort"],
+            ["/a ", "best_effort"],
         ),
         (
             SENDER,
             {"endpoints": [TALKER, endpoint("/b")], "qos": LATCHED},
             State.DOWN,
             Cause.QOS_INCOMPATIBLE,
-            ["/b and /talker offer volatile", "asks for transient_local", "their messages are not received"],
+            ["/b and /talker", "volatile", "transient_local"],
         ),
         (
             SENDER,
@@ -128,10 +136,10 @@ def test_a_route_that_flows_is_fine() -> None:
             {"came": False, "endpoints": [], "similar": "/char"},
             State.WAITING,
             Cause.SIMILAR_NAME,
-            ["no publisher of /chat in domain 2; did you mean /char?"],
+            ["/chat", "domain 2", "/char"],
         ),
-        (SENDER, {"came": False}, State.WAITING, Cause.PUBLISHER_SILENT, ["/talker has published nothing yet"]),
-        (RECEIVER, {"came": False}, State.WAITING, Cause.NO_MESSAGE, ["no message yet"]),
+        (SENDER, {"came": False}, State.WAITING, Cause.PUBLISHER_SILENT, [f"/talker {PUBLISHED_NOTHING[0]}"]),
+        (RECEIVER, {"came": False}, State.WAITING, Cause.NO_MESSAGE, []),
         (
             SENDER,
             {"came": False, "flowing": False, "waits_for": "peer accepted"},
@@ -144,14 +152,14 @@ def test_a_route_that_flows_is_fine() -> None:
             {"stopped_since": NOW - 3.0, "expected_rate": 10.0},
             State.STOPPED,
             Cause.PUBLISHER_SILENT,
-            ["nothing for 3 s, 10 Hz expected", "/talker has stopped publishing, or died"],
+            ["3 s", "10 Hz", f"/talker {STOPPED_PUBLISHING[0]}"],
         ),
         (
             SENDER,
             {"stopped_since": NOW - 3.0, "expected_rate": 10.0, "endpoints": []},
             State.STOPPED,
             Cause.PUBLISHER_GONE,
-            ["no publisher of /chat in domain 2 any more"],
+            ["/chat", "domain 2"],
         ),
         (
             SENDER,
@@ -178,13 +186,13 @@ def test_a_route_that_flows_is_fine() -> None:
         ),
         (SENDER, {"endpoints": []}, State.OK, Cause.PUBLISHER_GONE, ["/chat"]),
         (SENDER, {"came": False, "came_before": True}, State.WAITING, Cause.PUBLISHER_SILENT, ["/talker"]),
-        (RECEIVER, {"stale_since": NOW - 20.0}, State.STALE, Cause.SILENT, ["nothing for 20 s"]),
+        (RECEIVER, {"stale_since": NOW - 20.0}, State.STALE, Cause.SILENT, ["20 s"]),
         (
             SENDER,
             {"slow_since": NOW - 8.0, "rate": 2.02, "expected_rate": 20.0},
             State.SLOW,
             Cause.SLOW,
-            ["2.02 Hz of 20 expected, for 8 s", "that is all that /talker publishes"],
+            ["2.02 Hz", "20", "8 s", "/talker"],
         ),
         (
             SENDER,
@@ -198,14 +206,14 @@ def test_a_route_that_flows_is_fine() -> None:
             {"loss": Loss(50, 100, "incomplete", NOW - 12.0), "datagrams": 40},
             State.SLOW,
             Cause.LOSSY,
-            ["50 of the last 100 messages (50%) did not arrive, for 10 s", "40 datagrams", "protocol: tcp", "smaller"],
+            ["50 of", "100 messages", "(50%)", "10 s", "40 datagrams", "protocol: tcp"],
         ),
         (
             SENDER,
             {"loss": Loss(100, 100, "lost on the way", NOW - 12.0)},
             State.DOWN,
             Cause.LOSSY,
-            ["none of the last 100 messages arrived", "protocol: tcp"],
+            ["100 messages", "protocol: tcp"],
         ),
         (SENDER, {"loss": LOST, "full": FULL}, State.SLOW, Cause.QUEUE_FULL, [FULL.share]),
         (SENDER, {"loss": LOST, "loss_of_full_link": True}, State.SLOW, Cause.QUEUE_FULL, []),
@@ -215,7 +223,7 @@ def test_a_route_that_flows_is_fine() -> None:
             {"loss": Loss(9, 10, "too large", 0.0)},
             State.SLOW,
             Cause.TOO_LARGE,
-            ["larger than its transport carries", "protocol: tcp"],
+            ["protocol: tcp"],
         ),
         (SENDER, {"loss": Loss(9, 10, "queue full", 0.0)}, State.SLOW, Cause.QUEUE_FULL, ["max_rate", "compression"]),
         (SENDER, {"loss": Loss(9, 10, "of a newer peer", 0.0)}, State.SLOW, Cause.LOSSY, ["9 of the last 10"]),
@@ -232,7 +240,7 @@ def test_a_route_that_flows_is_fine() -> None:
             {"endpoints": []},
             State.UNHEARD,
             Cause.NO_SUBSCRIBER,
-            ["nobody subscribes to /robot1/chat in domain 3"],
+            ["/robot1/chat", "domain 3"],
         ),
         (
             RECEIVER,

@@ -23,7 +23,7 @@ from rsb_bridge.config.validation import validate
 from rsb_bridge.engine.exporters import Exporters
 from rsb_bridge.engine.inspector import RouteInspector
 from rsb_bridge.engine.topic_commands import BridgeArming, TopicCommands
-from rsb_bridge.link.errors import LinkError
+from rsb_bridge.link.errors import Denied, LinkError
 from rsb_bridge.link.graph_watch import GraphWatch
 from rsb_bridge.link.name_watch import NameWatch
 from rsb_bridge.link.questions import topics_of_peer
@@ -520,5 +520,5 @@ async def carry_out(order: Order, links: Sequence[Link]) -> Outcome:
 def _chosen(name: str, links: Sequence[Link]) -> Link:
     found = [link for link in links if name in ("", link.name)]
     if len(found) != 1:
-        raise LinkError(f"say which client: one of {', '.join(link.name for link in links)}")
+        raise LinkError(Denied.WHICH_CLIENT(clients=", ".join(link.name for link in links)))
     return found[0]

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, TypeVar
 
 import msgspec
 
-from rsb_bridge.api import ArmingApi, EngineApi, EngineError
+from rsb_bridge.api import ArmingApi, EngineApi, EngineError, Unable
 from rsb_bridge.config.difference import is_another, kept
 from rsb_bridge.config.session_file import SessionError, demand_places, load
 from rsb_bridge.config.validation import domain_of, validate
@@ -133,7 +133,7 @@ def not_running() -> Future[T]:
 
 
 def _error() -> EngineError:
-    return EngineError("the engine is not running")
+    return EngineError(Unable.NOT_RUNNING())
 
 
 def _cancel(task: asyncio.Task[None], loop: asyncio.AbstractEventLoop) -> None:
@@ -251,7 +251,7 @@ class Engine(EngineApi):
 
     def _check_not_stopped(self) -> None:
         if self._stop_wanted:
-            raise EngineError("the engine was stopped before it had started")
+            raise EngineError(Unable.STOPPED_BEFORE_START())
 
     def _start(self) -> None:
         try:
@@ -441,7 +441,7 @@ class Engine(EngineApi):
             EngineError: there is no key, or the command fails.
         """
         if self._session.role != "server":
-            raise EngineError("only a server has clients")
+            raise EngineError(Unable.NOT_A_SERVER())
         alone = msgspec.structs.replace(self._session, clients=(client,), operators=())
         keys, _ = await asyncio.to_thread(load_keys, alone, self._folder())
         self.access.check_link(keys)
@@ -486,7 +486,7 @@ class Engine(EngineApi):
             EngineError: there is none, or it has mistakes.
         """
         if self._file is None:
-            raise EngineError("this session is in no file: save it first")
+            raise EngineError(Unable.NO_FILE())
         try:
             wanted = load(self._file)
         except SessionError as error:

@@ -9,7 +9,7 @@ from rsb_bridge.api import EngineError
 from rsb_bridge.cdr.decoder import decode
 from rsb_bridge.cdr.description import hash_of_text, read_description
 from rsb_bridge.config.fields_text import ITEMS, STEPS, read_fields, write_fields
-from rsb_bridge.link.errors import LinkError
+from rsb_bridge.link.errors import Denied, LinkError
 from rsb_bridge.link.peer_operators import acting_operator, called
 from rsb_bridge.model.calls import SEND_GOAL
 from rsb_bridge.model.codes import EventCode
@@ -97,7 +97,7 @@ class RouteInspector:
             link, found = self._find(key)
             route = _callable(found)
             if self._calls >= CALLS_AT_ONCE:
-                raise LinkError(f"{CALLS_AT_ONCE} calls by hand are under way already: wait for one of them")
+                raise LinkError(Denied.TOO_MANY_CALLS(limit=CALLS_AT_ONCE))
             self._calls += 1
             try:
                 return await self._call(link, route, _lane_named(route, lane), request)

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Protocol
 import msgspec
 
 from rsb_bridge.config.difference import changes, described
-from rsb_bridge.link.errors import LinkError
+from rsb_bridge.link.errors import Denied, LinkError
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.command_origin import console, operator
 from rsb_bridge.model.demands import PEER_DEMANDS, local_name
@@ -58,7 +58,7 @@ class TopicCommands:
                 return link, link.routes[key]
             if link.patterns.find(key) is not None:
                 raise LinkError("a pattern carries nothing itself: choose one of the topics that it matches")
-        raise LinkError(f"there is no route {key!r} any more")
+        raise LinkError(Denied.NO_ROUTE(key=key))
 
     def _pattern(self, key: str) -> tuple[Link, Topic] | None:
         found = ((link, link.patterns.find(key)) for link in self._role.links())

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Final
 import msgspec
 
 from rsb_bridge.config.rights import Use, as_if_listed, uses
-from rsb_bridge.link.errors import LinkError
+from rsb_bridge.link.errors import Denied, LinkError
 from rsb_bridge.link.proposals import KINDS
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.command_origin import acting
@@ -251,9 +251,9 @@ class LinkPatterns:
         """
         self._proposed.check(topic)
         if any(entry.topic.identity == topic.identity for entry in self.entries):
-            raise LinkError(f"{topic.topic} is followed in that direction already: edit or remove that pattern")
+            raise LinkError(Denied.FOLLOWED_ALREADY(topic=topic.topic))
         if len(self.entries) >= PATTERNS_PER_LINK:
-            raise LinkError(f"this link has {PATTERNS_PER_LINK} patterns already, which is the limit")
+            raise LinkError(Denied.TOO_MANY_PATTERNS(limit=PATTERNS_PER_LINK))
         self._set([*self.all(), topic])
         return self.key_of(topic)
 
@@ -271,7 +271,7 @@ class LinkPatterns:
         """Raise `LinkError` where `replace` would."""
         self._proposed.check(topic)
         if topic.identity != identity and any(each.identity == topic.identity for each in self.all()):
-            raise LinkError(f"{topic.topic} is followed in that direction already: edit or remove that pattern")
+            raise LinkError(Denied.FOLLOWED_ALREADY(topic=topic.topic))
 
     def remove(self, identity: Identity) -> None:
         """Follow a pattern no more: all routes that it has made are removed, unless another one matches."""

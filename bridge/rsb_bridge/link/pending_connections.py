@@ -10,6 +10,7 @@ from rsb_bridge.model.budgets import CONNECTION
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.snapshot import Level
 from rsb_bridge.model.verdict import LinkCause
+from rsb_bridge.model.wording import Wording
 from rsb_bridge.transport import descriptors
 from rsb_bridge.transport.streams import Stream, StreamHandler
 from rsb_bridge.wire.events import Attach, Established, Event, Failed, RefusalCode, Refused
@@ -40,7 +41,15 @@ _CODES = {
 }
 _ONLY_BRIDGES = "correct the address in that program, as only bridges use this port"
 _SENDS_NOTHING = "it sent nothing for 5 s: probably a port scan or a health check, as a bridge sends its name"
-_TOO_MANY = "too many unauthenticated connections"
+
+
+class Rejected(Wording):
+    """Reasons why a connection is closed before it has authenticated."""
+
+    TOO_MANY = "too many unauthenticated connections"
+    NO_HANDSHAKE = "no handshake within {seconds:g} s"
+    SUPERSEDED = "others came after it as the same client"
+    SERVER_STOPS = "the server stops"
 
 
 class _Stage(IntEnum):
@@ -124,13 +133,13 @@ class PendingConnections:
         """
         of_host = [each for each in self._present if each.network == pending.network]
         if self._full(len(of_host), _MOST_OF_ONE_HOST, pending.host):
-            self._reject_lowest(of_host, _TOO_MANY)
+            self._reject_lowest(of_host, Rejected.TOO_MANY())
         elif self._full(len(self._present), _MOST) or self._uses_reserve():
-            self._reject_lowest(self._present, _TOO_MANY)
+            self._reject_lowest(self._present, Rejected.TOO_MANY())
         while not self.strangers.take(CONNECTION):
             if not self._present:
                 return False
-            self._reject_lowest(self._present, _TOO_MANY)
+            self._reject_lowest(self._present, Rejected.TOO_MANY())
         self._present[pending] = None
         return True
 
@@ -148,7 +157,7 @@ class PendingConnections:
         """A connection's first message opens under its client's key."""
         same = [each for each in self._present if each.name == pending.name and each.stage is _Stage.ACCEPTED]
         for oldest in same[:-_MOST_ACCEPTED]:
-            oldest.reject("others came after it as the same client")
+            oldest.reject(Rejected.SUPERSEDED())
 
     def remove(self, pending: _PendingConnection) -> None:
         """A connection has authenticated or is gone."""
@@ -180,7 +189,7 @@ class PendingConnections:
     def close(self) -> None:
         """Reject all."""
         for pending in tuple(self._present):
-            pending.reject("the server stops")
+            pending.reject(Rejected.SERVER_STOPS())
 
 
 class _PendingConnection(StreamHandler):
@@ -201,7 +210,7 @@ class _PendingConnection(StreamHandler):
         self._stream, self.host, self.network = stream, stream.host, network(stream.host)
         self._counted = self._pending.add(self)
         if not self._counted:
-            self.reject(_TOO_MANY)
+            self.reject(Rejected.TOO_MANY())
             return
         loop = self._pending.context.loop
         self._deadline = loop.call_later(_HANDSHAKE_WITHIN, self._gives_up)
@@ -218,7 +227,7 @@ class _PendingConnection(StreamHandler):
     def _gives_up(self) -> None:
         """Reject a client whose handshake takes too long."""
         if self._stream is None or self._stream.received_bytes:
-            self.reject("no handshake within 5 s")
+            self.reject(Rejected.NO_HANDSHAKE(seconds=_HANDSHAKE_WITHIN))
         else:
             self.reject(_SENDS_NOTHING, LinkCause.NO_ANSWER)
 

@@ -11,7 +11,7 @@ from rsb_bridge import __version__
 from rsb_bridge.config.rights import Rights, Use, uses
 from rsb_bridge.config.topic_rules import overlap
 from rsb_bridge.config.validation import validate_topic
-from rsb_bridge.link.errors import LinkError
+from rsb_bridge.link.errors import Denied, LinkError
 from rsb_bridge.model import session
 from rsb_bridge.model.calls import LANES
 from rsb_bridge.model.limits import LATE_AFTER_FEATURE, MAX_AGE_FEATURE, ROUTES_PER_LINK, ROUTES_PROPOSED_BY_SERVER
@@ -201,7 +201,7 @@ def authorized(proposal: Propose, authority: Authority, session: Session) -> Pro
     for problem in validate_topic(topic_of(ours), session):
         raise LinkError(str(problem))
     if use.may == "publish" and use.topic == session.shutdown_topic:
-        raise LinkError(f"{use.topic} is this side's shutdown topic: only its own domain may publish on it")
+        raise LinkError(Denied.SHUTDOWN_TOPIC(topic=use.topic))
     return ours
 
 
@@ -221,15 +221,12 @@ def check_room(routes: Collection[Route], session: Session) -> None:
         LinkError: there are too many.
     """
     if len(routes) >= ROUTES_PER_LINK:
-        raise LinkError(f"this link has {ROUTES_PER_LINK} topics and services already, which is the limit")
+        raise LinkError(Denied.TOO_MANY_ROUTES(limit=ROUTES_PER_LINK))
     if session.role == "server":
         return
     proposed = sum(1 for route in routes if not route.proposed_here)
     if proposed >= ROUTES_PROPOSED_BY_SERVER:
-        raise LinkError(
-            f"{session.name} has {proposed} topics and services of the server's already, which is the limit: "
-            f"list further ones in the session file of {session.name}"
-        )
+        raise LinkError(Denied.TOO_MANY_OF_SERVER(client=session.name, count=proposed))
 
 
 def check_overlap(topic: Topic, routes: Iterable[Route]) -> None:

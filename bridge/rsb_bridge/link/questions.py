@@ -15,7 +15,7 @@ import zstandard
 
 from rsb_bridge.cdr.description import DESCRIPTION_LIMIT
 from rsb_bridge.link.control_channel import in_slices
-from rsb_bridge.link.errors import LinkError
+from rsb_bridge.link.errors import Denied, LinkError
 from rsb_bridge.link.proposals import KINDS
 from rsb_bridge.model.limits import TEXT_LENGTH
 from rsb_bridge.model.snapshot import TopicInfo
@@ -103,7 +103,7 @@ class Questions(Generic[T]):
                 return await asyncio.shield(asked.answer)
         except TimeoutError:
             asked.to_send = True
-            raise LinkError("the other side did not answer") from None
+            raise LinkError(Denied.NO_ANSWER()) from None
         finally:
             asked.askers -= 1
             if not asked.askers and self._asked.get(number) is asked:
@@ -209,7 +209,7 @@ class TypeQuestions:
         if text is None and linked and route.id:
             text = self._checked(await self._ask(route.id), route.type_hash)
         if text is None:
-            raise LinkError(f"{route.type_name} is not installed on either side, and no node of the topic describes it")
+            raise LinkError(Denied.TYPE_NOT_INSTALLED(type_name=route.type_name))
         return text
 
     async def _ask(self, route_id: int) -> bytes:

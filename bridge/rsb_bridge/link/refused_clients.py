@@ -14,6 +14,7 @@ from rsb_bridge.model.limits import TEXT_LENGTH
 from rsb_bridge.model.snapshot import Level, RefusedClient
 from rsb_bridge.model.text import sanitize_text
 from rsb_bridge.model.verdict import LinkCause, about
+from rsb_bridge.model.wording import Wording
 from rsb_bridge.wire.events import RefusalCode
 from rsb_bridge.wire.messages import Duplicate
 
@@ -76,6 +77,16 @@ def with_remedy(code: RefusalCode, message: str, *, name: str, has_key: bool) ->
             return f"{message}: set use_encryption and key_file"
         case _:
             return message
+
+
+class SameName(Wording):
+    """Several clients that have one name."""
+
+    SECOND = "a second client at {address} calls itself {name!r} too, and is refused"
+    SEVERAL = "a second client at {address} and {others} call themselves {name!r} too, and are refused"
+    REMEDY_FOR_SEVERAL = "stop all but one, or give each a name and a key of its own"
+    NO_MORE = "no second client calls itself {name!r} any more"
+    TAKEN = "{name!r} is linked already, since {since:%Y-%m-%d %H:%M} UTC, at {address}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -320,7 +331,7 @@ class DuplicateClients:
 
     def over(self) -> str:
         """What the log says when there is none any more."""
-        return f"no second client calls itself {self.name!r} any more"
+        return SameName.NO_MORE(name=self.name)
 
     def warning(self, now: float, wall: float) -> str:
         """What both sides' screens say at `now` (s), which is `wall` (s since the epoch); empty: there is none."""
@@ -334,10 +345,10 @@ class DuplicateClients:
             return "", ""
         at = _at(news.address, news.host)
         if not news.others:
-            return f"a second client at {at} calls itself {self.name!r} too, and is refused", REMEDY
+            return SameName.SECOND(address=at, name=self.name), REMEDY
         others = "1 other" if news.others == 1 else f"{news.others} others"
-        what = f"a second client at {at} and {others} call themselves {self.name!r} too, and are refused"
-        return what, "stop all but one, or give each a name and a key of its own"
+        what = SameName.SEVERAL(address=at, others=others, name=self.name)
+        return what, SameName.REMEDY_FOR_SEVERAL()
 
     def _fresh(self, now: float) -> dict[tuple[str, str], float]:
         return {client: at for client, at in self._tried.items() if now - at <= _REMEMBERED}
@@ -346,7 +357,7 @@ class DuplicateClients:
 def name_taken(name: str, address: str, host: str, since: float) -> str:
     """Who has the name, since when (s since the epoch); it stays the same as long as that one is linked."""
     linked = datetime.fromtimestamp(since, UTC)
-    return f"{name!r} is linked already, since {linked:%Y-%m-%d %H:%M} UTC, at {_at(address, host)}"
+    return SameName.TAKEN(name=name, since=linked, address=_at(address, host))
 
 
 def _at(address: str, host: str) -> str:

@@ -15,7 +15,7 @@ from rsb_bridge.channel import window
 from rsb_bridge.config.keys import Key
 from rsb_bridge.config.rights import rights_of_client
 from rsb_bridge.link.client_link import ClientLink
-from rsb_bridge.link.errors import LinkError
+from rsb_bridge.link.errors import Denied, LinkError
 from rsb_bridge.link.link_server import Server
 from rsb_bridge.link.reloading import Step, client_steps, server_steps
 from rsb_bridge.link.server_link import ClientEntry
@@ -280,7 +280,7 @@ class ServerRole:
             found = [link for link in found if link.use_name and client_topic(topic, link.name) is not None]
         if not name and len(found) == 1:
             return found[0]
-        raise LinkError(f"say which client: one of {', '.join(links)}")
+        raise LinkError(Denied.WHICH_CLIENT(clients=", ".join(links)))
 
     def retry(self, link: str) -> None:
         for robot in self._server.links.values():
@@ -293,7 +293,7 @@ class ServerRole:
 
     async def restart(self, step: ReportStep) -> None:
         if self._restarting.locked():
-            raise LinkError("a restart is under way already")
+            raise LinkError(Denied.RESTARTING())
         async with self._restarting:
             await self._restart(step)
 
@@ -308,10 +308,10 @@ class ServerRole:
         await _farewell(linked, "restart", retry_after=0.0)
         step(f"binding {self._context.session.server_ip} port {self._context.session.server_port}")
         if self._stopped:
-            raise LinkError("the server stops")
+            raise LinkError(Denied.SERVER_STOPS())
         if failure := await self._bind():
             self._bind_later(failure)
-            raise LinkError(f"{failure}. The server keeps trying")
+            raise LinkError(Denied.RESTART_FAILED(failure=failure))
         step("waiting for the clients to come back")
         await _until(
             lambda: all(link.linked for link in linked), lambda: "not every client is back yet; they keep trying"

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Protocol, TypeAlias
 import msgspec
 from msgspec import UNSET
 
-from rsb_bridge.link.errors import LinkError
+from rsb_bridge.link.errors import Denied, LinkError
 from rsb_bridge.link.link_arming import DROPPED, LinkArming
 from rsb_bridge.link.peer_operators import PeerOperators, acting_operator
 from rsb_bridge.link.proposals import (
@@ -350,7 +350,7 @@ class RouteTable:
     def check_add(self, spec: Topic, proposal: Propose, key: str, instead_of: Route | None = None) -> None:
         """Raise `LinkError` where a topic cannot be added, or not in a route's place."""
         if self.routes.get(key, instead_of) is not instead_of:
-            raise LinkError(f"{proposal.topic} is bridged in that direction already: edit or remove that route")
+            raise LinkError(Denied.EDIT_THAT_ROUTE(topic=proposal.topic))
         check_overlap(spec, [each for each in self.routes.values() if each is not instead_of])
 
     def keep_demand(self, spec: Topic, key: str) -> None:
@@ -569,7 +569,7 @@ class RouteTable:
         if known is None:
             check_room(self.routes.values(), self._context.session)
         elif known.proposed_here and owner.is_client:
-            raise LinkError(f"{ours.topic} is bridged in that direction already")
+            raise LinkError(Denied.BRIDGED_ALREADY(topic=ours.topic))
         if known is not None and (known.proposed_here or not same_route(known.proposal, ours)):
             # Where both propose, the client's is the one that stays. The client may have removed it since, and taken up
             # this side's.

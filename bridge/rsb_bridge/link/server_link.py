@@ -21,6 +21,7 @@ from rsb_bridge.model.profiles import profile_of
 from rsb_bridge.model.snapshot import Level
 from rsb_bridge.model.text import join_first
 from rsb_bridge.model.verdict import LinkCause
+from rsb_bridge.model.wording import Wording
 from rsb_bridge.transport import descriptors
 from rsb_bridge.transport.transport import ListenError, StreamTransport
 from rsb_bridge.wire.events import RefusalCode
@@ -46,10 +47,38 @@ if TYPE_CHECKING:
     from rsb_bridge.wire.events import Attach
 
 _NAMED = 12
-_SHARE = "leave the topic's port out, so that it shares the link's"
 _SILENT = 1.5
 """s without a byte (pings come every second) after which another process may take a client's name over."""
 UNKNOWN_ROUTE = "unknown route"  # whoever has not authenticated does not learn which links there are
+
+
+class PortDenied(Wording):
+    """Reasons why a client's topic gets no port of its own, or no stream."""
+
+    NOT_LISTED = (
+        "port {port}: the server's session has ports: {allowed}; leave the topic's port out, so that it shares the "
+        "link's, or add it there"
+    )
+    TOO_MANY = (
+        "{client}'s topics already have {limit} ports of their own: leave the topic's port out, so that it shares the "
+        "link's, or list the ports that clients may have under ports in the server's session file"
+    )
+    OUT_OF_RANGE = (
+        "{kind} {port}: topics may have {allowed}; give one of these, or leave the topic's port out, so that it shares "
+        "the link's"
+    )
+    DISCOVERY = (
+        "{kind} {port} is reserved for discovery in the server's ROS domain {domain} ({ports}): give another, or leave "
+        "the topic's port out, so that it shares the link's"
+    )
+    DISCOVERY_OF_OTHER = (
+        "{kind} {port} is reserved for discovery in ROS domain {domain}, which the server's machine may run, too: give "
+        "another, or leave the topic's port out, so that it shares the link's"
+    )
+    TOO_MANY_DESCRIPTORS = (
+        "{client}'s topics may hold no more of the server's {limit:,} file descriptors than are left for everyone "
+        "else: {remedy} there, or use protocol: udp, whose topics share one"
+    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -121,13 +150,10 @@ class TopicPorts:
             listed = () if session.ports == "none" else session.ports
             if port not in listed:
                 allowed = join_first([str(each) for each in listed], _NAMED) or "none"
-                raise ListenError(f"port {port}: the server's session has ports: {allowed}; {_SHARE}, or add it there")
+                raise ListenError(PortDenied.NOT_LISTED(port=port, allowed=allowed))
             return _nothing  # the list is the limit
         if key not in self._users and len(self._users) >= PORTS_PER_CLIENT:
-            raise ListenError(
-                f"{self._client}'s topics already have {PORTS_PER_CLIENT} ports of their own: {_SHARE}, or list the "
-                "ports that clients may have under ports in the server's session file"
-            )
+            raise ListenError(PortDenied.TOO_MANY(client=self._client, limit=PORTS_PER_CLIENT))
         self._users[key] = self._users.get(key, 0) + 1
         return lambda: self._release(key)
 
@@ -154,17 +180,11 @@ def check_topic_port(domain: int, transport: TransportTraits, port: int) -> None
     """
     kind = transport.port_kind
     if port not in transport.topic_ports:
-        raise ListenError(f"{kind} {port}: topics may have {transport.topic_ports}; give one of these, or {_SHARE}")
+        raise ListenError(PortDenied.OUT_OF_RANGE(kind=kind, port=port, allowed=transport.topic_ports))
     if transport.ip_ports and port in dds_ports(domain):
-        raise ListenError(
-            f"{kind} {port} is reserved for discovery in the server's ROS domain {domain} ({dds_ports(domain)}): "
-            f"give another, or {_SHARE}"
-        )
+        raise ListenError(PortDenied.DISCOVERY(kind=kind, port=port, domain=domain, ports=dds_ports(domain)))
     if transport.ip_ports and (other := discovery_domain(port)) is not None:
-        raise ListenError(
-            f"{kind} {port} is reserved for discovery in ROS domain {other}, which the server's machine may run, too: "
-            f"give another, or {_SHARE}"
-        )
+        raise ListenError(PortDenied.DISCOVERY_OF_OTHER(kind=kind, port=port, domain=other))
 
 
 class DescriptorShare:
@@ -200,10 +220,7 @@ class DescriptorShare:
         if self.room > 0:
             return ""
         limit = resource.getrlimit(resource.RLIMIT_NOFILE)[0]
-        return (
-            f"{self._client}'s topics may hold no more of the server's {limit:,} file descriptors than are left for "
-            f"everyone else: {descriptors.MORE_DESCRIPTORS} there, or use protocol: udp, whose topics share one"
-        )
+        return PortDenied.TOO_MANY_DESCRIPTORS(client=self._client, limit=limit, remedy=descriptors.MORE_DESCRIPTORS)
 
     def take(self) -> Callable[[], None]:
         """Count one more.

@@ -29,6 +29,13 @@ if TYPE_CHECKING:
 LATELY = 10
 USE_TCP, LOWER_MTU = "use protocol: tcp", "lower the MTU"
 """Remedies for messages that are lost on the way."""
+STOPPED_PUBLISHING = ("has stopped publishing, or died", "have stopped publishing, or died")
+PUBLISHED_NOTHING = ("has published nothing yet", "have published nothing yet")
+NOTHING_SINCE_OPENED = (
+    "has published nothing since it was opened again",
+    "have published nothing since it was opened again",
+)
+"""Verbs for one silent publisher, and for several."""
 _NAMED = 3
 """Nodes that a sentence names."""
 
@@ -201,9 +208,9 @@ def _why_silent(facts: Facts) -> tuple[Cause, str]:
     """Explain the silence. DDS lists a publisher for up to 40 s after its death, so it may not run any more."""
     ever = facts.came or facts.came_before
     if facts.endpoints:
-        silent = ("has stopped publishing, or died", "have stopped publishing, or died")
+        silent = STOPPED_PUBLISHING
         if not ever:
-            silent = ("has published nothing yet", "have published nothing yet")
+            silent = PUBLISHED_NOTHING
         return Cause.PUBLISHER_SILENT, _plural(facts.endpoints, *silent)
     if ever:
         return Cause.PUBLISHER_GONE, f"{no_publisher(facts.topic, facts.domain_id)} any more"
@@ -221,8 +228,7 @@ def _waiting(facts: Facts) -> Verdict | None:
         text = no_publisher(facts.topic, facts.domain_id, facts.similar)
         return Verdict(State.WAITING, _nobody(facts), text)
     if facts.sends and facts.flowing:
-        nothing = "published nothing since it was opened again" if facts.came_before else "published nothing yet"
-        text = _plural(facts.endpoints, f"has {nothing}", f"have {nothing}")
+        text = _plural(facts.endpoints, *(NOTHING_SINCE_OPENED if facts.came_before else PUBLISHED_NOTHING))
         return Verdict(State.WAITING, Cause.PUBLISHER_SILENT, text)
     text = "no message yet" if facts.flowing or not facts.waits_for else f"waiting: {facts.waits_for}"
     return Verdict(State.WAITING, Cause.NO_MESSAGE, text)

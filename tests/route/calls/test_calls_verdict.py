@@ -25,7 +25,7 @@ TWO = Trouble(Cause.SEVERAL_SERVERS, "/go is served by /one and /two")
         ({"refusal": "denied"}, State.DOWN, Cause.REFUSED),
         ({"loop": "a circle"}, State.DOWN, Cause.LOOP),
         ({"paused": True, "unavailable": NOBODY}, State.PAUSED, Cause.PAUSED),
-        ({"disarmed": "nobody has armed it"}, State.DISARMED, Cause.DISARMED),
+        ({"disarmed": "unarmed"}, State.DISARMED, Cause.DISARMED),
         ({"no_path": "stuck"}, State.DOWN, Cause.NO_PATH),
         ({"unavailable": NOBODY, "offered": False}, State.WAITING, Cause.NO_SERVER),
         ({"unavailable": GONE, "offered": False}, State.DOWN, Cause.SERVER_GONE),
