@@ -1,6 +1,6 @@
 """What the bridges of a domain tell each other: what each publishes and offers there, and by which bridges that came.
 
-Each keeps one latched message on a topic of its own (PROTOCOL.md, 4). What others say there may be anything: it is
+Each keeps one latched message on a topic of its own (PROTOCOL.md, 5). What others say there may be anything: it is
 bounded in size, number and rate, and what does not read is left unheeded.
 """
 

@@ -34,7 +34,8 @@ from typing import TYPE_CHECKING, NamedTuple, Protocol, TypeVar
 from rclpy.utilities import get_rmw_implementation_identifier
 
 from rsb_bridge.model.names import split_type_name
-from rsb_bridge.ros.ros_interface import RosError
+from rsb_bridge.model.wording import Wording
+from rsb_bridge.ros.ros_interface import RosError, RosProblem
 from rsb_bridge.ros.typesupport import (
     FIND,
     GET_HASH,
@@ -84,7 +85,7 @@ def borrow_type(type_name: str, type_hash: str) -> BorrowedType:
         type_hash: ``RIHS01_...``, or empty where it is not known: then the type must be installed.
 
     Raises:
-        RosError: it is installed with another hash, or it is not installed and cannot be done without.
+        RosError: the type is installed with another hash, or it is not installed and has to be.
     """
     try:
         installed = installed_class(type_name)
@@ -97,6 +98,29 @@ def borrow_type(type_name: str, type_hash: str) -> BorrowedType:
     return BorrowedType(installed, nothing)
 
 
+class UnusableType(Wording):
+    """The reasons why a type of a message or service can't be used here."""
+
+    ANOTHER_VERSION = (
+        "{type_name} is another {kind} here ({here}) than there ({there}): install the same version of {package} on "
+        "both sides"
+    )
+    HASH_UNKNOWN = "{type_name} is not installed and no {source} tells its type hash: {remedy}"
+    INVALID_HASH = "{type_hash!r} is not a type hash: {prefix} and 64 hex digits"
+    INVALID_SERVICE_HASH = "{type_hash!r} is not a service's hash: two of {prefix} and 64 hex digits, with + between"
+    NEEDS_FASTRTPS = (
+        "{type_name} is not installed, and only rmw_fastrtps_cpp on ROS 2 Jazzy carries messages of such types: "
+        "{remedy}"
+    )
+    ANOTHER_MIDDLEWARE = "only rmw_fastrtps_cpp on ROS 2 Jazzy carries calls of such types"
+    ANOTHER_FAST_CDR = "this version of Fast CDR does not carry calls of such types"
+    CALLS_NOT_CARRIED = "{type_name} is not installed, and {reason}: {remedy}"
+    NOT_A_SERVICE = "{type_name!r} is not a service type: write it as package/srv/Name"
+    NO_STRINGS = "std_msgs is not installed: install ros-jazzy-std-msgs"
+    FOREIGN_ENCAPSULATION = "a message that is encapsulated as {encapsulation} cannot be sent in a call, only 0001 can"
+    REMEDY = "install {package}, or source the workspace that has it"
+
+
 def check_same(type_name: str, here: str, there: str, what: str) -> None:
     """Refuse a type that is installed with another hash.
 
@@ -105,15 +129,16 @@ def check_same(type_name: str, here: str, there: str, what: str) -> None:
     """
     if there not in {"", here}:
         raise RosError(
-            f"{type_name} is another {what} here ({here}) than there ({there}): "
-            f"install the same version of {type_name.partition('/')[0]} on both sides"
+            UnusableType.ANOTHER_VERSION(
+                type_name=type_name, kind=what, here=here, there=there, package=type_name.partition("/")[0]
+            )
         )
 
 
 def remedy(type_name: str) -> str:
-    """What to do where a type has to be installed."""
+    """Return an instruction to install a type."""
     package = split_type_name(type_name)[0]
-    return f"install ros-jazzy-{package.replace('_', '-')}, or source the workspace that has it"
+    return UnusableType.REMEDY(package=f"ros-jazzy-{package.replace('_', '-')}")
 
 
 def layouts_known() -> bool:
@@ -131,11 +156,11 @@ def _is_jazzy() -> bool:
 def _check_named(type_name: str, type_hash: str) -> None:
     to_do = remedy(type_name)
     if not type_hash:
-        raise RosError(f"{type_name} is not installed and no publisher tells its type hash: {to_do}")
+        raise RosError(UnusableType.HASH_UNKNOWN(type_name=type_name, source="publisher", remedy=to_do))
     if not re.fullmatch(HASH_PATTERN, type_hash):
-        raise RosError(f"{type_hash!r} is not a type hash: {HASH_PREFIX} and 64 hex digits")
+        raise RosError(UnusableType.INVALID_HASH(type_hash=type_hash, prefix=HASH_PREFIX))
     if not layouts_known():
-        raise RosError(f"{type_name} is not installed, which only rmw_fastrtps_cpp on ROS 2 Jazzy can do: {to_do}")
+        raise RosError(UnusableType.NEEDS_FASTRTPS(type_name=type_name, remedy=to_do))
 
 
 class BorrowedType(NamedTuple):
@@ -234,7 +259,7 @@ class NamedSupport:
     def __init__(self) -> None:
         string = installed_class("std_msgs/msg/String")
         if string is None:
-            raise RosError("std_msgs is not installed: install ros-jazzy-std-msgs")
+            raise RosError(UnusableType.NO_STRINGS())
         original = type_support_of(string)
         find_in_string = FIND(original.find)
         fastrtps = find_in_string(ctypes.addressof(original), FASTRTPS)
@@ -315,7 +340,7 @@ def borrow_service(type_name: str, type_hash: str) -> BorrowedService:
             then the type must be installed.
 
     Raises:
-        RosError: it is installed with another hash, or it is not installed and cannot be done without.
+        RosError: the type is installed with another hash, or it is not installed and has to be.
     """
     try:
         installed = installed_service(type_name)
@@ -323,7 +348,7 @@ def borrow_service(type_name: str, type_hash: str) -> BorrowedService:
     except ValueError:
         kind, installed = "", None
     if kind not in {"srv", "action"}:
-        raise RosError(f"{type_name!r} is not a service type: write it as package/srv/Name")
+        raise RosError(UnusableType.NOT_A_SERVICE(type_name=type_name))
     if installed is not None:
         here = service_hash_of(installed)
         check_same(type_name, here, type_hash, "service")
@@ -332,20 +357,20 @@ def borrow_service(type_name: str, type_hash: str) -> BorrowedService:
     if installed is not None and reason:
         return BorrowedService(BorrowedType(installed, nothing), raw=False)
     if not type_hash:
-        raise RosError(f"{type_name} is not installed and no node tells its type hash: {remedy(type_name)}")
+        raise RosError(UnusableType.HASH_UNKNOWN(type_name=type_name, source="node", remedy=remedy(type_name)))
     if not _HASHES.fullmatch(type_hash):
-        raise RosError(f"{type_hash!r} is not a service's hash: two of {HASH_PREFIX} and 64 hex digits, with + between")
+        raise RosError(UnusableType.INVALID_SERVICE_HASH(type_hash=type_hash, prefix=HASH_PREFIX))
     if reason:
-        raise RosError(f"{type_name} is not installed, and {reason}: {remedy(type_name)}")
+        raise RosError(UnusableType.CALLS_NOT_CARRIED(type_name=type_name, reason=reason, remedy=remedy(type_name)))
     return BorrowedService(named_services.borrow(type_name, type_hash), raw=True)
 
 
 def why_not_raw() -> str:
-    """Why calls of types that are not installed cannot be carried here; empty: they can."""
+    """Return the reason why calls of types that are not installed cannot be carried here, or an empty string."""
     if not layouts_known():
-        return "only rmw_fastrtps_cpp on ROS 2 Jazzy can do without"
+        return UnusableType.ANOTHER_MIDDLEWARE()
     if not _copies_calls():
-        return "this version of Fast CDR is not one that can do without"
+        return UnusableType.ANOTHER_FAST_CDR()
     return ""
 
 
@@ -446,9 +471,9 @@ def outgoing(payload: bytes) -> object:
         RosError: the payload is no message of this kind of machine.
     """
     if len(payload) < _HEADER:
-        raise RosError(f"a serialized message has at least 4 bytes, not {len(payload)}")
+        raise RosError(RosProblem.MESSAGE_TOO_SHORT(length=len(payload)))
     if not payload.startswith(_WRITTEN):
-        raise RosError(f"a message that is encapsulated as {payload[:2].hex()} cannot be sent in a call, only 0001 can")
+        raise RosError(UnusableType.FOREIGN_ENCAPSULATION(encapsulation=payload[:2].hex()))
     cdr = _cdr()
     assert cdr is not None
     length = len(payload) - _HEADER

@@ -30,7 +30,7 @@ from rsb_bridge.ros.librcl import (
     safe_type_name,
 )
 from rsb_bridge.ros.raw_types import borrow_service, borrow_type
-from rsb_bridge.ros.ros_interface import Endpoint, RosError
+from rsb_bridge.ros.ros_interface import Endpoint, RosError, RosProblem
 from rsb_bridge.ros.rosidl_descriptions import ask_node
 from rsb_bridge.ros.service_endpoints import Client, Server, TypedClient, TypedServer
 from rsb_bridge.ros.service_graph import CallerTable, callers, servers
@@ -111,14 +111,14 @@ class Participant:
             RosError: the domain cannot be joined.
         """
         if domain_id not in DOMAIN:
-            raise RosError(f"ROS domain {domain_id} cannot be joined: domains are {DOMAIN}")
+            raise RosError(RosProblem.NO_SUCH_DOMAIN(domain=domain_id, domains=DOMAIN))
         self._context = Context()
         try:
             self._context.init(_ARGUMENTS, domain_id=domain_id)
             self._node = _rclpy.Node(node_name, "/", self._context.handle, [], False, False)
         except RuntimeError as error:
             self._context.try_shutdown()
-            raise RosError(f"ROS domain {domain_id} cannot be joined: {reason_of(error)}") from error
+            raise RosError(RosProblem.DOMAIN_REFUSED(domain=domain_id, reason=reason_of(error))) from error
         self._name = self._node.get_fully_qualified_name()
         self._guard = _rclpy.GuardCondition(self._context.handle)
         self._graph_guard = _graph_guard_condition(self._node.pointer)
@@ -180,7 +180,7 @@ class Participant:
             return ask_node(self._node, self._context.handle, node, type_name, type_hash, still_wanted, self._entities)
         except RuntimeError as error:
             reset_error()
-            raise RosError(f"{node} cannot be asked: {reason_of(error)}") from error
+            raise RosError(RosProblem.NODE_UNREADABLE(node=node, reason=reason_of(error))) from error
 
     def create_reader(self, topic: str, type_name: str, type_hash: str, qos: Qos) -> Reader:
         """A raw subscription.
@@ -277,11 +277,8 @@ class Participant:
             return kind(self._node, interface, name, profile)
         except ValueError as error:
             reset_error()  # rclpy leaves it set, and rcl then writes to the terminal
-            what = "service" if kind in {_rclpy.Service, _rclpy.Client} else "topic"
-            raise RosError(
-                f"{name!r} is not a {what} name: write parts of letters, digits and _ after one / each, "
-                "none beginning with a digit"
-            ) from error
+            noun = "service" if kind in {_rclpy.Service, _rclpy.Client} else "topic"
+            raise RosError(RosProblem.INVALID_NAME(name=name, kind=noun)) from error
         except RuntimeError as error:
             raise RosError(f"{name}: {reason_of(error)}") from error
 
@@ -308,4 +305,4 @@ def _named(found: list[tuple[str, list[str]]]) -> dict[str, list[str]]:
 
 
 def _unreadable(error: RuntimeError) -> RosError:
-    return RosError(f"the ROS graph cannot be read: {reason_of(error)}")
+    return RosError(RosProblem.GRAPH_UNREADABLE(reason=reason_of(error)))

@@ -8,6 +8,8 @@ from __future__ import annotations
 from collections.abc import Callable, Hashable, Sequence
 from typing import TYPE_CHECKING, NamedTuple, Protocol
 
+from rsb_bridge.model.wording import Wording
+
 if TYPE_CHECKING:
     from rsb_bridge.model.calls import Fields
     from rsb_bridge.model.qos import Qos
@@ -16,6 +18,32 @@ if TYPE_CHECKING:
 
 BATCH = 64
 """Messages or calls taken from one endpoint before the next has its turn."""
+
+
+class RosProblem(Wording):
+    """The reasons why ROS can't do what it was asked to."""
+
+    NOT_INSTALLED = (
+        "ROS 2 cannot be used ({error}): pip install 'rsb-console[ros]' on x86-64 Linux, or source "
+        "/opt/ros/jazzy/setup.bash before starting"
+    )
+    STARTED_TWICE = "a ROS node is started once"
+    NOT_RUNNING = "the ROS node is not running"
+    THREAD_FAILED = "the thread that serves ROS failed: {error}"
+    NO_SUCH_DOMAIN = "ROS domain {domain} cannot be joined: domains are {domains}"
+    DOMAIN_REFUSED = "ROS domain {domain} cannot be joined: {reason}"
+    GRAPH_UNREADABLE = "the ROS graph cannot be read: {reason}"
+    NODE_UNREADABLE = "{node} cannot be asked: {reason}"
+    INVALID_NAME = (
+        "{name!r} is not a {kind} name: write parts of letters, digits and _ after one / each, none beginning with a "
+        "digit"
+    )
+    TYPE_MISSING = "{type_name} is not installed here"
+    MESSAGE_TOO_SHORT = "a serialized message has at least 4 bytes, not {length}"
+    NOT_TAKEN = "{topic}: a message could not be taken (rcl error {code})"
+    NOT_PUBLISHED = "{topic}: {reason}"
+    CLOSED = "the publisher is closed"
+    REFUSED_BY_MIDDLEWARE = "the middleware refused a message (rcl error {code})"
 
 
 class RosError(Exception):

@@ -90,6 +90,7 @@ class RefusalText(Wording):
         "update rsb-console on this side, which is older"
     )
     KEYS_DIFFER = "the keys of {name!r} differ: {theirs} on the {there}, {ours} on the {here}"
+    KEY_NOT_NAMED = "the {there} does not name its key of {name!r}; the {here} has {ours}"
     FIRST_MESSAGE_FORGED = (
         "the first message of {name!r} is damaged or forged: the fingerprints of both sides' keys are equal"
     )
@@ -135,8 +136,10 @@ def key_of(keys: tuple[bytes, ...], offered: bytes, name: str, there: str, here:
     by_fingerprint = {fingerprint_of(key): key for key in keys}
     if offered not in by_fingerprint:
         ours = " or ".join(map(format_fingerprint, by_fingerprint))
-        theirs = format_fingerprint(offered)
-        message = RefusalText.KEYS_DIFFER(name=name, theirs=theirs, there=there, ours=ours, here=here)
+        if theirs := format_fingerprint(offered):
+            message = RefusalText.KEYS_DIFFER(name=name, theirs=theirs, there=there, ours=ours, here=here)
+        else:
+            message = RefusalText.KEY_NOT_NAMED(name=name, there=there, ours=ours, here=here)
         raise Refusal(RefusalCode.WRONG_KEY, message)
     return by_fingerprint[offered]
 
