@@ -68,7 +68,7 @@ _DATA = struct.Struct(f">{LINK_ID_LENGTH}sI")
 
 
 class Kind(IntEnum):
-    """What a preamble frame is."""
+    """The kind of a preamble frame."""
 
     CONTROL = 1
     DATA = 2
@@ -108,8 +108,8 @@ class Refusal(Exception):  # noqa: N818 - an answer, not an error of this side's
     """This side refuses a stream.
 
     Attributes:
-        code: why.
-        message: why, in a sentence that is true on either side.
+        code: the reason.
+        message: the reason in a sentence that is true on either side.
     """
 
     def __init__(self, code: RefusalCode, message: str) -> None:
@@ -119,19 +119,19 @@ class Refusal(Exception):  # noqa: N818 - an answer, not an error of this side's
 
 
 def key_of(keys: tuple[bytes, ...], offered: bytes, name: str, there: str, here: str) -> bytes:
-    """The key that a peer says it has, so that its first message costs no more where several are valid.
+    """Return the key that a peer claims to have, so that several valid keys do not make its first message costlier.
 
-    What it says is part of the handshake's prologue: with another key than it says, the message does not open.
+    The claim is part of the handshake's prologue: with another key, the message does not open.
 
     Args:
-        keys: the valid ones.
-        offered: the fingerprint of the peer's.
-        name: that it calls itself by.
-        there: what the peer is, for the message.
-        here: what this side is, likewise.
+        keys: the valid keys.
+        offered: the fingerprint of the peer's key.
+        name: the peer's.
+        there: the peer's role, for the message.
+        here: this side's role, for the message.
 
     Raises:
-        Refusal: it is none of the valid ones.
+        Refusal: the peer names no key or none of the valid ones.
     """
     by_fingerprint = {fingerprint_of(key): key for key in keys}
     if offered not in by_fingerprint:
@@ -148,9 +148,9 @@ class ControlPreamble(NamedTuple):
     """A client's request for a control connection.
 
     Attributes:
-        suite: what it offers to seal with.
+        suite: the offered cipher suite.
         name: of its session.
-        fingerprint: of its key, as it says: 8 bytes; zeros: it has none.
+        fingerprint: of its key, unproven: 8 bytes, or zeros for no key.
         header: the frame up to the handshake message: the handshake's prologue.
         message: the first handshake message.
     """
@@ -182,10 +182,10 @@ def take_frame(stream: bytearray) -> bytes | None:
     """Remove one frame of the handshake from the front of a stream's buffer.
 
     Returns:
-        The frame without its length; None while it is incomplete.
+        The frame without its length, or None while it is incomplete.
 
     Raises:
-        ForeignProtocolError: no frame of the handshake is so long.
+        ForeignProtocolError: the frame is too long for the handshake.
     """
     if len(stream) < LENGTH.size:
         return None

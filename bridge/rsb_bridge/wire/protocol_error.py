@@ -7,7 +7,7 @@ from rsb_bridge.model.wording import Wording
 
 
 class Broken(Wording):
-    """How a peer broke the format."""
+    """The ways in which a peer can break the format."""
 
     FOREIGN = "the other side is not an rsb-console"
     FOREIGN_KNOWN = "the other side is not an rsb-console (it speaks {protocol})"
