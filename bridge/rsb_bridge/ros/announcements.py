@@ -47,7 +47,7 @@ _NODE_NAME = re.compile(r"[A-Za-z0-9_/]{1,255}")
 _ORDINARY_REMEMBERED = 4096
 _SAID = Qos(durability="transient_local", depth=1)
 _HEARD = Qos(durability="transient_local", depth=_MOST_UNREAD)
-"""A reader's depth counts the messages of all publishers: with 1, a bridge that starts would hear only one other bridge."""
+"""A reader's depth counts the messages of all publishers: with 1, a new bridge would hear only one other."""
 
 
 class PublisherEntry(msgspec.Struct, frozen=True):
@@ -164,11 +164,11 @@ class OwnAnnouncement:
         return own.origin if own is not None else None
 
     def publishers(self, topic: str, besides: Hashable) -> list[Endpoint]:
-        """Return our publishers on a topic, except those of one link."""
+        """Return our publishers on a topic, without the given link's."""
         return self._publishers.of(topic, besides)
 
     def servers(self, service: str, besides: Hashable) -> list[Endpoint]:
-        """Return our servers of a service, except those of one link."""
+        """Return our servers of a service, without the given link's."""
         return self._services.of(service, besides)
 
 
@@ -376,11 +376,11 @@ class Announcements:
             self._say_soon()
 
     def own_publishers(self, topic: str, besides: Hashable) -> list[Endpoint]:
-        """Return our publishers on a topic, except those of one link."""
+        """Return our publishers on a topic, without the given link's."""
         return self._own.publishers(topic, besides)
 
     def own_servers(self, service: str, besides: Hashable) -> list[Endpoint]:
-        """Return our servers of a service, except those of one link."""
+        """Return our servers of a service, without the given link's."""
         return self._own.servers(service, besides)
 
     def _say_soon(self) -> None:

@@ -76,7 +76,7 @@ class RosNode:
         self.turns = RosTurns(self._wake)
         self._lock = threading.Lock()
         self._asking = threading.Lock()
-        """Held by whoever asks another node something: the domain is not left meanwhile."""
+        """Held during questions to other nodes, so that the domain is not left meanwhile."""
         self._participant: Participant | None = None
         self._thread: threading.Thread | None = None
         self._drains: dict[int, Drain[Any]] = {}  # by endpoint's address; replaced, never changed
@@ -86,7 +86,7 @@ class RosNode:
         self._on_failure: Callable[[str], None] = _log.error
         self._failure = ""
         self._own: defaultdict[_Key, set[bytes]] = defaultdict(set)
-        self._closed: deque[tuple[_Key, bytes]] = deque()  # in `_own` still: what they published may be on its way
+        self._closed: deque[tuple[_Key, bytes]] = deque()  # still in `_own`: their messages may yet arrive
 
     def start(self) -> None:
         """Join the domain and start the thread.
@@ -325,7 +325,7 @@ class RosNode:
                         drains[address].deliver()
                 if ready.graph_changed:
                     self._on_graph_change()
-        except Exception as error:  # noqa: BLE001 — whatever it is, the thread must not end unnoticed
+        except Exception as error:  # noqa: BLE001 — no error may end the thread unnoticed
             self._failure = RosProblem.THREAD_FAILED(error=error)
             self._on_failure(self._failure)
         finally:

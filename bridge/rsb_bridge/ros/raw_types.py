@@ -1,17 +1,17 @@
 """Message and service classes for raw use, of types that need not be installed.
 
 Raw CDR needs no layout. rmw_fastrtps_cpp asks a type support for its name, its hash, a bound on its size and an
-introspection handle, all while an endpoint is created; what knows the layout it calls only for messages that are not
-raw. So a type support for a bare name and hash is std_msgs/String's (unbounded, no key) under another name and hash.
+introspection handle, all while an endpoint is created; it calls the functions that depend on the layout only for
+ordinary messages. So a type support for a bare name and hash is std_msgs/String's (unbounded, no key) under another name and hash.
 Layout of its inside: rosidl_typesupport_fastrtps_cpp/message_type_support.h (ROS 2 Jazzy). Other middlewares need the
 layout, and other distributions lay the struct out otherwise: there the type's package must be installed.
 
-A service's type support is a struct with those of its request and response. rcl has no function that takes or sends a
+A service's type support is a struct with the type supports of its request and response. rcl has no function that takes or sends a
 call serialized: it has the middleware take and send a ROS message, and rmw_fastrtps_cpp calls that message's type
 support to write it to a Cdr, or to read it from one (fastcdr). So a type support that copies bytes carries any type.
-What stands for the message is a Python object:
+In the message's place is a Python object:
 
-- To send, something that writes the payload to the Cdr that it is called with (`outgoing`). The middleware calls it
+- To send, a callable that writes the payload to the Cdr that it is called with (`outgoing`). The middleware calls it
   with its writer locked. If Python gave up the GIL there, a thread that has it and wants the writer would wait for
   ever. So not one Python instruction may run: `operator.call`, `functools.partial` and what they call are C.
 - To take, a list that the payload is put into. The middleware has nothing locked then.
@@ -78,7 +78,7 @@ _Struct = TypeVar("_Struct", bound=ctypes.Structure)
 
 
 def borrow_type(type_name: str, type_hash: str) -> BorrowedType:
-    """What rclpy creates raw endpoints of a type with: the installed class, else one made here.
+    """Return the class for raw endpoints of a type: the installed one, else one made here.
 
     Args:
         type_name: ``pkg/msg/Name``.
@@ -125,7 +125,7 @@ def check_same(type_name: str, here: str, there: str, what: str) -> None:
     """Refuse a type that is installed with another hash.
 
     Raises:
-        RosError: `there` is known, and is not `here`.
+        RosError: `there` is neither empty nor `here`.
     """
     if there not in {"", here}:
         raise RosError(
@@ -200,10 +200,10 @@ class NamedTypes:
     """
 
     def __init__(self, make: Callable[[], NamedType] | None = None) -> None:
-        """Make none yet.
+        """Begin without types.
 
         Args:
-            make: of messages or of services; None: of messages.
+            make: makes a type, or None for message types.
         """
         self.made = 0
         self._make = make or NamedMessage
@@ -305,7 +305,7 @@ class NamedMessage:
 
 
 named_types = NamedTypes()
-"""The process's: the middleware knows types by their names, whichever node uses them."""
+"""The process's types: the middleware identifies a type by its name for all nodes."""
 
 
 def nothing() -> None:
@@ -332,7 +332,7 @@ class BorrowedService(NamedTuple):
 
 
 def borrow_service(type_name: str, type_hash: str) -> BorrowedService:
-    """What rclpy creates a service's endpoints with.
+    """Return the class for a service's endpoints.
 
     Args:
         type_name: ``pkg/srv/Name``, or ``pkg/action/Name_SendGoal`` and the like.
@@ -463,12 +463,12 @@ def _copies_calls() -> bool:
 
 
 def outgoing(payload: bytes) -> object:
-    """What stands for a message to send.
+    """Return an object to send in the message's place.
 
-    It is given by its address (`id`), and it and the payload stay alive until the middleware has returned.
+    The caller passes its address (`id`), and keeps it and the payload alive until the middleware has returned.
 
     Raises:
-        RosError: the payload is no message of this kind of machine.
+        RosError: the payload is too short or of another byte order.
     """
     if len(payload) < _HEADER:
         raise RosError(RosProblem.MESSAGE_TOO_SHORT(length=len(payload)))
@@ -501,7 +501,7 @@ SIZE = ctypes.PYFUNCTYPE(ctypes.c_uint32, ctypes.py_object)(operator.attrgetter(
 
 @lru_cache(1)
 def _cdr() -> _Cdr | None:
-    """Find out how a Cdr is laid out, by making one; None: not as it should be."""
+    """Find out the layout of a Cdr by making one; return None if it is not the expected one."""
     try:
         library = ctypes.PyDLL(_LIBRARY)  # the middleware has loaded it
         new_buffer = library[f"{_SPACE}10FastBufferC1EPcm"]
@@ -534,10 +534,10 @@ def _cdr() -> _Cdr | None:
 
 
 def _place(memory: ctypes.Array[ctypes.c_char], word: int) -> int:
-    """Where the only such word stands.
+    """Return the place of a word that must occur once.
 
     Raises:
-        LookupError: there is none, or not one.
+        LookupError: the word is missing or occurs several times.
     """
     found = [place for place in range(0, _ROOM, _WORD.size) if _WORD.unpack_from(memory, place) == (word,)]
     if len(found) != 1:

@@ -1,8 +1,8 @@
-"""What the bridge uses of ROS's C client library, rcl: a participant in one domain and its raw endpoints.
+"""A participant in one ROS domain and its raw endpoints, on ROS's C client library, rcl.
 
-rclpy's executors cost three times what is needed here, and its `Node` brings a publisher and services that nobody would
-serve. So this works on the extension module under rclpy, and calls rcl itself for what that hides: changes of the graph
-here, more in the endpoints' modules. Structs: rcl/wait.h (ROS 2 Jazzy).
+rclpy's executors cost three times as much, and its `Node` brings a publisher and services that the bridge would not
+serve. So this module uses the extension module under rclpy, and calls rcl itself for functions that it hides: changes
+of the graph here, more in the endpoints' modules. Structs: rcl/wait.h (ROS 2 Jazzy).
 """
 
 from __future__ import annotations
@@ -48,11 +48,11 @@ _TRY_AGAIN_NS = 100_000_000  # after which answers that are kept are tried again
 _KEPT = 5000  # messages: Fast DDS's limit on a history that keeps all
 
 _CALLS = Qos("reliable", "volatile", "keep_last", _KEPT)
-"""As all services are, but for the depth: many calls that come at once must not push each other out."""
+"""The QoS of all services, with a greater depth: simultaneous calls must not displace each other."""
 
 
 class _WaitSetHead(ctypes.Structure):
-    """The first fields of a rcl_wait_set_t. After a wait, what was not triggered is NULL."""
+    """The first fields of a rcl_wait_set_t. After a wait, untriggered entries are NULL."""
 
     _fields_ = (
         ("subscriptions", ctypes.c_void_p),
@@ -87,11 +87,11 @@ class Incoming(Protocol):
 
 
 class Ready(NamedTuple):
-    """What ended a wait.
+    """The events that ended a wait.
 
     Attributes:
-        addresses: of the endpoints that something came to.
-        graph_changed: a node or an endpoint came or went.
+        addresses: of the endpoints with new messages or calls.
+        graph_changed: whether a node or an endpoint came or went.
     """
 
     addresses: list[int]
@@ -171,7 +171,7 @@ class Participant:
     def ask_description(
         self, node: str, type_name: str, type_hash: str, still_wanted: Callable[[], bool]
     ) -> str | None:
-        """What another node tells of a type that it uses; see `rsb_bridge.ros.rosidl_descriptions.ask_node`.
+        """Ask another node for the description of a type that it uses; see `rsb_bridge.ros.rosidl_descriptions.ask_node`.
 
         Raises:
             RosError: rcl failed.

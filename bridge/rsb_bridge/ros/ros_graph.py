@@ -99,7 +99,7 @@ def most_similar(name: str, names: Iterable[str], ends: Callable[[str], Sequence
 
 
 def topics_of(ros: RosInterface) -> list[TopicInfo]:
-    """Return the graph's topics by name, except those of every node. Takes about 50 µs a topic."""
+    """Return the graph's topics by name, without the topics of every node. Takes about 50 µs a topic."""
     found = []
     for topic in sorted(ros.topics()):
         if topic in OF_EVERY_NODE:

@@ -57,9 +57,9 @@ class RawMessage(NamedTuple):
         payload: the serialized message (CDR with its 4-byte encapsulation header).
         stamp: ns since the epoch on this machine's clock, when DDS received it.
         gid: its publisher's.
-        number: among its publisher's messages, from 1; 0: the middleware does not number them.
+        number: among its publisher's messages, from 1, or 0 if the middleware does not number them.
         lease: the number that says how old it can be (`rsb_bridge.route.lease`), or 0 without one.
-        source: ns since the epoch on its publisher's clock, when it was published; 0: the middleware does not say.
+        source: ns since the epoch on its publisher's clock, when it was published, or 0 if unknown.
     """
 
     payload: bytes
@@ -75,9 +75,9 @@ class Endpoint(NamedTuple):
 
     Attributes:
         node: its node's full name, ``/namespace/name``; empty for the moment in which only the endpoint is known.
-        type_name: ``pkg/msg/Name``, or whatever a program that is not ROS calls its type: printable, 255 characters.
-        type_hash: ``RIHS01_...``, or empty where the middleware did not say.
-        qos: its policies, clamped (`rsb_bridge.model.qos.clamp_qos`); the depth is not known to others and stands as 0.
+        type_name: ``pkg/msg/Name``, or a foreign DDS program's own type name: printable, 255 characters.
+        type_hash: ``RIHS01_...``, or empty if unknown.
+        qos: its policies, clamped (`rsb_bridge.model.qos.clamp_qos`); the depth is unknown to others, and 0 here.
         gid: its id in the middleware, the same for everybody in the domain.
     """
 
@@ -142,10 +142,10 @@ class Request(NamedTuple):
 
     Attributes:
         payload: the serialized request (CDR with its 4-byte encapsulation header).
-        caller: whose call it is, and which of its calls: opaque, for `ServiceServer.answer`.
+        caller: the caller and the number of its call: opaque, for `ServiceServer.answer`.
         stamp: ns since the epoch on this machine's clock, when it was taken.
         lease: the number that says how old it can be (`rsb_bridge.route.lease`), or 0 without one.
-        source: ns since the epoch on the caller's clock, when it was sent; 0: the middleware does not say.
+        source: ns since the epoch on the caller's clock, when it was sent, or 0 if unknown.
     """
 
     payload: bytes
@@ -278,25 +278,25 @@ class RosInterface(Protocol):
         ...
 
     def serialize(self, type_name: str, fields: Fields, now: int) -> bytes:
-        """A message of a type that is installed here (CDR with its encapsulation header), of what an operator wrote.
+        """Serialize a message of an installed type (CDR with its encapsulation header).
 
         Args:
             type_name: as `installed_description`.
-            fields: what stands in it; those that are missing have their defaults.
+            fields: values that an operator wrote, by name; a missing field has its default.
             now: ns since the epoch, for a time that is ``now``.
 
         Raises:
             RosError: the type is not installed.
-            FieldError: something does not fit into its field.
+            FieldError: a value does not fit into its field.
         """
         ...
 
     def ask_description(
         self, node: str, type_name: str, type_hash: str, still_wanted: Callable[[], bool]
     ) -> str | None:
-        """What a node tells of a message type that it uses; None: it tells nothing.
+        """Ask a node for its description of a message type, or return None if it gives none.
 
-        This may wait some seconds; no other thread's work does.
+        This may wait some seconds; other threads continue meanwhile.
 
         Args:
             node: its full name.
@@ -305,7 +305,7 @@ class RosInterface(Protocol):
             still_wanted: asked several times a second; False ends the waiting.
 
         Raises:
-            RosError: it could not be asked.
+            RosError: the node could not be asked.
         """
         ...
 

@@ -132,7 +132,7 @@ class Talk(msgspec.Struct, frozen=True):
 
     Attributes:
         topic: its name.
-        rate: Hz; 0: as fast as the bridge takes them.
+        rate: Hz, or 0 for as fast as the bridge takes them.
         size: bytes of each message, if it is a String.
         type: ``std_msgs/msg/String``, or ``sensor_msgs/msg/BatteryState``.
     """
@@ -273,7 +273,7 @@ class _Writer:
             self._received[self._topic] += 1
 
     def close(self) -> None:
-        """There is nothing to free."""
+        """Do nothing: the stand-in holds no resources."""
 
 
 class Metronome:

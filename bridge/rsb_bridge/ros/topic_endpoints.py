@@ -63,8 +63,9 @@ class Reader:
     Attributes:
         handle: rclpy's.
         topic: its resolved name.
-        kind: what it is in a wait set.
-        lost: messages missing between those taken, and before those of a publisher that came after the subscription.
+        kind: its kind in a wait set.
+        lost: missing messages: between taken ones, and before the first of a publisher that came after the
+            subscription.
     """
 
     kind: Literal["subscription"] = "subscription"
@@ -74,8 +75,8 @@ class Reader:
 
         Args:
             handle: rclpy's.
-            buffer: that messages are taken into, shared by the readers of a thread.
-            earlier: the publishers that were there before; None: what comes first is history, and none is new.
+            buffer: memory for taken messages, shared by the readers of a thread.
+            earlier: publishers from before the subscription, or None if each publisher's first messages are history.
         """
         self.handle = handle
         self.topic: str = handle.rclpy.get_topic_name()
@@ -88,9 +89,9 @@ class Reader:
         self._made_at = time.monotonic()
 
     def take(self, limit: int, skip: Collection[bytes]) -> list[RawMessage]:
-        """Take up to `limit` messages, leaving out those of the publishers with the gids in `skip`.
+        """Take up to `limit` messages, without the messages of publishers whose gids are in `skip`.
 
-        After the first `_ENOUGH` bytes no further one is taken.
+        Stop after `_ENOUGH` bytes.
 
         Raises:
             RosError: rcl failed.

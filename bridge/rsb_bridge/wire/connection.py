@@ -145,7 +145,7 @@ class ClientConnection(_Control):
         Args:
             hello: this side.
             key: 32 bytes, or None for no encryption with any suite.
-            suite: AESGCM or CHACHAPOLY, whichever is fast on this machine. The server may ask for CHACHAPOLY.
+            suite: AESGCM or CHACHAPOLY, the faster one on this machine. The server may ask for CHACHAPOLY.
             multiplexed: data frames share the stream (Bluetooth).
         """
         super().__init__(multiplexed=multiplexed)

@@ -284,8 +284,8 @@ class DataWriter:
             piece: writable; gets as many chunks as it has room for (`piece_size`).
 
         Returns:
-            Bytes of the piece to send, or 0 if not one chunk has room, and the byte to begin with next; at the end it is
-            the message's length.
+            Bytes of the piece to send, or 0 if not one chunk has room, and the byte to begin with next, which is the
+            message's length at its end.
         """
         room, tag, size, used = memoryview(piece), self._sealer.suite.tag_length, len(payload), 0
         while True:

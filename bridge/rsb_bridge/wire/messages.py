@@ -416,7 +416,7 @@ class TypeText(ControlMessageBase, frozen=True):
 
 
 class Amend(ControlMessageBase, frozen=True):
-    """The route goes on with other limits; the fields are those of `Propose`.
+    """The route goes on with other limits. Its fields are as in `Propose`.
 
     The route's proposer decides, and sends the new limits. The other side asks it by the same message, and changes
     nothing before the proposer has answered. `who` is the operator who changes it, or empty in an answer. An older

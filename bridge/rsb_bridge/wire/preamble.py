@@ -323,7 +323,7 @@ def parse_refuse(body: bytes) -> tuple[RefusalCode, str]:
 
 
 class Phase(Enum):
-    """What comes next on a stream."""
+    """The expected part of a stream."""
 
     PREAMBLE = auto()  # preamble frames, one by one
     SEALED = auto()  # sealed frames
@@ -332,7 +332,7 @@ class Phase(Enum):
 
 
 class PreambleStream(ABC):
-    """What every end of a stream shares: the preamble, and failures."""
+    """The common part of all ends of a stream: the preamble, and failures."""
 
     _is_server = False
 
@@ -369,7 +369,7 @@ class PreambleStream(ABC):
         return data
 
     def leftover(self) -> bytes:
-        """What came after a data stream's preamble, once it is accepted; returned once."""
+        """Return the bytes after an accepted data stream's preamble, once."""
         data, self._inbox = bytes(self._inbox), bytearray()
         return data
 

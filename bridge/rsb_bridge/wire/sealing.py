@@ -51,7 +51,7 @@ class InvalidSeal(Wording):
 
 
 class SealError(Exception):
-    """A seal is invalid: forged, damaged, out of order or replayed; the message says which if possible."""
+    """A seal is invalid: forged, damaged, out of order or replayed; the message names the reason if it can."""
 
 
 class _Cipher(Protocol):
