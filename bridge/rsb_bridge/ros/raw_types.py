@@ -1,13 +1,13 @@
-"""Message and service classes for raw use, of types that need not be installed.
+"""Message and service classes for raw use, also of types that are not installed.
 
 Raw CDR needs no layout. rmw_fastrtps_cpp asks a type support for its name, its hash, a bound on its size and an
 introspection handle, all while an endpoint is created; it calls the functions that depend on the layout only for
-ordinary messages. So a type support for a bare name and hash is std_msgs/String's (unbounded, no key) under another name and hash.
+ordinary messages. So a type support for a bare name and hash is std_msgs/String's (unbounded, no key) with these.
 Layout of its inside: rosidl_typesupport_fastrtps_cpp/message_type_support.h (ROS 2 Jazzy). Other middlewares need the
 layout, and other distributions lay the struct out otherwise: there the type's package must be installed.
 
-A service's type support is a struct with the type supports of its request and response. rcl has no function that takes or sends a
-call serialized: it has the middleware take and send a ROS message, and rmw_fastrtps_cpp calls that message's type
+A service's type support is a struct with the type supports of its request and response. rcl has no function that takes
+or sends a call serialized: it has the middleware take and send a ROS message, and rmw_fastrtps_cpp calls that message's type
 support to write it to a Cdr, or to read it from one (fastcdr). So a type support that copies bytes carries any type.
 In the message's place is a Python object:
 

@@ -171,7 +171,7 @@ class Participant:
     def ask_description(
         self, node: str, type_name: str, type_hash: str, still_wanted: Callable[[], bool]
     ) -> str | None:
-        """Ask another node for the description of a type that it uses; see `rsb_bridge.ros.rosidl_descriptions.ask_node`.
+        """Ask another node for the description of a type, see `rsb_bridge.ros.rosidl_descriptions.ask_node`.
 
         Raises:
             RosError: rcl failed.

@@ -74,7 +74,7 @@ class Endpoint(NamedTuple):
     """A publisher or subscription that some node has on a topic.
 
     Attributes:
-        node: its node's full name, ``/namespace/name``; empty for the moment in which only the endpoint is known.
+        node: its node's full name, ``/namespace/name``; empty while only the endpoint is discovered.
         type_name: ``pkg/msg/Name``, or a foreign DDS program's own type name: printable, 255 characters.
         type_hash: ``RIHS01_...``, or empty if unknown.
         qos: its policies, clamped (`rsb_bridge.model.qos.clamp_qos`); the depth is unknown to others, and 0 here.
