@@ -8,7 +8,8 @@ layout, and other distributions lay the struct out otherwise: there the type's p
 
 A service's type support is a struct with the type supports of its request and response. rcl has no function that takes
 or sends a call serialized: it has the middleware take and send a ROS message, and rmw_fastrtps_cpp calls that message's
-type support to write it to a Cdr, or to read it from one (fastcdr). So a type support that copies bytes carries any type.
+type support to write it to a Cdr, or to read it from one (fastcdr). So a type support that copies bytes carries any
+type.
 In the message's place is a Python object:
 
 - To send, a callable that writes the payload to the Cdr that it is called with (`outgoing`). The middleware calls it
