@@ -326,7 +326,7 @@ def test_all_that_wait_hear_why_there_is_no_connection(tmp_path: Path) -> None:
         ("called", pack_frame(data_header(bytes(8), 1), bytes(16)), "unknown route"),
         ("called", pack_frame(data_header(bytes(8), 7), bytes(16)), InvalidSeal.FORGED(sequence=0)),
         ("called", pack_frame(preamble_frame(Kind.ACCEPT)), Broken.UNEXPECTED_AFTER_PREAMBLE(kind="ACCEPT")),
-        ("accepted", pack_frame(data_header(bytes(8), 7), bytes(16)), "unexpected preamble frame on an open stream"),
+        ("accepted", pack_frame(data_header(bytes(8), 7), bytes(16)), Broken.PREAMBLE_ON_OPEN_STREAM()),
     ],
 )
 def test_what_has_no_place_on_it_ends_it_in_words(side: str, data: bytes, words: str, tmp_path: Path) -> None:

@@ -4,14 +4,17 @@ from __future__ import annotations
 
 import errno
 import json
+import os
 import platform
 import socket
 import subprocess
 import sys
 
 import pytest
+from tests.support.wording import pattern, says
 
 from rsb_bridge.bluetooth import hci
+from rsb_bridge.bluetooth.hci import NoBluetooth
 
 _REFUSED = """
 import ctypes, struct, sys
@@ -35,26 +38,26 @@ sys.exit(run_bt_scan(None, as_json=True))
 
 
 @pytest.mark.parametrize(
-    ("refusal", "words"),
+    ("refusal", "code", "parameters"),
     [
-        (errno.EAFNOSUPPORT, "no Bluetooth in this kernel, or hidden by a container: modprobe bluetooth"),
-        (errno.EPROTONOSUPPORT, "modprobe rfcomm"),
-        (errno.EPERM, "seccomp profile"),
-        (errno.EACCES, "security module"),
-        (errno.EMFILE, "no Bluetooth: Too many open files"),
+        (errno.EAFNOSUPPORT, NoBluetooth.NOT_IN_KERNEL, {}),
+        (errno.EPROTONOSUPPORT, NoBluetooth.NO_RFCOMM, {}),
+        (errno.EPERM, NoBluetooth.FORBIDDEN, {}),
+        (errno.EACCES, NoBluetooth.FORBIDDEN_BY_SECURITY_MODULE, {}),
+        (errno.EMFILE, NoBluetooth.REFUSED, {"reason": os.strerror(errno.EMFILE)}),
     ],
 )
-def test_refused_sockets_are_explained(refusal: int, words: str) -> None:
+def test_refused_sockets_are_explained(refusal: int, code: NoBluetooth, parameters: dict[str, str]) -> None:
     command = [sys.executable, "-c", _REFUSED, str(refusal), platform.machine()]
     ran = subprocess.run(command, capture_output=True, text=True, check=False)
     assert (ran.returncode, ran.stderr) == (1, "")
     found = json.loads(ran.stdout)
     assert found["adapters"] == []
-    assert words in found["problems"][0]
+    assert says(found["problems"][0], code, **parameters)
 
 
 def test_a_python_without_bluetooth_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     """The attribute is taken away: a Python built without it can't be had everywhere."""
     monkeypatch.delattr(socket, "AF_BLUETOOTH", raising=False)
-    with pytest.raises(hci.NoBluetoothError, match=r"socket\.AF_BLUETOOTH\): use the distribution's own"):
+    with pytest.raises(hci.NoBluetoothError, match=pattern(NoBluetooth.NOT_IN_PYTHON)):
         hci.rfcomm_socket()

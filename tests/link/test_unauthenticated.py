@@ -187,7 +187,11 @@ NO_HANDSHAKES: list[tuple[bytes, str | Wording, dict[str, object]]] = [
     (frame(b"rsb\x02\x63"), Broken.UNKNOWN_PREAMBLE, {"kind": 99}),
     (frame(b"rsb\x02\x01\x01\xffname"), Broken.CONTROL_TOO_SHORT, {}),
     (frame(b"rsb\x02\x01\x07\x01x" + bytes(8)), Broken.UNKNOWN_SUITE, {}),
-    (frame(b"rsb\x02\x01\x01\x06robot1" + bytes(200)), RefusalText.KEYS_DIFFER, {"name": "robot1"}),
+    (
+        frame(b"rsb\x02\x01\x01\x06robot1" + bytes(200)),
+        RefusalText.KEY_NOT_NAMED,
+        {"name": "robot1", "there": "client", "here": "server"},
+    ),
     (frame(b"rsb\x02\x02short"), Broken.DATA_TOO_SHORT, {}),
     (frame(b"rsb\x02\x02" + bytes(28)), "unknown route", {}),
 ]

@@ -10,6 +10,7 @@ import pytest
 from std_msgs.msg import String
 
 from rsb_bridge.model.qos import Qos
+from rsb_bridge.ros.ros_interface import RosProblem
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -123,4 +124,4 @@ def test_a_thread_that_ends_by_itself_says_so(
 
     monkeypatch.setattr(node._participant, "wait", broken)
     node._participant.wake()
-    eventually(lambda: watcher.failures == ["the thread that serves ROS failed: the wait set is broken"])
+    eventually(lambda: watcher.failures == [RosProblem.THREAD_FAILED(error="the wait set is broken")])

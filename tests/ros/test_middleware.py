@@ -12,7 +12,7 @@ import pytest
 from rsb_bridge.config.keys import write_key
 from rsb_bridge.config.session_file import save
 from rsb_bridge.model.session import Session
-from rsb_bridge.ros.middleware import check_middleware
+from rsb_bridge.ros.middleware import MiddlewareProblem, check_middleware
 from rsb_bridge.ros.ros_interface import RosError
 
 COMMAND = str(Path(sys.executable).with_name("rsb-console"))
@@ -33,8 +33,15 @@ def test_the_program_names_a_middleware_that_is_missing(variable: str, tmp_path:
     )
     assert run.returncode == 1, run
     [line] = run.stderr.splitlines()
-    assert f"{variable} is rmw_nonsense_cpp, which is not installed (installed: rmw_fastrtps_cpp)" in line
-    assert f"unset {variable}, or install ros-jazzy-rmw-nonsense-cpp" in line
+    assert (
+        MiddlewareProblem.NOT_INSTALLED(
+            variable=variable,
+            wanted="rmw_nonsense_cpp",
+            installed="rmw_fastrtps_cpp",
+            package="ros-jazzy-rmw-nonsense-cpp",
+        )
+        in line
+    )
     assert run.stdout == ""
 
 

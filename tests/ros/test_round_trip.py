@@ -17,7 +17,8 @@ from tests.support.wording import pattern
 from rsb_bridge.model.names import SHORT_NAMES, TypeNameProblem
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.ros import raw_types, typesupport
-from rsb_bridge.ros.ros_interface import RosError
+from rsb_bridge.ros.raw_types import UnusableType
+from rsb_bridge.ros.ros_interface import RosError, RosProblem
 from rsb_bridge.ros.typesupport import hash_of, installed_class
 
 if TYPE_CHECKING:
@@ -25,11 +26,18 @@ if TYPE_CHECKING:
 
     from rclpy.node import Node
 
+    from rsb_bridge.model.wording import Wording
     from rsb_bridge.ros.node import RosNode
 
 INSTALLED: dict[str, Any] = {name: found for name in SHORT_NAMES.values() if (found := installed_class(name))}
 ODOMETRY = "nav_msgs/msg/Odometry"
 MADE_UP_HASH = "RIHS01_" + "5a" * 32
+STRING = "std_msgs/msg/String"
+STRING_HASH = hash_of(INSTALLED[STRING])
+
+
+def install(package: str) -> str:
+    return UnusableType.REMEDY(package=package)
 
 
 def test_every_common_type_crosses_from_and_to_a_stock_node(
@@ -225,27 +233,30 @@ def test_an_endpoint_that_cannot_be_made_keeps_no_type(
 ) -> None:
     types = raw_types.NamedTypes()
     monkeypatch.setattr(raw_types, "named_types", types)
-    with pytest.raises(RosError, match="not a topic name"):
+    with pytest.raises(RosError, match=pattern(RosProblem.INVALID_NAME, name="/no topic")):
         open_node().advertise("/no topic", "made_up_msgs/msg/A", MADE_UP_HASH, Qos(), "link")
     assert types.used == 0
 
 
 @pytest.mark.parametrize(
-    ("type_name", "type_hash", "said"),
+    ("type_name", "type_hash", "code", "parameters"),
     [
-        ("no_such_msgs/msg/Name", "", "install ros-jazzy-no-such-msgs"),
-        ("no_such_msgs/msg/Name", "RIHS01_12", "'RIHS01_12' is not a type hash"),
-        ("nonsense", MADE_UP_HASH, pattern(TypeNameProblem.INVALID, name="nonsense")),
-        ("std_msgs/msg/String", MADE_UP_HASH, r"another message here \(RIHS01_df668c.*there \(RIHS01_5a5a"),
+        ("no_such_msgs/msg/Name", "", UnusableType.HASH_UNKNOWN, {"remedy": install("ros-jazzy-no-such-msgs")}),
+        ("no_such_msgs/msg/Name", "RIHS01_12", UnusableType.INVALID_HASH, {"type_hash": "RIHS01_12"}),
+        ("nonsense", MADE_UP_HASH, TypeNameProblem.INVALID, {"name": "nonsense"}),
+        (STRING, MADE_UP_HASH, UnusableType.ANOTHER_VERSION, {"here": STRING_HASH, "there": MADE_UP_HASH}),
     ],
 )
-def test_types_that_will_not_do(type_name: str, type_hash: str, said: str) -> None:
-    with pytest.raises(RosError, match=said):
+def test_types_that_will_not_do(type_name: str, type_hash: str, code: Wording, parameters: dict[str, str]) -> None:
+    with pytest.raises(RosError, match=pattern(code, **parameters)):
         raw_types.borrow_type(type_name, type_hash)
 
 
 def test_another_middleware_needs_the_package(monkeypatch: pytest.MonkeyPatch) -> None:
     """A stand-in for its name: no other middleware comes as a wheel."""
     monkeypatch.setattr(raw_types, "get_rmw_implementation_identifier", lambda: "rmw_cyclonedds_cpp")
-    with pytest.raises(RosError, match="only rmw_fastrtps_cpp on ROS 2 Jazzy can do: install ros-jazzy-other-msgs"):
+    needed = pattern(
+        UnusableType.NEEDS_FASTRTPS, type_name="other_msgs/msg/Name", remedy=install("ros-jazzy-other-msgs")
+    )
+    with pytest.raises(RosError, match=needed):
         raw_types.borrow_type("other_msgs/msg/Name", MADE_UP_HASH)

@@ -165,14 +165,14 @@ def test_the_keys_differ(sides: Sides, bridge: Bridge) -> None:
 def test_the_versions_differ(sides: Sides, there: int, older: str, newer: str) -> None:
     server, client = sides.server(), sides.client(version=there)
     programs = {"server": server, "client": client}
-    for role in (older, newer):
+    versions = {"server": _VERSION, "client": there}
+    for role, other in ((older, newer), (newer, older)):
         shown = has_cause(programs[role], "wrong_version")
         assert shown["state"] == "down"
-        assert f"version {_VERSION}" in shown["reason"]
-        assert f"version {there}" in shown["reason"]
-        which = "this side" if role == older else "the peer"
-        assert f"update rsb-console on {which}, which is older" in shown["reason"]
-        assert "✗ robot1: " in programs[role].screen(f"update rsb-console on {which}, which is older")
+        code = RefusalText.THIS_SIDE_OLDER if role == older else RefusalText.PEER_OLDER
+        words = code(ours=versions[role], theirs=versions[other])
+        assert words in shown["reason"]
+        assert "✗ robot1: " in programs[role].screen(words)
     assert len(server.events(EventCode.LINK_REJECTED)) == len(client.events(EventCode.LINK_REFUSED)) == 1
 
 

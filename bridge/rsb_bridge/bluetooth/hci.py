@@ -1,4 +1,4 @@
-"""Bluetooth in the kernel: adapters, RFCOMM sockets, and messages that say why there are none."""
+"""The kernel's Bluetooth adapters and RFCOMM sockets, and the reasons why they can't be opened."""
 
 from __future__ import annotations
 
@@ -8,6 +8,8 @@ import fcntl
 import socket
 import struct
 from dataclasses import dataclass
+
+from rsb_bridge.model.wording import Wording
 
 ANY_ADAPTER = "00:00:00:00:00:00"
 """Binds a channel on all adapters (``BDADDR_ANY``)."""
@@ -23,13 +25,35 @@ _HCI_MAX_DEV = 16
 _HCI_UP = 1
 _DEVICE_INFO = struct.Struct("H8s6sI72x")  # number, name, address, flags, unused
 
+
+class NoBluetooth(Wording):
+    """The reasons why Bluetooth sockets can't be opened, each with its remedy."""
+
+    NOT_IN_KERNEL = (
+        "no Bluetooth in this kernel, or hidden by a container: modprobe bluetooth; in a container, use the host's "
+        "network (--network host)"
+    )
+    NO_RFCOMM = "this kernel's Bluetooth lacks RFCOMM: modprobe rfcomm"
+    FORBIDDEN = (
+        "Bluetooth sockets are forbidden here, by a container's seccomp profile or by the unit's "
+        "RestrictAddressFamilies: add AF_BLUETOOTH"
+    )
+    FORBIDDEN_BY_SECURITY_MODULE = (
+        "Bluetooth sockets are forbidden here by a security module: see the kernel's log (dmesg) for which"
+    )
+    NOT_IN_PYTHON = (
+        "this Python was built without Bluetooth sockets (socket.AF_BLUETOOTH): use the distribution's own "
+        "(/usr/bin/python3), or build with libbluetooth-dev installed"
+    )
+    REFUSED = "no Bluetooth: {reason}"
+    CHANNEL_REFUSED = "channel {channel} on {address}: {reason}"
+
+
 _REASONS = {
-    errno.EAFNOSUPPORT: "no Bluetooth in this kernel, or hidden by a container: modprobe bluetooth; "
-    "in a container, use the host's network (--network host)",
-    errno.EPROTONOSUPPORT: "this kernel's Bluetooth lacks RFCOMM: modprobe rfcomm",
-    errno.EPERM: "Bluetooth sockets are forbidden here: by a container's seccomp profile, or the unit's "
-    "RestrictAddressFamilies (add AF_BLUETOOTH)",
-    errno.EACCES: "Bluetooth sockets are forbidden here by a security module: see the kernel's log (dmesg) for which",
+    errno.EAFNOSUPPORT: NoBluetooth.NOT_IN_KERNEL,
+    errno.EPROTONOSUPPORT: NoBluetooth.NO_RFCOMM,
+    errno.EPERM: NoBluetooth.FORBIDDEN,
+    errno.EACCES: NoBluetooth.FORBIDDEN_BY_SECURITY_MODULE,
 }
 
 
@@ -43,9 +67,9 @@ class Adapter:
 
     Attributes:
         name: the kernel's, ``hci0``.
-        address: its MAC: what a server's session gives as `server_ip`.
-        powered: it is on.
-        alias: its name on other machines; empty if BlueZ was not asked.
+        address: its MAC, which a server's session has as `server_ip`.
+        powered: whether it is on.
+        alias: its name on other machines, or empty if BlueZ was not asked.
     """
 
     name: str
@@ -83,10 +107,7 @@ def rfcomm_socket() -> socket.socket:
         NoBluetoothError: this Python or this machine has no Bluetooth.
     """
     if not hasattr(socket, "AF_BLUETOOTH"):
-        raise NoBluetoothError(
-            "this Python was built without Bluetooth sockets (socket.AF_BLUETOOTH): "
-            "use the distribution's own (/usr/bin/python3), or build with libbluetooth-dev installed"
-        )
+        raise NoBluetoothError(NoBluetooth.NOT_IN_PYTHON())
     return _open(socket.AF_BLUETOOTH, socket.SOCK_STREAM, socket.BTPROTO_RFCOMM)
 
 
@@ -98,4 +119,4 @@ def _open(family: int, kind: int, protocol: int) -> socket.socket:
 
 
 def _message(error: OSError) -> str:
-    return _REASONS.get(error.errno or 0, f"no Bluetooth: {error.strerror}")
+    return _REASONS.get(error.errno or 0, NoBluetooth.REFUSED)(reason=error.strerror)

@@ -14,8 +14,9 @@ from dbus_fast import BusType, DBusFastError, Message, MessageType, unpack_varia
 from dbus_fast.aio import MessageBus
 
 from rsb_bridge.bluetooth import hci
-from rsb_bridge.bluetooth.hci import ANY_ADAPTER, CHANNELS, Adapter, NoBluetoothError
+from rsb_bridge.bluetooth.hci import ANY_ADAPTER, CHANNELS, Adapter, NoBluetooth, NoBluetoothError
 from rsb_bridge.model.text import sanitize_text
+from rsb_bridge.model.wording import Wording
 
 if TYPE_CHECKING:
     from collections.abc import Collection
@@ -33,6 +34,27 @@ _NOT_THERE = {
 }
 
 
+class ScanProblem(Wording):
+    """The reasons why a scan is incomplete, each with its remedy."""
+
+    BLUEZ_UNREADABLE = "BlueZ's answer is not as documented: {problem}"
+    BLUEZ_SILENT = "BlueZ does not answer: systemctl restart bluetooth"
+    BLUEZ_STOPPED = "BlueZ is not running: systemctl start bluetooth (Debian, Ubuntu: apt install bluez)"
+    BLUEZ_FORBIDDEN = "this user has no access to BlueZ: usermod -aG bluetooth USER, then log in again ({reason})"
+    BLUEZ_REFUSED = "BlueZ refused: {reason}"
+    NO_DBUS = (
+        "can't connect to the D-Bus system bus, which BlueZ needs ({error}): is dbus installed and running? "
+        "In a container, mount /run/dbus"
+    )
+    WITHOUT_BLUEZ = "{problem}. Names and paired devices are unknown"
+    WITHOUT_CHANNELS = "{problem}. Channels can't be tried"
+    NO_ADAPTER = "no Bluetooth adapter: plug one in; in a virtual machine, pass it through (see lsusb)"
+    ADAPTER_UNKNOWN = "no adapter {adapter}: there is {known}"
+    HARD_BLOCKED = "{adapter} is off: by the machine's radio switch or in its firmware's setup"
+    SOFT_BLOCKED = "{adapter} is off: rfkill unblock bluetooth"
+    SWITCHED_OFF = "{adapter} is off: bluetoothctl power on (without BlueZ: hciconfig {adapter} up)"
+
+
 class BluezError(Exception):
     """BlueZ can't be queried; the message says why and what to do."""
 
@@ -45,8 +67,8 @@ class Device:
         address: its MAC.
         name: its own name, or its MAC.
         adapter: name of the adapter that knows it.
-        paired: the two machines have exchanged keys.
-        connected: there is a radio link now.
+        paired: whether the two machines have exchanged keys.
+        connected: whether they have a radio link now.
     """
 
     address: str
@@ -76,7 +98,7 @@ class _Interfaces(msgspec.Struct):
 
 
 async def read_bluez() -> tuple[list[Adapter], list[Device]]:
-    """All adapters, and the devices that are paired or connected, sorted by name.
+    """Return all adapters, and the devices that are paired or connected, sorted by name.
 
     Raises:
         BluezError: D-Bus or BlueZ is missing, or access is denied.
@@ -85,18 +107,18 @@ async def read_bluez() -> tuple[list[Adapter], list[Device]]:
 
 
 def read_objects(objects: object) -> tuple[list[Adapter], list[Device]]:
-    """The adapters and devices among BlueZ's objects; a device's name is its owner's, or a stranger's.
+    """Return the adapters and devices among BlueZ's objects. Strangers choose their devices' names.
 
     Args:
         objects: the properties of each interface by path, interface and property name.
 
     Raises:
-        BluezError: they are not as BlueZ documents them.
+        BluezError: the objects are not as BlueZ documents them.
     """
     try:
         found = msgspec.convert(objects, dict[str, _Interfaces])
     except msgspec.ValidationError as error:
-        raise BluezError(sanitize_text(f"BlueZ's answer is not as documented: {error}")) from None
+        raise BluezError(sanitize_text(ScanProblem.BLUEZ_UNREADABLE(problem=error))) from None
     adapters = [
         Adapter(_last(path), sanitize_text(one.address), one.powered, sanitize_text(one.alias))
         for path, each in found.items()
@@ -130,12 +152,9 @@ async def _managed_objects() -> object:
             await bus.connect()
             reply = await bus.call(request)
     except TimeoutError:
-        raise BluezError("BlueZ does not answer: systemctl restart bluetooth") from None
+        raise BluezError(ScanProblem.BLUEZ_SILENT()) from None
     except (OSError, DBusFastError, EOFError) as error:
-        raise BluezError(
-            f"can't connect to the D-Bus system bus, which BlueZ needs ({error}): is dbus installed and running? "
-            "In a container, mount /run/dbus"
-        ) from None
+        raise BluezError(ScanProblem.NO_DBUS(error=error)) from None
     finally:
         bus.disconnect()
     assert reply is not None, "a method call without NO_REPLY_EXPECTED has a reply"
@@ -146,18 +165,18 @@ async def _managed_objects() -> object:
 
 def _refusal(reply: Message) -> str:
     if reply.error_name in _NOT_THERE:
-        return "BlueZ is not running: systemctl start bluetooth (Debian, Ubuntu: apt install bluez)"
+        return ScanProblem.BLUEZ_STOPPED()
     reason = reply.body[0] if reply.body else reply.error_name
     if reply.error_name == "org.freedesktop.DBus.Error.AccessDenied":
-        return f"this user has no access to BlueZ: usermod -aG bluetooth USER, then log in again ({reason})"
-    return f"BlueZ refused: {reason}"
+        return ScanProblem.BLUEZ_FORBIDDEN(reason=reason)
+    return ScanProblem.BLUEZ_REFUSED(reason=reason)
 
 
 __all__ = ["ANY_ADAPTER", "CHANNELS", "Adapter", "Device", "Scan", "Use", "held_channels", "scan"]
 
 
 class Use(StrEnum):
-    """Who uses a channel."""
+    """A channel's user."""
 
     FREE = "free"
     BUSY = "busy"
@@ -170,11 +189,11 @@ class Scan:
 
     Attributes:
         adapters: sorted by name.
-        channels: who uses each of `CHANNELS`, by address and number: of each adapter, and of `ANY_ADAPTER`. The kernel
-            sees no conflict between the two, but connections go to the adapter's listener: choose a channel that is
-            free on both. Empty if channels can't be tried.
-        devices: those that are paired or connected.
-        problems: what could not be scanned, each with a remedy.
+        channels: the user of each of `CHANNELS`, by address (an adapter's, or `ANY_ADAPTER`) and number. The kernel
+            sees no conflict between the two addresses, but connections go to the adapter's listener: choose a channel
+            that is free on both. Empty if channels can't be tried.
+        devices: paired or connected devices.
+        problems: reasons why the scan is incomplete, each with a remedy.
     """
 
     adapters: tuple[Adapter, ...] = ()
@@ -191,11 +210,11 @@ class Scan:
 async def scan(adapter: str | None = None, own_channels: Collection[tuple[str, int]] = ()) -> Scan:
     """Scan adapters, channels and devices; takes a few ms, or up to 5 s if BlueZ hangs.
 
-    A channel is tried by binding it for a moment. One that nobody listens on looks free, even while a connection that
-    was accepted there still exists.
+    A channel is tried by binding it for a moment. A channel without a listener looks free, even while a connection
+    that was accepted there still exists.
 
     Args:
-        adapter: scan only this one, given by its name (``hci0``) or address; None: all.
+        adapter: the name (``hci0``) or address of the only adapter to scan, or None for all.
         own_channels: address (an adapter's, or `ANY_ADAPTER`) and number of the channels that this process uses itself.
     """
     problems: list[str] = []
@@ -204,17 +223,17 @@ async def scan(adapter: str | None = None, own_channels: Collection[tuple[str, i
     except NoBluetoothError as error:
         return Scan(problems=(str(error),))
     if not found:
-        return Scan(problems=("no Bluetooth adapter: plug one in; in a virtual machine, pass it through (see lsusb)",))
+        return Scan(problems=(ScanProblem.NO_ADAPTER(),))
     devices: list[Device] = []
     try:
         known, devices = await read_bluez()
         found |= {one.name: one for one in known}
     except BluezError as error:
-        problems.append(f"{error}. Names and paired devices are unknown")
+        problems.append(ScanProblem.WITHOUT_BLUEZ(problem=error))
     chosen = [one for one in found.values() if adapter is None or adapter.casefold() in _names(one)]
     if not chosen:
         here = ", ".join(f"{one.name} ({one.address})" for one in found.values())
-        return Scan(problems=(*problems, f"no adapter {adapter}: there is {here}"))
+        return Scan(problems=(*problems, ScanProblem.ADAPTER_UNKNOWN(adapter=adapter, known=here)))
     problems += [_why_off(one) for one in chosen if not one.powered]
     channels = {}
     try:
@@ -222,7 +241,7 @@ async def scan(adapter: str | None = None, own_channels: Collection[tuple[str, i
             own = {number for held_on, number in own_channels if held_on.upper() == address}
             channels[address] = {number: Use.OWN if number in own else _try(address, number) for number in CHANNELS}
     except NoBluetoothError as error:
-        problems.append(f"{error}. Channels can't be tried")
+        problems.append(ScanProblem.WITHOUT_CHANNELS(problem=error))
     names = {one.name for one in chosen}
     return Scan(tuple(chosen), channels, tuple(one for one in devices if one.adapter in names), tuple(problems))
 
@@ -242,12 +261,12 @@ def _names(adapter: Adapter) -> tuple[str, str]:
 
 
 def _why_off(adapter: Adapter) -> str:
-    """Which adapter is off, and how to switch it on (Documentation/driver-api/rfkill.rst)."""
+    """Return a remedy for an adapter that is off (Documentation/driver-api/rfkill.rst)."""
     if _blocked(adapter.name, "hard"):
-        return f"{adapter.name} is off: by the machine's radio switch or in its firmware's setup"
+        return ScanProblem.HARD_BLOCKED(adapter=adapter.name)
     if _blocked(adapter.name, "soft"):
-        return f"{adapter.name} is off: rfkill unblock bluetooth"
-    return f"{adapter.name} is off: bluetoothctl power on (without BlueZ: hciconfig {adapter.name} up)"
+        return ScanProblem.SOFT_BLOCKED(adapter=adapter.name)
+    return ScanProblem.SWITCHED_OFF(adapter=adapter.name)
 
 
 def _blocked(name: str, kind: str) -> bool:
@@ -261,5 +280,7 @@ def _try(address: str, number: int) -> Use:
         except OSError as error:
             if error.errno == errno.EADDRINUSE:
                 return Use.BUSY
-            raise NoBluetoothError(f"channel {number} on {address}: {error.strerror}") from None
+            raise NoBluetoothError(
+                NoBluetooth.CHANNEL_REFUSED(channel=number, address=address, reason=error.strerror)
+            ) from None
     return Use.FREE

@@ -1,1 +1,1 @@
-"""What carries the messages of one route: a stream, datagrams, or a share of a stream."""
+"""Channels, each for the messages of one route: over a stream, datagrams, or a share of a stream."""

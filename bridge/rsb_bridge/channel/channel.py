@@ -1,4 +1,4 @@
-"""What a route and its channel know of each other."""
+"""The interfaces between a route and its channel."""
 
 from __future__ import annotations
 
@@ -25,12 +25,12 @@ class RouteSink(Protocol):
 
     @property
     def duplex(self) -> bool:
-        """Whether both sides send, whichever began."""
+        """Whether both sides send."""
         ...
 
     @property
     def rank(self) -> int:
-        """Of its priority, beside other routes of the same stream."""
+        """The rank of its priority among routes of the same stream."""
         ...
 
     def deliver(self, messages: Iterable[Message]) -> None:
@@ -61,7 +61,7 @@ class Counts(NamedTuple):
 
 
 class Carrier(Protocol):
-    """What one or several channels run over; counts wire bytes."""
+    """The stream or socket of one or several channels; counts wire bytes."""
 
     @property
     def received_at(self) -> float:
@@ -89,11 +89,11 @@ class DataChannel(Protocol):
 
     @property
     def carrier(self) -> Carrier:
-        """What it runs over."""
+        """The carrier below the channel."""
         ...
 
     def trouble(self) -> str:
-        """What seems to be wrong, for an operator; empty: nothing."""
+        """A problem in an operator's words, or an empty string."""
         ...
 
     def close(self, reason: str) -> None:
@@ -111,7 +111,7 @@ class SendingChannel(DataChannel, Protocol):
 
     @property
     def batch_bytes(self) -> int:
-        """How much to send at once; a single message may be longer."""
+        """Bytes to send at once; a single message may be longer."""
         ...
 
     def send(self, batch: Sequence[Message]) -> None:
@@ -123,7 +123,7 @@ class ReceivingChannel(DataChannel, Protocol):
     """The receiving end of a channel."""
 
     def counts(self) -> Counts | None:
-        """What is missing; None where nothing can be, because messages arrive in order or not at all."""
+        """Counts of missing messages, or None for a carrier that delivers in order or fails."""
         ...
 
 

@@ -1,4 +1,4 @@
-"""What seals and opens the messages of a link's routes, while the link is up."""
+"""The keys that seal and open the messages of a link's routes while the link is up."""
 
 from __future__ import annotations
 
@@ -87,7 +87,7 @@ class DataKeys:
         return "server" if self.role == "client" else "client"
 
     def stream_writer(self, route_id: int) -> DataWriter:
-        """Seals a route's messages for a stream. A route id gets one writer, of whatever kind, in a link's life."""
+        """Return a sealing writer for a stream. A route id gets one writer, for either kind, in a link's life."""
         return DataWriter(self.keys.route_sealer(route_id, self.role), route_id)
 
     def stream_reader(self, route_id: int) -> DataReader:
@@ -98,7 +98,7 @@ class DataKeys:
         return DataReader(opener, route_id, budget=self.budget)
 
     def datagram_writer(self, route_id: int) -> DatagramWriter:
-        """Seals a route's messages as datagrams. A route id gets one writer, of whatever kind, in a link's life."""
+        """Return a sealing writer for datagrams. A route id gets one writer, for either kind, in a link's life."""
         return DatagramWriter(self.keys.route_sealer(route_id, self.role), self.keys.link_id, route_id)
 
     def datagram_reader(self, route_id: int) -> DatagramReader:

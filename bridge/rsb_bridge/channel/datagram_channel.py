@@ -34,7 +34,7 @@ _MOST_ON_PATH = 16 * 1024 * 1024
 _FIRST_WAIT = 0.01
 """s, at most, until the first receipt, which says how much the receiver's buffer takes."""
 _PATIENCE = 0.25
-"""s without a receipt, after which what is under way counts as arrived or lost."""
+"""Seconds without a receipt after which sent bytes count as arrived or lost."""
 _SPAN = 0.005
 """s, at least, over which the path's rate is measured."""
 
@@ -43,7 +43,7 @@ class Pacer:
     """The pace of one route. It sends nothing itself; times are in s, on one clock.
 
     Attributes:
-        window: bytes that may be in the receiver's buffer; 0: not known.
+        window: bytes that may be in the receiver's buffer, or 0 if unknown.
     """
 
     def __init__(self) -> None:
@@ -56,7 +56,7 @@ class Pacer:
         self._began = 0.0
         self._arrived = 0
         self._under_way: deque[tuple[int, int, float]] = deque()  # last sequence number, bytes sent with it, when
-        self._passed = (-1, 0)  # the last sequence number before what is under way, and bytes sent up to it
+        self._passed = (-1, 0)  # the last receipted sequence number, and bytes sent up to it
         self._heard_at = 0.0
         self._newest = -1
         self._missing: int | None = None
@@ -112,7 +112,7 @@ class Pacer:
             last, self._arrived, sent_at = self._under_way.popleft()
             self._passed = last, self._arrived
             self._delay = min(self._delay, now - sent_at)
-        if self._under_way:  # a part of what was sent at once has come
+        if self._under_way:  # a part of the last burst has arrived
             (begin, before), (last, after, _) = self._passed, self._under_way[0]
             part = (newest - begin) / (last - begin)
             self._arrived = max(self._arrived, before + int(part * (after - before)))
@@ -153,7 +153,7 @@ _RECEIPTS_PER_BUFFER = 4 * WINDOW
 
 
 class _DatagramChannel:
-    """What both ends share.
+    """The part that both ends share.
 
     Attributes:
         carrier: the UDP channel.
@@ -220,12 +220,12 @@ class DatagramSender(_DatagramChannel):
         super().close(reason)
 
     def writable(self) -> None:
-        """As `DatagramSource.writable`."""
+        """See `DatagramSource.writable`."""
         if self._timer is None:
             self._go_on()
 
     def receipt(self, receipt: Receipt) -> None:
-        """As `DatagramSource.receipt`."""
+        """See `DatagramSource.receipt`."""
         newest, opened = self._receipted
         if receipt.newest > newest:
             share = max(0.0, min((receipt.opened - opened) / (receipt.newest - newest), 1.0))
@@ -304,7 +304,7 @@ class DatagramReceiver(_DatagramChannel):
         super().close(reason)
 
     def received(self, datagram: Buffer, now: float) -> bool:
-        """As `DatagramSink.received`."""
+        """See `DatagramSink.received`."""
         opened = self._codec.opened
         message = self._codec.receive(datagram, now)
         if self._codec.opened > opened:

@@ -39,18 +39,18 @@ class Scratch:
         return self._memory
 
     def lost(self) -> None:
-        """Somebody holds on to what was lent."""
+        """Forget the lent memory, which its borrower still holds."""
         self._memory = bytearray()
 
 
 class LargeMessages:
-    """Those of one channel that its stream has not taken whole.
+    """Messages of one channel that its stream has not taken whole.
 
     Args:
         stream: takes them.
         writer: seals them.
         scratch: lends memory.
-        resume: calls `go_on`, and whatever else has waited meanwhile.
+        resume: calls `go_on`, and everything else that has waited meanwhile.
     """
 
     def __init__(self, stream: Stream, writer: DataWriter, scratch: Scratch, resume: Callable[[], None]) -> None:
@@ -69,7 +69,7 @@ class LargeMessages:
         return bool(self._messages)
 
     def send(self, batch: Sequence[Message]) -> None:
-        """Send messages, of whatever size, after those that wait."""
+        """Send messages of any size, after the waiting ones."""
         self._messages += batch
         self.go_on()
 

@@ -2,8 +2,8 @@
 
 The turns are start-time fair queueing (Goyal, Vin, Cheng 1996): each chunk has the virtual time at which it would begin
 if every route had an equal share, and the earliest goes first. So a route that uses less than its share, like a
-joystick, goes ahead of a map at once; those that want more share equally; nothing starves. Control messages go to the
-stream directly, ahead of all that waits here. A route's share is weighted by its topic's priority; calls have the
+joystick, goes ahead of a map at once; busier routes share equally; nothing starves. Control messages go to the stream
+directly, ahead of all waiting chunks. A route's share is weighted by its topic's priority; calls have the
 highest.
 """
 
@@ -277,7 +277,7 @@ class SharedStream(Multiplexer, StreamHandler):
         channel = self.channels.get(route_id)
         if channel is not None:
             channel.received(frame)
-        elif kind != DATA or not self._owner.is_closed_id(route_id):  # else it was closed while the frame was under way
+        elif kind != DATA or not self._owner.is_closed_id(route_id):  # else it was closed before the frame arrived
             raise ProtocolError(Broken.FRAME_OF_UNKNOWN_ROUTE(kind=kind, route=route_id))
 
     def writable(self) -> None:

@@ -1,6 +1,6 @@
 """A connection's datagrams on one UDP socket: probes that find the path, and the routes that share it.
 
-On its way to a route a datagram is looked up twice: by socket and link id (`UdpDemultiplexer`; on a client the socket
+A datagram's route is found in two steps: by socket and link id (`UdpDemultiplexer`; on a client the socket
 is the channel's own), and by route id (`UdpChannel`).
 """
 
@@ -39,7 +39,7 @@ class PathProbe:
         return self._writer.write(probe.pack(), 0, 0, size)
 
     def read(self, datagram: Buffer, now: float) -> Probe | Receipt | None:
-        """What a datagram says; None: forged, replayed, or neither of the two."""
+        """Return the probe or receipt in a datagram, or None if it is forged, replayed or another one."""
         message = self._reader.receive(datagram, now)
         if message is None:
             return None
@@ -116,13 +116,13 @@ class DatagramSink(Protocol):
 
 
 class UdpChannel:
-    """What both ends share.
+    """The part that both ends share.
 
     Attributes:
-        socket: what it uses.
-        over: it is closed, or its last route has left: the next route needs another UDP channel.
-        trouble: why nothing comes from the peer, for an operator; empty: something does.
-        received_at: when (s) the peer was last heard, or since when it is there; what is not authentic does not count.
+        socket: its UDP socket.
+        over: whether it is closed or its last route has left: the next route needs another UDP channel.
+        trouble: the reason why no datagrams arrive, for an operator, or an empty string.
+        received_at: time (s) of the last authentic datagram, or of the channel's start.
         received_bytes: so far.
         sent_bytes: so far.
         on_close: called when it is over.
@@ -215,7 +215,7 @@ class UdpChannel:
                     self._receipted(probe)
                 elif probe is not None and self._probed(probe, address):
                     self._heard = self.received_at = now
-            # else the route was closed while the datagram was under way, or the peer has nothing to say on it
+            # else the route was closed before the datagram arrived, or the peer may not send on it
         for receiver in touched:
             receiver.hand_over()
         if self.ready and not was_ready:
@@ -304,11 +304,11 @@ class ClientUdpChannel(UdpChannel):
 
 
 class ServerUdpChannel(UdpChannel):
-    """A server's: it shares a bound socket, and answers probes.
+    """A server's channel, which shares a bound socket and answers probes.
 
     It sends to the address that answered its newest challenge (NAT, roaming), as long as probes come from there, and
-    from the address that the client calls, whichever else the server has. A probe alone proves nothing about where it
-    comes from: somebody may have captured it, and delivered it first.
+    from the address that the client calls, even if the server has others. A probe alone proves nothing about its
+    origin: an attacker may have captured it and delivered it first.
     """
 
     def __init__(
@@ -343,7 +343,7 @@ class ServerUdpChannel(UdpChannel):
         return False
 
     def _challenge(self, address: Address) -> int:
-        """What an address has to echo: the same for a while, as the way there and back may take longer than 1 s."""
+        """Return the challenge for an address. It stays for a while: a round trip may take longer than 1 s."""
         now = self._now()
         challenge = self._challenges.get(address)
         if challenge is None or now - challenge.since > _CHALLENGED_FOR:
@@ -374,8 +374,8 @@ class UdpDemultiplexer:
         """Begin.
 
         Args:
-            new_channel: makes the UDP channel of a link id on a socket, when the first datagram of it comes, given the
-                datagram's source address; None: there is no such connection, or it can't come that way.
+            new_channel: makes the UDP channel for a link id, a socket and the source address of the first datagram, or
+                returns None if there is no such connection or it may not use that socket.
         """
         self._new_channel = new_channel
         self._channels: dict[tuple[DatagramSocket, bytes], ServerUdpChannel] = {}

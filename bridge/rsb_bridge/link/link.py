@@ -54,7 +54,7 @@ from rsb_bridge.wire.messages import (
     TypeText,
     Welcome,
 )
-from rsb_bridge.wire.protocol_error import ProtocolError
+from rsb_bridge.wire.protocol_error import Broken, ProtocolError
 from rsb_bridge.wire.records import ReceivedReport, SentReport
 
 if TYPE_CHECKING:
@@ -616,7 +616,7 @@ class Link(ABC):
 
     def join_stream(self, shared: SharedStream, frame: bytes) -> None:
         """The peer wants a further route on a stream; raises ProtocolError or Refusal where that can't be."""
-        raise ProtocolError("unexpected preamble frame on an open stream")
+        raise ProtocolError(Broken.PREAMBLE_ON_OPEN_STREAM())
 
     def is_closed_id(self, route_id: int) -> bool:
         """Whether a route was open under that id, and is not now."""

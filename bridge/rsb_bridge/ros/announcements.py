@@ -1,7 +1,7 @@
-"""What the bridges of a domain tell each other: what each publishes and offers there, and by which bridges that came.
+"""Announcements between the bridges of a domain: the publishers and services of each, and the bridges behind them.
 
-Each keeps one latched message on a topic of its own (PROTOCOL.md, 4). What others say there may be anything: it is
-bounded in size, number and rate, and what does not read is left unheeded.
+Each bridge keeps one latched message on a common topic (PROTOCOL.md, 5). Other nodes may publish anything there:
+messages are bounded in size, number and rate, and unreadable messages are ignored.
 """
 
 from __future__ import annotations
@@ -33,12 +33,12 @@ if TYPE_CHECKING:
 LONGEST = 4 << 20
 """Bytes of one announcement."""
 _A_LINK = 1 << 20
-"""Bytes of this bridge's announcement about what it has for one link."""
+"""Bytes of this bridge's announcement for one link."""
 _FRAME = 1024
 _A_SECOND = 4 << 20
-"""Bytes of others' announcements that are read: about 40 ms of the I/O thread's time."""
+"""Bytes of others' announcements read in a second: about 40 ms of the I/O thread's time."""
 _KEPT = 8 << 20
-"""Bytes of others' announcements that are kept, as they came; likewise of those that wait to be read."""
+"""Bytes of others' announcements that are kept, and of announcements that wait to be read."""
 _SOON = 0.02  # s: changes at once make one announcement
 _READ_EVERY = 0.05  # s
 _SAY_AGAIN = 1.0  # s
@@ -47,7 +47,7 @@ _NODE_NAME = re.compile(r"[A-Za-z0-9_/]{1,255}")
 _ORDINARY_REMEMBERED = 4096
 _SAID = Qos(durability="transient_local", depth=1)
 _HEARD = Qos(durability="transient_local", depth=_MOST_UNREAD)
-"""A reader's depth counts the messages of all publishers: with 1, a bridge that starts would hear one other only."""
+"""A reader's depth counts the messages of all publishers: with 1, a new bridge would hear only one other."""
 
 
 class PublisherEntry(msgspec.Struct, frozen=True):
@@ -67,7 +67,7 @@ class ServiceEntry(msgspec.Struct, frozen=True):
 
 
 class Announcement(msgspec.Struct, frozen=True):
-    """What a bridge announces."""
+    """A bridge's message to the others."""
 
     version: Literal[1]
     publishers: list[PublisherEntry]
@@ -78,11 +78,11 @@ _encode = msgspec.json.Encoder().encode
 
 
 class Origin(NamedTuple):
-    """Where a publisher's messages, or a server's answers, come from.
+    """The origin of a publisher's messages, or of a server's answers.
 
     Attributes:
-        via: the bridges that they crossed; empty: it is no bridge's.
-        live: False: nothing reaches it any more.
+        via: the bridges that they crossed, or empty for an endpoint of an ordinary node.
+        live: whether messages still reach the endpoint.
     """
 
     via: Via
@@ -100,7 +100,7 @@ class _Own(NamedTuple):
 
 
 class OwnAnnouncement:
-    """All of it, within bounds."""
+    """This bridge's announcement, within bounds."""
 
     def __init__(self) -> None:
         self.size = 0
@@ -109,26 +109,26 @@ class OwnAnnouncement:
         self._services = _Table()
 
     def content(self) -> bytes:
-        """As others read it."""
+        """Return the message's bytes."""
         publishers, services = b",".join(self._publishers.entries()), b",".join(self._services.entries())
         return b'{"version":1,"publishers":[%s],"services":[%s]}' % (publishers, services)
 
     def put_publisher(self, topic: str, link: Hashable, endpoint: Endpoint, origin: Origin) -> bool:
-        """A publisher of ours is there, or its messages come from elsewhere now; whether that is news.
+        """Add a publisher of ours or change its origin; return whether the announcement changed.
 
-        One whose messages are our own is known here only: what is not announced belongs to no bridge (PROTOCOL.md, 5).
+        A publisher of our own messages is not announced: unannounced publishers belong to no bridge (PROTOCOL.md, 5).
 
         Raises:
-            RosError: there are too many.
+            RosError: the announcement is full.
         """
         entry = _encode(PublisherEntry(topic, endpoint.gid.hex(), origin.via, origin.live)) if origin.via else b""
         return self._put(self._publishers, _Own(topic, link, endpoint, origin, entry))
 
     def put_service(self, service: str, link: Hashable, endpoint: Endpoint, via: Via) -> bool:
-        """We offer a service, or its answers come from elsewhere now; whether that is news.
+        """Add a service that we offer or change its origin; return whether the announcement changed.
 
         Raises:
-            RosError: there are too many.
+            RosError: the announcement is full.
         """
         return self._put(
             self._services, _Own(service, link, endpoint, Origin(via), _encode(ServiceEntry(service, via)))
@@ -148,7 +148,7 @@ class OwnAnnouncement:
         return before is None or before.entry != own.entry
 
     def remove(self, gid: bytes) -> bool:
-        """A publisher of ours is closed, or a service is offered no more; whether it was there."""
+        """Remove a publisher or service; return whether it was there."""
         own = self._publishers.pop(gid) or self._services.pop(gid)
         if own is None:
             return False
@@ -159,21 +159,21 @@ class OwnAnnouncement:
         return True
 
     def origin_of(self, gid: bytes) -> Origin | None:
-        """Of one of ours; None: it is not."""
+        """Return the origin of an endpoint of ours, or None for any other."""
         own = self._publishers.by_gid.get(gid) or self._services.by_gid.get(gid)
         return own.origin if own is not None else None
 
     def publishers(self, topic: str, besides: Hashable) -> list[Endpoint]:
-        """What we publish on a topic, but for one link's messages."""
+        """Return our publishers on a topic, without the given link's."""
         return self._publishers.of(topic, besides)
 
     def servers(self, service: str, besides: Hashable) -> list[Endpoint]:
-        """What we offer as a service, but for what one link answers."""
+        """Return our servers of a service, without the given link's."""
         return self._services.of(service, besides)
 
 
 class _Table:
-    """Those of one kind."""
+    """Our publishers, or our services, by id and by name."""
 
     def __init__(self) -> None:
         self.by_gid: dict[bytes, _Own] = {}
@@ -202,11 +202,11 @@ _ORDINARY = Origin(())
 
 
 class Told(NamedTuple):
-    """What another bridge says.
+    """The contents of another bridge's announcement.
 
     Attributes:
-        publishers: where the messages of each come from, by id.
-        services: where the answers to those that it offers come from, by name.
+        publishers: the origin of each publisher's messages, by id.
+        services: the origin of each service's answers, by name.
     """
 
     publishers: dict[bytes, Origin]
@@ -221,16 +221,16 @@ class _Heard(NamedTuple):
 
 
 class _Inbox:
-    """Announcements that are not read yet: the newest of each publisher. Where they are too many, the shortest."""
+    """Unread announcements: the newest of each publisher, and only the shortest if they are too many."""
 
     def __init__(self) -> None:
         self._payloads: dict[bytes, bytes] = {}
         self._size = 0
 
     def put(self, gid: bytes, payload: bytes) -> None:
-        """Keep a new one."""
+        """Keep a new announcement."""
         if len(payload) > LONGEST:
-            payload = b""  # which is no announcement
+            payload = b""  # not an announcement
         self._size += len(payload) - len(self._payloads.get(gid, b""))
         self._payloads[gid] = payload
         while self._size > _KEPT or len(self._payloads) > _MOST_UNREAD:
@@ -238,34 +238,34 @@ class _Inbox:
             self._size -= len(self._payloads.pop(longest))
 
     def put_back(self, gid: bytes, payload: bytes) -> None:
-        """Keep one that was taken and is not read yet."""
+        """Keep an announcement that was taken but not read."""
         if gid not in self._payloads:
             self.put(gid, payload)
 
     def take(self) -> list[tuple[bytes, bytes]]:
-        """All of them, the shortest first."""
+        """Take all announcements, the shortest first."""
         taken, self._payloads, self._size = self._payloads, {}, 0
         return sorted(taken.items(), key=lambda item: len(item[1]))
 
 
 class AnnouncementError(Exception):
-    """A message is no announcement of a bridge."""
+    """A message is not a bridge's announcement."""
 
 
 class Announcements:
-    """This bridge's announcement, and the others'. It belongs to the I/O thread.
+    """This bridge's announcement and the others'. Belongs to the I/O thread.
 
     Attributes:
         bridges: the names of the domain's bridge nodes, our own first.
     """
 
     def __init__(self, ros: RosInterface, loop: asyncio.AbstractEventLoop, warn: Callable[[str], None]) -> None:
-        """Nothing is said or heard yet.
+        """Create them; `start` connects them with the domain.
 
         Args:
             ros: the domain.
-            loop: of the I/O thread.
-            warn: told what an operator should know.
+            loop: the I/O thread's.
+            warn: called with warnings for operators.
         """
         self.bridges: tuple[str, ...] = (ros.node_name,)
         self._ros = ros
@@ -290,10 +290,10 @@ class Announcements:
         self._warnings = TokenBucket(3, 0.01, loop.time())
 
     def start(self, changed: Callable[[], None]) -> None:
-        """Say that we are here, and listen.
+        """Publish the announcement and subscribe to the others'.
 
         Args:
-            changed: called when `bridges`, or what is known of publishers, has changed.
+            changed: called when `bridges` or an origin has changed.
         """
         self._changed = changed
         type_hash = self._ros.installed_hash(STRING) or STRING_HASH
@@ -315,10 +315,10 @@ class Announcements:
             self._unnoticed(self._subscription.failure)
 
     def _unnoticed(self, reason: str) -> None:
-        self._warn(f"this bridge does not hear the other bridges in its domain, and does not see loops: {reason}")
+        self._warn(f"this bridge cannot hear the other bridges in its domain, and cannot detect loops: {reason}")
 
     def stop(self) -> None:
-        """Say and hear no more."""
+        """Close the publisher and the subscription."""
         for timer in (self._saying, self._reading):
             if timer is not None:
                 timer.cancel()
@@ -328,41 +328,41 @@ class Announcements:
         self._subscription = self._publisher = None
 
     def changed(self) -> None:
-        """Something that decides about loops has changed: let the routes look."""
+        """Have the routes check for loops again."""
         self._changed()
 
     # --- our own
 
     def announce(self, topic: str, link: Hashable, endpoint: Endpoint, origin: Origin) -> None:
-        """Tell the others of a publisher of ours, or where its messages come from now.
+        """Announce a publisher of ours, or its new origin.
 
         Args:
             topic: its topic.
-            link: whose messages it publishes.
-            endpoint: it, as others see it.
-            origin: where its messages come from.
+            link: the link whose messages it publishes.
+            endpoint: the publisher as others see it.
+            origin: the origin of its messages.
 
         Raises:
-            RosError: there are too many.
+            RosError: the announcement is full.
         """
         if self._own.put_publisher(topic, link, endpoint, origin):
             self._say_soon()
 
     def offer(self, service: str, link: Hashable, type_name: str, type_hash: str, via: Via) -> bytes:
-        """Tell the others of a service that is about to be offered here.
+        """Announce a service that is about to be offered here.
 
         Args:
             service: its name.
-            link: where the calls go.
-            type_name: of the service.
-            type_hash: likewise.
-            via: the bridges that the answers cross on their way here.
+            link: the link that carries the calls.
+            type_name: the service's type.
+            type_hash: the type's hash.
+            via: the bridges that the answers cross.
 
         Returns:
-            What to `withdraw` it by.
+            An id for `withdraw`.
 
         Raises:
-            RosError: there are too many.
+            RosError: the announcement is full.
         """
         self._offers += 1
         gid = b"offer%d" % self._offers
@@ -371,26 +371,26 @@ class Announcements:
         return gid
 
     def withdraw(self, gid: bytes) -> None:
-        """A publisher of ours is closed, or a service is offered no more."""
+        """Remove a publisher or service from the announcement."""
         if self._own.remove(gid):
             self._say_soon()
 
     def own_publishers(self, topic: str, besides: Hashable) -> list[Endpoint]:
-        """What we publish on a topic ourselves, but for one link's messages."""
+        """Return our publishers on a topic, without the given link's."""
         return self._own.publishers(topic, besides)
 
     def own_servers(self, service: str, besides: Hashable) -> list[Endpoint]:
-        """What we offer as a service ourselves, but for what one link answers."""
+        """Return our servers of a service, without the given link's."""
         return self._own.servers(service, besides)
 
     def _say_soon(self) -> None:
         if self._saying is None and self._publisher is not None:
-            # Not more in a second than the others read.
+            # Others read only so many bytes in a second.
             self._saying = self._loop.call_later(max(_SOON, self._own.size / _A_SECOND), self._say)
 
     def _say(self) -> None:
         self._saying = None
-        self._changed()  # for our own routes that take what we publish
+        self._changed()  # for our own routes that subscribe to our publishers
         content = self._own.content()
         if content == self._said or self._publisher is None:
             return
@@ -398,7 +398,7 @@ class Announcements:
             self._publisher.publish(serialize_string(content))
         except RosError as error:
             if self._warnings.take(1, self._loop.time()):
-                self._warn(f"the other bridges in this domain cannot be told what this one publishes: {error}")
+                self._warn(f"this bridge cannot announce its publishers to the other bridges in its domain: {error}")
             self._saying = self._loop.call_later(_SAY_AGAIN, self._say)
         else:
             self._said = content
@@ -406,11 +406,11 @@ class Announcements:
     # --- the others'
 
     def origin_of(self, publisher: Endpoint) -> Origin | None:
-        """Where a publisher's messages come from; None: it is a bridge's that has not said so, or nobody known yet."""
+        """Return a publisher's origin, or None if its bridge has not announced it or its node is unknown."""
         return self._origin_of(publisher, lambda told: told.publishers.get(publisher.gid))
 
     def origin_of_server(self, server: Endpoint, service: str) -> Origin | None:
-        """Where a server's answers come from; None: as with `origin_of`."""
+        """Return the origin of a server's answers, or None as `origin_of` does."""
         return self._origin_of(server, lambda told: told.services.get(service))
 
     def _origin_of(self, endpoint: Endpoint, find: Callable[[Told], Origin | None]) -> Origin | None:
@@ -432,7 +432,7 @@ class Announcements:
         return _ORDINARY
 
     def look(self) -> None:
-        """See which bridges are there; to be called when the graph has changed."""
+        """Update the list of bridges. Call it when the graph has changed."""
         if self._subscription is None:
             return
         if (present := self._present()) != self._announcers:
@@ -440,7 +440,7 @@ class Announcements:
             self._sort()
 
     def _present(self) -> dict[bytes, str]:
-        """The nodes that announce something, by their publishers."""
+        """Return the announcing nodes by their publishers' ids."""
         try:
             publishers = self._ros.publishers(ANNOUNCEMENT_TOPIC)
         except RosError:
@@ -458,7 +458,7 @@ class Announcements:
         self._changed()
 
     def _arrived(self, batch: Sequence[RawMessage]) -> None:
-        """On the ROS thread."""
+        """Take messages on the ROS thread."""
         with self._lock:
             for message in batch:
                 self._inbox.put(message.gid, message.payload)
@@ -469,7 +469,7 @@ class Announcements:
             self._loop.call_soon_threadsafe(self._read)
 
     def _read(self) -> None:
-        """Read what has come, the shortest first; what would take too long waits."""
+        """Read the new announcements, the shortest first, as many as the budget admits."""
         with self._lock:
             unread = self._inbox.take()
             self._reads = bool(unread)
@@ -495,8 +495,8 @@ class Announcements:
             if self._warnings.take(1, self._loop.time()):
                 node = self._announcers.get(gid, "a node")
                 self._warn(
-                    f"{node} publishes something on {ANNOUNCEMENT_TOPIC} that is no announcement of a bridge: "
-                    "nothing but rsb-console should publish there"
+                    f"{node} publishes a message on {ANNOUNCEMENT_TOPIC} that is not a bridge's announcement: stop it, "
+                    "only rsb-console may publish there"
                 )
             return
         self._heard.pop(gid, None)
@@ -511,13 +511,13 @@ class Announcements:
 
 
 def read_announcement(payload: bytes) -> Told:
-    """What another bridge's announcement says.
+    """Read another bridge's announcement.
 
     Args:
         payload: the message.
 
     Raises:
-        AnnouncementError: it is no announcement.
+        AnnouncementError: the message is not an announcement.
     """
     try:
         announcement = _decode(string_bytes(payload))
@@ -530,4 +530,4 @@ def read_announcement(payload: bytes) -> Told:
 
 
 def _nobody() -> None:
-    """Nobody asks to be told."""
+    """Ignore a change before `start`."""

@@ -26,7 +26,7 @@ def serialize_string(data: bytes) -> bytes:
 
 
 def string_bytes(payload: bytes) -> bytes:
-    """The ``data`` of a message, UTF-8 if its sender keeps to the format; empty: the payload is no such message."""
+    """Return a message's ``data``, UTF-8 in a valid message, or empty bytes for another payload."""
     try:
         (length,) = struct.unpack_from("<I" if payload[1] & 1 else ">I", payload, 4)
     except (struct.error, IndexError):

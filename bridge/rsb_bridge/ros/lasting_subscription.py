@@ -19,10 +19,10 @@ _HEALED_AFTER = 60.0  # s
 
 
 class LastingSubscription:
-    """Subscribes anew, after a delay that doubles, whenever the subscription fails. It belongs to the I/O loop.
+    """Subscribes again, after a delay that doubles, when the subscription fails. Belongs to the I/O loop.
 
     Attributes:
-        failure: why it takes no messages now, as an operator reads it; empty: it does.
+        failure: the reason why it takes no messages now, for operators, or an empty string.
     """
 
     def __init__(
@@ -57,7 +57,7 @@ class LastingSubscription:
         return self._lost_before + (self._subscription.lost if self._subscription is not None else 0)
 
     def reopen(self) -> None:
-        """Subscribe anew; if that fails, later again."""
+        """Subscribe again; if that fails, retry later."""
         if self._subscription is not None:
             self._drop()
             self._try_again()

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 # another thread is busy. rclpy has loaded the libraries; librcl's handle also finds what it depends on.
 librcl = ctypes.PyDLL("librcl.so")
 librcl_without_gil = ctypes.CDLL("librcl.so")
-"""For calls that take long, as those that copy large messages do: other threads run meanwhile."""
+"""For long calls, such as copies of large messages: other threads run meanwhile."""
 reset_error = librcl.rcutils_reset_error
 
 
@@ -110,10 +110,10 @@ _DESTROY = ctypes.PYFUNCTYPE(None, ctypes.c_void_p)
 
 
 def serialize_message(message: Any) -> bytes:
-    """As `rclpy.serialization.serialize_message`: CDR with its encapsulation header.
+    """Serialize a message as rclpy does: CDR with its encapsulation header.
 
-    rclpy, as the middleware under it, leaves padding as it finds it in memory: up to 7 bytes before a number, of
-    whatever this process had there before. So the message is written twice, the second time over zeros.
+    Unlike rclpy, leave no remains of other memory in the padding, up to 7 bytes before a number: write the message
+    twice, the second time over zeros.
 
     Raises:
         RosError: the middleware refused it.
@@ -182,7 +182,7 @@ class TakeBuffer(Buffer):
             self._shrink()
 
     def free(self) -> None:
-        """Forget all. There is nothing of rcl's to free."""
+        """Forget all. No memory of rcl's has to be freed."""
         self.discard()
 
     def _shrink(self) -> None:
@@ -190,7 +190,7 @@ class TakeBuffer(Buffer):
 
 
 def _growing(large: list[bytes]) -> Callable[[int | None, int, int | None], int | None]:
-    """What stands for `realloc`. It refers to no buffer, which could not be freed at once otherwise."""
+    """Return a replacement of `realloc`. It refers to no buffer, so that buffers are freed at once."""
 
     def grow(_data: int | None, size: int, _state: int | None) -> int | None:
         try:
@@ -205,7 +205,7 @@ def _growing(large: list[bytes]) -> Callable[[int | None, int, int | None], int 
 
 
 def _keep(_data: int | None, _state: int | None) -> None:
-    """What stands for `free`: the memory is Python's."""
+    """Replace `free`: the memory is Python's."""
 
 
 _INFINITE = 2**63 - 1  # ns: RMW_DURATION_INFINITE

@@ -1,4 +1,4 @@
-"""Which middleware (rmw) implementation ROS uses. Looked up without loading ROS.
+"""The check that the middleware (rmw) implementation that ROS will use is installed. It does not load ROS.
 
 rcl checks the implementation while it is being loaded, and a wrong one ends the process with exit code 102
 (rcl/rmw_implementation_identifier_check.c). So it has to be checked before.
@@ -10,6 +10,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from rsb_bridge.model.wording import Wording
 from rsb_bridge.ros.ros_interface import RosError
 
 if TYPE_CHECKING:
@@ -20,6 +21,15 @@ _INDEX = "share/ament_index/resource_index"
 _NOT_ONE = "rmw_implementation"  # it is listed too, and loads one of the others
 
 
+class MiddlewareProblem(Wording):
+    """The reasons why ROS can't use a middleware."""
+
+    NOT_INSTALLED = (
+        "{variable} is {wanted}, which is not installed (installed: {installed}): unset {variable}, or install "
+        "{package}"
+    )
+
+
 def check_middleware(environment: Mapping[str, str]) -> None:
     """Check that the middleware implementation that the environment asks for is installed.
 
@@ -27,22 +37,26 @@ def check_middleware(environment: Mapping[str, str]) -> None:
         environment: the process's environment variables.
 
     Raises:
-        RosError: it is not; the message says which are.
+        RosError: it is not installed; the message lists the installed ones.
     """
     prefixes = [*environment.get("AMENT_PREFIX_PATH", "").split(":"), sys.prefix]
     installed = installed_middlewares(Path(prefix) for prefix in prefixes if prefix)
     if not installed:
-        return  # an installation without an index: rcl will say what is wrong, if anything is
+        return  # an installation without an index: rcl itself reports a missing implementation
     for variable in _VARIABLES:
         wanted = environment.get(variable, "")
         if wanted and wanted not in installed:
             raise RosError(
-                f"{variable} is {wanted}, which is not installed (installed: {', '.join(sorted(installed))}): "
-                f"unset {variable}, or install ros-jazzy-{wanted.replace('_', '-')}"
+                MiddlewareProblem.NOT_INSTALLED(
+                    variable=variable,
+                    wanted=wanted,
+                    installed=", ".join(sorted(installed)),
+                    package=f"ros-jazzy-{wanted.replace('_', '-')}",
+                )
             )
 
 
 def installed_middlewares(prefixes: Iterable[Path]) -> set[str]:
-    """The middleware implementations that these installation prefixes have, by the ament index."""
+    """Return the middleware implementations that the ament indexes of these installation prefixes list."""
     found = {entry.name for prefix in prefixes for entry in prefix.glob(f"{_INDEX}/rmw_typesupport*/*")}
     return found - {_NOT_ONE}

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, Generic, TypeAlias, TypeVar
 
 from rsb_bridge.model.qos import incompatible
 from rsb_bridge.ros.middleware import check_middleware
-from rsb_bridge.ros.ros_interface import BATCH, RawMessage, Request, Response, RosError
+from rsb_bridge.ros.ros_interface import BATCH, RawMessage, Request, Response, RosError, RosProblem
 from rsb_bridge.ros.ros_thread import LONGEST_WAIT, RosTurns
 from rsb_bridge.ros.typesupport import hash_of, installed_class, installed_service, service_hash_of
 
@@ -76,7 +76,7 @@ class RosNode:
         self.turns = RosTurns(self._wake)
         self._lock = threading.Lock()
         self._asking = threading.Lock()
-        """Held by whoever asks another node something: the domain is not left meanwhile."""
+        """Held during questions to other nodes, so that the domain is not left meanwhile."""
         self._participant: Participant | None = None
         self._thread: threading.Thread | None = None
         self._drains: dict[int, Drain[Any]] = {}  # by endpoint's address; replaced, never changed
@@ -86,7 +86,7 @@ class RosNode:
         self._on_failure: Callable[[str], None] = _log.error
         self._failure = ""
         self._own: defaultdict[_Key, set[bytes]] = defaultdict(set)
-        self._closed: deque[tuple[_Key, bytes]] = deque()  # in `_own` still: what they published may be on its way
+        self._closed: deque[tuple[_Key, bytes]] = deque()  # still in `_own`: their messages may yet arrive
 
     def start(self) -> None:
         """Join the domain and start the thread.
@@ -98,12 +98,9 @@ class RosNode:
         try:
             from rsb_bridge.ros.rcl import Participant  # noqa: PLC0415  only a node that starts needs rclpy
         except ImportError as error:
-            raise RosError(
-                f"ROS 2 cannot be used ({error}): pip install 'rsb-console[ros]' on x86-64 Linux, "
-                "or source /opt/ros/jazzy/setup.bash before starting"
-            ) from error
+            raise RosError(RosProblem.NOT_INSTALLED(error=error)) from error
         if self._thread is not None:
-            raise RosError("a ROS node is started once")
+            raise RosError(RosProblem.STARTED_TWICE())
         participant = self._participant = Participant(self._domain_id, self.node_name)
         self._thread = threading.Thread(target=self._run, args=(participant,), name="ros", daemon=True)
         self._thread.start()
@@ -281,7 +278,7 @@ class RosNode:
     def _joined(self) -> Participant:
         participant = self._participant
         if participant is None:
-            raise RosError("the ROS node is not running")
+            raise RosError(RosProblem.NOT_RUNNING())
         return participant
 
     def _drain(self, drain: Drain[Any], participant: Participant) -> None:
@@ -328,8 +325,8 @@ class RosNode:
                         drains[address].deliver()
                 if ready.graph_changed:
                     self._on_graph_change()
-        except Exception as error:  # noqa: BLE001 — whatever it is, the thread must not end unnoticed
-            self._failure = f"the thread that serves ROS failed: {error}"
+        except Exception as error:  # noqa: BLE001 — no error may end the thread unnoticed
+            self._failure = RosProblem.THREAD_FAILED(error=error)
             self._on_failure(self._failure)
         finally:
             self._leave(participant)

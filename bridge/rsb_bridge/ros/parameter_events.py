@@ -1,7 +1,7 @@
 """The events of many nodes' parameters, by one subscription: all nodes of a domain publish on one topic.
 
-A subscription for each node that is bridged would have each event copied, taken and looked into as often as nodes are
-bridged. So those of one link share one; a link's own, as what a link publishes must not come back to it
+With a subscription for each bridged node, each event would be copied, taken and read once per bridged node. So the
+nodes of one link share a subscription. Links do not share one, since a link must not get its own messages back
 (`rsb_bridge.ros.ros_interface.RosInterface.subscribe`). An event is rcl_interfaces/msg/ParameterEvent, serialized.
 """
 
@@ -23,14 +23,14 @@ LONGEST = 256 << 10
 """Bytes of an event that gets another name: some 2,000 parameters that changed at once. Each takes 10 µs."""
 
 _BYTE_ORDERS = {b"\x00\x00": ">", b"\x00\x01": "<"}  # CDR_BE, CDR_LE
-_NO_OPTIONS = b"\x00\x00"  # of the encapsulation header: they tell how many bytes of padding stand at the end
+_NO_OPTIONS = b"\x00\x00"  # the encapsulation header's: the number of padding bytes at the end
 _STAMP = 8
 _LISTS = 3  # of parameters: new, changed, deleted
 _ARRAYS = (1, 1, 8, 8)  # of a ParameterValue: bytes, bools, integers, doubles; bytes of an element
 
 
 class InvalidEvent(Wording):
-    """Why a message is no parameter event."""
+    """The reasons why a message is not a parameter event."""
 
     NAME_WITHOUT_END = "the node's name has no end"
     TOO_LONG = "it has {length:,} bytes, and at most {limit:,} are looked through"
@@ -139,13 +139,13 @@ class _Copy:
 
 
 class EventsTopic(NamedTuple):
-    """What can be listened to by one subscription.
+    """The topic of one subscription for one link.
 
     Attributes:
         name: of the topic.
         type_name: of its messages.
-        type_hash: likewise.
-        link: for which it is listened to.
+        type_hash: the type's hash.
+        link: the link that the events go to.
     """
 
     name: str
@@ -258,7 +258,7 @@ class _Shared:
             try:
                 node = node_of(message.payload)
             except ParameterEventError:
-                node = next(iter(sinks), "")  # whoever gets it says what is wrong with it
+                node = next(iter(sinks), "")  # its sink reports the error
             if node in sinks:
                 found.setdefault(node, []).append(message)
         for node, messages in found.items():

@@ -1,17 +1,18 @@
-"""Message and service classes for raw use, of types that need not be installed.
+"""Message and service classes for raw use, also of types that are not installed.
 
 Raw CDR needs no layout. rmw_fastrtps_cpp asks a type support for its name, its hash, a bound on its size and an
-introspection handle, all while an endpoint is created; what knows the layout it calls only for messages that are not
-raw. So a type support for a bare name and hash is std_msgs/String's (unbounded, no key) under another name and hash.
+introspection handle, all while an endpoint is created; it calls the functions that depend on the layout only for
+ordinary messages. So a type support for a bare name and hash is std_msgs/String's (unbounded, no key) with these.
 Layout of its inside: rosidl_typesupport_fastrtps_cpp/message_type_support.h (ROS 2 Jazzy). Other middlewares need the
 layout, and other distributions lay the struct out otherwise: there the type's package must be installed.
 
-A service's type support is a struct with those of its request and response. rcl has no function that takes or sends a
-call serialized: it has the middleware take and send a ROS message, and rmw_fastrtps_cpp calls that message's type
-support to write it to a Cdr, or to read it from one (fastcdr). So a type support that copies bytes carries any type.
-What stands for the message is a Python object:
+A service's type support is a struct with the type supports of its request and response. rcl has no function that takes
+or sends a call serialized: it has the middleware take and send a ROS message, and rmw_fastrtps_cpp calls that message's
+type support to write it to a Cdr, or to read it from one (fastcdr). So a type support that copies bytes carries any
+type.
+In the message's place is a Python object:
 
-- To send, something that writes the payload to the Cdr that it is called with (`outgoing`). The middleware calls it
+- To send, a callable that writes the payload to the Cdr that it is called with (`outgoing`). The middleware calls it
   with its writer locked. If Python gave up the GIL there, a thread that has it and wants the writer would wait for
   ever. So not one Python instruction may run: `operator.call`, `functools.partial` and what they call are C.
 - To take, a list that the payload is put into. The middleware has nothing locked then.
@@ -34,7 +35,8 @@ from typing import TYPE_CHECKING, NamedTuple, Protocol, TypeVar
 from rclpy.utilities import get_rmw_implementation_identifier
 
 from rsb_bridge.model.names import split_type_name
-from rsb_bridge.ros.ros_interface import RosError
+from rsb_bridge.model.wording import Wording
+from rsb_bridge.ros.ros_interface import RosError, RosProblem
 from rsb_bridge.ros.typesupport import (
     FIND,
     GET_HASH,
@@ -77,14 +79,14 @@ _Struct = TypeVar("_Struct", bound=ctypes.Structure)
 
 
 def borrow_type(type_name: str, type_hash: str) -> BorrowedType:
-    """What rclpy creates raw endpoints of a type with: the installed class, else one made here.
+    """Return the class for raw endpoints of a type: the installed one, else one made here.
 
     Args:
         type_name: ``pkg/msg/Name``.
         type_hash: ``RIHS01_...``, or empty where it is not known: then the type must be installed.
 
     Raises:
-        RosError: it is installed with another hash, or it is not installed and cannot be done without.
+        RosError: the type is installed with another hash, or it is not installed and has to be.
     """
     try:
         installed = installed_class(type_name)
@@ -97,23 +99,47 @@ def borrow_type(type_name: str, type_hash: str) -> BorrowedType:
     return BorrowedType(installed, nothing)
 
 
+class UnusableType(Wording):
+    """The reasons why a type of a message or service can't be used here."""
+
+    ANOTHER_VERSION = (
+        "{type_name} is another {kind} here ({here}) than there ({there}): install the same version of {package} on "
+        "both sides"
+    )
+    HASH_UNKNOWN = "{type_name} is not installed and no {source} tells its type hash: {remedy}"
+    INVALID_HASH = "{type_hash!r} is not a type hash: {prefix} and 64 hex digits"
+    INVALID_SERVICE_HASH = "{type_hash!r} is not a service's hash: two of {prefix} and 64 hex digits, with + between"
+    NEEDS_FASTRTPS = (
+        "{type_name} is not installed, and only rmw_fastrtps_cpp on ROS 2 Jazzy carries messages of such types: "
+        "{remedy}"
+    )
+    ANOTHER_MIDDLEWARE = "only rmw_fastrtps_cpp on ROS 2 Jazzy carries calls of such types"
+    ANOTHER_FAST_CDR = "this version of Fast CDR does not carry calls of such types"
+    CALLS_NOT_CARRIED = "{type_name} is not installed, and {reason}: {remedy}"
+    NOT_A_SERVICE = "{type_name!r} is not a service type: write it as package/srv/Name"
+    NO_STRINGS = "std_msgs is not installed: install ros-jazzy-std-msgs"
+    FOREIGN_ENCAPSULATION = "a message that is encapsulated as {encapsulation} cannot be sent in a call, only 0001 can"
+    REMEDY = "install {package}, or source the workspace that has it"
+
+
 def check_same(type_name: str, here: str, there: str, what: str) -> None:
     """Refuse a type that is installed with another hash.
 
     Raises:
-        RosError: `there` is known, and is not `here`.
+        RosError: `there` is neither empty nor `here`.
     """
     if there not in {"", here}:
         raise RosError(
-            f"{type_name} is another {what} here ({here}) than there ({there}): "
-            f"install the same version of {type_name.partition('/')[0]} on both sides"
+            UnusableType.ANOTHER_VERSION(
+                type_name=type_name, kind=what, here=here, there=there, package=type_name.partition("/")[0]
+            )
         )
 
 
 def remedy(type_name: str) -> str:
-    """What to do where a type has to be installed."""
+    """Return an instruction to install a type."""
     package = split_type_name(type_name)[0]
-    return f"install ros-jazzy-{package.replace('_', '-')}, or source the workspace that has it"
+    return UnusableType.REMEDY(package=f"ros-jazzy-{package.replace('_', '-')}")
 
 
 def layouts_known() -> bool:
@@ -131,11 +157,11 @@ def _is_jazzy() -> bool:
 def _check_named(type_name: str, type_hash: str) -> None:
     to_do = remedy(type_name)
     if not type_hash:
-        raise RosError(f"{type_name} is not installed and no publisher tells its type hash: {to_do}")
+        raise RosError(UnusableType.HASH_UNKNOWN(type_name=type_name, source="publisher", remedy=to_do))
     if not re.fullmatch(HASH_PATTERN, type_hash):
-        raise RosError(f"{type_hash!r} is not a type hash: {HASH_PREFIX} and 64 hex digits")
+        raise RosError(UnusableType.INVALID_HASH(type_hash=type_hash, prefix=HASH_PREFIX))
     if not layouts_known():
-        raise RosError(f"{type_name} is not installed, which only rmw_fastrtps_cpp on ROS 2 Jazzy can do: {to_do}")
+        raise RosError(UnusableType.NEEDS_FASTRTPS(type_name=type_name, remedy=to_do))
 
 
 class BorrowedType(NamedTuple):
@@ -175,10 +201,10 @@ class NamedTypes:
     """
 
     def __init__(self, make: Callable[[], NamedType] | None = None) -> None:
-        """Make none yet.
+        """Begin without types.
 
         Args:
-            make: of messages or of services; None: of messages.
+            make: makes a type, or None for message types.
         """
         self.made = 0
         self._make = make or NamedMessage
@@ -234,7 +260,7 @@ class NamedSupport:
     def __init__(self) -> None:
         string = installed_class("std_msgs/msg/String")
         if string is None:
-            raise RosError("std_msgs is not installed: install ros-jazzy-std-msgs")
+            raise RosError(UnusableType.NO_STRINGS())
         original = type_support_of(string)
         find_in_string = FIND(original.find)
         fastrtps = find_in_string(ctypes.addressof(original), FASTRTPS)
@@ -280,7 +306,7 @@ class NamedMessage:
 
 
 named_types = NamedTypes()
-"""The process's: the middleware knows types by their names, whichever node uses them."""
+"""The process's types: the middleware identifies a type by its name for all nodes."""
 
 
 def nothing() -> None:
@@ -307,7 +333,7 @@ class BorrowedService(NamedTuple):
 
 
 def borrow_service(type_name: str, type_hash: str) -> BorrowedService:
-    """What rclpy creates a service's endpoints with.
+    """Return the class for a service's endpoints.
 
     Args:
         type_name: ``pkg/srv/Name``, or ``pkg/action/Name_SendGoal`` and the like.
@@ -315,7 +341,7 @@ def borrow_service(type_name: str, type_hash: str) -> BorrowedService:
             then the type must be installed.
 
     Raises:
-        RosError: it is installed with another hash, or it is not installed and cannot be done without.
+        RosError: the type is installed with another hash, or it is not installed and has to be.
     """
     try:
         installed = installed_service(type_name)
@@ -323,7 +349,7 @@ def borrow_service(type_name: str, type_hash: str) -> BorrowedService:
     except ValueError:
         kind, installed = "", None
     if kind not in {"srv", "action"}:
-        raise RosError(f"{type_name!r} is not a service type: write it as package/srv/Name")
+        raise RosError(UnusableType.NOT_A_SERVICE(type_name=type_name))
     if installed is not None:
         here = service_hash_of(installed)
         check_same(type_name, here, type_hash, "service")
@@ -332,20 +358,20 @@ def borrow_service(type_name: str, type_hash: str) -> BorrowedService:
     if installed is not None and reason:
         return BorrowedService(BorrowedType(installed, nothing), raw=False)
     if not type_hash:
-        raise RosError(f"{type_name} is not installed and no node tells its type hash: {remedy(type_name)}")
+        raise RosError(UnusableType.HASH_UNKNOWN(type_name=type_name, source="node", remedy=remedy(type_name)))
     if not _HASHES.fullmatch(type_hash):
-        raise RosError(f"{type_hash!r} is not a service's hash: two of {HASH_PREFIX} and 64 hex digits, with + between")
+        raise RosError(UnusableType.INVALID_SERVICE_HASH(type_hash=type_hash, prefix=HASH_PREFIX))
     if reason:
-        raise RosError(f"{type_name} is not installed, and {reason}: {remedy(type_name)}")
+        raise RosError(UnusableType.CALLS_NOT_CARRIED(type_name=type_name, reason=reason, remedy=remedy(type_name)))
     return BorrowedService(named_services.borrow(type_name, type_hash), raw=True)
 
 
 def why_not_raw() -> str:
-    """Why calls of types that are not installed cannot be carried here; empty: they can."""
+    """Return the reason why calls of types that are not installed cannot be carried here, or an empty string."""
     if not layouts_known():
-        return "only rmw_fastrtps_cpp on ROS 2 Jazzy can do without"
+        return UnusableType.ANOTHER_MIDDLEWARE()
     if not _copies_calls():
-        return "this version of Fast CDR is not one that can do without"
+        return UnusableType.ANOTHER_FAST_CDR()
     return ""
 
 
@@ -438,17 +464,17 @@ def _copies_calls() -> bool:
 
 
 def outgoing(payload: bytes) -> object:
-    """What stands for a message to send.
+    """Return an object to send in the message's place.
 
-    It is given by its address (`id`), and it and the payload stay alive until the middleware has returned.
+    The caller passes its address (`id`), and keeps it and the payload alive until the middleware has returned.
 
     Raises:
-        RosError: the payload is no message of this kind of machine.
+        RosError: the payload is too short or of another byte order.
     """
     if len(payload) < _HEADER:
-        raise RosError(f"a serialized message has at least 4 bytes, not {len(payload)}")
+        raise RosError(RosProblem.MESSAGE_TOO_SHORT(length=len(payload)))
     if not payload.startswith(_WRITTEN):
-        raise RosError(f"a message that is encapsulated as {payload[:2].hex()} cannot be sent in a call, only 0001 can")
+        raise RosError(UnusableType.FOREIGN_ENCAPSULATION(encapsulation=payload[:2].hex()))
     cdr = _cdr()
     assert cdr is not None
     length = len(payload) - _HEADER
@@ -476,7 +502,7 @@ SIZE = ctypes.PYFUNCTYPE(ctypes.c_uint32, ctypes.py_object)(operator.attrgetter(
 
 @lru_cache(1)
 def _cdr() -> _Cdr | None:
-    """Find out how a Cdr is laid out, by making one; None: not as it should be."""
+    """Find out the layout of a Cdr by making one; return None if it is not the expected one."""
     try:
         library = ctypes.PyDLL(_LIBRARY)  # the middleware has loaded it
         new_buffer = library[f"{_SPACE}10FastBufferC1EPcm"]
@@ -509,10 +535,10 @@ def _cdr() -> _Cdr | None:
 
 
 def _place(memory: ctypes.Array[ctypes.c_char], word: int) -> int:
-    """Where the only such word stands.
+    """Return the place of a word that must occur once.
 
     Raises:
-        LookupError: there is none, or not one.
+        LookupError: the word is missing or occurs several times.
     """
     found = [place for place in range(0, _ROOM, _WORD.size) if _WORD.unpack_from(memory, place) == (word,)]
     if len(found) != 1:

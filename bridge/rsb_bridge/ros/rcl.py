@@ -1,8 +1,8 @@
-"""What the bridge uses of ROS's C client library, rcl: a participant in one domain and its raw endpoints.
+"""A participant in one ROS domain and its raw endpoints, on ROS's C client library, rcl.
 
-rclpy's executors cost three times what is needed here, and its `Node` brings a publisher and services that nobody would
-serve. So this works on the extension module under rclpy, and calls rcl itself for what that hides: changes of the graph
-here, more in the endpoints' modules. Structs: rcl/wait.h (ROS 2 Jazzy).
+rclpy's executors cost three times as much, and its `Node` brings a publisher and services that the bridge would not
+serve. So this module uses the extension module under rclpy, and calls rcl itself for functions that it hides: changes
+of the graph here, more in the endpoints' modules. Structs: rcl/wait.h (ROS 2 Jazzy).
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from rsb_bridge.ros.librcl import (
     safe_type_name,
 )
 from rsb_bridge.ros.raw_types import borrow_service, borrow_type
-from rsb_bridge.ros.ros_interface import Endpoint, RosError
+from rsb_bridge.ros.ros_interface import Endpoint, RosError, RosProblem
 from rsb_bridge.ros.rosidl_descriptions import ask_node
 from rsb_bridge.ros.service_endpoints import Client, Server, TypedClient, TypedServer
 from rsb_bridge.ros.service_graph import CallerTable, callers, servers
@@ -48,11 +48,11 @@ _TRY_AGAIN_NS = 100_000_000  # after which answers that are kept are tried again
 _KEPT = 5000  # messages: Fast DDS's limit on a history that keeps all
 
 _CALLS = Qos("reliable", "volatile", "keep_last", _KEPT)
-"""As all services are, but for the depth: many calls that come at once must not push each other out."""
+"""The QoS of all services, with a greater depth: simultaneous calls must not displace each other."""
 
 
 class _WaitSetHead(ctypes.Structure):
-    """The first fields of a rcl_wait_set_t. After a wait, what was not triggered is NULL."""
+    """The first fields of a rcl_wait_set_t. After a wait, untriggered entries are NULL."""
 
     _fields_ = (
         ("subscriptions", ctypes.c_void_p),
@@ -87,11 +87,11 @@ class Incoming(Protocol):
 
 
 class Ready(NamedTuple):
-    """What ended a wait.
+    """The events that ended a wait.
 
     Attributes:
-        addresses: of the endpoints that something came to.
-        graph_changed: a node or an endpoint came or went.
+        addresses: of the endpoints with new messages or calls.
+        graph_changed: whether a node or an endpoint came or went.
     """
 
     addresses: list[int]
@@ -111,14 +111,14 @@ class Participant:
             RosError: the domain cannot be joined.
         """
         if domain_id not in DOMAIN:
-            raise RosError(f"ROS domain {domain_id} cannot be joined: domains are {DOMAIN}")
+            raise RosError(RosProblem.NO_SUCH_DOMAIN(domain=domain_id, domains=DOMAIN))
         self._context = Context()
         try:
             self._context.init(_ARGUMENTS, domain_id=domain_id)
             self._node = _rclpy.Node(node_name, "/", self._context.handle, [], False, False)
         except RuntimeError as error:
             self._context.try_shutdown()
-            raise RosError(f"ROS domain {domain_id} cannot be joined: {reason_of(error)}") from error
+            raise RosError(RosProblem.DOMAIN_REFUSED(domain=domain_id, reason=reason_of(error))) from error
         self._name = self._node.get_fully_qualified_name()
         self._guard = _rclpy.GuardCondition(self._context.handle)
         self._graph_guard = _graph_guard_condition(self._node.pointer)
@@ -171,7 +171,7 @@ class Participant:
     def ask_description(
         self, node: str, type_name: str, type_hash: str, still_wanted: Callable[[], bool]
     ) -> str | None:
-        """What another node tells of a type that it uses; see `rsb_bridge.ros.rosidl_descriptions.ask_node`.
+        """Ask another node for the description of a type, see `rsb_bridge.ros.rosidl_descriptions.ask_node`.
 
         Raises:
             RosError: rcl failed.
@@ -180,7 +180,7 @@ class Participant:
             return ask_node(self._node, self._context.handle, node, type_name, type_hash, still_wanted, self._entities)
         except RuntimeError as error:
             reset_error()
-            raise RosError(f"{node} cannot be asked: {reason_of(error)}") from error
+            raise RosError(RosProblem.NODE_UNREADABLE(node=node, reason=reason_of(error))) from error
 
     def create_reader(self, topic: str, type_name: str, type_hash: str, qos: Qos) -> Reader:
         """A raw subscription.
@@ -277,11 +277,8 @@ class Participant:
             return kind(self._node, interface, name, profile)
         except ValueError as error:
             reset_error()  # rclpy leaves it set, and rcl then writes to the terminal
-            what = "service" if kind in {_rclpy.Service, _rclpy.Client} else "topic"
-            raise RosError(
-                f"{name!r} is not a {what} name: write parts of letters, digits and _ after one / each, "
-                "none beginning with a digit"
-            ) from error
+            noun = "service" if kind in {_rclpy.Service, _rclpy.Client} else "topic"
+            raise RosError(RosProblem.INVALID_NAME(name=name, kind=noun)) from error
         except RuntimeError as error:
             raise RosError(f"{name}: {reason_of(error)}") from error
 
@@ -308,4 +305,4 @@ def _named(found: list[tuple[str, list[str]]]) -> dict[str, list[str]]:
 
 
 def _unreadable(error: RuntimeError) -> RosError:
-    return RosError(f"the ROS graph cannot be read: {reason_of(error)}")
+    return RosError(RosProblem.GRAPH_UNREADABLE(reason=reason_of(error)))

@@ -1,4 +1,4 @@
-"""The ROS graph of a side: the topics, services, actions and nodes that it offers, and names that are alike."""
+"""The ROS graph of a side: its topics, services, actions and nodes, and similar names."""
 
 from __future__ import annotations
 
@@ -22,18 +22,18 @@ if TYPE_CHECKING:
 Asked = TypeVar("Asked", bound="Hashable")
 
 _ASKED_EVERY = 1.0
-"""s from one search to the next: each takes up to 20 ms among a thousand topics."""
+"""Seconds between two searches: each takes up to 20 ms among a thousand topics."""
 _KNOWN_FOR = 10.0
-"""s that an answer holds."""
+"""Seconds that an answer is kept."""
 _MOST_ANSWERS = 1000
 _ALIKE = 0.7
 _MOST_NAMES = 2000
-"""That are searched."""
+"""Names that a search compares."""
 CALLED: tuple[Kind, ...] = tuple(kind for kind, lanes in LANES.items() if lanes)
 WHOLES: tuple[Kind, ...] = tuple(kind for kind in CALLED if len(LANES[kind]) > 1)
-"""Those that consist of several services."""
+"""Kinds that consist of several services."""
 MOST_ENTRIES = 2000
-"""Of one kind, in one list: each costs two questions to the middleware, some 50 µs each."""
+"""Entries of one kind in a list: each costs two questions to the middleware, of some 50 µs."""
 _OF_EVERY_NODE = "type_description_interfaces/srv/GetTypeDescription"
 _OTHER: dict[Kind, str] = {
     "service": "a service: list it under services",
@@ -43,11 +43,11 @@ _OTHER: dict[Kind, str] = {
 
 
 class Searches(Generic[Asked]):
-    """Searches of the graph that take their turn, and whose answers are kept for a while.
+    """Searches of the graph, one at a time, whose answers are kept for a while.
 
     Args:
-        search: what is looked for by; may raise `RosError`.
-        now: gives the time in s.
+        search: searches; may raise `RosError`.
+        now: returns the time in s.
     """
 
     def __init__(self, search: Callable[[Asked], str], now: Callable[[], float]) -> None:
@@ -57,7 +57,7 @@ class Searches(Generic[Asked]):
         self._asked_at = float("-inf")
 
     def of(self, asked: Asked) -> str:
-        """What was found; empty: nothing, or it was not looked for yet."""
+        """Return the answer, or an empty string if nothing was found or no search was made yet."""
         now = self._now()
         answer, at = self._answers.get(asked, ("", float("-inf")))
         if now - at < _KNOWN_FOR or now - self._asked_at < _ASKED_EVERY:
@@ -73,7 +73,7 @@ class Searches(Generic[Asked]):
 
 
 class SimilarTopics:
-    """Finds topics that are published under a similar name: somebody may have mistyped it.
+    """Finds published topics of a similar name, for names that may be mistyped.
 
     Args:
         ros: whose graph is searched.
@@ -85,7 +85,7 @@ class SimilarTopics:
         self._searches = Searches(self._search, now)
 
     def of(self, topic: str) -> str:
-        """The most similar one; empty: there is none, or it was not looked for yet, which takes its turn."""
+        """Return the most similar topic, or an empty string if none was found yet."""
         return self._searches.of(topic)
 
     def _search(self, topic: str) -> str:
@@ -93,13 +93,13 @@ class SimilarTopics:
 
 
 def most_similar(name: str, names: Iterable[str], ends: Callable[[str], Sequence[Endpoint]]) -> str:
-    """The most similar of names, of those that have ends; empty: none is similar."""
+    """Return the most similar name that has endpoints, or an empty string."""
     close = difflib.get_close_matches(name, sorted(names)[:_MOST_NAMES], cutoff=_ALIKE)
     return next((each for each in close if ends(each)), "")
 
 
 def topics_of(ros: RosInterface) -> list[TopicInfo]:
-    """Every topic of the graph, by name; what each node has anyway is left out. Takes about 50 µs a topic."""
+    """Return the graph's topics by name, without the topics of every node. Takes about 50 µs a topic."""
     found = []
     for topic in sorted(ros.topics()):
         if topic in OF_EVERY_NODE:
@@ -115,20 +115,20 @@ def topics_of(ros: RosInterface) -> list[TopicInfo]:
 
 
 def type_hint(ros: RosInterface, topic: str) -> tuple[str, str]:
-    """The type that a topic's endpoints have here, and its hash; both empty where there is none, or not one."""
+    """Return the type of a topic's endpoints and its hash, or empty strings if they disagree or are missing."""
     return agreed_type([*ros.publishers(topic), *ros.subscriptions(topic)])
 
 
 def agreed_type(endpoints: Iterable[Endpoint]) -> tuple[str, str]:
-    """The type of all endpoints, and its hash; both empty where there is none, or not one."""
+    """Return the common type of endpoints and its hash, or empty strings if they disagree or are missing."""
     types = {(each.type_name, each.type_hash) for each in endpoints}
     return types.pop() if len(types) == 1 else ("", "")
 
 
 def graph_of(ros: RosInterface, kinds: Collection[Kind]) -> list[TopicInfo]:
-    """Every topic of the graph, and what else there is of the kinds that are asked for, by kind and name.
+    """Return the graph's topics and its entries of the given kinds, by kind and name.
 
-    The topics of an action that is in the list are left out.
+    Topics of a listed action are left out.
 
     Args:
         ros: whose graph.
@@ -144,14 +144,14 @@ def graph_of(ros: RosInterface, kinds: Collection[Kind]) -> list[TopicInfo]:
 
 
 def called_in(ros: RosInterface, kinds: Collection[Kind]) -> list[TopicInfo]:
-    """What can be called in the graph, by kind and name; of each kind the first `MOST_ENTRIES`.
+    """Return the graph's services, actions and nodes with parameters; of each kind the first `MOST_ENTRIES` by name.
 
-    What belongs to an action or to a node's parameters is no service of its own, whatever kinds are asked for, and what
-    each node has anyway, or ``ros2 service list`` hides, is left out.
+    Services of an action or of a node's parameters are not listed as services, nor are services of every node and
+    services that ``ros2 service list`` hides.
 
     Args:
-        ros: whose graph.
-        kinds: those of `rsb_bridge.model.session.Kind` that are asked for; topics are not found here.
+        ros: the side whose graph is read.
+        kinds: the kinds to list; topics are ignored.
 
     Raises:
         RosError: the node is not running.
@@ -170,14 +170,14 @@ def called_in(ros: RosInterface, kinds: Collection[Kind]) -> list[TopicInfo]:
 
 
 def _services_of(kind: Kind, whole: str) -> Iterator[str]:
-    """Of its topics there is no service: that of parameters has the suffix of none, and so the node's own name."""
+    """Yield the services of an action or of a node's parameters. Their topics have no services."""
     return (whole + lane.suffix for lane in LANES[kind] if not lane.is_topic)
 
 
 def _wholes(kind: Kind, services: Mapping[str, Sequence[str]]) -> Iterator[tuple[str, str]]:
-    """The actions with their types, or the nodes with parameters.
+    """Yield the actions with their types, or the nodes with parameters.
 
-    Whoever has the first service of one has the others: rclcpp and rclpy make them together, on either side.
+    A node with the first service has the others too: rclcpp and rclpy make them together, on either side.
     """
     lead = LANES[kind][0]
     for name, types in services.items():
@@ -191,7 +191,7 @@ def _wholes(kind: Kind, services: Mapping[str, Sequence[str]]) -> Iterator[tuple
 
 
 def _entry(ros: RosInterface, kind: Kind, name: str, type_name: str) -> TopicInfo | None:
-    """One line of the list; None: whoever had it has just gone."""
+    """Return an entry of the list, or None if its nodes have just gone."""
     service = name + LANES[kind][0].suffix
     servers, callers = ros.servers(service), ros.callers(service)
     if not servers and not callers:
@@ -203,7 +203,7 @@ def _entry(ros: RosInterface, kind: Kind, name: str, type_name: str) -> TopicInf
 
 
 class Meant:
-    """Looks for what has the name and is of another kind, or has a similar name.
+    """Finds an entry of the same name but another kind, or of a similar name.
 
     Args:
         ros: whose graph is searched.
@@ -215,7 +215,7 @@ class Meant:
         self._searches = Searches(self._search, now)
 
     def by(self, kind: Kind, name: str) -> str:
-        """A hint for an operator; empty: there is none, or nobody has looked yet, which takes its turn."""
+        """Return a hint for an operator, or an empty string if no search has found one yet."""
         return self._searches.of((kind, name))
 
     def _search(self, asked: tuple[Kind, str]) -> str:
@@ -232,5 +232,5 @@ class Meant:
 
 
 def _lead(kind: Kind) -> str:
-    """What the first service of a kind has behind the name."""
+    """Return the suffix of a kind's first service."""
     return LANES[kind][0].suffix

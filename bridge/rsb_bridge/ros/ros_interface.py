@@ -8,6 +8,8 @@ from __future__ import annotations
 from collections.abc import Callable, Hashable, Sequence
 from typing import TYPE_CHECKING, NamedTuple, Protocol
 
+from rsb_bridge.model.wording import Wording
+
 if TYPE_CHECKING:
     from rsb_bridge.model.calls import Fields
     from rsb_bridge.model.qos import Qos
@@ -16,6 +18,32 @@ if TYPE_CHECKING:
 
 BATCH = 64
 """Messages or calls taken from one endpoint before the next has its turn."""
+
+
+class RosProblem(Wording):
+    """The reasons why ROS can't do what it was asked to."""
+
+    NOT_INSTALLED = (
+        "ROS 2 cannot be used ({error}): pip install 'rsb-console[ros]' on x86-64 Linux, or source "
+        "/opt/ros/jazzy/setup.bash before starting"
+    )
+    STARTED_TWICE = "a ROS node is started once"
+    NOT_RUNNING = "the ROS node is not running"
+    THREAD_FAILED = "the thread that serves ROS failed: {error}"
+    NO_SUCH_DOMAIN = "ROS domain {domain} cannot be joined: domains are {domains}"
+    DOMAIN_REFUSED = "ROS domain {domain} cannot be joined: {reason}"
+    GRAPH_UNREADABLE = "the ROS graph cannot be read: {reason}"
+    NODE_UNREADABLE = "{node} cannot be asked: {reason}"
+    INVALID_NAME = (
+        "{name!r} is not a {kind} name: write parts of letters, digits and _ after one / each, none beginning with a "
+        "digit"
+    )
+    TYPE_MISSING = "{type_name} is not installed here"
+    MESSAGE_TOO_SHORT = "a serialized message has at least 4 bytes, not {length}"
+    NOT_TAKEN = "{topic}: a message could not be taken (rcl error {code})"
+    NOT_PUBLISHED = "{topic}: {reason}"
+    CLOSED = "the publisher is closed"
+    REFUSED_BY_MIDDLEWARE = "the middleware refused a message (rcl error {code})"
 
 
 class RosError(Exception):
@@ -29,9 +57,9 @@ class RawMessage(NamedTuple):
         payload: the serialized message (CDR with its 4-byte encapsulation header).
         stamp: ns since the epoch on this machine's clock, when DDS received it.
         gid: its publisher's.
-        number: among its publisher's messages, from 1; 0: the middleware does not number them.
+        number: among its publisher's messages, from 1, or 0 if the middleware does not number them.
         lease: the number that says how old it can be (`rsb_bridge.route.lease`), or 0 without one.
-        source: ns since the epoch on its publisher's clock, when it was published; 0: the middleware does not say.
+        source: ns since the epoch on its publisher's clock, when it was published, or 0 if unknown.
     """
 
     payload: bytes
@@ -46,10 +74,10 @@ class Endpoint(NamedTuple):
     """A publisher or subscription that some node has on a topic.
 
     Attributes:
-        node: its node's full name, ``/namespace/name``; empty for the moment in which only the endpoint is known.
-        type_name: ``pkg/msg/Name``, or whatever a program that is not ROS calls its type: printable, 255 characters.
-        type_hash: ``RIHS01_...``, or empty where the middleware did not say.
-        qos: its policies, clamped (`rsb_bridge.model.qos.clamp_qos`); the depth is not known to others and stands as 0.
+        node: its node's full name, ``/namespace/name``; empty while only the endpoint is discovered.
+        type_name: ``pkg/msg/Name``, or a foreign DDS program's own type name: printable, 255 characters.
+        type_hash: ``RIHS01_...``, or empty if unknown.
+        qos: its policies, clamped (`rsb_bridge.model.qos.clamp_qos`); the depth is unknown to others, and 0 here.
         gid: its id in the middleware, the same for everybody in the domain.
     """
 
@@ -114,10 +142,10 @@ class Request(NamedTuple):
 
     Attributes:
         payload: the serialized request (CDR with its 4-byte encapsulation header).
-        caller: whose call it is, and which of its calls: opaque, for `ServiceServer.answer`.
+        caller: the caller and the number of its call: opaque, for `ServiceServer.answer`.
         stamp: ns since the epoch on this machine's clock, when it was taken.
         lease: the number that says how old it can be (`rsb_bridge.route.lease`), or 0 without one.
-        source: ns since the epoch on the caller's clock, when it was sent; 0: the middleware does not say.
+        source: ns since the epoch on the caller's clock, when it was sent, or 0 if unknown.
     """
 
     payload: bytes
@@ -250,25 +278,25 @@ class RosInterface(Protocol):
         ...
 
     def serialize(self, type_name: str, fields: Fields, now: int) -> bytes:
-        """A message of a type that is installed here (CDR with its encapsulation header), of what an operator wrote.
+        """Serialize a message of an installed type (CDR with its encapsulation header).
 
         Args:
             type_name: as `installed_description`.
-            fields: what stands in it; those that are missing have their defaults.
+            fields: values that an operator wrote, by name; a missing field has its default.
             now: ns since the epoch, for a time that is ``now``.
 
         Raises:
             RosError: the type is not installed.
-            FieldError: something does not fit into its field.
+            FieldError: a value does not fit into its field.
         """
         ...
 
     def ask_description(
         self, node: str, type_name: str, type_hash: str, still_wanted: Callable[[], bool]
     ) -> str | None:
-        """What a node tells of a message type that it uses; None: it tells nothing.
+        """Ask a node for its description of a message type, or return None if it gives none.
 
-        This may wait some seconds; no other thread's work does.
+        This may wait some seconds; other threads continue meanwhile.
 
         Args:
             node: its full name.
@@ -277,7 +305,7 @@ class RosInterface(Protocol):
             still_wanted: asked several times a second; False ends the waiting.
 
         Raises:
-            RosError: it could not be asked.
+            RosError: the node could not be asked.
         """
         ...
 

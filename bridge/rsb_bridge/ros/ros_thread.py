@@ -80,7 +80,7 @@ class RosTurns:
 
 
 class Receiver(Protocol[T_contra]):
-    """Where an endpoint's messages, requests or responses go on the I/O loop."""
+    """The receiver of an endpoint's messages, requests or responses on the I/O loop."""
 
     def offer(self, batch: Sequence[T_contra]) -> None:
         """Take them, oldest first."""
@@ -90,7 +90,7 @@ class Receiver(Protocol[T_contra]):
 class RosToLoopQueue:
     """Messages on their way from the ROS thread to the I/O loop: no wake-up while the loop waits, else one a drain.
 
-    Whoever has the loop's turn drains it, so messages keep their order whichever way they go. While the loop is
+    The thread with the loop's turn drains it, so messages keep their order on either thread. While the loop is
     `_BACKLOG` batches behind, the ROS thread waits; DDS keeps each topic's newest messages meanwhile.
     """
 
@@ -101,7 +101,7 @@ class RosToLoopQueue:
 
         Args:
             loop: the I/O loop.
-            do_now: does the loop's work on the thread that calls, or says that it cannot; None: the loop has none.
+            do_now: does the loop's work on the calling thread or returns False, or None if the loop has none.
         """
         self._loop = loop
         self._do_now = do_now or _never

@@ -1,4 +1,4 @@
-"""Descriptions of the message types that are installed here, and those that other nodes tell of theirs.
+"""Descriptions of installed message types, and of types that other nodes describe.
 
 rosidl compiles a type's description into its type support: structs of
 type_description_interfaces as C (rosidl_runtime_c/type_description/*__struct.h, ROS 2 Jazzy).
@@ -75,7 +75,7 @@ class _TypeDescription(ctypes.Structure):
 
 
 def installed_description(type_name: str) -> str | None:
-    """The text of the description of a type that is installed here; None: it is not.
+    """Return the text of an installed type's description, or None if the type is not installed.
 
     Raises:
         ValueError: `type_name` is not of the form ``pkg/msg/Name``.
@@ -130,7 +130,7 @@ def ask_node(
 
     Args:
         own: our node, rclpy's handle.
-        context: likewise.
+        context: rclpy's handle of its context.
         node: full name of the node to ask.
         type_name: ``pkg/msg/Name``.
         type_hash: ``RIHS01_...``.
@@ -138,7 +138,7 @@ def ask_node(
         entities: held while our node's endpoints are created or freed.
 
     Returns:
-        The text; None: it does not serve it, or does not answer.
+        The text, or None if the node lacks that service or does not answer.
 
     Raises:
         RuntimeError: rcl failed.

@@ -1,6 +1,6 @@
 """Raw endpoints of services, on rcl through ctypes. Structs: rmw/types.h (ROS 2 Jazzy).
 
-What rmw_fastrtps_cpp does with a call, and what follows from it here:
+The behaviour of rmw_fastrtps_cpp with calls, and its consequences here:
 
 - A request carries the GUID of the reader that its caller takes responses with, and that is what a server knows a
   caller by. A caller takes responses to it, and responses to its writer of requests.
@@ -56,9 +56,9 @@ _send_request.argtypes = [ctypes.c_void_p, ctypes.c_void_p, ctypes.POINTER(ctype
 _send_response = librcl.rcl_send_response
 _send_response.argtypes = [ctypes.c_void_p] * 3
 _CALLER_FOUND_WITHIN = 10.0
-"""s that a caller that has called may take to be found; one that has gone never is.
+"""Seconds that the discovery of a caller may take. A caller that has gone is never discovered.
 
-DDS says again every 3 s what was lost of its discovery. On one core beside 8 busy loops that took 6 s at most, of 190.
+DDS repeats lost parts of its discovery every 3 s. On one core with 8 busy loops it took 6 s at most, of 190 times.
 """
 _LATE_ANSWERS_TRIED_EVERY = 0.2
 """s; a caller that is there, but not matched, holds up everybody for half of that."""
@@ -144,7 +144,7 @@ class Server(ServiceEndpoint):
             self._served[guid] = None
             # rmw_fastrtps_cpp gives the time at which it was sent, by the caller's clock, for that at which it came.
             requests.append(Request(taken.pop(), CALLER.pack(guid, number), time.time_ns(), source=source))
-        while len(self._served) > _CALLERS_REMEMBERED:  # those that are forgotten are answered as an earlier server's
+        while len(self._served) > _CALLERS_REMEMBERED:  # forgotten callers are answered as an earlier server's
             del self._served[next(iter(self._served))]
         return requests
 
@@ -168,7 +168,7 @@ class Server(ServiceEndpoint):
             return False
 
     def _send(self, guid: bytes, number: int, payload: bytes) -> bool:
-        """Whether the caller is known, so that an answer could be sent."""
+        """Send an answer if the caller is in the graph; return whether it was sent."""
         writer = self._callers.writer_of(guid)
         if writer is None:
             return False
@@ -268,7 +268,7 @@ class _Answer(NamedTuple):
 
 
 class LateAnswers:
-    """Sends answers in order, caller by caller; those that cannot be sent it keeps, and tries again for a while."""
+    """Sends answers in order, caller by caller; keeps unsent answers, and tries again for a while."""
 
     def __init__(self, send: Callable[[bytes, int, bytes], bool]) -> None:
         """Begin with none.
@@ -295,7 +295,7 @@ class LateAnswers:
         return False
 
     def try_again(self) -> bool:
-        """Send those that can be sent now, and give up those that are too old. Whether some are left."""
+        """Send the kept answers where possible, and give up old ones; return whether some remain."""
         now = time.monotonic()
         if now >= self._tried_at + _LATE_ANSWERS_TRIED_EVERY:
             self._tried_at = now
@@ -310,10 +310,10 @@ class LateAnswers:
         try:
             return now > answer.since + _CALLER_FOUND_WITHIN or self._send(caller, answer.number, answer.payload)
         except RosError:
-            return True  # whoever answered has gone on
+            return True  # the answering side does not wait for the result
 
 
-# rclpy says so on stderr, where a terminal user interface may be, of each answer to a caller that has gone.
+# rclpy reports each answer to a caller that has gone on stderr, where a terminal user interface may be.
 warnings.filterwarnings("ignore", "failed to send response", RuntimeWarning)
 
 _numbers = itertools.count(1)

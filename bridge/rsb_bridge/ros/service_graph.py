@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 _ASKS_AGAIN_AFTER = 0.05
 """s; many answers to callers that have gone must not ask for each."""
 _PARTICIPANT = 12
-"""bytes: the part of an endpoint's GUID that those of one participant share."""
+"""Bytes of an endpoint's GUID that all endpoints of a participant share."""
 _WRITER = b"\x03"
 """The kind of a writer without key, a GUID's last byte (RTPS 2.5, 9.3.1.2)."""
 _DDS_TYPE = re.compile(r"([a-z]\w*)::(srv|action)::dds_::(\w+)_(?:Request|Response)_", re.ASCII)
@@ -75,9 +75,9 @@ class CallerTable:
         self._writers: dict[bytes, bytes] = {}
 
     def writer_of(self, reader: bytes) -> bytes | None:
-        """The GUID of a caller's writer of requests; None: the graph does not show the caller.
+        """Return the GUID of a caller's writer of requests, or None if the graph does not show the caller.
 
-        Empty where the middleware is not known to create the two one after the other.
+        Return empty bytes for a middleware that may not create the reader and the writer one after the other.
 
         Args:
             reader: the GUID of its reader of responses.

@@ -1,7 +1,7 @@
 """A simulated robot and the desk it talks to, for the demo: real topics, about the sizes of the thesis's table 3.1.
 
 Run as ``python -m rsb_bridge.ros.simulation robot|desk DOMAIN``: it prints a JSON line of message counts by topic every
-second, and ends when its standard input does; so nothing is left when whoever started it dies.
+second, and ends with its standard input, so that it never outlives its starter.
 """
 
 from __future__ import annotations

@@ -25,7 +25,7 @@ from rsb_bridge.ros.known_messages import (
     battery_state,
     stamped_string,
 )
-from rsb_bridge.ros.ros_interface import Endpoint, RawMessage, RosError
+from rsb_bridge.ros.ros_interface import Endpoint, RawMessage, RosError, RosProblem
 from rsb_bridge.ros.ros_thread import RosTurns
 
 if TYPE_CHECKING:
@@ -87,7 +87,7 @@ class NoRos:
         return []
 
     def serialize(self, type_name: str, fields: Fields, now: int) -> bytes:
-        raise RosError(f"{type_name} is not installed here")
+        raise RosError(RosProblem.TYPE_MISSING(type_name=type_name))
 
     def installed_description(self, type_name: str) -> str | None:
         return None
@@ -132,7 +132,7 @@ class Talk(msgspec.Struct, frozen=True):
 
     Attributes:
         topic: its name.
-        rate: Hz; 0: as fast as the bridge takes them.
+        rate: Hz, or 0 for as fast as the bridge takes them.
         size: bytes of each message, if it is a String.
         type: ``std_msgs/msg/String``, or ``sensor_msgs/msg/BatteryState``.
     """
@@ -273,7 +273,7 @@ class _Writer:
             self._received[self._topic] += 1
 
     def close(self) -> None:
-        """There is nothing to free."""
+        """Do nothing: the stand-in holds no resources."""
 
 
 class Metronome:

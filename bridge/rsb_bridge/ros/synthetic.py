@@ -1,6 +1,6 @@
-"""Topics that no node has, for measuring a link: `Synthetic` makes their messages, and takes them where they arrive.
+"""Topics without nodes, for measuring a link: `Synthetic` makes their messages and takes them on the other side.
 
-For a route they are topics like any other: its messages are sealed, limited and counted. DDS sees nothing of them.
+A route handles them like other topics: it seals, limits and counts their messages. They never reach DDS.
 """
 
 from __future__ import annotations
@@ -30,15 +30,15 @@ _SAMPLES = 100_000
 _AT_ONCE, _BYTES_AT_ONCE = 64, 8 << 20
 _PAUSE = 0.0005
 _LATE, _LATE_SECONDS = 2, 0.5
-"""Times as long as a run should take, and s more, after which it is over: the sender does not keep up."""
+"""A run ends after this multiple of its duration plus these seconds: the sender does not keep up."""
 _BYTES_PER_KB = 1024
 
 
 class Arrived(NamedTuple):
-    """What has arrived on a topic since it was last reset.
+    """Messages that have arrived on a topic since its last reset.
 
     Attributes:
-        messages: how many.
+        messages: their number.
         latencies: s on the two wall clocks: the 50th, 99th and 99.9th percentile.
     """
 
@@ -56,7 +56,7 @@ class Time:
 
 
 class Source:
-    """Makes the messages of one topic, as the ROS thread takes those of others."""
+    """Makes the messages of one topic, as the ROS thread does for ordinary topics."""
 
     def __init__(self, sink: Sink, clocks: Time, closed: Callable[[], None]) -> None:
         self._sink = sink
@@ -70,7 +70,7 @@ class Source:
 
     @property
     def busy(self) -> bool:
-        """Whether a run is under way."""
+        """Whether messages are being sent."""
         return self._thread is not None and self._thread.is_alive()
 
     def start(self, size: int, rate: float, count: int) -> None:
@@ -80,7 +80,7 @@ class Source:
         self._thread.start()
 
     def send(self, size: int, rate: float, count: int) -> None:
-        """Send messages, and return when the last one is handed over."""
+        """Send messages; return when the sink has the last one."""
         clocks, rest = self._clocks, bytes(max(0, size - _STAMP - len(_HEADER)))
         most = max(1, min(_AT_ONCE, _BYTES_AT_ONCE // max(1, size)))
         began = clocks.now()
@@ -105,7 +105,7 @@ class Source:
         return self._stops or self._clocks.now() >= ends
 
     def close(self) -> None:
-        """End the run that is under way."""
+        """Stop sending."""
         self._stops = True
         if self._thread is not None and self._thread is not threading.current_thread():
             self._thread.join(1.0)
@@ -142,7 +142,7 @@ class Drain:
         self.gid = secrets.token_bytes(len(_GID))
 
     def publish(self, payload: bytes) -> None:
-        """Take one message, if so much may come."""
+        """Take one message, if the limit admits it."""
         if not self._admits(self, len(payload)):
             return
         self.count += 1
@@ -159,7 +159,7 @@ class Drain:
 
     @property
     def arrived(self) -> Arrived:
-        """What has come since the last reset."""
+        """Messages since the last reset."""
         self._latencies.sort()  # the peer may ask often, and what is sorted already takes a tenth of the time
         p50, p99, p999 = (each / 1e9 for each in percentiles(self._latencies))
         return Arrived(self.count, (p50, p99, p999))
@@ -171,12 +171,12 @@ class Drain:
 
 
 class Synthetic:
-    """A ROS side with such topics beside those of its graph.
+    """A ROS side with such topics in addition to its graph's.
 
     Attributes:
-        sources: those that a route sends, by topic and by whose it is: several links may have a topic of one name.
-        drains: those that a route receives, likewise.
-        admits: by whose it is, whether a message of so many bytes may come to a drain.
+        sources: the sources that routes send from, by topic and link: several links may have a topic of one name.
+        drains: the drains that routes publish to, by topic and link.
+        admits: by link, a function that tells whether a drain may take a message of so many bytes.
     """
 
     def __init__(self, ros: RosInterface, clocks: Time) -> None:
@@ -191,7 +191,7 @@ class Synthetic:
         return getattr(self._ros, name)
 
     def publishers(self, topic: str) -> list[Endpoint]:
-        """See `rsb_bridge.ros.ros_interface.RosInterface`, likewise those below."""
+        """See `rsb_bridge.ros.ros_interface.RosInterface`, also for the methods below."""
         return [_endpoint()] if is_bench_topic(topic) else self._ros.publishers(topic)
 
     def subscriptions(self, topic: str) -> list[Endpoint]:
@@ -226,7 +226,7 @@ class Synthetic:
         return drain
 
     def opened(self, origin: Hashable) -> list[Drain]:
-        """Whose drains were opened since this was last asked, also those that are closed again."""
+        """Return a link's drains that were opened since the last call, including closed ones."""
         return self._opened.pop(origin, [])
 
 
@@ -240,7 +240,7 @@ def _forget(held: dict[tuple[str, Hashable], Any], key: tuple[str, Hashable], wh
 
 
 def synthetic_of(ros: RosInterface) -> Synthetic | None:
-    """What makes such topics; None: nothing does."""
+    """Return the side as a `Synthetic`, or None if it is an ordinary one."""
     return ros if isinstance(ros, Synthetic) else None
 
 
@@ -251,10 +251,10 @@ def resources() -> tuple[float, int]:
 
 
 def ros_side(ros: RosInterface | None, domain: int, name: str, clock: Clock) -> RosInterface:
-    """The ROS side in a domain, with these topics, not started yet.
+    """Return the ROS side in a domain, with these topics, not started yet.
 
     Args:
-        ros: which; None: rclpy's.
+        ros: the side to extend, or None for rclpy's.
         domain: to join.
         name: of the session.
         clock: the wall clock.
@@ -269,7 +269,7 @@ def _node(domain: int, name: str) -> RosInterface:
 
 
 def percentiles(values: Collection[int]) -> tuple[int, int, int]:
-    """The 50th, 99th and 99.9th percentile: of so many values the next one above; 0 where there are none."""
+    """Return the 50th, 99th and 99.9th percentile, each rounded up to a value, or zeros without values."""
     ordered = sorted(values)
     if not ordered:
         return 0, 0, 0

@@ -12,7 +12,7 @@ import time
 from typing import TYPE_CHECKING, Literal
 
 from rsb_bridge.ros.librcl import Serialized, librcl, librcl_without_gil, reason_of, reset_error
-from rsb_bridge.ros.ros_interface import RawMessage, RosError
+from rsb_bridge.ros.ros_interface import RawMessage, RosError, RosProblem
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection
@@ -63,8 +63,9 @@ class Reader:
     Attributes:
         handle: rclpy's.
         topic: its resolved name.
-        kind: what it is in a wait set.
-        lost: messages missing between those taken, and before those of a publisher that came after the subscription.
+        kind: its kind in a wait set.
+        lost: missing messages: between taken ones, and before the first of a publisher that came after the
+            subscription.
     """
 
     kind: Literal["subscription"] = "subscription"
@@ -74,8 +75,8 @@ class Reader:
 
         Args:
             handle: rclpy's.
-            buffer: that messages are taken into, shared by the readers of a thread.
-            earlier: the publishers that were there before; None: what comes first is history, and none is new.
+            buffer: memory for taken messages, shared by the readers of a thread.
+            earlier: publishers from before the subscription, or None if each publisher's first messages are history.
         """
         self.handle = handle
         self.topic: str = handle.rclpy.get_topic_name()
@@ -88,9 +89,9 @@ class Reader:
         self._made_at = time.monotonic()
 
     def take(self, limit: int, skip: Collection[bytes]) -> list[RawMessage]:
-        """Take up to `limit` messages, leaving out those of the publishers with the gids in `skip`.
+        """Take up to `limit` messages, without the messages of publishers whose gids are in `skip`.
 
-        After the first `_ENOUGH` bytes no further one is taken.
+        Stop after `_ENOUGH` bytes.
 
         Raises:
             RosError: rcl failed.
@@ -108,7 +109,7 @@ class Reader:
                 if code == _TAKE_FAILED:
                     break
                 reset_error()
-                raise RosError(f"{self.topic}: a message could not be taken (rcl error {code})")
+                raise RosError(RosProblem.NOT_TAKEN(topic=self.topic, code=code))
             source, stamp, number, _, _, gid, _ = unpack(info)
             self._last_size = length = buffer.length
             size += length
@@ -169,7 +170,7 @@ class Writer:
             RosError: it is closed, the payload is no message, or the middleware refused it.
         """
         if len(payload) < 4:
-            raise RosError(f"{self.topic}: a serialized message has at least 4 bytes, not {len(payload)}")
+            raise RosError(f"{self.topic}: {RosProblem.MESSAGE_TOO_SHORT(length=len(payload))}")
         try:
             if len(payload) < _LARGE:
                 self._publish(payload)
@@ -179,8 +180,8 @@ class Writer:
                 with self._closing:
                     self._publish_in_place(_publish_long, payload)
         except RuntimeError as error:
-            reason = "the publisher is closed" if self._closed else reason_of(error)
-            raise RosError(f"{self.topic}: {reason}") from error
+            reason = RosProblem.CLOSED() if self._closed else reason_of(error)
+            raise RosError(RosProblem.NOT_PUBLISHED(topic=self.topic, reason=reason)) from error
 
     def _publish_in_place(self, publish: Callable[..., int], payload: bytes) -> None:
         """Publish without rclpy, which would copy the payload."""
@@ -188,7 +189,7 @@ class Writer:
         code = publish(self._handle.rclpy.pointer, ctypes.byref(message), None)
         if code:
             reset_error()
-            raise RuntimeError(f"the middleware refused a message (rcl error {code})")
+            raise RuntimeError(RosProblem.REFUSED_BY_MIDDLEWARE(code=code))
 
     @property
     def matched(self) -> int:

@@ -8,7 +8,7 @@ It is commanded by lines, and answers with lines of JSON; it ends with its stand
   ``spin`` listens on rclpy's own executor.
 - ``many DOMAIN PREFIX COUNT [SUFFIX]`` publishes on COUNT topics, each at 1 Hz.
 
-Talker and listener drain and publish raw, so that they cost as little as they can beside what is measured.
+Talker and listener drain and publish raw, so that they cost little compared with the measured programs.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The descriptions of message types that this side knows, whoever told them, and the checkers made of them."""
+"""The descriptions of message types that this side has, from any source, and their checkers."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from rsb_bridge.ros.ros_interface import RosInterface
 
 _KEPT = 4 << 20
-"""Characters of all descriptions together; those of a whole robot take some 100,000."""
+"""Characters of all descriptions together; a whole robot's take some 100,000."""
 _NODES = 3
 """Nodes that are asked for one description."""
 _ASKS_AGAIN_AFTER = 10.0  # s
@@ -94,7 +94,7 @@ class TypeDescriptions:
                 if text is not None and hash_of_text(text) == type_hash:
                     return text
         except RosError:
-            pass  # whoever asks is told that nobody knows it
+            pass  # the caller gets no description
         return None
 
 

@@ -21,7 +21,7 @@ from rsb_bridge.model.names import split_type_name
 HASH_PREFIX = "RIHS01_"
 HASH_PATTERN = f"{HASH_PREFIX}[0-9a-f]{{64}}"
 _REMEMBERED = 4096
-"""Type names whose class, or that there is none, is remembered: a peer may name any."""
+"""Type names whose class, or lack of one, is remembered: a peer may name any type."""
 
 
 class TypeHash(ctypes.Structure):
@@ -89,7 +89,7 @@ def capsule_of(type_support: TypeSupport | ServiceTypeSupport) -> object:
 
 
 def pointer_in(capsule: object) -> int:
-    """What a capsule without a name holds."""
+    """Return the pointer in a capsule without a name."""
     pointer: int = _capsule_get_pointer(capsule, None)
     return pointer
 
@@ -100,7 +100,7 @@ def hash_of(message_class: type) -> str:
 
 
 def service_hash_of(service_class: type) -> str:
-    """What tells versions of a service apart; see `rsb_bridge.ros.ros_interface.RosInterface.servers`."""
+    """Return the hash that tells versions of a service apart; see `RosInterface.servers`."""
     type_support = ServiceTypeSupport.from_address(_address_of(service_class))
     return joined_hash(_hash_of(type_support.request.contents), _hash_of(type_support.response.contents))
 
@@ -141,7 +141,7 @@ def _import_without_generator() -> None:
     try:
         importlib.import_module(_GENERATOR)
     except ImportError:
-        pass  # whoever needs it says so
+        pass  # its user reports that
     finally:
         del modules[part]
 

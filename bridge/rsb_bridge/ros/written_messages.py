@@ -1,6 +1,6 @@
-"""Serializes messages of installed types of what an operator wrote.
+"""Messages of installed types, serialized from fields that an operator wrote.
 
-A type's Python class knows what its fields are, and their defaults, which no description of a type has.
+A type's Python class has its fields and their defaults, which descriptions of types lack.
 """
 
 from __future__ import annotations
@@ -22,6 +22,7 @@ from rosidl_parser.definition import (
 
 from rsb_bridge.model.calls import FieldError
 from rsb_bridge.model.text import escape_text, plural
+from rsb_bridge.model.wording import Wording
 from rsb_bridge.ros.librcl import serialize_message
 from rsb_bridge.ros.raw_types import remedy
 from rsb_bridge.ros.ros_interface import RosError
@@ -51,12 +52,28 @@ _UUID, _UUID_DIGITS = "unique_identifier_msgs/msg/UUID", re.compile(r"[0-9a-fA-F
 _SHOWN = 60
 
 
+class Misfit(Wording):
+    """The reasons why a value that an operator wrote does not fit into its field."""
+
+    TYPE_MISSING = "{type_name} is not installed here, and a call by hand needs it: {remedy}"
+    ANOTHER_KIND = "{location}: {value} is not {expected}"
+    NO_VALUE = "{location} has no value: give one, or leave the field out for its default"
+    WRONG_LENGTH = "{location} has {length} {unit}: it takes {expected}"
+    TOO_LONG = "{location} has {length} {unit}: it takes {limit} at most"
+    NUL_CHARACTER = "{location} has a character of code 0, which no text in ROS holds: leave it out"
+    HALF_A_SURROGATE_PAIR = "{location} has half of a surrogate pair: leave it out"
+    TOO_LARGE = "{location}: {value} is too large for a {type_name}"
+    OUT_OF_RANGE = "{location}: {value} is not in {low} to {high} ({type_name})"
+    FIELD_MISTYPED = "{place} no field {name}: did you mean {close}?"
+    FIELD_UNKNOWN = "{place} no field {name}: it has {known}"
+
+
 def serialize(type_name: str, fields: Fields, now: int) -> bytes:
-    """A serialized message.
+    """Serialize a message.
 
     Args:
         type_name: ``pkg/msg/Name``; of a service's request, ``pkg/srv/Name_Request``.
-        fields: what stands in it; those that are missing have their defaults. As for ``ros2 topic pub``, a time may be
+        fields: values by name; a missing field has its default. As for ``ros2 topic pub``, a time may be
             ``now``, and a header ``auto``; a goal's id may be its 32 hexadecimal digits.
         now: ns since the epoch.
 
@@ -65,7 +82,7 @@ def serialize(type_name: str, fields: Fields, now: int) -> bytes:
 
     Raises:
         RosError: the type is not installed.
-        FieldError: something does not fit into its field.
+        FieldError: a value does not fit into its field.
     """
     try:
         message_class: Any = installed_class(type_name)
@@ -73,14 +90,14 @@ def serialize(type_name: str, fields: Fields, now: int) -> bytes:
         raise RosError(str(error)) from None
     if message_class is None:
         what = type_name.removesuffix("_Request")
-        raise RosError(f"{what} is not installed here, and a call by hand needs it: {remedy(what)}")
+        raise RosError(Misfit.TYPE_MISSING(type_name=what, remedy=remedy(what)))
     message = message_class()
     _Filling(now).fill(message, fields, "")
     return serialize_message(message)
 
 
 class _Filling:
-    """Puts what was written into messages.
+    """Fills messages with the values that the operator wrote.
 
     Args:
         now: ns since the epoch.
@@ -90,7 +107,7 @@ class _Filling:
         self._now = dict(zip(("sec", "nanosec"), map(str, divmod(now, 10**9)), strict=True))
 
     def fill(self, message: Any, fields: Fields, location: str) -> None:
-        """Set fields of a message; `location` is its own, for errors."""
+        """Set fields of a message; errors name its `location`."""
         slots = dict(zip(message.get_fields_and_field_types(), message.SLOT_TYPES, strict=True))
         if not isinstance(fields, dict):
             raise _misfit(location, fields, f"a mapping of {', '.join(slots) or 'no fields'}")
@@ -102,7 +119,7 @@ class _Filling:
 
     def _value(self, value: Fields, slot: Any, location: str) -> Any:
         if value is None:
-            raise FieldError(f"{location} has no value: give one, or leave the field out for its default")
+            raise FieldError(Misfit.NO_VALUE(location=location))
         if isinstance(slot, AbstractNestedType):
             return self._list(value, slot, location)
         if isinstance(slot, NamespacedType):
@@ -117,9 +134,15 @@ class _Filling:
             raise _misfit(location, value, "a list")
         length = len(value)
         if isinstance(slot, Array) and length != slot.size:
-            raise FieldError(f"{location} has {length} {plural(length, 'element')}: it takes {slot.size}")
+            raise FieldError(
+                Misfit.WRONG_LENGTH(
+                    location=location, length=length, unit=plural(length, "element"), expected=slot.size
+                )
+            )
         if isinstance(slot, BoundedSequence) and length > slot.maximum_size:
-            raise FieldError(f"{location} has {length} elements: it takes {slot.maximum_size} at most")
+            raise FieldError(
+                Misfit.TOO_LONG(location=location, length=length, unit="elements", limit=slot.maximum_size)
+            )
         return [self._value(each, slot.value_type, f"{location}[{number}]") for number, each in enumerate(value)]
 
     def _message(self, value: Fields, type_name: str, location: str) -> Any:
@@ -139,15 +162,15 @@ def _text(value: Fields, slot: Any, location: str) -> str:
     if not isinstance(value, str):
         raise _misfit(location, value, "text")
     if "\0" in value:
-        raise FieldError(f"{location} has a character of code 0, which no text in ROS holds: leave it out")
+        raise FieldError(Misfit.NUL_CHARACTER(location=location))
     try:
         encoded = value.encode()
     except UnicodeEncodeError:
-        raise FieldError(f"{location} has half of a surrogate pair: leave it out") from None
+        raise FieldError(Misfit.HALF_A_SURROGATE_PAIR(location=location)) from None
     length = len(value) if isinstance(slot, AbstractWString) else len(encoded)
     if slot.has_maximum_size() and length > slot.maximum_size:
         noun = "characters" if length == len(value) else "bytes"
-        raise FieldError(f"{location} has {length} {noun}: it takes {slot.maximum_size} at most")
+        raise FieldError(Misfit.TOO_LONG(location=location, length=length, unit=noun, limit=slot.maximum_size))
     return value
 
 
@@ -162,7 +185,7 @@ def _scalar(value: Fields, kind: str, location: str) -> bool | int | float | byt
             try:
                 struct.pack(_FLOATS[kind], number)
             except OverflowError:
-                raise FieldError(f"{location}: {value} is too large for a {name}") from None
+                raise FieldError(Misfit.TOO_LARGE(location=location, value=value, type_name=name)) from None
             return number
     raise _misfit(location, value, f"{_NOUNS.get(kind, 'a whole number')} ({name})")
 
@@ -170,12 +193,16 @@ def _scalar(value: Fields, kind: str, location: str) -> bool | int | float | byt
 def _integer(number: int, kind: str, location: str) -> int | bytes:
     low, high = _INTEGERS[kind]
     if not low <= number <= high:
-        raise FieldError(f"{location}: {number} is not in {low} to {high} ({_ROS_NAMES.get(kind, kind)})")
+        raise FieldError(
+            Misfit.OUT_OF_RANGE(
+                location=location, value=number, low=low, high=high, type_name=_ROS_NAMES.get(kind, kind)
+            )
+        )
     return bytes((number,)) if kind == "octet" else number
 
 
 def _number(text: str) -> float | None:
-    """A floating-point number, which may be written as a whole one; None: it is none."""
+    """Return the number that a text denotes, which may be an integer, or None if it denotes none."""
     if match := _NO_NUMBER.fullmatch(text):
         return float("".join(match.groups()))
     if _INTEGER.fullmatch(text):
@@ -193,12 +220,13 @@ def _misfit(location: str, value: Fields, takes: str) -> FieldError:
             shown = "nothing"
         case str():
             shown = f"'{escape_text(value[:_SHOWN])}{'…' * (len(value) > _SHOWN)}'"
-    return FieldError(f"{location or 'the request'}: {shown} is not {takes}")
+    return FieldError(Misfit.ANOTHER_KIND(location=location or "the request", value=shown, expected=takes))
 
 
 def _unknown(name: str, known: list[str], location: str) -> str:
     shown = f"'{escape_text(name[:_SHOWN])}'"
     where = f"{location} has" if location else "there is"
     close = difflib.get_close_matches(name, known, n=1)
-    hint = f"did you mean {close[0]}?" if close else f"it has {', '.join(known)}" if known else "it has no fields"
-    return f"{where} no field {shown}: {hint}"
+    if close:
+        return Misfit.FIELD_MISTYPED(place=where, name=shown, close=close[0])
+    return Misfit.FIELD_UNKNOWN(place=where, name=shown, known=", ".join(known) or "no fields")

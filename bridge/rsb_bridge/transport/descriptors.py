@@ -11,7 +11,7 @@ import sys
 from rsb_bridge.model.wording import Wording
 
 RESERVE = 64
-"""Descriptors that routes' streams leave to control connections, DDS, key files and whatever else must not fail."""
+"""Descriptors that routes' streams leave to control connections, DDS, key files and other uses that must not fail."""
 
 SHORTAGES = (errno.EMFILE, errno.ENFILE, errno.ENOBUFS, errno.ENOMEM)
 """Errors of a call that would succeed if the process or the system had more to give."""
@@ -61,10 +61,10 @@ def _held() -> int:
 
 
 def scarcity_message(side: str) -> str:
-    """Why a route has no stream, and what to do: for the operators of both sides.
+    """Return the reason why a route has no stream and the remedy, for the operators of both sides.
 
     Args:
-        side: whose process is meant, ``client`` or ``server``.
+        side: the side whose process lacks descriptors, ``client`` or ``server``.
     """
     limit = resource.getrlimit(resource.RLIMIT_NOFILE)[0]
     return Scarcity.ROUTE_WITHOUT_STREAM(side=side, limit=limit, remedy=MORE_DESCRIPTORS)

@@ -25,7 +25,7 @@ _SHORT_FOR = 0.25
 
 
 class ListenProblem(Wording):
-    """Why an address cannot be bound, and the remedy."""
+    """The reasons why an address cannot be bound, each with its remedy."""
 
     TAKEN = "{kind} {address} is taken by another process: stop it, or choose another port (ss -lntup shows whose)"
     NOT_OF_THIS_MACHINE = (
@@ -68,8 +68,8 @@ async def bind(host: str, port: int, kind: socket.SocketKind) -> list[socket.soc
 class StreamListener:
     """Accepts connections on bound sockets, as `asyncio.Server` does.
 
-    While the process lacks descriptors it says so and tries again four times a second; `asyncio.Server` would report
-    each attempt as an internal error, as often as its backlog is long.
+    While the process lacks descriptors, it reports that and tries again four times a second; `asyncio.Server` would
+    report each attempt as an internal error, as often as its backlog is long.
     """
 
     def __init__(
@@ -133,7 +133,7 @@ class StreamListener:
 
 
 def _listen_error_message(error: OSError, address: str, kind: str) -> str:
-    """Why an address can't be bound, and the remedy."""
+    """Return the reason why an address can't be bound, and the remedy."""
     if error.errno == errno.EADDRINUSE:
         return ListenProblem.TAKEN(kind=kind, address=address)
     if error.errno == errno.EADDRNOTAVAIL:

@@ -1,4 +1,4 @@
-"""A server's ports: the link's, and those that topics name for themselves."""
+"""A server's ports: the link's port, and the topics' own ports."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 
 class PortProblem(Wording):
-    """Why a port is not open."""
+    """The reasons why a port is not open."""
 
     CLOSED_AGAIN = "{kind} {number} was closed again while it was opened"
 
@@ -69,7 +69,7 @@ class Ports:
             port.listener.close()
 
     def close(self) -> None:
-        """Close them all, those that are being opened, too."""
+        """Close all ports, including ports that are being opened."""
         self._closed += 1
         for port in self._ports.values():
             port.listener.close()

@@ -24,8 +24,8 @@ class Transports:
     """Transports by name.
 
     Attributes:
-        network: the Zenoh network that they are in; None: none.
-        strangers: the budget of all who have not proven yet that they have a key.
+        network: their Zenoh network, or None.
+        strangers: the budget of all peers that have not proven yet that they have a key.
 
     A test makes one of its own, for example ``Transports(SimulatedTcp(network), SimulatedUdp(network))``, and passes it
     to `rsb_bridge.engine.Engine`.
@@ -60,10 +60,10 @@ def default_transports() -> Transports:
 
 
 def transports_of(session: Session, base: Path, random: Random) -> Transports:
-    """What a session's links and topics may run over.
+    """Return the transports for a session's links and topics.
 
     Args:
-        session: whose.
+        session: the session.
         base: the folder that its files are relative to.
         random: for jitter.
     """

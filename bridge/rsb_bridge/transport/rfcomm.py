@@ -35,7 +35,7 @@ _BUFFER = 4096
 
 
 class RfcommProblem(Wording):
-    """Why an RFCOMM channel is not listened on or connected to, and the remedy."""
+    """The reasons why an RFCOMM channel can't be listened on or connected to, each with its remedy."""
 
     ANOTHER_ADAPTER = "{host} is no Bluetooth adapter of this machine: this machine's are {adapters}"
     NO_ADAPTER = "{host} is no Bluetooth adapter of this machine: it has none"

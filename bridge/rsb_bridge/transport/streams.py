@@ -1,4 +1,4 @@
-"""A connected stream on the I/O loop, whatever transport carries it."""
+"""A connected stream of any transport, on the I/O loop."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ _IN_VAIN = 3
 
 
 class StreamProblem(Wording):
-    """Why a stream ended or was not opened; the kernel has texts for the rest."""
+    """The reasons why a stream ended or was not opened, in addition to the kernel's texts."""
 
     CLOSED_HERE = "closed here"
     TIMED_OUT = "timed out"
@@ -77,7 +77,7 @@ class StreamHandler:
         """The stream was congested and takes more again."""
 
     def closed(self, reason: str) -> None:
-        """The stream is over, whatever ended it; called once."""
+        """Take the end of the stream, for any reason; called once."""
 
 
 class Stream(asyncio.Protocol):
@@ -87,15 +87,15 @@ class Stream(asyncio.Protocol):
     information, keeps to `set_write_buffer_limits`, and calls `pause_writing` and `resume_writing`.
 
     Attributes:
-        batch_bytes: how much to write in one call.
+        batch_bytes: bytes to write in one call.
         high_water: bytes that may wait for the kernel before the stream counts as congested.
-        handler: receives what happens from now on.
-        congested: more than `high_water` bytes wait for the kernel: better not to write now.
-        received_at: when (s, on the loop's clock) bytes last came, or it was connected.
+        handler: receives the stream's events.
+        congested: whether more than `high_water` bytes wait for the kernel, so that writers should pause.
+        received_at: time (s, on the loop's clock) of the last bytes, or of the connection.
         received_bytes: so far.
         sent_bytes: so far, including those that still wait.
         address: of the other end.
-        own_address: host or adapter of this end; empty: not known.
+        own_address: host or adapter of this end, or empty if unknown.
     """
 
     batch_bytes: ClassVar[int] = BATCH_BYTES

@@ -25,7 +25,7 @@ Found = Sequence[tuple[int | socket.AddressFamily, int | socket.SocketKind, int,
 
 
 class LookUpProblem(Wording):
-    """Why a host's name gives no address."""
+    """The reasons why a host's name has no address."""
 
     NO_NAME_SERVER = "the name can't be looked up: no name server answers within {seconds:g} s"
     NO_ADDRESS = "{host}: the name has no address"
@@ -111,7 +111,7 @@ class Tcp(TcpTraits, StreamTransport):
 
 
 def _most_telling(error: OSError) -> OSError:
-    """Of different errors of several addresses, which have become one without a number: a refusal, else the last."""
+    """Return the error of a refusal, else the last error, if several addresses' errors were merged into one."""
     numbers = [int(number) for number in re.findall(r"\[Errno (\d+)\]", str(error))]
     if error.errno is not None or not numbers:
         return error

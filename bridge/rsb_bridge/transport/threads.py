@@ -18,15 +18,15 @@ T = TypeVar("T")
 
 
 async def in_thread(name: str, work: Callable[[], T], within: float) -> T:
-    """What a blocking call returns, or raises.
+    """Make a blocking call on a thread; return its result.
 
     Args:
         name: of the thread.
-        work: the call; it goes on where it is given up.
-        within: s until it is given up.
+        work: the call; it continues after a timeout.
+        within: s to wait for it.
 
     Raises:
-        TimeoutError: it is given up.
+        TimeoutError: the call takes longer.
         Exception: raised by the call.
     """
     loop = asyncio.get_running_loop()

@@ -1,9 +1,9 @@
-"""The seam between links and what carries them: what TCP, UDP, RFCOMM and any further transport fulfil.
+"""The interface between links and their transports: TCP, UDP, RFCOMM and any further one.
 
 A transport is one class in one module of this package, listed in `rsb_bridge.transport.registry`. There are two kinds:
 
 - A `StreamTransport` connects byte streams (`rsb_bridge.transport.streams.Stream`). It can carry a whole link: its
-  control connection, and routes beside it.
+  control connection and its routes.
 - A `DatagramTransport` sends single datagrams. It carries routes of a link whose control connection is a stream.
 
 Links and routes never ask which transport they have. They ask for its properties, so a new transport changes no other
@@ -45,11 +45,11 @@ class ListenError(Exception):
 
 
 class SendPath(NamedTuple):
-    """Where a bound datagram socket sends to; made by `DatagramSocket.path`.
+    """The path from a bound datagram socket to a peer; made by `DatagramSocket.path`.
 
     Attributes:
-        address: of the peer.
-        control: ancillary data (sendmsg(2)) that fixes which of our addresses the datagrams come from.
+        address: the peer's.
+        control: ancillary data (sendmsg(2)) with the datagrams' source address.
     """
 
     address: Address
@@ -89,7 +89,7 @@ class DatagramSocket(Protocol):
         ...
 
     def datagram_size(self, address: Address) -> int:
-        """Bytes of the largest datagram that reaches `address` in one piece, as far as is known now."""
+        """Bytes of the largest datagram that reaches `address` in one piece, by present knowledge."""
         ...
 
     def close(self) -> None:
@@ -112,13 +112,13 @@ def _ignore(_: str) -> None:
 
 @dataclass(frozen=True, slots=True)
 class Acceptor:
-    """What a listening transport does with what arrives.
+    """A listening transport's handlers of streams and datagrams.
 
     Attributes:
         make_handler: called for each inbound stream, before its `StreamHandler.connected`.
         datagrams: called with the datagrams that one wake-up of a socket brought.
-        shortage: called with a message each time that streams cannot be accepted, because the process may have no more
-            descriptors or the like; they wait, and accepting them is tried again.
+        shortage: called with a message each time that streams cannot be accepted, for example because the process may
+            have no more descriptors. The streams wait, and accepting them is tried again.
         prove: finds out which of the hosts that announce themselves as servers have a key of this one.
         others: called with a message if other servers are announced.
     """
@@ -139,7 +139,7 @@ class Listener(Protocol):
 
 
 class _Transport(TransportTraits, ABC):
-    """What every transport has.
+    """The common part of all transports.
 
     Attributes:
         largest_message: bytes of one serialized message.
@@ -161,7 +161,7 @@ class _Transport(TransportTraits, ABC):
 
     @abstractmethod
     async def listen(self, host: str, port: int, acceptor: Acceptor) -> Listener:
-        """Accept what comes to all of the host's addresses.
+        """Accept streams or datagrams on all of the host's addresses.
 
         Raises:
             ListenError: the address can't be bound.
@@ -173,7 +173,7 @@ class StreamTransport(_Transport):
 
     @abstractmethod
     async def connect(self, host: str, port: int, handler: StreamHandler, rank: int | None = None) -> Stream:
-        """Connect a stream; the handler is told by `StreamHandler.connected` before this returns.
+        """Connect a stream; call `StreamHandler.connected` before returning it.
 
         When cancelled it leaves no socket behind.
 
@@ -181,7 +181,7 @@ class StreamTransport(_Transport):
             host: of the server.
             port: of the server.
             handler: of the stream.
-            rank: of the priority of the route that it carries; None: it carries a link's own messages.
+            rank: the rank of its route's priority, or None for a link's control connection.
 
         Raises:
             OSError: there is no connection; `rsb_bridge.transport.streams.os_error_message` says why.
@@ -215,7 +215,7 @@ class StreamTransport(_Transport):
         return ""
 
     def source_address(self, peer: Address) -> str:
-        """The own address from which a new stream to `peer` would come now; empty: not known, or it can't change."""
+        """Return the source address of a new stream to `peer`, or an empty string if it is unknown or can't change."""
         return ""
 
 

@@ -56,12 +56,12 @@ def end_of_run(datagrams: Sequence[bytes], begin: int) -> int:
 
 
 def segment(size: int) -> Control:
-    """What has the kernel cut into datagrams of `size` bytes."""
+    """Return the ancillary data for the kernel to cut a buffer into datagrams of `size` bytes."""
     return socket.SOL_UDP, _UDP_SEGMENT, _SEGMENT_SIZE.pack(size)
 
 
 def split(data: bytes, control: Sequence[Control]) -> list[bytes | memoryview]:
-    """The datagrams in what was received at once."""
+    """Split a received buffer into its datagrams."""
     for level, kind, content in control:
         if (level, kind) == (socket.SOL_UDP, _UDP_GRO):
             (size,) = _RECEIVED_SIZE.unpack_from(content)

@@ -55,11 +55,11 @@ _CONTROL_HEADER = HEADER.pack(CONTROL, 0, 0, 0)
 
 
 class Credential(NamedTuple):
-    """What a client of a certain name has to prove.
+    """The proof that a client of a certain name owes.
 
     Attributes:
-        keys: 32 bytes each, of which it must have one; none: it comes without encryption.
-        replays: remembers its first messages, whichever of the keys they open under.
+        keys: 32 bytes each, of which it must have one, or empty without encryption.
+        replays: remembers its first messages under all keys.
     """
 
     keys: tuple[bytes, ...]
@@ -144,8 +144,8 @@ class ClientConnection(_Control):
 
         Args:
             hello: this side.
-            key: 32 bytes; None: without encryption, whatever the suite.
-            suite: AESGCM or CHACHAPOLY, whichever is fast on this machine. The server may ask for CHACHAPOLY.
+            key: 32 bytes, or None for no encryption with any suite.
+            suite: AESGCM or CHACHAPOLY, the faster one on this machine. The server may ask for CHACHAPOLY.
             multiplexed: data frames share the stream (Bluetooth).
         """
         super().__init__(multiplexed=multiplexed)
@@ -212,7 +212,7 @@ class ClientConnection(_Control):
         super()._on_control(content)
 
     def _on_other_frame(self, frame: memoryview) -> None:
-        """Take a REFUSE of a server that has accepted, and then waited in vain for this side's confirmation."""
+        """Take a REFUSE of a server that has accepted and then missed this side's confirmation."""
         if self._heard or frame[: len(MAGIC)] != MAGIC:
             super()._on_other_frame(frame)
         kind, body = parse_preamble(bytes(frame))
@@ -290,11 +290,11 @@ class ServerConnection(_Control):
 
     @property
     def fingerprint(self) -> bytes:
-        """Of the key that an accepted client has; empty: it comes without encryption."""
+        """The fingerprint of an accepted client's key, or empty without encryption."""
         return self._fingerprint
 
     def accept_attach(self) -> bytes:
-        """Accept the data stream: the bytes to write. What came after the preamble is `leftover`."""
+        """Accept the data stream; return the bytes to write. `leftover` has the bytes after the preamble."""
         self._outbox += pack_frame(preamble_frame(Kind.ACCEPT))
         return self.data_to_send()
 

@@ -37,7 +37,7 @@ def addressee(datagram: Buffer) -> tuple[int, bytes] | None:
     """The route and the link that a datagram names, to find its reader by. Not authenticated.
 
     Returns:
-        Route id (`PROBE_ROUTE` for probes) and link id (8 bytes); None: this is no datagram of the protocol.
+        Route id (`PROBE_ROUTE` for probes) and link id (8 bytes), or None for a foreign datagram.
     """
     if len(datagram) < _HEADER.size or datagram[0] != MAGIC:
         return None
@@ -93,10 +93,10 @@ class Receipt(NamedTuple):
 
 
 def unpack_probe(payload: bytes) -> Probe | Receipt:
-    """What a payload of `PROBE_ROUTE` says.
+    """Read a payload of `PROBE_ROUTE`.
 
     Raises:
-        ProtocolError: it is neither a probe nor a receipt.
+        ProtocolError: the payload is neither a probe nor a receipt.
     """
     if len(payload) != _RECEIPT.size:
         return Probe.unpack(payload)

@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 
 
 class RefusalCode(IntEnum):
-    """Why a stream is refused."""
+    """A reason to refuse a stream."""
 
     WRONG_VERSION = 1
     WRONG_KEY = 2
@@ -94,12 +94,12 @@ class Accepted:
 
 @dataclass(frozen=True, slots=True)
 class Refused:
-    """One side refused the stream. Send what is left to send, then close it.
+    """One side refused the stream. Send the remaining bytes, then close it.
 
     Attributes:
-        code: why.
-        message: why, for an operator.
-        peer: the client that this server refuses though it has proven that it has the key; None: it has not.
+        code: the reason.
+        message: the reason in words, for an operator.
+        peer: the refused client if it has proven that it has the key, or None.
     """
 
     code: RefusalCode

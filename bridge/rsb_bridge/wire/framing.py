@@ -109,7 +109,7 @@ class Budget:
         self.held = 0
 
     def take(self, size: int) -> bool:
-        """Take `size` bytes; False: that would exceed the limit, and nothing was taken."""
+        """Take `size` bytes; return False, and take nothing, if they exceed the limit."""
         if self.held + size > self.limit:
             return False
         self.held += size
@@ -136,7 +136,7 @@ HISTORY = 4
 LEASED = 8
 """A lease header (`rsb_bridge.wire.headers`) stands before the content, and before a history header."""
 SOURCE_SHIFT = 4
-"""The number of the message's source stands in the flags from this bit on."""
+"""First bit of the flags that holds the number of the message's source."""
 SOURCE_FLAGS = (MOST_SOURCES - 1) << SOURCE_SHIFT
 
 Message: TypeAlias = tuple[bytes, int, int]
@@ -170,7 +170,7 @@ class FrameReader:
 
         Args:
             limit: bytes of the longest frame.
-            budget: for the frame that is incomplete; None: one of its own.
+            budget: for the incomplete frame, or None for a budget of its own.
         """
         self.limit = limit
         self._budget = budget or Budget(UNFINISHED_LIMIT)
@@ -217,7 +217,7 @@ class FrameReader:
         self._tail = bytearray()
 
     def _complete(self, view: memoryview) -> memoryview:
-        """Add to the incomplete frame what it lacks; what is left of the view. No more is copied than that."""
+        """Copy the missing bytes into the incomplete frame; return the rest of the view."""
         if len(self._tail) < _LENGTH_SIZE:
             missing = _LENGTH_SIZE - len(self._tail)
             self._keep(view[:missing])
@@ -273,19 +273,19 @@ class DataWriter:
     def write_piece(
         self, payload: memoryview, at: int, stamp: int, flags: int, chunk_size: int, piece: Buffer
     ) -> tuple[int, int]:
-        """The next chunks of one message, sealed in place, so that it is never held a second time.
+        """Seal the next chunks of a message into a piece of memory, so that the message is never copied whole.
 
         Args:
             payload: the whole message.
-            at: the byte to begin with: 0, then what was returned.
+            at: the byte to begin with: 0, then the byte that the last call returned.
             stamp: ns since the epoch.
             flags: `ZSTD`, `HISTORY`.
             chunk_size: bytes of the message in one frame.
             piece: writable; gets as many chunks as it has room for (`piece_size`).
 
         Returns:
-            Bytes of the piece that are to be sent, 0 where not one chunk has room, and the byte that comes next; it is
-            the length at the message's end.
+            Bytes of the piece to send, or 0 if not one chunk has room, and the byte to begin with next, which is the
+            message's length at its end.
         """
         room, tag, size, used = memoryview(piece), self._sealer.suite.tag_length, len(payload), 0
         while True:
@@ -330,7 +330,7 @@ class DataReader:
             opener: of the peer's direction.
             route: route id.
             limit: bytes of the longest message.
-            budget: for incomplete messages; None: one of its own.
+            budget: for incomplete messages, or None for a budget of its own.
         """
         self._budget = budget or Budget(UNFINISHED_LIMIT)
         self._open = opener.open
@@ -355,7 +355,7 @@ class DataReader:
         """Open one data frame.
 
         Returns:
-            The message; None: more chunks of it follow.
+            The message, or None if more chunks of it follow.
 
         Raises:
             ProtocolError: the format is broken, or the budget is spent.

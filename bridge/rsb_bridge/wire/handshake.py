@@ -82,7 +82,7 @@ class NoiseHandshake:
             suite: AESGCM or CHACHAPOLY.
             psk: 32 bytes, the session key.
             prologue: data that both ends must have in common.
-            ephemeral: for test vectors; None: a new one.
+            ephemeral: the key of a test vector, or None for a new key.
 
         Raises:
             ValueError: the psk is not 32 bytes long.
@@ -152,7 +152,7 @@ class NoiseHandshake:
 
 
 def _hkdf(chaining_key: bytes, material: bytes) -> tuple[bytes, bytes, bytes]:
-    """HKDF of section 4.3 with three outputs; the first two equal those of HKDF with two."""
+    """HKDF of section 4.3 with three outputs, of which the first two equal HKDF with two."""
     temporary = hmac.digest(chaining_key, material, "sha256")
     first = hmac.digest(temporary, b"\x01", "sha256")
     second = hmac.digest(temporary, first + b"\x02", "sha256")
@@ -161,7 +161,7 @@ def _hkdf(chaining_key: bytes, material: bytes) -> tuple[bytes, bytes, bytes]:
 
 _MOST = 512
 _EPHEMERAL_LENGTH = 32
-"""Bytes at a first message's beginning that its sender chooses anew each time (X25519)."""
+"""Random bytes at a first message's beginning: the sender's ephemeral key (X25519)."""
 
 
 class ReplayCache:

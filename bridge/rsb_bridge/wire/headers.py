@@ -41,11 +41,11 @@ _HISTORY_HEADER = struct.Struct(f">{PUBLISHER_ID_LENGTH}sQI")
 
 
 class HistoryHeader(NamedTuple):
-    """Stands before the content of a message whose flags have `rsb_bridge.wire.framing.HISTORY`.
+    """The header of messages with the flag `rsb_bridge.wire.framing.HISTORY`, before the content.
 
     Attributes:
         publisher: the id (16 bytes) of the publisher on the sending side.
-        number: of the message among that publisher's, from 1; 0: the middleware does not number them.
+        number: the message's among that publisher's, from 1, or 0 if the middleware does not number them.
         depth: messages that the publisher keeps for late joiners, as far as the sender knows by now; at least 1.
     """
 
@@ -80,11 +80,11 @@ def split_history(payload: bytes) -> tuple[HistoryHeader, bytes]:
 _CALL_HEADER = struct.Struct(">BBQQ")
 CALL_HEADER_LENGTH = _CALL_HEADER.size
 MOST_TOOK = 2**63 - 1
-"""ns; whoever has asked knows a lower bound: the time since then."""
+"""ns; the caller knows a lower bound: the time since its request."""
 
 
 class What(IntEnum):
-    """What a frame is."""
+    """The kind of a call frame."""
 
     CALL = 1
     """A request, from the callers' side."""
@@ -95,7 +95,7 @@ class What(IntEnum):
     MESSAGE = 4
     """A message of a lane that is a topic, from the providing side."""
     AGAIN = 5
-    """A request that was under way in an earlier opening of the route, of an action, whose goals have ids."""
+    """A request that an earlier opening of the route left unanswered, of an action, whose goals have ids."""
 
 
 _CALL_KINDS = frozenset(What)
@@ -105,14 +105,14 @@ class CallFrame(NamedTuple):
     """One frame.
 
     Attributes:
-        what: of the five.
+        what: its kind.
         lane: its place among the lanes of the route's kind.
-        call: of the callers' side, counting up from 1 in each opening of the route; 0: it is a message.
-        took: of an answer, ns that the providing node took for it, as the bridge beside it saw it; else 0.
-        content: the serialized message (CDR with its encapsulation header), or why a call is refused.
+        call: the callers' side's number, from 1 in each opening of the route, or 0 for a message.
+        took: of an answer, ns that the providing node took for it, as that side's bridge measured it; else 0.
+        content: the serialized message (CDR with its encapsulation header), or the reason why a call is refused.
         lease: the number in the lease header before the frame, or 0 without one.
-        stamp: ns, from which the age of a request counts, by the clock of the side that sends it; 0: it has none. It is
-            the stamp of the message that carries the frame.
+        stamp: ns, from which the age of a request counts, by its sender's clock, or 0 for none. It is the stamp
+            of the message that carries the frame.
     """
 
     what: What

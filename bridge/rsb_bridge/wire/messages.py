@@ -68,8 +68,8 @@ class Hello(ControlMessageBase, frozen=True):
         name: of its session; the same as in the preamble.
         instance: random, new with each start of the process.
         domain_id: its ROS domain.
-        features: what it can do beyond version 2, as `rsb_bridge.model.calls.FEATURE`; others are a newer peer's.
-        host: what its machine calls itself, for operators; empty: not known.
+        features: its abilities beyond version 2, as `rsb_bridge.model.calls.FEATURE`; others are a newer peer's.
+        host: its machine's host name, for operators, or empty if unknown.
     """
 
     version: Name
@@ -90,10 +90,10 @@ class Welcome(ControlMessageBase, frozen=True):
         instance: random, new with each start of the process.
         domain_id: its ROS domain.
         features: as in `Hello`.
-        use_name: it puts the client's name before the names of this client's topics.
-        taken: who has the client's name, for an operator: the client confirms, and is refused; empty: nobody.
-        shut_down: who has shut the link down, for an operator: likewise.
-        at: its address in a Zenoh network, or empty. A client that reached it at another one was led there by somebody.
+        use_name: whether it puts the client's name before the names of this client's topics.
+        taken: text on the client that has the name already, or empty. This client confirms, and is refused.
+        shut_down: text on the operator who has shut the link down, or empty. The client confirms, and is refused.
+        at: its address in a Zenoh network, or empty. A client that reached it at another address was misled.
     """
 
     version: Name
@@ -115,28 +115,28 @@ class Propose(ControlMessageBase, frozen=True, kw_only=True):
         route: its id from now on; a client's are odd, a server's even, and none is used twice in a link's life.
         topic: its name on the sending side.
         remote_topic: its name on the receiving side.
-        from_client: the client sends; else the server does.
-        type: ``pkg/msg/Name``; empty: from either side's graph.
-        transport: what carries it.
-        port: a socket of its own; 0: the shared one.
-        qos: None: as the topic's publishers offer.
-        compression: of each message, by the sender.
-        max_rate: Hz; 0: unlimited.
-        expected_rate: Hz, shown to operators; 0: each side learns it.
-        stale_after: s; 0: never warn; None: each side's own default.
+        from_client: whether the client sends; else the server does.
+        type: ``pkg/msg/Name``, or empty for the type in either side's graph.
+        transport: the name of its transport.
+        port: the port of its own socket, or 0 for the shared one.
+        qos: the QoS, or None for the publishers' offer.
+        compression: the sender's, for each message.
+        max_rate: Hz, or 0 for no limit.
+        expected_rate: Hz, shown to operators, or 0 if each side learns it.
+        stale_after: s, 0 to never warn, or None for each side's own default.
         late_after: s, 0 for no limit, or None for each side's own default.
         max_age: s that a message may be old when it is published, 0 for no limit, or None if the proposer's session
             sets none.
         paused: begin paused.
         pause_revision: of `paused`; see `Pause`.
-        arm: the proposer's session wants it to be armed before anything crosses.
-        deadman: s without a key after which it disarms; 0: none.
-        who: the operator who has just added or edited the topic, in words; empty: none has, or it is not known.
-        edited: it takes the place of the route that was removed right before.
-        kind: what it is, a key of `rsb_bridge.model.calls.LANES`; another one is a newer peer's, and refused. Of what
-            is not a topic, the "sending side" is the callers'. Only topics are proposed to a peer whose `features` lack
+        arm: whether the proposer's session requires arming before anything crosses.
+        deadman: s without a key after which it disarms, or 0 for none.
+        who: the operator who has just added or edited the topic, or empty if unknown.
+        edited: whether it replaces the route that was removed right before.
+        kind: a key of `rsb_bridge.model.calls.LANES`; another kind is a newer peer's, and refused. For calls, the
+            "sending side" is the callers'. Only topics are proposed to a peer whose `features` lack
             `rsb_bridge.model.calls.FEATURE`.
-        timeout: s until a call without an answer is given up; 0: 30 s, or it is a topic.
+        timeout: s until a call without an answer is given up, or 0 for 30 s and for topics.
         priority: of a topic, `rsb_bridge.model.session.RANKS`; an older sender ignores it.
     """
 
@@ -258,14 +258,14 @@ class Publishers(ControlMessageBase, frozen=True):
 
 
 class Provide(ControlMessageBase, frozen=True):
-    """The providing side of what is called: what there is to call; after `Accept`, and whenever that changes.
+    """The providing side of a route of calls: its providers; after `Accept`, and whenever they change.
 
     Attributes:
         route: route id.
-        lanes: in the order of the kind (`rsb_bridge.model.calls`); empty: nothing can be called now.
-        nodes: that provide it, some of them.
-        via: of a provider that is a bridge itself, the hops between it and the node that answers (section 5).
-        pause_revision: of the state of the pause that its sender had; see `Pause`.
+        lanes: in the order of the kind (`rsb_bridge.model.calls`), or empty if nothing can be called now.
+        nodes: some of the providing nodes.
+        via: if the provider is a bridge itself, the hops between it and the answering node (section 5).
+        pause_revision: the revision of the sender's pause; see `Pause`.
     """
 
     route: RouteId
@@ -290,9 +290,9 @@ class Close(ControlMessageBase, frozen=True):
 
     Attributes:
         route: route id.
-        reason: why, for an operator.
-        removed: for good; else its proposer opens it again.
-        who: the operator who has removed it, in words; empty: as in `Propose`, or it is edited.
+        reason: for an operator.
+        removed: whether it ends for good; else its proposer opens it again.
+        who: the operator who has removed it, or empty if unknown or if the route is edited.
     """
 
     route: RouteId
@@ -320,9 +320,9 @@ class Pong(ControlMessageBase, frozen=True):
         n: from the ping.
         sent: from the ping.
         received: ns since the epoch on the answerer's clock, when the ping came.
-        answered: likewise, when this was sent.
-        shift: ns, to be added to the answerer's times; the sums are of a clock that nobody sets, as are the stamps of
-            its messages to a peer with the feature `max_age`.
+        answered: ns since the epoch on the answerer's clock, when this was sent.
+        shift: ns to add to the answerer's times. The sums follow a clock that is never set, as do the stamps of its
+            messages to a peer with the feature `max_age`.
     """
 
     n: Count
@@ -336,9 +336,9 @@ class Report(ControlMessageBase, frozen=True):
     """Either side: its counts, once a second.
 
     Attributes:
-        sent: of the routes that it sends on.
-        received: of those that it receives on.
-        calls: of those that carry calls, either way.
+        sent: counts of the routes that it sends on.
+        received: counts of the routes that it receives on.
+        calls: counts of the routes of calls, in both directions.
         full: the rates of a full link in the direction of the message, or None if unchanged.
     """
 
@@ -352,9 +352,9 @@ class Duplicate(ControlMessageBase, frozen=True):
     """The server: a second client has the name and the key of this one, and is refused.
 
     Attributes:
-        address: where it is; empty: it does not try any more.
-        host: what its machine calls itself; or empty.
-        others: how many more of them there are, as far as the server counts.
+        address: the second client's, or empty once it no longer tries.
+        host: its machine's host name, or empty.
+        others: number of further such clients, as far as the server counts.
     """
 
     address: Name = ""
@@ -366,8 +366,8 @@ class Shutdown(ControlMessageBase, frozen=True):
     """Either side: this link ends on purpose.
 
     Attributes:
-        reason: why, for an operator.
-        retry_after: s until the client may call again; None: an operator has shut the link down.
+        reason: for an operator.
+        retry_after: s until the client may call again, or None if an operator has shut the link down.
     """
 
     reason: Reason
@@ -379,7 +379,7 @@ class ListTopics(ControlMessageBase, frozen=True):
 
     Attributes:
         request: counts up.
-        kinds: what is asked for besides topics; those that are not known are a newer peer's, and ignored.
+        kinds: wanted kinds besides topics; unknown kinds are a newer peer's, and ignored.
     """
 
     request: Count
@@ -408,7 +408,7 @@ class TypeText(ControlMessageBase, frozen=True):
 
     Attributes:
         route: route id.
-        text: the description, zstd-compressed (`rsb_bridge.cdr.description`); empty: this side does not know it.
+        text: the description, zstd-compressed (`rsb_bridge.cdr.description`), or empty if this side has none.
     """
 
     route: RouteId
@@ -416,10 +416,10 @@ class TypeText(ControlMessageBase, frozen=True):
 
 
 class Amend(ControlMessageBase, frozen=True):
-    """The route goes on with other limits; the fields are those of `Propose`.
+    """The route goes on with other limits. Its fields are as in `Propose`.
 
-    The route's proposer decides: it tells what holds from now on. The other side asks it by the same message, and
-    changes nothing before the proposer has answered. `who` is the operator who changes it; empty in an answer. An older
+    The route's proposer decides, and sends the new limits. The other side asks it by the same message, and changes
+    nothing before the proposer has answered. `who` is the operator who changes it, or empty in an answer. An older
     side sends no `priority`, `late_after` or `max_age`; then the route keeps its own.
     """
 
@@ -437,11 +437,11 @@ class Amend(ControlMessageBase, frozen=True):
 
 
 class Limit(ControlMessageBase, frozen=True):
-    """Either side: it lets no more of the route's messages cross, whatever the proposer has asked for.
+    """Either side: a limit of its own on the route's rate, in addition to the proposer's.
 
     Attributes:
         route: route id.
-        max_rate: Hz; 0: all.
+        max_rate: Hz, or 0 for no limit.
     """
 
     route: RouteId
@@ -456,10 +456,10 @@ class Pause(ControlMessageBase, frozen=True):
 
     Attributes:
         route: route id.
-        paused: it pauses; else it resumes.
-        revision: of the change that led to this state: above all that the side that made it had seen. The higher one
-            counts on both sides, and of two equal ones the client's.
-        who: the operator who made it, in words; empty: not known any more.
+        paused: whether it pauses; else it resumes.
+        revision: the change's number, above all numbers that its side had seen. The highest revision counts on both
+            sides, and of two equal ones the client's.
+        who: the operator who made the change, or empty if no longer known.
     """
 
     route: RouteId
@@ -499,12 +499,12 @@ class Armed(ControlMessageBase, frozen=True):
 
 
 class Disarm(ControlMessageBase, frozen=True):
-    """Either side: the route is not armed any more, or cannot be armed under this id. Its proposer opens it anew.
+    """Either side: the route is not armed any more, or cannot be armed under this id. Its proposer opens it again.
 
     Attributes:
         route: route id.
-        cause: why, a stable name.
-        who: the operator who did it, in words; empty: it came by itself.
+        cause: the reason's stable name.
+        who: the operator who disarmed it, or empty if no operator did.
     """
 
     route: RouteId
@@ -520,15 +520,15 @@ Difference: TypeAlias = Annotated[float, Meta(ge=-1e9, le=1e9)]
 
 
 class BenchAsk(ControlMessageBase, frozen=True):
-    """The side that measures: what has the other one counted, and used? Answered by a `BenchAnswer` of the same number.
+    """The measuring side asks for the other side's counts. Answered by a `BenchAnswer` of the same number.
 
     Attributes:
         request: counts up.
-        route: of a topic that measures.
-        reset: what arrives is counted from 0 on from now on.
+        route: the measuring topic's route id.
+        reset: whether to count arrivals from 0 again.
         size: bytes of each message to be sent by the other side.
-        rate: Hz of these.
-        count: how many; 0: none.
+        rate: Hz of these messages.
+        count: their number; may be 0.
     """
 
     request: Count
@@ -544,18 +544,18 @@ class BenchAnswer(ControlMessageBase, frozen=True):
 
     Attributes:
         request: the question's.
-        problem: why it is not done, for an operator; empty: it is.
+        problem: the reason for a refusal, for an operator, or empty.
         sent: messages that the last run has sent.
-        rate: Hz that it has reached; 0: it is not over.
+        rate: Hz that it has reached, or 0 while it runs.
         received: messages since the last reset.
-        p50: s on the two wall clocks, of these messages, likewise those below.
+        p50: s on the two wall clocks, a percentile of these messages' latencies.
         p99: s.
         p999: s.
         cpu: s of processor time that the process has used.
         memory: bytes that it has.
         sent_bytes: handed to the sockets of its links.
-        received_bytes: likewise.
-        max_rate: Hz that the asker may cause; 0: any.
+        received_bytes: read from the sockets of its links.
+        max_rate: Hz that the asker may cause, or 0 for no limit.
     """
 
     request: Count
@@ -574,14 +574,14 @@ class BenchAnswer(ControlMessageBase, frozen=True):
 
 
 class ByHand(ControlMessageBase, frozen=True):
-    """Either side: an operator there calls by hand what a route provides. The call itself is none of this message's.
+    """Either side: an operator there makes a call by hand. The message only reports it.
 
     Attributes:
         route: route id.
         lane: of the route.
         request: what the operator wrote, or the beginning of it, on one line.
-        who: the operator, in words.
-        outcome: what became of the call, in words; empty: it is about to be made.
+        who: the operator.
+        outcome: the call's result in words, or empty before the call.
     """
 
     route: RouteId
@@ -609,11 +609,11 @@ class Receipts(ControlMessageBase, frozen=True, omit_defaults=True):
 
 
 class NamePattern(msgspec.Struct, frozen=True, omit_defaults=True):
-    """Names that are asked for.
+    """A pattern of wanted names.
 
     Attributes:
-        pattern: of names on the side that is asked (`rsb_bridge.model.patterns`); what is none asks for nothing.
-        kind: of what they are names; what only newer versions have is ignored.
+        pattern: of names on the asked side (`rsb_bridge.model.patterns`); an invalid one matches nothing.
+        kind: the kind of the named entries; an unknown kind is a newer peer's, and ignored.
     """
 
     pattern: Name
@@ -639,11 +639,11 @@ Names: TypeAlias = Annotated[tuple[FoundName, ...], Meta(max_length=NAMES_FOLLOW
 
 
 class Follow(ControlMessageBase, frozen=True):
-    """Either side asks to be told which names of the peer's graph match, from now on. Takes an earlier one's place.
+    """Either side asks for reports of matching names in the peer's graph, from now on. Replaces an earlier `Follow`.
 
     Attributes:
         request: counts up.
-        patterns: none ends it.
+        patterns: the wanted names; without any, reports end.
     """
 
     request: Count
@@ -651,13 +651,13 @@ class Follow(ControlMessageBase, frozen=True):
 
 
 class Followed(ControlMessageBase, frozen=True):
-    """What has changed since the last answer to a `Follow`; the first one has all there is, even if that is nothing.
+    """Changes since the last answer to a `Follow`; the first answer has all matches, and may have none.
 
     Attributes:
         request: the `Follow`'s.
-        present: what matches, and did not or had another type.
-        gone: what does not any more.
-        more: how many more match than are told.
+        present: new matches, and matches of another type than before.
+        gone: earlier matches.
+        more: number of further matches that the message leaves out.
     """
 
     request: Count

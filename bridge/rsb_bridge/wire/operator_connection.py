@@ -1,7 +1,7 @@
 """A console's connection with an engine over a network: a handshake, then the console's bytes in sealed records.
 
-Sans-IO, as `rsb_bridge.wire.connection` (PROTOCOL.md, 6). There is no connection of an operator without encryption, and
-one cipher suite for all: what a console takes is little.
+Sans-IO, as `rsb_bridge.wire.connection` (PROTOCOL.md, 10). An operator's connection is always encrypted, with the
+same cipher suite for all: a console transfers little.
 """
 
 from __future__ import annotations

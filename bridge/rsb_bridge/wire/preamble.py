@@ -68,7 +68,7 @@ _DATA = struct.Struct(f">{LINK_ID_LENGTH}sI")
 
 
 class Kind(IntEnum):
-    """What a preamble frame is."""
+    """The kind of a preamble frame."""
 
     CONTROL = 1
     DATA = 2
@@ -90,6 +90,7 @@ class RefusalText(Wording):
         "update rsb-console on this side, which is older"
     )
     KEYS_DIFFER = "the keys of {name!r} differ: {theirs} on the {there}, {ours} on the {here}"
+    KEY_NOT_NAMED = "the {there} does not name its key of {name!r}; the {here} has {ours}"
     FIRST_MESSAGE_FORGED = (
         "the first message of {name!r} is damaged or forged: the fingerprints of both sides' keys are equal"
     )
@@ -107,8 +108,8 @@ class Refusal(Exception):  # noqa: N818 - an answer, not an error of this side's
     """This side refuses a stream.
 
     Attributes:
-        code: why.
-        message: why, in a sentence that is true on either side.
+        code: the reason.
+        message: the reason in a sentence that is true on either side.
     """
 
     def __init__(self, code: RefusalCode, message: str) -> None:
@@ -118,25 +119,27 @@ class Refusal(Exception):  # noqa: N818 - an answer, not an error of this side's
 
 
 def key_of(keys: tuple[bytes, ...], offered: bytes, name: str, there: str, here: str) -> bytes:
-    """The key that a peer says it has, so that its first message costs no more where several are valid.
+    """Return the key that a peer claims to have, so that several valid keys do not make its first message costlier.
 
-    What it says is part of the handshake's prologue: with another key than it says, the message does not open.
+    The claim is part of the handshake's prologue: with another key, the message does not open.
 
     Args:
-        keys: the valid ones.
-        offered: the fingerprint of the peer's.
-        name: that it calls itself by.
-        there: what the peer is, for the message.
-        here: what this side is, likewise.
+        keys: the valid keys.
+        offered: the fingerprint of the peer's key.
+        name: the peer's.
+        there: the peer's role, for the message.
+        here: this side's role, for the message.
 
     Raises:
-        Refusal: it is none of the valid ones.
+        Refusal: the peer names no key or none of the valid ones.
     """
     by_fingerprint = {fingerprint_of(key): key for key in keys}
     if offered not in by_fingerprint:
         ours = " or ".join(map(format_fingerprint, by_fingerprint))
-        theirs = format_fingerprint(offered)
-        message = RefusalText.KEYS_DIFFER(name=name, theirs=theirs, there=there, ours=ours, here=here)
+        if theirs := format_fingerprint(offered):
+            message = RefusalText.KEYS_DIFFER(name=name, theirs=theirs, there=there, ours=ours, here=here)
+        else:
+            message = RefusalText.KEY_NOT_NAMED(name=name, there=there, ours=ours, here=here)
         raise Refusal(RefusalCode.WRONG_KEY, message)
     return by_fingerprint[offered]
 
@@ -145,9 +148,9 @@ class ControlPreamble(NamedTuple):
     """A client's request for a control connection.
 
     Attributes:
-        suite: what it offers to seal with.
+        suite: the offered cipher suite.
         name: of its session.
-        fingerprint: of its key, as it says: 8 bytes; zeros: it has none.
+        fingerprint: of its key, unproven: 8 bytes, or zeros for no key.
         header: the frame up to the handshake message: the handshake's prologue.
         message: the first handshake message.
     """
@@ -179,10 +182,10 @@ def take_frame(stream: bytearray) -> bytes | None:
     """Remove one frame of the handshake from the front of a stream's buffer.
 
     Returns:
-        The frame without its length; None while it is incomplete.
+        The frame without its length, or None while it is incomplete.
 
     Raises:
-        ForeignProtocolError: no frame of the handshake is so long.
+        ForeignProtocolError: the frame is too long for the handshake.
     """
     if len(stream) < LENGTH.size:
         return None
@@ -320,7 +323,7 @@ def parse_refuse(body: bytes) -> tuple[RefusalCode, str]:
 
 
 class Phase(Enum):
-    """What comes next on a stream."""
+    """The expected part of a stream."""
 
     PREAMBLE = auto()  # preamble frames, one by one
     SEALED = auto()  # sealed frames
@@ -329,7 +332,7 @@ class Phase(Enum):
 
 
 class PreambleStream(ABC):
-    """What every end of a stream shares: the preamble, and failures."""
+    """The common part of all ends of a stream: the preamble, and failures."""
 
     _is_server = False
 
@@ -366,7 +369,7 @@ class PreambleStream(ABC):
         return data
 
     def leftover(self) -> bytes:
-        """What came after a data stream's preamble, once it is accepted; returned once."""
+        """Return the bytes after an accepted data stream's preamble, once."""
         data, self._inbox = bytes(self._inbox), bytearray()
         return data
 

@@ -7,7 +7,7 @@ from rsb_bridge.model.wording import Wording
 
 
 class Broken(Wording):
-    """How a peer broke the format."""
+    """The ways in which a peer can break the format."""
 
     FOREIGN = "the other side is not an rsb-console"
     FOREIGN_KNOWN = "the other side is not an rsb-console (it speaks {protocol})"
@@ -44,6 +44,7 @@ class Broken(Wording):
     PROBE_INVALID = "a probe of {length} bytes"
     RECEIPT_UNKNOWN = "a receipt of kind {kind}"
     OPERATOR_TOO_SHORT = "an OPERATOR frame ends before its {field}"
+    PREAMBLE_ON_OPEN_STREAM = "unexpected preamble frame on an open stream"
     EMPTY_RECORD = "an empty record"
     UNEXPECTED_FROM_OPERATOR = "unexpected {kind} frame: operators attach here, not links"
     DATA_AGAINST_ROUTE = "data on route {route}, which goes the other way"

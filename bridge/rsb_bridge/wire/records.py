@@ -1,7 +1,7 @@
 """The maps inside control messages, typed (PROTOCOL.md, 3).
 
-The counts and figures in reports have no range here: one that cannot be right must not end a link, so whoever takes it
-limits it (`rsb_bridge.route.ledger`).
+The counts and figures in reports have no range here: an impossible figure must not end a link, so the receiver limits
+it (`rsb_bridge.route.ledger`).
 """
 
 from __future__ import annotations
@@ -28,13 +28,13 @@ class Source(msgspec.Struct, frozen=True, omit_defaults=True):
 
 
 class VerdictRecord(msgspec.Struct, frozen=True, omit_defaults=True):
-    """What a side makes of a route, where it is not simply fine (`rsb_bridge.model.verdict.Verdict`).
+    """A side's verdict on a route that is not simply fine (`rsb_bridge.model.verdict.Verdict`).
 
     Attributes:
         state: one of `rsb_bridge.model.snapshot.State`; another one is a newer peer's.
-        cause: one of `rsb_bridge.model.verdict.Cause`, likewise; empty: none.
-        text: for an operator, with the remedy; ``{lasting}`` in it stands for how long it has lasted.
-        lasting: s, how long that is now. It is told with other news only: who is told counts on.
+        cause: one of `rsb_bridge.model.verdict.Cause` or a newer peer's, or empty.
+        text: for an operator, with the remedy; ``{lasting}`` is a placeholder for its duration.
+        lasting: its duration so far, s. It is sent with other news only: the receiver counts on.
     """
 
     state: Name
@@ -92,11 +92,11 @@ class ReceivedReport(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=Tr
         expired: datagram messages given up incomplete.
         incomplete: datagram messages that wait for fragments.
         newest: the highest message number seen on datagrams.
-        dropped: by cause.
-        subscribers: on its topic.
+        dropped: messages by cause.
+        subscribers: number on its topic.
         subscriber_qos: their combined request, or None without subscribers.
         type: the topic's type in the receiver's graph, while the sender has described none.
-        type_hash: likewise.
+        type_hash: that type's hash.
         latency: s, one way, of the last second's messages, corrected by the clock offset, or None without a figure.
         latency_p50: s, one way, of the last messages, or None without a figure.
         latency_p99: s, one way, of the last messages, or None without a figure.
@@ -149,8 +149,8 @@ class LaneEntry(msgspec.Struct, frozen=True, omit_defaults=True):
     Attributes:
         type: ``pkg/srv/Name``, of a service that belongs to an action ``pkg/action/Name_SendGoal``, or a message's.
         type_hash: ``RIHS01_...``; of a service, its own, which covers request and response; may be empty.
-        providers: nodes that serve it, or publish it.
-        qos: of a topic's publishers; None: of a service, or there are none.
+        providers: number of nodes that serve or publish it.
+        qos: the publishers', or None for a service and without publishers.
     """
 
     type: Name
@@ -167,15 +167,15 @@ class CallsReport(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True)
 
     Attributes:
         route: route id.
-        asked: calls since the route was made; so for all counts here.
-        answered: whose answers went back.
-        expired: given up after the timeout.
-        refused: by cause.
-        lost: given up because the link or the provider went.
-        in_flight: under way.
-        offered: the callers' side offers it.
-        verdict: what this side makes of the route; None: nothing to say.
-        nodes: that call it, or that provide it, some of them.
+        asked: calls since the route was made, as all counts here.
+        answered: calls whose answers went back.
+        expired: calls given up after the timeout.
+        refused: calls by cause.
+        lost: calls given up because the link or the provider went.
+        in_flight: calls that wait for their answers.
+        offered: whether the callers' side offers it.
+        verdict: this side's, or None.
+        nodes: some of the calling or providing nodes.
     """
 
     route: RouteId
@@ -191,16 +191,16 @@ class CallsReport(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True)
 
 
 class TopicEntry(msgspec.Struct, frozen=True):
-    """A topic of a side's graph, or what else was asked for.
+    """An entry of a side's graph: a topic, or an entry of another requested kind.
 
     Attributes:
         topic: its name.
-        type: empty where its endpoints disagree.
+        type: empty if its endpoints disagree.
         type_hash: or empty.
-        qos: what its publishers offer; None: no publisher.
-        publishers: how many.
-        subscriptions: how many.
-        kind: what it is; another one is a newer peer's.
+        qos: the publishers' offer, or None without publishers.
+        publishers: their number.
+        subscriptions: their number.
+        kind: its kind; an unknown kind is a newer peer's.
     """
 
     topic: Name
@@ -220,10 +220,10 @@ def check_qos(qos: Qos | None, *, depth_known: bool = False) -> None:
 
     Args:
         qos: to check.
-        depth_known: whether a depth of 0, which stands for an unknown one, is out of range too.
+        depth_known: whether a depth of 0, which means unknown, is out of range too.
 
     Raises:
-        ValueError: it is out of range.
+        ValueError: a figure is out of range.
     """
     if qos is not None and (problem := qos_problem(qos, depth_known=depth_known)):
         raise ValueError(f"qos: {problem}")

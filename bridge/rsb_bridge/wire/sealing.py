@@ -42,7 +42,7 @@ class Suite(IntEnum):
 
 
 class InvalidSeal(Wording):
-    """Why a seal does not open."""
+    """The reasons why a seal does not open."""
 
     FORGED = "sequence {sequence} was not sealed with this key: damaged or forged"
     REPLAYED = "sequence {sequence} is replayed"
@@ -51,7 +51,7 @@ class InvalidSeal(Wording):
 
 
 class SealError(Exception):
-    """A seal is invalid: forged, damaged, out of order or replayed; the message says what is known."""
+    """A seal is invalid: forged, damaged, out of order or replayed; the message names the reason if it can."""
 
 
 class _Cipher(Protocol):
@@ -141,7 +141,7 @@ class _Epochs:
 
 
 class _StreamState:
-    """What sealing and opening in order have in common: the implied sequence number and its epoch's cipher."""
+    """The common part of sealing and opening in order: the implied sequence number and its epoch's cipher."""
 
     def __init__(self, suite: Suite, key: bytes | None) -> None:
         self.suite = suite
@@ -169,7 +169,7 @@ class Sealer(_StreamState):
 
         Args:
             content: is encrypted and authenticated.
-            associated: is authenticated only, and sent beside.
+            associated: is authenticated only, and sent in the clear.
 
         Returns:
             The sealed content, `Suite.tag_length` bytes longer.
@@ -213,7 +213,7 @@ class StreamOpener(_StreamState):
         return content
 
     def open_into(self, sealed: Buffer, associated: Buffer, content: memoryview) -> None:
-        """Open as `open`, into memory of exactly the content's length; what is there after an error means nothing."""
+        """Open as `open`, into memory of exactly the content's length, which holds garbage after an error."""
         nonce = self._nonce_now()
         try:
             self._current.decrypt_into(nonce, sealed, associated, content)
@@ -252,7 +252,7 @@ class DatagramOpener:
         Args:
             sequence: from the datagram; authenticated with it.
             sealed: the sealed content.
-            associated: what was authenticated beside it.
+            associated: the data authenticated with the content.
 
         Raises:
             SealError: forged, damaged, replayed, or older than the window.

@@ -25,6 +25,7 @@ from rsb_bridge.ros.ros_interface import (
     Response,
     ResponseSink,
     RosError,
+    RosProblem,
     Sink,
 )
 from rsb_bridge.ros.ros_thread import RosTurns
@@ -136,7 +137,7 @@ class StandIn:
         return []
 
     def serialize(self, type_name: str, fields: Fields, now: int) -> bytes:
-        raise RosError(f"{type_name} is not installed here")
+        raise RosError(RosProblem.TYPE_MISSING(type_name=type_name))
 
     def installed_description(self, type_name: str) -> str | None:
         return None

@@ -10,9 +10,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
+from tests.support.wording import says
 
 from rsb_bridge.bluetooth import hci
-from rsb_bridge.bluetooth.scan import ANY_ADAPTER, CHANNELS, Scan, Use, read_bluez, scan
+from rsb_bridge.bluetooth.hci import NoBluetooth
+from rsb_bridge.bluetooth.scan import ANY_ADAPTER, CHANNELS, Scan, ScanProblem, Use, read_bluez, scan
 from rsb_console.command.bt_scan import run_bt_scan
 
 from .conftest import holding, wait_until
@@ -79,7 +81,9 @@ def test_one_adapter_by_name_or_address(addresses: tuple[str, str], name: str) -
 
 def test_an_unknown_adapter_is_named_with_those_there_are(addresses: tuple[str, str]) -> None:
     found = look("hci7")
-    assert found.problems == (f"no adapter hci7: there is hci0 ({addresses[0]}), hci1 ({addresses[1]})",)
+    assert found.problems == (
+        ScanProblem.ADAPTER_UNKNOWN(adapter="hci7", known=f"hci0 ({addresses[0]}), hci1 ({addresses[1]})"),
+    )
     assert not found.usable
 
 
@@ -119,7 +123,7 @@ def _set_power(adapter: str, value: str) -> None:
 def test_a_switched_off_adapter_says_how_to_switch_it_on(second_off: None) -> None:
     found = look()
     assert [one.powered for one in found.adapters] == [True, False]
-    assert found.problems == ("hci1 is off: bluetoothctl power on (without BlueZ: hciconfig hci1 up)",)
+    assert found.problems == (ScanProblem.SWITCHED_OFF(adapter="hci1"),)
     assert found.usable
     assert not look("hci1").usable
 
@@ -136,7 +140,7 @@ def second_blocked() -> Iterator[None]:
 
 
 def test_a_blocked_adapter_says_how_to_unblock_it(second_blocked: None) -> None:
-    assert look("hci1").problems == ("hci1 is off: rfkill unblock bluetooth",)
+    assert look("hci1").problems == (ScanProblem.SOFT_BLOCKED(adapter="hci1"),)
 
 
 _SCAN_AS_USER = """
@@ -175,7 +179,7 @@ def _reload_bus() -> None:
 def test_a_user_who_may_not_ask_bluez_is_told_the_group(bluez_forbidden: None) -> None:
     printed = scan_as_user()
     assert printed.startswith("True ")
-    assert "this user has no access to BlueZ: usermod -aG bluetooth" in printed
+    assert says(printed, ScanProblem.BLUEZ_FORBIDDEN)
 
 
 def test_without_dbus_the_kernel_is_asked(addresses: tuple[str, str], monkeypatch: pytest.MonkeyPatch) -> None:
@@ -187,7 +191,7 @@ def test_without_dbus_the_kernel_is_asked(addresses: tuple[str, str], monkeypatc
         ("hci1", addresses[1], True),
     ]
     assert busy(found, addresses[0]) == {2}
-    assert "can't connect to the D-Bus system bus" in found.problems[0]
+    assert says(found.problems[0], ScanProblem.NO_DBUS)
     assert found.usable
 
 
@@ -198,7 +202,7 @@ def test_a_python_without_bluetooth_lists_adapters_only(
     found = look()
     assert tuple(one.address for one in found.adapters) == addresses
     assert found.channels == {}
-    assert "this Python was built without Bluetooth sockets" in found.problems[0]
+    assert NoBluetooth.NOT_IN_PYTHON() in found.problems[0]
     assert not found.usable
 
 
@@ -207,13 +211,10 @@ _BUS = """<busconfig><listen>unix:path={path}</listen>
 
 
 @pytest.mark.parametrize(
-    ("rule", "words"),
-    [
-        ('<allow receive_sender="*"/>', "BlueZ is not running: systemctl start bluetooth"),
-        ("", "BlueZ does not answer: systemctl restart bluetooth"),
-    ],
+    ("rule", "code"),
+    [('<allow receive_sender="*"/>', ScanProblem.BLUEZ_STOPPED), ("", ScanProblem.BLUEZ_SILENT)],
 )
-def test_a_bus_without_bluez(rule: str, words: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_bus_without_bluez(rule: str, code: ScanProblem, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A D-Bus daemon of the test's own, where nobody is org.bluez, and one that keeps its answers to itself."""
     config, path = tmp_path / "bus.conf", tmp_path / "bus"
     config.write_text(_BUS.format(path=path, rule=rule))
@@ -223,7 +224,7 @@ def test_a_bus_without_bluez(rule: str, words: str, tmp_path: Path, monkeypatch:
         monkeypatch.setattr("rsb_bridge.bluetooth.scan._TIMEOUT", 0.5)
         found = look()
         bus.terminate()
-    assert words in found.problems[0]
+    assert says(found.problems[0], code)
     assert found.usable
 
 

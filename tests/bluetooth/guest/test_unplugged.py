@@ -8,7 +8,7 @@ import signal
 from pathlib import Path
 
 from rsb_bridge.bluetooth import hci
-from rsb_bridge.bluetooth.scan import scan
+from rsb_bridge.bluetooth.scan import ScanProblem, scan
 from rsb_console.command.bt_scan import run_bt_scan
 
 from .conftest import wait_until
@@ -23,5 +23,5 @@ def test_no_adapter_says_so() -> None:
     wait_until(lambda: not hci.adapters(), "both are unplugged")
     found = asyncio.run(scan())
     assert found.adapters == ()
-    assert found.problems[0].startswith("no Bluetooth adapter: plug one in")
+    assert found.problems == (ScanProblem.NO_ADAPTER(),)
     assert run_bt_scan(None, as_json=False) == 1

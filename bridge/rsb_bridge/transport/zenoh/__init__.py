@@ -1,1 +1,1 @@
-"""Links over a Zenoh network: streams and datagrams in samples, through whatever routers there are."""
+"""Links over a Zenoh network: streams and datagrams in samples, through any number of routers."""

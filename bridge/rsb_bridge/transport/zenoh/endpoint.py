@@ -1,11 +1,11 @@
-"""An endpoint of a Zenoh network: an address of its own, what comes to it, and who else is there.
+"""An endpoint of a Zenoh network: its own address, the samples for it, and the other endpoints it watches.
 
 Keys, below ``rsb_console/FLEET``, where an address is 16 hexadecimal digits, new for each endpoint:
 
 - ``at/TO/FROM/STREAM``: a sample for the endpoint TO; a stream is 16 hexadecimal digits, ``drop`` a datagram.
 - ``here/SERVICE/ADDRESS/LABEL``: the liveliness token of an endpoint; its label is percent-encoded.
 
-A sample says in its attachment what it is (`Kind`).
+A sample's attachment has its `Kind`.
 """
 
 from __future__ import annotations
@@ -68,11 +68,11 @@ _STRANGERS_AT_A_TIME = 16
 _STRANGERS_WAIT = 256
 """Samples of strangers who have no answer yet that wait for the loop: more would be answered too late anyway."""
 _CONFIRMED = 5.0
-"""s within which Zenoh has told a new subscription of all that are there."""
+"""Seconds within which Zenoh has reported all present tokens to a new subscription."""
 _SETTLED = 0.1
-"""s within which Zenoh says that a router is lost, once it has said who is gone by that."""
+"""Seconds within which Zenoh reports a lost router after it has reported the endpoints behind it as gone."""
 _ADDRESS = re.compile("[0-9a-f]{16}")
-"""Of endpoints, and of streams; keys are whatever a stranger makes of them."""
+"""Addresses of endpoints, and ids of streams; strangers may publish under any key."""
 
 
 class Seen(NamedTuple):
@@ -122,16 +122,16 @@ class StreamEnd(Protocol):
 
 
 class Endpoint:
-    """On the loop that was running when it was made; used on that loop only, but for `cut_off`.
+    """An endpoint on the loop that made it; all but `cut_off` must be called on that loop.
 
     Attributes:
-        address: of its own.
-        outbox: what it sends.
-        seen: of the services that it watches, by address; itself, too, if that is one of them.
-        on_stream: called with the sender's address, the stream and its first header where a stream is new; gives this
-            side's end. None: new streams are refused.
-        on_datagram: called with the sender's address and a payload; None: datagrams are lost.
-        on_seen: called when somebody comes (True) or goes.
+        address: its own.
+        outbox: sends its samples.
+        seen: present endpoints of the watched services, by address, including itself.
+        on_stream: called with the sender's address, the id and the first header of a new stream; returns this side's
+            end. Or None to refuse new streams.
+        on_datagram: called with the sender's address and a payload, or None to drop datagrams.
+        on_seen: called when an endpoint comes (True) or goes.
     """
 
     def __init__(
@@ -172,7 +172,7 @@ class Endpoint:
 
     async def announce(self) -> None:
         """Begin to receive, know who is there, and let all see that this endpoint is."""
-        for service in self._watched:  # before anything is declared: from then on, Zenoh answers by what it has heard
+        for service in self._watched:  # before any declaration, after which Zenoh answers from its own state
             for seen in await self.ask(service):
                 self._announced(seen, comes=True)
         self._unconfirmed = set(self.seen)
@@ -197,7 +197,7 @@ class Endpoint:
         self._on_close(self)
 
     async def ask(self, service: str) -> list[Seen]:
-        """Who of a service is there now, as routers know it."""
+        """Return the present endpoints of a service, as routers know them."""
         key = f"{self._root}/here/{service}/*/*"
 
         def collect() -> list[Seen]:
@@ -367,7 +367,7 @@ class Endpoint:
         self._unconfirmed.discard(seen.address)
         if comes:
             if known is not None:
-                return  # whoever announces another's address does not become it
+                return  # a token with another endpoint's address does not replace it
             if len(self.seen) >= MOST_SEEN:
                 self._forget_oldest()
             self.seen[seen.address] = seen
@@ -387,7 +387,7 @@ class Endpoint:
             self.on_seen(self.seen.pop(oldest), False)
 
     def _forget_unconfirmed(self) -> None:
-        """Forget those of whom the subscriptions do not know: they have gone before these were declared."""
+        """Forget endpoints that no subscription has reported: they went before it was declared."""
         for address in self._unconfirmed & set(self.seen):
             self._announced(self.seen[address], comes=False)
 

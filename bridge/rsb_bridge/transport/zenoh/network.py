@@ -40,7 +40,7 @@ _EXPIRED, _NOT_YET_VALID, _WRONG_NAMES = 10, 9, (62, 64)
 
 
 class Unreachable(Wording):
-    """Why Zenoh reaches nobody at an endpoint, and the remedy."""
+    """The reasons why Zenoh reaches no router at an endpoint, each with its remedy."""
 
     NO_ROUTER = "no Zenoh router answers: {endpoints}"
     MORE = "and {count} more"
@@ -83,12 +83,12 @@ class NetworkProblem(Wording):
 
 
 def why_unreachable(settings: ZenohSettings, config: zenoh.Config, error: str) -> str:
-    """What is wrong with each endpoint; blocks for up to 2 s for each.
+    """Return the problem of each endpoint; block for up to 2 s for each.
 
     Args:
-        settings: name the endpoints.
-        config: what was tried.
-        error: what Zenoh says.
+        settings: have the endpoints.
+        config: the configuration that failed.
+        error: Zenoh's error.
     """
     endpoints = settings.connect or tuple(_endpoints(json.loads(config.get_json("connect/endpoints"))))
     if not endpoints or UNABLE not in error:
@@ -100,12 +100,12 @@ def why_unreachable(settings: ZenohSettings, config: zenoh.Config, error: str) -
 
 
 def first_sentence(text: str) -> str:
-    """What Zenoh says of an error, on one line, without where in its own code that was."""
+    """Return Zenoh's text of an error on one line, without the place in its code."""
     return " ".join(text.partition(" at /")[0].split()).rstrip(".")
 
 
 def _endpoints(found: Any) -> list[str]:
-    """Those of a configuration, which may have them by mode, and each with settings of its own."""
+    """Return a configuration's endpoints, which may be listed by mode, and each with its own settings."""
     if isinstance(found, dict):
         found = [endpoint for each in found.values() for endpoint in (each if isinstance(each, list) else [each])]
     return [each for each in found if isinstance(each, str)] if isinstance(found, list) else []
@@ -137,7 +137,7 @@ def _why(endpoint: str, config: zenoh.Config) -> str:
 
 
 def _tls(connection: socket.socket, host: str, settings: dict[str, Any]) -> str:
-    """What TLS itself says of the two certificates."""
+    """Return TLS's own verdict on the two certificates."""
     shows_own = bool(settings.get("enable_mtls"))
     try:
         context = _context(settings, shows_own=shows_own)
@@ -164,11 +164,11 @@ def _tls(connection: socket.socket, host: str, settings: dict[str, Any]) -> str:
 
 
 def _context(settings: dict[str, Any], *, shows_own: bool) -> ssl.SSLContext:
-    """As Zenoh has it.
+    """Return a TLS context with Zenoh's settings.
 
     Raises:
         OSError: a file can't be read, or has no certificate.
-        ValueError: likewise of what stands in the configuration itself.
+        ValueError: a certificate in the configuration itself is invalid.
     """
     inline = settings.get("root_ca_certificate_base64")
     context = ssl.create_default_context(
@@ -182,7 +182,7 @@ def _context(settings: dict[str, Any], *, shows_own: bool) -> ssl.SSLContext:
 
 
 def _remedy(code: int) -> CertificateRemedy:
-    """What to change where the router's certificate is refused."""
+    """Return the remedy for a refused certificate of the router."""
     if code == _EXPIRED:
         return CertificateRemedy.EXPIRED
     if code == _NOT_YET_VALID:
@@ -197,7 +197,7 @@ def _plain(error: ssl.SSLError) -> str:
 
 
 LARGEST_SAMPLE = 2 * 1024 * 1024
-"""Bytes; this side's own are half as long at most, and whatever else comes is refused before it is put together."""
+"""Bytes. This side's own samples have at most half; Zenoh refuses longer ones before it assembles them."""
 
 _OPEN_WITHIN = 20.0
 _HANDSHAKE = 3000
@@ -224,17 +224,17 @@ _RETRY = {"period_init_ms": 500, "period_max_ms": 4000, "period_increase_factor"
 
 
 class Network:
-    """A Zenoh session of this process, opened when it is first needed, and shared by all that use it.
+    """A Zenoh session of this process, opened when it is first needed, and shared by all its users.
 
-    It finds its way back by itself after a router was lost. Its endpoints may be on several event loops.
+    It reconnects by itself after a router was lost. Its endpoints may be on several event loops.
 
     Args:
         settings: where the network is.
         base: the folder that `ZenohSettings.config` is relative to.
-        jitter: a number from 0 to 1, different in each process: by how much it retries later than others.
+        jitter: a number from 0 to 1, different in each process, that delays its retries.
 
     Attributes:
-        strangers: the budget of what strangers in the network send.
+        strangers: the budget of samples from strangers in the network.
     """
 
     def __init__(self, settings: ZenohSettings, base: Path, jitter: float = 0.0) -> None:
@@ -266,7 +266,7 @@ class Network:
 
     @property
     def place(self) -> str:
-        """Where the network is reached, for an operator."""
+        """The network's endpoints, for an operator."""
         settings = self.settings
         return ", ".join(settings.connect or settings.listen) or NetworkProblem.PLACE_OF_CONFIG(config=settings.config)
 
@@ -282,11 +282,11 @@ class Network:
         return NetworkProblem.ROUTER_LOST(place=self.place, lost=ROUTER_LOST) if self._cut_off else ""
 
     async def endpoint(self, service: str, label: str, watched: Sequence[str]) -> Endpoint:
-        """A new endpoint on the running loop, announced to all of the fleet.
+        """Return a new endpoint on the running loop, and announce it to the fleet.
 
         Args:
-            service: what it is: ``server``, ``client``, ``engine``, ``console``.
-            label: says more, to whoever sees the announcement; its characters are any.
+            service: its service: ``server``, ``client``, ``engine``, ``console``.
+            label: any text, for readers of the announcement.
             watched: the services whose comings and goings it watches.
 
         Raises:
@@ -364,7 +364,7 @@ class Network:
         _close(session)  # nobody waited for it
 
     def _why_lost(self) -> str:
-        """Why nobody is reached by a session that is open; it looks for them by itself."""
+        """Return the reason why an open session reaches no router. The session itself tries again."""
         if self._config_used is None:
             return NetworkProblem.CLOSED(place=self.place)
         return why_unreachable(self.settings, self._config_used, UNABLE)

@@ -1,10 +1,10 @@
-"""What an endpoint sends: at once where that cannot take long, else on a thread.
+"""An endpoint's outgoing samples, sent at once if that cannot take long, else on a thread.
 
-Zenoh holds back whoever sends while its queue is full (`CongestionControl.BLOCK`), for up to 5 s, and the loop must not
-wait. The queue of each priority has 16 batches of 64 kB, each at least half full while it waits. What was sent in the
-last 5 s at less than `AT_ONCE` bytes a second fits it, even where the router takes nothing; a router that takes nothing
-for longer is lost. Whatever is more than that is sent by a thread, one for each rank: what is urgent waits for nothing
-that is not. Where the network itself is slower than `AT_ONCE`, a call that takes long shows it.
+Zenoh blocks a sender while its queue is full (`CongestionControl.BLOCK`), for up to 5 s, and the loop must not
+wait. The queue of each priority has 16 batches of 64 kB, each at least half full while it waits. 5 s of samples
+at less than `AT_ONCE` bytes a second fit it, even if the router takes nothing; a router that takes nothing for longer
+counts as lost. A thread for each rank sends the excess, so that urgent samples never wait for others. If the network
+itself is slower than `AT_ONCE`, a long call shows it.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ LINK_RANK = 0
 """Of streams that carry a link's own messages, before all routes."""
 _RANKS = 4
 _OWN_COST = 200
-"""Bytes that a sample takes beside its payload."""
+"""Bytes of a sample in addition to its payload."""
 _MAY_WAIT = 5 * AT_ONCE
 _COUNTED = 2 * 1024 * 1024
 """Bytes at most of what went lately: after more, the thread sends for another 15 s."""
@@ -38,9 +38,9 @@ _SLOW_FOR = 30.0
 
 
 class Outbox:
-    """Sends samples; those of one rank in order. Used on the loop.
+    """Sends samples, in order within a rank. Used on the loop.
 
-    Ranks are those of `LINK_RANK` and, from 1 on, of `rsb_bridge.model.session`, highest first.
+    Ranks are `LINK_RANK` and, from 1 on, the ranks of `rsb_bridge.model.session`, highest first.
     """
 
     def __init__(self, session: zenoh.Session, loop: asyncio.AbstractEventLoop) -> None:
@@ -101,10 +101,10 @@ class _Sample(NamedTuple):
 
 
 class _Lane:
-    """What is sent at one priority, in order.
+    """The samples of one priority, in order.
 
     Attributes:
-        waiting: bytes that Zenoh has yet to be given, by key; less is counted before it is given them.
+        waiting: bytes not yet handed to Zenoh, by key; they are subtracted before the call.
     """
 
     def __init__(self, send: Callable[[_Sample], None], now: Callable[[], float]) -> None:
@@ -153,7 +153,7 @@ class _Lane:
                 sample = self._queue[0]
                 self._count_out(sample)
             self._send_timed(sample)
-            self._queue.popleft()  # not before: as long as it is there, whatever comes goes behind it
+            self._queue.popleft()  # only now: while it is queued, new samples queue behind it
 
     def _count_out(self, sample: _Sample) -> None:
         left = self.waiting.pop(sample.key, 0) - len(sample.payload)

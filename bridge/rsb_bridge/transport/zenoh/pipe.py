@@ -1,14 +1,14 @@
 """A stream over a Zenoh network, as an asyncio transport.
 
-Zenoh keeps the order of a key's samples, and loses some when a router does, or the way changes. So each sample of data
-has a number, and a stream that misses one is over: what follows would not open. One that comes again is passed over.
+Zenoh keeps the order of a key's samples, and loses some if a router does or the path changes. So each sample of data
+has a number, and a stream that misses one ends: later samples would not open. Repeated samples are ignored.
 
-The receiving end says how much it has taken in. No more than `WINDOW` bytes are under way beyond that, so that a
-receiver that reads slowly holds up its own streams only, not all that a router carries. Whatever it says, it cannot
-have taken in what still waits here for Zenoh: so nobody can make that grow.
+The receiving end reports the bytes that it has read. At most `WINDOW` bytes are in flight beyond that, so that a slow
+reader holds up only its own streams, not all of a router's traffic. A report never covers bytes that still wait here
+for Zenoh, so a false one cannot make that queue grow.
 
-Anybody in the network may publish a sample of any stream. Once both sides have proven their keys, `Pipe.authenticate`
-gives the samples tags, and a sample without the right one only makes this side ask whether the other one is there.
+Any member of the network may publish a sample of any stream. Once both sides have proven their keys,
+`Pipe.authenticate` adds tags, and a sample with a wrong tag only makes this side ask whether the other one is there.
 Before that, a client takes any number of answers to its first sample, of which one proves the key (`Pipe.begin_trial`).
 """
 
@@ -37,10 +37,10 @@ SAMPLE = 1024 * 1024
 _LONGEST = 2 * SAMPLE
 _SAID_EVERY = WINDOW // 8
 _ASKED_AFTER = 2.0
-"""s without a window after which a sender that waits for one asks, and without more to send after which it says that
-it has said all: else the loss of the last sample would show with the next one only, which may be hours away."""
+"""Seconds after which a sender asks for a missing window, and after which an idle sender reports that it has sent all:
+else the loss of the last sample would show only with the next one, perhaps hours later."""
 _AT_A_TIME = 256 * 1024
-"""Bytes that are delivered in one turn of the loop, of what was held while reading was paused."""
+"""Held bytes that are delivered in one turn of the loop after a pause of reading."""
 _REASON = 200
 _DOUBT = 3.0
 """s without a sample after which a stream ends whose end is not proven: a link's own stream has one a second."""
@@ -51,12 +51,12 @@ _ANSWERS = 64
 
 
 class PipeProblem(Wording):
-    """Why a stream over a Zenoh network ends on both sides."""
+    """The reasons why a stream over a Zenoh network ends on both sides."""
 
     SAMPLE_LOST = "a sample was lost in the Zenoh network"
     SAMPLES_LOST = "{count} samples were lost in the Zenoh network"
     TOO_MUCH_BEFORE_HANDSHAKE = "more than {limit:,} bytes came before the handshake"
-    WINDOW_IGNORED = "the other side sends more than the {limit:,} bytes that may be under way"
+    WINDOW_IGNORED = "the other side sends more than the {limit:,} bytes that may be in flight"
 
 
 class Pipe(asyncio.Transport):
@@ -67,14 +67,14 @@ class Pipe(asyncio.Transport):
         peer: the other side's address.
         stream: 16 hexadecimal digits.
         rank: of its priority (`rsb_bridge.transport.zenoh.outbox`).
-        protocol: is told what happens. Its `connection_made` is called at once.
+        protocol: receives the events. Its `connection_made` is called at once.
         when_over: called once the stream is over.
-        stranger: the other end has not proven yet that it has the key; `trust` ends that.
+        stranger: whether the other end has yet to prove that it has the key; `trust` ends that.
 
     Attributes:
-        trusted: the other end has proven it.
-        longest: bytes of the longest sample that is taken now. Until this side answers a stranger, all that comes
-            together is no longer, either.
+        trusted: whether the other end has proven it.
+        longest: bytes of the longest sample that is taken now, and of all samples together until this side answers a
+            stranger.
     """
 
     def __init__(
@@ -166,7 +166,7 @@ class Pipe(asyncio.Transport):
         self._reading = True
         if not self._resuming and (self._held or self._ended is not None):
             self._resuming = True
-            self._loop.call_soon(self._resume)  # not now: the protocol may be in the middle of what came before
+            self._loop.call_soon(self._resume)  # not now: the protocol may be handling earlier data
 
     def is_reading(self) -> bool:
         return self._reading and not self._closing
@@ -210,7 +210,7 @@ class Pipe(asyncio.Transport):
         """
         self._tags = SampleTags(secret, self._stream, opener=opener)
 
-    # --- what comes
+    # --- receiving
 
     def arrived(self, header: Header, payload: bytes) -> None:
         """Take a sample."""
@@ -310,7 +310,7 @@ class Pipe(asyncio.Transport):
             self._held += payload
 
     def _resume(self) -> None:
-        """Deliver what was held, unless reading is paused again."""
+        """Deliver the held bytes, unless reading is paused again."""
         self._resuming = False
         if not self._reading or self._closing:
             return
@@ -338,7 +338,7 @@ class Pipe(asyncio.Transport):
         self._protocol.data_received(payload)
 
     def _say_soon(self) -> None:
-        """Say it once for all samples of a turn that ask: anyone may send any number of them."""
+        """Answer all questions of one turn at once: strangers may send any number of them."""
         if not self._saying:
             self._saying = True
             self._loop.call_soon(self._say_what_was_asked)
@@ -352,7 +352,7 @@ class Pipe(asyncio.Transport):
         self._said = self._taken
         self._put_sample(Kind.WINDOW, self._taken, b"")
 
-    # --- what goes
+    # --- sending
 
     def _send(self, data: bytes | bytearray | memoryview[int]) -> None:
         self._put(data)

@@ -1,4 +1,4 @@
-"""What a stream's samples say of themselves, in their attachments (PROTOCOL.md, 12)."""
+"""The attachments of a stream's samples (PROTOCOL.md, 12)."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ LENGTHS = (_HEADER.size, _HEADER.size + TAG_LENGTH)
 
 
 class Kind(IntEnum):
-    """What a sample of a stream is. Its number is..."""
+    """The kind of a stream's sample, which gives its number a meaning: it is..."""
 
     DATA = 1
     """... its place among these, from 0."""

@@ -66,7 +66,7 @@ class FleetText(Wording):
 
 
 class ZenohStream(Stream):
-    """A stream whose sender waits while too much of it is under way."""
+    """A stream whose sender waits while too many bytes are in flight."""
 
     high_water = 256 * 1024
 
@@ -310,7 +310,7 @@ def _deaf(endpoint: Endpoint, take: Callable[[str, bytes], None]) -> None:
 
 
 def _priority(rank: int | None) -> int:
-    """The rank of a sample (`rsb_bridge.transport.zenoh.outbox`) for that of a route; None: the link's own."""
+    """Return a sample's rank (`rsb_bridge.transport.zenoh.outbox`) for a route's, or for None the link's own."""
     return LINK_RANK if rank is None else _RANKS[(rank > 0) - (rank < 0)]
 
 
