@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from tests.support.control import Machine
     from tests.support.domain import Domain
 
-    from rsb_bridge.control.client import RemoteEngine
+    from rsb_bridge.control.remote_engine import RemoteEngine
 
 SCAN = route("/scan", outgoing=True, spec=Topic("/scan", "transmit", expected_rate=10.0), messages_total=7122)
 DOCK = route("/dock", spec=Topic("/dock", "transmit", kind="service"), outgoing=True, calls=CallsSnapshot(asked=2))

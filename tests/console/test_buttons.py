@@ -9,11 +9,13 @@ from textual.pilot import Pilot
 from textual.widgets import Button
 
 from rsb_bridge.config.session_file import save
+from rsb_bridge.model.wording import Wording
 from rsb_console.app import ConsoleApp
 from rsb_console.operations.bridge_operations import OperationText
 from rsb_console.screens.session_files import FileText
 
-BEGINNINGS = {  # dialog: the key that opens it on the main screen, and words in it
+# dialog: the key that opens it on the main screen, and words in it
+BEGINNINGS: dict[str, tuple[str, str | Wording]] = {
     "Sessions": ("o", "↑ ↓ and ⏎"),
     "New session": ("f2", "Encryption"),
     "Import": ("f3", "config/bringup.yaml"),

@@ -146,7 +146,7 @@ def test_a_time_that_nobody_watched_is_told() -> None:
     async def steps(pilot: Pilot[None]) -> None:
         await shown(pilot, "/robot2/scan")
         await pilot.press("h")
-        await shown(pilot, ReportText.RAN_FOR, watched="30 min", share="50.0 %")
+        await shown(pilot, ReportText.RAN_PARTLY, watched="30 min", share="50.0 %")
         await shown(pilot, HistoryText.GAP)
         assert engine_as(app, Slept).remembered.gaps
 

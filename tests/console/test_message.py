@@ -24,13 +24,22 @@ from tests.console.live import COMMAND, Pair, running, talker
 from tests.console.scripted import NOW, route
 from tests.console.tmux import Tmux
 from tests.support.control import Machine
+from tests.support.wording import says
 from textual.pilot import Pilot
 
 from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import PeekedMessage, State
 from rsb_console.app import ConsoleApp
 from rsb_console.screens.message_screen import MessageText
-from rsb_console.session.reading import ArrivalText, ReadMessage, hex_lines, message_lines, plain, read_message
+from rsb_console.session.reading import (
+    ArrivalText,
+    ReadMessage,
+    StampText,
+    hex_lines,
+    message_lines,
+    plain,
+    read_message,
+)
 
 pytest.importorskip("rclpy", reason="needs ROS 2")
 
@@ -81,8 +90,8 @@ def test_a_topic_shows_its_latest_message_and_goes_on_with_what_comes(keys: list
         await pilot.press(*keys)
         await shown(pilot, 'child_frame_id: "base"')
         screen = text(app)
-        assert f"nav_msgs/msg/Odometry  716 B, {ArrivalText.OVER_LINK()} in 3.1 ms at " in screen
-        assert ArrivalText.STAMPED(stamp="header.stamp", before="5.0 ms", clocks=ArrivalText.OWN_CLOCK()) in screen
+        assert says(screen, ArrivalText.OVER_LINK, size="nav_msgs/msg/Odometry  716 B", took=" in 3.1 ms")
+        assert says(screen, StampText.AGE, stamp="header.stamp", span="5.0 ms", clocks=StampText.CLOCKS_OF_PUBLISHER())
         assert engine.commands[:2] == [("peek", "/robot2/scan", True), ("describe", "/robot2/scan")]
         await answered(pilot, peeked(odometry("other")))
         await shown(pilot, 'child_frame_id: "other"')
@@ -251,9 +260,8 @@ def test_in_a_terminal_attached_and_read_only(
             tmux("send-keys", "v")
             first = tmux.wait_for("data: ")
             came = next(line for line in first.splitlines() if "std_msgs/msg/String" in line)
-            assert any(f" B, {way()}" in came for way in (ArrivalText.FROM_ROS, ArrivalText.OVER_LINK)), (
-                "both sides are robot1"
-            )
+            # both sides are robot1
+            assert says(came, ArrivalText.FROM_ROS) or says(came, ArrivalText.OVER_LINK)
             tmux.wait_for(came, there=False)
             tmux("send-keys", "Escape")
             tmux.wait_for("data: ", there=False)

@@ -48,7 +48,7 @@ class StampText(Wording):
     AGE = "{stamp} {span} before ({clocks})"
 
 
-class MessageText(Wording):
+class ArrivalText(Wording):
     """Descriptions of when and how a message came."""
 
     KEPT = "{size}, kept for late joiners"
@@ -205,10 +205,10 @@ def how_it_came(peeked: PeekedMessage) -> str:
     """When and how a message came, in words."""
     size = f"{formats.thousands(peeked.size)} B"
     if peeked.is_kept:
-        return MessageText.KEPT(size=size)
+        return ArrivalText.KEPT(size=size)
     moment = f"{formats.time_of_day(peeked.time)}.{int(peeked.time % 1 * 1000):03d}"
     took = "" if peeked.latency is None else f" in {formats.latency(peeked.latency, peeked.clock_uncertainty)}"
-    way = MessageText.FROM_ROS if peeked.outgoing else MessageText.OVER_LINK
+    way = ArrivalText.FROM_ROS if peeked.outgoing else ArrivalText.OVER_LINK
     return way(size=size, took=took, moment=moment)
 
 
