@@ -20,7 +20,7 @@ from rsb_bridge.model.snapshot import PeekedMessage
 from rsb_bridge.ros.rosidl_descriptions import installed_description
 from rsb_bridge.ros.typesupport import hash_of
 from rsb_console.command.remote import RemoteProblem
-from rsb_console.session.reading import MessageText, StampText
+from rsb_console.session.reading import ArrivalText, StampText
 
 if TYPE_CHECKING:
     from tests.support.control import Machine
@@ -66,7 +66,7 @@ def test_it_prints_a_message_as_yaml(ran: Any, engine: ScriptedEngine) -> None:
     done = ran("echo", "/scan", "--once")
     assert done.code == 0
     first, second, *lines = done.out.splitlines()
-    assert says(first, MessageText.OVER_LINK, size="716 B")
+    assert says(first, ArrivalText.OVER_LINK, size="716 B")
     assert " in 3.0 ms at " in first
     assert first.startswith("# nav_msgs/msg/Odometry, ")
     assert says(second, StampText.AGE, stamp="header.stamp", span="125.0 ms", clocks=StampText.CLOCKS_OF_PEER())
