@@ -185,12 +185,12 @@ def _kept(self: Any, work: Coroutine[None, None, None]) -> Any:
 
 async def _unpaused(self: Any, route: Any, route_id: int, who: str, *, edited: bool) -> None:
     """As `RouteTable._propose`, but never paused."""
-    send = self._owner.send
+    send = self._link.send
 
     def unpaused(message: Any) -> None:
         send(msgspec.structs.replace(message, paused=False, pause_revision=0))
 
-    with patch.object(self._owner, "send", unpaused):
+    with patch.object(self._link, "send", unpaused):
         await _propose(self, route, route_id, who, edited=edited)
 
 

@@ -24,7 +24,7 @@ from rsb_bridge.transport.streams import Stream, os_error_message
 from rsb_bridge.wire import sealing
 from rsb_bridge.wire.connection import ClientConnection, DataConnection
 from rsb_bridge.wire.events import Accepted, Established, Event, RefusalCode
-from rsb_bridge.wire.messages import Welcome
+from rsb_bridge.wire.messages import Duplicate, Shutdown, Welcome
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from rsb_bridge.model.session import Identity, Kind, Topic
     from rsb_bridge.route.route import Route
     from rsb_bridge.transport.transport import DatagramTransport, StreamTransport
-    from rsb_bridge.wire.messages import Duplicate, Hello, Propose, Shutdown
+    from rsb_bridge.wire.messages import Hello, Propose
     from rsb_bridge.wire.sealing import Suite
 
 _HANDSHAKE_TIMEOUT = 5.0
@@ -86,6 +86,7 @@ class ClientLink(Link):
         self._unproven = 0  # servers that were announced when the link was made, and did not prove the key
         self._streams_opening: dict[int, asyncio.Task[None]] = {}
         self._may_open = asyncio.Semaphore(_STREAMS_AT_ONCE)
+        self.handlers |= {Duplicate: self.on_duplicate, Shutdown: self.on_shutdown}
         self._waiting: dict[int, dict[int, Route]] = {}  # by channel and id: for the stream that is being opened
 
     @property
@@ -225,7 +226,7 @@ class ClientLink(Link):
         self, connection: ClientConnection, stream: Stream, event: Established | Accepted, more: list[Event]
     ) -> None:
         assert isinstance(event, Established)
-        control = ControlChannel(stream, connection, self)
+        control = ControlChannel(stream, connection, self.handlers, self.lost)
         self.up(control, event.peer, event.keys)
         control.take(more)
 

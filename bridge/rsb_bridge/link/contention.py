@@ -13,6 +13,7 @@ import math
 from collections import deque
 from typing import TYPE_CHECKING, NamedTuple
 
+from rsb_bridge.model.benchmark import is_bench_topic
 from rsb_bridge.model.capacity import Fullness
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.limits import TEXT_LENGTH
@@ -269,8 +270,6 @@ class Contention:
         features: Collection[str],
         connection: int,
         peer: str = "",
-        *,
-        measures: bool = False,
     ) -> None:
         """Look once a second, while linked.
 
@@ -279,7 +278,6 @@ class Contention:
             features: of the other side.
             connection: its number.
             peer: the other side's name.
-            measures: whether a measurement fills the link.
         """
         self._warn(features, connection)
         now, at = self._context.now(), self._context.wall()
@@ -297,11 +295,26 @@ class Contention:
         busy = [(route, traffic.bytes_per_second) for route, traffic in asking if traffic.bytes_per_second > 0.0]
         wanted = [Asked(route.topic, route.remote_topic, rate) for route, rate in busy]
         starts = all(route.starts for route, _ in busy)
-        self._fullness.tick(wanted, arrived + parts, full=full and not starts and not measures, peer=peer)
+        measured = any(is_bench_topic(route.local_topic) for route in self._routes())
+        before = self._fullness.out
+        self._fullness.tick(wanted, arrived + parts, full=full and not starts and not measured, peer=peer)
         received = sum(each.received_bytes for each in self._carriers())
         self.receiving.look(received - self._received, now, at, full=False)
         self._received = received
         self._divide(asking, crossed, now, full=full, held_up=held_up)
+        if self._fullness.out != before:
+            self._judge_again(outgoing=True)
+
+    def take_record(self, record: FullRecord, peer: str) -> None:
+        """Take the peer's record of what it sends."""
+        self._fullness.take_record(record, peer)
+        self._judge_again(outgoing=False)
+
+    def _judge_again(self, *, outgoing: bool) -> None:
+        """Judge the routes of one direction again, so that their verdicts agree with the link's."""
+        for route in self._routes():
+            if route.outgoing == outgoing:
+                route.judge_again()
 
     def disconnected(self) -> None:
         """The connection is over: the next one may go another way."""

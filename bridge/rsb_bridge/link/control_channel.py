@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from collections import deque
-from typing import TYPE_CHECKING, Protocol, TypeAlias, TypeVar
+from typing import TYPE_CHECKING, Any, TypeAlias, TypeVar
 
 import msgspec
 
@@ -21,7 +21,7 @@ from rsb_bridge.wire.protocol_error import ProtocolError
 from rsb_bridge.wire.sealing import SealError
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Generator, Iterable
+    from collections.abc import Callable, Generator, Iterable, Mapping
 
     from rsb_bridge.wire.codec import ReportParts, TopicListParts
     from rsb_bridge.wire.connection import ClientConnection, ServerConnection
@@ -77,38 +77,34 @@ def in_slices(entries: Iterable[tuple[_E, int]], work: Callable[[_E], None]) -> 
     return count
 
 
-class ControlHandler(Protocol):
-    """What acts on a control connection: a link."""
-
-    def message(self, message: ControlMessage | ReportParts | TopicListParts) -> Slices | None:
-        """Act on a control message of the peer.
-
-        Returns:
-            The work that is left, to be done in slices before the next message, or None.
-        """
-        ...
-
-    def lost(self, reason: str, code: EventCode) -> None:
-        """The connection is over. Called once; no message comes after it."""
-        ...
-
-
 class ControlChannel(StreamHandler):
     """The stream's handler once the handshake is done.
 
+    Args:
+        stream: the stream.
+        connection: its state machine, which has authenticated the peer.
+        handlers: handlers of control messages, by type. Each may return work to be done in slices before the next
+            message.
+        lost: is called once with reason and code when the connection is over. No message comes after it.
+
     Attributes:
-        stream: what carries it.
-        multiplexer: shares the stream among routes, where the transport is a multiplexed one.
-        over: the connection has ended.
+        stream: the stream.
+        multiplexer: shares the stream among routes, if the transport is a multiplexed one.
+        over: whether the connection has ended.
     """
 
     def __init__(
-        self, stream: Stream, connection: ClientConnection | ServerConnection, handler: ControlHandler
+        self,
+        stream: Stream,
+        connection: ClientConnection | ServerConnection,
+        handlers: Mapping[type, Callable[[Any], Slices | None]],
+        lost: Callable[[str, EventCode], None],
     ) -> None:
         self.stream = stream
         self.multiplexer = Multiplexer(stream)
         self.over = False
-        self._handler = handler
+        self._handlers = handlers
+        self._lost = lost
         self._connection = connection
         self._goodbye = ""
         self._code = EventCode.LINK_LOST
@@ -251,7 +247,7 @@ class ControlChannel(StreamHandler):
         return 1
 
     def _take_message(self, message: ControlMessage | ReportParts | TopicListParts) -> int:
-        self._work = self._handler.message(message)
+        self._work = self._handlers[type(message)](message)
         return len(message.sources) if isinstance(message, Describe) else 1
 
     def _broken(self, error: ProtocolError | SealError) -> None:
@@ -278,4 +274,4 @@ class ControlChannel(StreamHandler):
     def _end(self, reason: str) -> None:
         if not self.over:
             self.over = True
-            self._handler.lost(reason, self._code)
+            self._lost(reason, self._code)

@@ -10,6 +10,7 @@ import asyncio
 from typing import TYPE_CHECKING
 
 from rsb_bridge.link.errors import LinkError
+from rsb_bridge.link.extension import Extension
 from rsb_bridge.link.questions import Questions
 from rsb_bridge.model.benchmark import (
     FEATURE,
@@ -33,11 +34,10 @@ if TYPE_CHECKING:
     from collections.abc import Callable
     from typing import Any
 
-    from rsb_bridge.channel.channel import Carrier
     from rsb_bridge.channel.data_keys import Meter
-    from rsb_bridge.context import Context
+    from rsb_bridge.link.base_link import BaseLink
     from rsb_bridge.link.proposed_topics import ProposedTopics
-    from rsb_bridge.link.route_table import RouteOwner, RouteTable
+    from rsb_bridge.link.route_table import RouteTable
     from rsb_bridge.model.benchmark import Leave, Order
     from rsb_bridge.ros.synthetic import Drain, Source
     from rsb_bridge.route.route import Route
@@ -135,35 +135,20 @@ class BenchBudget:
             self._full = False
 
 
-class LinkBench:
-    """One link's benchmark, in either role.
+class LinkBench(Extension):
+    """One link's benchmark, in either role."""
 
-    Args:
-        context: has the clock and the ROS side.
-        owner: the link.
-        table: its routes.
-        proposed: the topics that this side proposes, those that measure among them.
-        carriers: gives all that carries bytes of the present connection.
-    """
-
-    def __init__(
-        self,
-        context: Context,
-        owner: RouteOwner,
-        table: RouteTable,
-        proposed: ProposedTopics,
-        carriers: Callable[[], set[Carrier]],
-    ) -> None:
-        self._context = context
-        self._owner = owner
+    def __init__(self, link: BaseLink, table: RouteTable, proposed: ProposedTopics) -> None:
+        context = self._context = link.context
+        self._link = link
         self._table = table
         self._proposed = proposed
-        self._carriers = carriers
         self._synthetic = synthetic_of(context.ros)
         self._now = context.now
         self._budget = BenchBudget(self._now)
         self._request = 0
-        self._questions: Questions[BenchAnswer] = Questions(owner.send, owner.spawn, _ANSWERED_WITHIN)
+        self.messages = {BenchAsk: self._asked, BenchAnswer: self._answered}
+        self._questions: Questions[BenchAnswer] = Questions(link.send, link.spawn, _ANSWERED_WITHIN)
         self._used_at = 0.0
         self._stopped_until = float("-inf")
         self._busy = False
@@ -173,35 +158,32 @@ class LinkBench:
         """What this side has the peer send to, which costs the peer nothing."""
         self._ends_soon = False
         if self._synthetic is not None:
-            self._synthetic.admits[owner.name] = self._admits
+            self._synthetic.admits[link.name] = self._admits
 
     # --- for the peer
 
-    def refusal(self, topic: str, leave: Leave | None) -> str:
-        """Why the peer may not propose a topic that measures; empty: it may, or it is an ordinary one."""
+    def refusal(self, topic: str) -> str:
         if not is_bench_topic(topic):
             return ""
         if self._synthetic is None:
             return "nothing can be measured here"
         if self._now() < self._stopped_until:
             return "an operator has stopped the benchmark; a minute later it may begin again"
-        return self._budget.refusal(leave)
+        return self._budget.refusal(self._link.rights.bench)
 
     def removed(self, route: Route) -> None:
         """An operator of this side removes a topic: one that the peer measures with does not come back at once."""
         if is_bench_topic(route.local_topic) and not route.proposed_here:
             self._stopped_until = self._now() + _STOPPED_FOR
 
-    def handle(self, message: BenchAsk | BenchAnswer) -> None:
-        """Answer the peer's question, or take its answer."""
-        match message:
-            case BenchAsk():
-                self._questions.answer(message.request, lambda: self._answer(message))
-            case BenchAnswer():
-                self._questions.answered(message.request, message)
+    def _asked(self, ask: BenchAsk) -> None:
+        self._questions.answer(ask.request, lambda: self._answer(ask))
+
+    def _answered(self, answer: BenchAnswer) -> None:
+        self._questions.answered(answer.request, answer)
 
     async def _answer(self, ask: BenchAsk) -> BenchAnswer:
-        route = self._table.ids.open_route(ask.route)
+        route = self._link.ids.open_route(ask.route)
         if route is None or not is_bench_topic(route.local_topic):
             return BenchAnswer(ask.request, "there is no such topic that measures")
         source, drain = self._ends(route)
@@ -209,7 +191,7 @@ class LinkBench:
             drain.reset()
         problem = self._send_for_peer(ask, route, source) if ask.count else ""
         usage, arrived = self.usage(), drain.arrived if drain is not None else Arrived(0, (0.0, 0.0, 0.0))
-        leave = self._owner.rights.bench
+        leave = self._link.rights.bench
         busy = source is not None and source.busy
         return BenchAnswer(
             ask.request,
@@ -234,24 +216,23 @@ class LinkBench:
         size, seconds = max(ask.size, LEAST_SIZE), ask.count / max(ask.rate, 1e-3)
         if seconds > MOST_SECONDS:
             return f"a run takes at most {MOST_SECONDS:g} s"
-        if refused := self._budget.refusal(self._owner.rights.bench, seconds, size * ask.count, ask.rate):
+        if refused := self._budget.refusal(self._link.rights.bench, seconds, size * ask.count, ask.rate):
             return refused
         self._budget.spend(seconds, size * ask.count)
         source.start(size, ask.rate, ask.count)
         return ""
 
     def meter_of(self, route_id: int) -> Meter | None:
-        """The meter of a topic by which the peer measures, or None of any other route."""
-        route = self._table.ids.open_route(route_id)
+        route = self._link.ids.open_route(route_id)
         if route is None or route.proposed_here or route.outgoing or not is_bench_topic(route.local_topic):
             return None
-        return lambda size: self._budget.take(self._owner.rights.bench, wire=size) or self._end_soon()
+        return lambda size: self._budget.take(self._link.rights.bench, wire=size) or self._end_soon()
 
     def _admits(self, drain: Drain, size: int) -> bool:
         """Whether a message may come to a topic that measures, unpacked."""
         if drain in self._own:
             return True
-        return self._budget.take(self._owner.rights.bench, payload=size) or self._end_soon()
+        return self._budget.take(self._link.rights.bench, payload=size) or self._end_soon()
 
     def _end_soon(self) -> bool:
         """End the peer's topics at the next turn of the loop: what they have used up has just come through one."""
@@ -262,13 +243,15 @@ class LinkBench:
 
     def _end_refused(self, rate: float = 0.0) -> None:
         self._ends_soon = False
-        if refused := self._budget.refusal(self._owner.rights.bench, rate=rate):
+        if refused := self._budget.refusal(self._link.rights.bench, rate=rate):
             for route in self._routes():
                 if not route.proposed_here:
                     self._table.deny(route, refused)
 
     def tick(self) -> None:
-        """Once a second: count what the peer has caused, and remove the topics of a benchmark that has gone."""
+        """Count the peer's messages, and remove the topics of a benchmark that orders nothing more."""
+        if not self._link.linked:
+            return
         count = self._come()
         if count:
             self._budget.spend(1.0, 0.0)  # its bytes are counted as they come
@@ -283,7 +266,7 @@ class LinkBench:
         if self._synthetic is None:
             return 0
         messages = 0
-        opened = dict.fromkeys(self._synthetic.opened(self._owner.name), 0)
+        opened = dict.fromkeys(self._synthetic.opened(self._link.name), 0)
         for drain, before in (self._seen | opened).items():
             if drain not in self._own:
                 messages += drain.messages - before
@@ -322,7 +305,6 @@ class LinkBench:
                 self._table.remove(route, _ENDED)
 
     def disconnected(self) -> None:
-        """The connection is over."""
         self._questions.disconnected()
 
     def usage(self) -> Usage:
@@ -332,16 +314,15 @@ class LinkBench:
 
     def wire_bytes(self) -> tuple[int, int]:
         """Bytes sent and received by what carries the present connection."""
-        carriers = self._carriers()
+        carriers = self._link.carriers()
         return sum(each.sent_bytes for each in carriers), sum(each.received_bytes for each in carriers)
 
     def _check(self, order: Order) -> None:
-        owner = self._owner
         if self._synthetic is None:
             raise LinkError("nothing can be measured here")
-        if not owner.linked:
-            raise LinkError(f"{owner.name} is not linked: {owner.down_reason}")
-        if FEATURE not in owner.features:
+        if not self._link.linked:
+            raise LinkError(f"{self._link.name} is not linked: {self._link.down_reason}")
+        if FEATURE not in self._link.features:
             raise LinkError("the other side's rsb-console is too old to be measured: update it")
         if not LEAST_SIZE <= order.size <= MOST_SIZE:
             raise LinkError(f"a message has {LEAST_SIZE} to {MOST_SIZE:,} bytes")
@@ -381,7 +362,7 @@ class LinkBench:
         now = self.usage()
         mine = _between(ours, now)
         peers = _between(_usage_in(theirs), _usage_in(answer))
-        offset = (self._owner.clock_offset or 0.0) * (-1 if sends else 1)
+        offset = (self._link.clock_offset or 0.0) * (-1 if sends else 1)
         p50, p99, p999 = (each + offset for each in latencies)
         return Outcome(
             now,
@@ -391,7 +372,7 @@ class LinkBench:
             p50,
             p99,
             p999,
-            self._owner.clock_uncertainty,
+            self._link.clock_uncertainty,
             mine if sends else peers,
             peers if sends else mine,
             answer.max_rate,
@@ -415,7 +396,7 @@ class LinkBench:
         while not self._open(route):
             if route.refusal:
                 raise LinkError(route.refusal)
-            if route.key not in self._table.routes or self._now() > deadline:
+            if route.key not in self._link.routes or self._now() > deadline:
                 raise LinkError(_why_not(route))
             await asyncio.sleep(_LOOK_EVERY)
         return route
@@ -469,18 +450,13 @@ class LinkBench:
 
     # --- both
 
-    @property
-    def is_measuring(self) -> bool:
-        """Whether a measurement fills the link now."""
-        return bool(self._routes())
-
     def _routes(self) -> list[Route]:
-        return [each for each in self._table.routes.values() if is_bench_topic(each.local_topic)]
+        return [each for each in self._link.routes.values() if is_bench_topic(each.local_topic)]
 
     def _ends(self, route: Route) -> tuple[Source | None, Drain | None]:
         if self._synthetic is None:
             return None, None
-        end = route.local_topic, self._owner.name
+        end = route.local_topic, self._link.name
         return self._synthetic.sources.get(end), self._synthetic.drains.get(end)
 
 

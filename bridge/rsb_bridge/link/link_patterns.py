@@ -10,6 +10,7 @@ import msgspec
 
 from rsb_bridge.config.rights import Use, as_if_listed, uses
 from rsb_bridge.link.errors import Denied, LinkError
+from rsb_bridge.link.extension import Extension
 from rsb_bridge.link.proposals import KINDS
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.command_origin import acting
@@ -29,16 +30,17 @@ from rsb_bridge.model.patterns import (
 )
 from rsb_bridge.model.qos import AUTO
 from rsb_bridge.model.snapshot import Level, PatternSnapshot, State
-from rsb_bridge.wire.messages import Follow, Followed, FoundName, NamePattern
+from rsb_bridge.wire.messages import Follow, Followed, FoundName, NamePattern, Welcome
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterable, Iterator
 
     from rsb_bridge.config.rights import Rights
     from rsb_bridge.context import Context
+    from rsb_bridge.link.base_link import BaseLink
     from rsb_bridge.link.name_watch import Named, Names
     from rsb_bridge.link.proposed_topics import ProposedTopics
-    from rsb_bridge.link.route_table import RouteOwner, RouteTable
+    from rsb_bridge.link.route_table import RouteTable
     from rsb_bridge.model.session import Identity, Kind, Topic
     from rsb_bridge.route.route import Route
     from rsb_bridge.wire.messages import ControlMessage
@@ -115,7 +117,7 @@ class PatternEntry:
         return any(each.match(name) is not None for each in self._excepts)
 
 
-class FollowedByPeer:
+class PeerSubscription:
     """What the peer follows of this side's graph: it is told which names match its patterns.
 
     Args:
@@ -188,44 +190,28 @@ def _found(named: Named, type_name: str) -> FoundName:
     return FoundName(name, type_name, kind)
 
 
-class LinkPatterns:
+class LinkPatterns(Extension):
     """The patterns of one link.
 
-    Entries that are no patterns win over these, and the first pattern that a name matches wins over the others. What
-    operators remove is an exception from then on, and what they edit an entry of its own.
-
-    Args:
-        context: has the session, and is told when other names are followed.
-        owner: the link.
-        table: its routes.
-        proposed: the topics that this side proposes, those of patterns among them.
-        shows: whether the peer may know of a name of a kind.
-        make_entry: makes the entry of a pattern, as the two sides name topics now.
+    Entries with a plain name win over patterns, and the first pattern that a name matches wins over later ones. A topic
+    that an operator removes becomes an exception of its patterns, and one that an operator edits an entry of its own.
 
     Attributes:
-        followed: what the peer follows of this side's graph.
+        followed: the names of this side's graph that the peer follows.
         entries: the patterns, in order.
-        there: what the peer's graph has of what is followed; None: that is not known now.
-        unseen: how many names it has beyond those that it tells.
-        gone: the identities of what has a route and nobody publishes or provides, each with the time since when.
+        there: the matching names in the peer's graph, or None as long as they are unknown.
+        unseen: number of further matching names that the peer does not tell.
+        gone: routes whose topic or service is gone, by identity, each with the time since when.
     """
 
-    def __init__(
-        self,
-        context: Context,
-        owner: RouteOwner,
-        table: RouteTable,
-        proposed: ProposedTopics,
-        shows: Callable[[str, Kind], bool],
-        make_entry: Callable[[Topic], PatternEntry],
-    ) -> None:
-        self._context = context
-        self._owner = owner
+    def __init__(self, link: BaseLink, table: RouteTable, proposed: ProposedTopics) -> None:
+        context = self._context = link.context
+        self._link = link
         self._table = table
         self._proposed = proposed
-        self._make_entry = make_entry
-        self._transport = context.transports.of_link(context.session.server_ip).name
-        self.followed = FollowedByPeer(context, shows, owner.send)
+        self._transport = link.transport.name
+        self.followed = PeerSubscription(context, link.shows, link.send)
+        self.messages = {Follow: self.followed.asked, Followed: self._take}
         self.entries: list[PatternEntry] = []
         self._here: Names | None = None  # this side's graph; None: not known yet
         self.there: Names | None = None
@@ -288,7 +274,7 @@ class LinkPatterns:
         if not any(self._claims(entry, route) for entry in self.entries):
             return
         if problem := self.brings_back(route):
-            self._owner.log(Level.WARNING, EventCode.LINK_PATTERN_FULL, problem, topic=name)
+            self._link.log(Level.WARNING, EventCode.LINK_PATTERN_FULL, problem, topic=name)
             return
         self._set(
             msgspec.structs.replace(each.topic, excepts=(*each.topic.excepts, name))
@@ -312,7 +298,7 @@ class LinkPatterns:
 
     def key_of(self, topic: Topic) -> str:
         """What identifies a pattern in commands and snapshots of this side; no route has such a key."""
-        return f"{self._owner.name} {'→' if topic.direction == 'transmit' else '←'} pattern {topic.kind} {topic.topic}"
+        return f"{self._link.name} {'→' if topic.direction == 'transmit' else '←'} pattern {topic.kind} {topic.topic}"
 
     def find(self, key: str) -> Topic | None:
         """The pattern of that key."""
@@ -320,7 +306,7 @@ class LinkPatterns:
 
     def _set(self, topics: Iterable[Topic]) -> None:
         before = {entry.topic.identity for entry in self.entries if entry.beyond}
-        self.entries = [self._make_entry(topic) for topic in topics]
+        self.entries = [self._entry(topic) for topic in topics]
         self._context.demands.changed()
         self._known.clear()
         self._told_full &= before & {entry.topic.identity for entry in self.entries}
@@ -328,10 +314,15 @@ class LinkPatterns:
         self._context.names_changed()
         self.reconcile()
 
+    def _entry(self, topic: Topic) -> PatternEntry:
+        peer = self._link.peer
+        always = isinstance(peer, Welcome) and peer.use_name
+        return PatternEntry(topic, client=self._link.name, prefixed=self._link.prefixed, always_prefixed=always)
+
     # --- the two graphs
 
     def connected(self) -> None:
-        """The peer is connected, and is asked for what its graph has. Who is on the server is known from now on."""
+        """Follow the peer's graph; the names on the server are known from now on."""
         self._request = 0
         self.renew()
 
@@ -349,19 +340,14 @@ class LinkPatterns:
         theirs = tuple(
             NamePattern(entry.source.text, entry.topic.kind) for entry in self.entries if not self.is_local(entry)
         )
-        if self._owner.linked and FEATURE in self._owner.features and (theirs or self._request):
+        if self._link.linked and FEATURE in self._link.features and (theirs or self._request):
             self._request += 1
             self.there, self.unseen = None, 0
-            self._owner.send(Follow(self._request, theirs))
-
-    def handle(self, message: Follow | Followed) -> None:
-        """The peer follows this side's graph, or says what has changed in its own."""
-        if isinstance(message, Follow):
-            self.followed.asked(message)
-        elif message.request == self._request:
-            self._take(message)
+            self._link.send(Follow(self._request, theirs))
 
     def _take(self, message: Followed) -> None:
+        if message.request != self._request:
+            return
         names = {} if self.there is None else self.there
         for each in message.gone:
             if (kind := KINDS.get(each.kind)) is not None:
@@ -384,17 +370,17 @@ class LinkPatterns:
 
     def is_local(self, entry: PatternEntry) -> bool:
         """Whether an entry follows this side's graph."""
-        return entry.from_client == self._owner.is_client
+        return entry.from_client == self._link.is_client
 
     # --- routes
 
     def routes_of(self, entry: PatternEntry) -> list[Route]:
         """The routes that a pattern has made."""
-        return [route for route in self._table.routes.values() if self.has_made(route, entry.topic)]
+        return [route for route in self._link.routes.values() if self.has_made(route, entry.topic)]
 
     def reconcile(self) -> None:
         """Have routes for what matches, and for nothing else."""
-        if not self.entries and not any(route.pattern for route in self._table.routes.values()):
+        if not self.entries and not any(route.pattern for route in self._link.routes.values()):
             return
         with acting(""):  # whoever has made the graph change is no operator
             self._reconcile(self._wanted())
@@ -402,7 +388,7 @@ class LinkPatterns:
     def _reconcile(self, wanted: dict[Identity, tuple[PatternEntry, Topic]]) -> None:
         for each in self.entries:
             each.beyond, each.left_out = 0, {}
-        routes = {route.spec.identity: route for route in self._table.routes.values()}
+        routes = {route.spec.identity: route for route in self._link.routes.values()}
         self.gone = {identity: at for identity, at in self.gone.items() if identity in routes}
         for identity, route in routes.items():
             if not route.pattern:
@@ -420,7 +406,7 @@ class LinkPatterns:
 
     def _wanted(self) -> dict[Identity, tuple[PatternEntry, Topic]]:
         """What matches now, each with the pattern that wins, in the order of patterns and names."""
-        session, rights = self._context.session, as_if_listed(self._owner.rights)
+        session, rights = self._context.session, as_if_listed(self._link.rights)
         own = {session.shutdown_topic, session.diagnostics_topic}
         found: list[tuple[int, str, Topic]] = []
         for local, names in ((True, self._here), (False, self.there)):
@@ -452,7 +438,7 @@ class LinkPatterns:
 
     def _entry_of(self, route: Route) -> PatternEntry | None:
         """The pattern that would match a route's topic if that was there; None: none does any more."""
-        rights = as_if_listed(self._owner.rights)
+        rights = as_if_listed(self._link.rights)
         for entry in self.entries:
             if self._claims(entry, route):
                 name = route.spec.topic
@@ -468,9 +454,9 @@ class LinkPatterns:
         if self.is_local(entry):
             local = name
         else:
-            local = topic.topic if self._owner.is_client else entry.server_name(topic.remote_topic or topic.topic)
+            local = topic.topic if self._link.is_client else entry.server_name(topic.remote_topic or topic.topic)
         sends, takes = uses(topic.kind)
-        may = sends if (topic.direction == "transmit") != self._owner.is_client else takes
+        may = sends if (topic.direction == "transmit") != self._link.is_client else takes
         return rights.refusal(Use(local, may, topic.protocol or self._transport, topic.kind)) is None
 
     def _keep(self, route: Route, entry: PatternEntry, topic: Topic) -> None:
@@ -484,12 +470,12 @@ class LinkPatterns:
 
     def _add(self, wanted: dict[Identity, tuple[PatternEntry, Topic]]) -> None:
         """Make routes for what has none, as far as there is room."""
-        matched = [route for route in self._table.routes.values() if route.pattern]
+        matched = [route for route in self._link.routes.values() if route.pattern]
         total = len(matched)
         counts = dict.fromkeys((entry.topic.identity for entry in self.entries), 0)
         for route in matched:
             counts[_identity_of(route)] = counts.get(_identity_of(route), 0) + 1
-        taken = {route.spec.identity for route in self._table.routes.values()}
+        taken = {route.spec.identity for route in self._link.routes.values()}
         taken |= {topic.identity for topic in self._table.yielded.values()}
         for identity, (entry, topic) in wanted.items():
             if identity in taken:
@@ -515,7 +501,7 @@ class LinkPatterns:
 
     def _longest_gone(self, pattern: Identity | None) -> Route | None:
         """The route whose topic has been gone for longest, of one pattern or of any."""
-        routes = {route.spec.identity: route for route in self._table.routes.values() if route.pattern}
+        routes = {route.spec.identity: route for route in self._link.routes.values() if route.pattern}
         for identity in sorted(self.gone, key=lambda each: self.gone[each]):
             if identity in routes and pattern in (None, _identity_of(routes[identity])):
                 return routes[identity]
@@ -534,7 +520,7 @@ class LinkPatterns:
             return
         now = self._context.now()
         over = {identity for identity, at in self.gone.items() if now - at >= GONE_AFTER}
-        for route in [route for route in self._table.routes.values() if route.pattern and route.spec.identity in over]:
+        for route in [route for route in self._link.routes.values() if route.pattern and route.spec.identity in over]:
             self._drop(route, f"{_GONE}; {route.pattern} matches it again once it is back")
         if over:
             self.gone = {identity: at for identity, at in self.gone.items() if identity not in over}
@@ -548,11 +534,11 @@ class LinkPatterns:
             if entry.beyond and identity not in self._told_full:
                 self._told_full.add(identity)
                 text = f"pattern {name}: {_limit_reached(entry, len(self.routes_of(entry)))}"
-                self._owner.log(Level.WARNING, EventCode.LINK_PATTERN_FULL, text, topic=name)
+                self._link.log(Level.WARNING, EventCode.LINK_PATTERN_FULL, text, topic=name)
             elif not entry.beyond and identity in self._told_full:
                 self._told_full.discard(identity)
                 text = f"pattern {name}: all that match are bridged"
-                self._owner.log(Level.INFO, EventCode.LINK_PATTERN_ROOM, text, topic=name)
+                self._link.log(Level.INFO, EventCode.LINK_PATTERN_ROOM, text, topic=name)
 
     def snapshots(self) -> Iterator[PatternSnapshot]:
         """Yield the patterns as user interfaces show them."""
@@ -564,7 +550,7 @@ class LinkPatterns:
             here = self.is_local(entry)
             yield PatternSnapshot(
                 key=self.key_of(entry.topic),
-                link=self._owner.name,
+                link=self._link.name,
                 spec=entry.topic,
                 state=state,
                 reason=reason,
@@ -576,7 +562,7 @@ class LinkPatterns:
             )
 
     def _state(self, entry: PatternEntry, count: str) -> tuple[State, str]:
-        owner, here = self._owner, self.is_local(entry)
+        link, here = self._link, self.is_local(entry)
         some = f"{count}; " if count else ""
         if entry.beyond:
             return State.DOWN, f"{some}{_limit_reached(entry, len(self.routes_of(entry)))}"
@@ -587,12 +573,10 @@ class LinkPatterns:
             return State.PAUSED, count
         if not here and self.unseen:
             return State.DOWN, f"{some}the other side does not tell {self.unseen} more that match: narrow the patterns"
-        if not here and owner.linked and FEATURE not in owner.features:
+        if not here and link.linked and FEATURE not in link.features:
             return State.DOWN, f"{some}the other side cannot tell what matches: update rsb-console there"
         if not here and self.there is None:
-            why = (
-                "it has just been asked" if owner.linked else f"not linked: {owner.down_reason or 'not connected yet'}"
-            )
+            why = "it has just been asked" if link.linked else f"not linked: {link.down_reason or 'not connected yet'}"
             return State.WAITING, f"{some}what the other side has is not known: {why}"
         if not count:
             side = f"in domain {self._context.domain_id}" if here else "on the other side"

@@ -213,7 +213,7 @@ class Server:
                 code=EventCode.LINK_REPLACED,
             )
         link.seen(stream, connection.fingerprint)
-        control = ControlChannel(stream, connection, link)
+        control = ControlChannel(stream, connection, link.handlers, link.lost)
         link.up(control, event.peer, event.keys)
         return control
 

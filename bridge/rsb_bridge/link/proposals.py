@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING
 
 import msgspec
 from msgspec import UNSET
 
 from rsb_bridge import __version__
-from rsb_bridge.config.rights import Rights, Use, uses
+from rsb_bridge.config.rights import Use, uses
 from rsb_bridge.config.topic_rules import overlap
 from rsb_bridge.config.validation import validate_topic
 from rsb_bridge.link.errors import Denied, LinkError
@@ -24,6 +24,8 @@ from rsb_bridge.wire.messages import Amend, Propose
 if TYPE_CHECKING:
     from collections.abc import Collection, Container, Iterable
 
+    from rsb_bridge.config.rights import Rights
+    from rsb_bridge.link.base_link import BaseLink
     from rsb_bridge.model.profiles import LinkProfile
     from rsb_bridge.model.session import Kind, Session
     from rsb_bridge.route.route import Route
@@ -163,40 +165,21 @@ def amended_topic(topic: Topic, limits: Propose) -> Topic:
     )
 
 
-class Authority(Protocol):
-    """What decides about a peer's proposals: its link."""
-
-    is_client: bool
-
-    @property
-    def rights(self) -> Rights:
-        """What the peer may do here."""
-        ...
-
-    def bench_refusal(self, topic: str) -> str:
-        """Why the peer may not measure the link now with a topic; empty: it may, or the topic is an ordinary one."""
-        ...
-
-    def with_local_name(self, proposal: Propose) -> Propose:
-        """The peer's proposal with this side's name for the topic."""
-        ...
-
-
-def authorized(proposal: Propose, authority: Authority, session: Session) -> Propose:
-    """The peer's proposal as this side takes it up, with this side's name for the topic.
+def authorized(proposal: Propose, link: BaseLink, session: Session) -> Propose:
+    """Return the peer's proposal with this side's name for the topic.
 
     Raises:
-        LinkError: the peer may not have it.
+        LinkError: the peer may not have the topic.
     """
     if is_pattern(proposal.topic + proposal.remote_topic):
         raise LinkError(f"{proposal.topic} is a pattern: the other side has to propose each that matches by its name")
     for problem in validate_topic(topic_of(proposal)):  # first: a prefix can make a valid name of an invalid one
         raise LinkError(str(problem))
-    ours = authority.with_local_name(proposal)
-    use = use_of(ours, is_client=authority.is_client)
-    if refusal := authority.rights.refusal(use):
+    ours = link.with_local_name(proposal)
+    use = use_of(ours, is_client=link.is_client)
+    if refusal := link.rights.refusal(use):
         raise LinkError(str(refusal))
-    if refused := authority.bench_refusal(use.topic):
+    if refused := link.refusal(use.topic):
         raise LinkError(refused)
     for problem in validate_topic(topic_of(ours), session):
         raise LinkError(str(problem))
@@ -249,6 +232,6 @@ def denied(routes: Collection[Route], rights: Rights, *, is_client: bool) -> dic
     return {route: str(refusal) for route, refusal in found.items() if refusal}
 
 
-def allow_rate(route: Route, authority: Authority) -> bool:
-    """Have a route keep to the rate that the peer may have; whether that is another one than before."""
-    return route.limit.allow_here(authority.rights.max_rate(use_of(route.proposal, is_client=authority.is_client)))
+def allow_rate(route: Route, link: BaseLink) -> bool:
+    """Limit a route to the rate that the peer may have. Return whether the limit has changed."""
+    return route.limit.allow_here(link.rights.max_rate(use_of(route.proposal, is_client=link.is_client)))

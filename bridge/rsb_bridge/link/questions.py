@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from functools import partial
 from itertools import groupby, islice
 from operator import attrgetter, itemgetter
-from typing import TYPE_CHECKING, Generic, Protocol, TypeVar
+from typing import TYPE_CHECKING, Generic, TypeVar
 
 import msgspec
 import zstandard
@@ -16,24 +16,24 @@ import zstandard
 from rsb_bridge.cdr.description import DESCRIPTION_LIMIT
 from rsb_bridge.link.control_channel import in_slices
 from rsb_bridge.link.errors import Denied, LinkError
+from rsb_bridge.link.extension import Extension
 from rsb_bridge.link.proposals import KINDS
 from rsb_bridge.model.limits import TEXT_LENGTH
 from rsb_bridge.model.snapshot import TopicInfo
 from rsb_bridge.ros.ros_graph import CALLED, graph_of
-from rsb_bridge.wire.codec import topic_entries
+from rsb_bridge.wire.codec import TopicListParts, topic_entries
 from rsb_bridge.wire.framing import CONTROL_LIMIT
 from rsb_bridge.wire.messages import AskType, ListTopics, TopicList, TypeText
 from rsb_bridge.wire.records import TopicEntry
 
 if TYPE_CHECKING:
-    from collections.abc import Awaitable, Callable, Coroutine, Iterable, Iterator, Sequence
+    from collections.abc import Awaitable, Callable, Coroutine, Iterator, Sequence
 
     from rsb_bridge.link.control_channel import Slices
     from rsb_bridge.model.session import Kind
     from rsb_bridge.ros.ros_interface import RosInterface
     from rsb_bridge.ros.type_descriptions import TypeDescriptions
     from rsb_bridge.route.route import Route
-    from rsb_bridge.wire.codec import TopicListParts
     from rsb_bridge.wire.messages import ControlMessage
 
 T = TypeVar("T")
@@ -153,7 +153,7 @@ class Questions(Generic[T]):
         self._to_answer.clear()
 
 
-class TypeQuestions:
+class TypeQuestions(Extension):
     """Asks the peer what a route's type is, and answers when it asks.
 
     Args:
@@ -172,19 +172,17 @@ class TypeQuestions:
     ) -> None:
         self._known = known
         self._open_route = open_route
+        self.messages = {AskType: self._asked, TypeText: self._answered}
         self._questions: Questions[bytes] = Questions(send, spawn, _ANSWERED_WITHIN)
 
     def disconnected(self) -> None:
-        """The connection is over: nobody will answer."""
         self._questions.disconnected()
 
-    def handle(self, message: AskType | TypeText) -> None:
-        """Answer the peer's question, or take its answer."""
-        match message:
-            case AskType():
-                self._questions.answer(message.route, partial(self._find, message.route))
-            case TypeText():
-                self._questions.answered(message.route, message.text)
+    def _asked(self, question: AskType) -> None:
+        self._questions.answer(question.route, partial(self._find, question.route))
+
+    def _answered(self, answer: TypeText) -> None:
+        self._questions.answered(answer.route, answer.text)
 
     async def _find(self, route_id: int) -> TypeText:
         text = None
@@ -242,7 +240,7 @@ _MOST_ENTRIES = 4000
 _MOST_BYTES = CONTROL_LIMIT - 4096
 
 
-class TopicLists:
+class TopicLists(Extension):
     """Asks the peer for what its graph has, and answers when it asks for ours.
 
     Args:
@@ -262,18 +260,14 @@ class TopicLists:
         self._ros = ros
         self._shows = shows
         self._request = 0  # the number of the last question
+        self.messages = {ListTopics: self._asked, TopicList: self._answered, TopicListParts: self._answered}
         self._questions: Questions[tuple[TopicEntry, ...]] = Questions(send, spawn, _LISTED_WITHIN)
 
     def disconnected(self) -> None:
-        """The connection is over: nobody will answer."""
         self._questions.disconnected()
 
-    def handle(self, message: ListTopics | TopicList | TopicListParts) -> Slices | None:
-        """Answer the peer's question, or take its answer. Returns the work that is left, or None."""
-        if not isinstance(message, ListTopics):
-            return self._answered(message)
-        self._questions.answer(message.request, partial(self._find, message))
-        return None
+    def _asked(self, question: ListTopics) -> None:
+        self._questions.answer(question.request, partial(self._find, question))
 
     def _answered(self, message: TopicList | TopicListParts) -> Slices:
         if not self._questions.awaited(message.request):
@@ -320,40 +314,6 @@ class TopicLists:
             for e in entries
             if (kind := KINDS.get(e.kind)) is not None
         ]
-
-
-class Asked(Protocol):
-    """A link, as far as its peer's graph is asked for."""
-
-    name: str
-    topic_lists: TopicLists
-
-    @property
-    def linked(self) -> bool:
-        """Whether the peer is connected and authenticated."""
-        ...
-
-    @property
-    def down_reason(self) -> str:
-        """Why it isn't linked."""
-        ...
-
-
-async def topics_of_peer(links: Iterable[Asked], name: str) -> list[TopicInfo]:
-    """What can be bridged on the other side of the link of that name.
-
-    Raises:
-        LinkError: there is no such link, or no peer now, or it does not answer.
-    """
-    link = next((each for each in links if each.name == name), None)
-    if link is None:
-        raise LinkError(f"there is no link {name!r}")
-    if not link.linked:
-        raise LinkError(f"{link.name} is not linked: {link.down_reason}")
-    try:
-        return await link.topic_lists.ask()
-    except LinkError as error:
-        raise LinkError(f"{link.name}: {error}") from None
 
 
 def _shared_out(entries: list[TopicInfo], room: int) -> Iterator[TopicInfo]:

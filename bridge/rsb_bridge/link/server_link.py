@@ -250,6 +250,7 @@ class ServerLink(Link):
         self._seen_key = ""
         self._told = Duplicate()  # on the present connection
         self.shut_down_by: ShutDown | None = None
+        self.handlers |= {Duplicate: self._on_duplicate, Shutdown: self._on_shutdown}
 
     @property
     def address(self) -> str:
@@ -353,14 +354,14 @@ class ServerLink(Link):
     def use_name(self) -> bool:
         return self.entry.use_name
 
-    def on_shutdown(self, message: Shutdown) -> None:
+    def _on_shutdown(self, message: Shutdown) -> None:
         if self.control is not None:
             self.control.abort(f"the client left: {message.reason}", EventCode.LINK_CLOSED_BY_PEER)
 
     def client_names(self, topic: Topic) -> Topic:
         return self.entry.client_names(topic)
 
-    def on_duplicate(self, message: Duplicate) -> None:
+    def _on_duplicate(self, _: Duplicate) -> None:
         self.protocol_error("a client says that there is a second client")
 
     @property
@@ -399,7 +400,7 @@ class ServerLink(Link):
         if self.control is not None:
             self.control.shut_down("the server has other names for the topics now (use_name)", retry_after=0.0)
         own = self.listed_topics()
-        self.table.destroy()
+        self.destroy_routes()
         self.table.yielded.clear()
         for topic in own:
             if not topic.is_pattern:
@@ -416,7 +417,7 @@ class ServerLink(Link):
 
     def waiting_route(self, preamble: Attach | DataPreamble) -> tuple[Route, StreamTransport]:
         """The route that a data preamble names, and its transport; raises Refusal if it does not wait for a stream."""
-        route = self.table.ids.open_route(preamble.route)
+        route = self.ids.open_route(preamble.route)
         transport = _stream_awaited(route) if route is not None else None
         if self.keys is None or route is None or transport is None:
             raise Refusal(RefusalCode.NO_SUCH_ROUTE, UNKNOWN_ROUTE)
