@@ -59,7 +59,7 @@ class Side(FakePeer):
 
     def demand_sources(self) -> Iterator[Source]:
         routes = [route.spec for route in self.routes.values() if route.proposed_here]
-        topics = (*routes, *self.table.yielded.values())
+        topics = (*routes, *self.table.superseded.values())
         return sources_of_entries(topics, "robot1", on_server=not self.is_client, use_name=False)
 
     def apply_demands(self) -> None:

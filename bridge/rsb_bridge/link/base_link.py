@@ -55,7 +55,7 @@ go."""
 
 
 class RouteIds:
-    """The ids of a link's routes on the present connection, and of those that were closed lately.
+    """The ids of a link's open routes on the present connection, and of routes that were closed lately.
 
     Each opening of a route has its own id, and none is used twice. A client gives odd ids, a server even ones.
     """
@@ -458,7 +458,7 @@ class BaseLink(ABC):
             self.fail()
 
     def fail(self) -> None:
-        """End the connection after an internal error, so that both sides begin anew."""
+        """End the connection after an internal error, so that both sides start from the beginning."""
         if self.control is not None:
             self.control.abort("internal error")
 
@@ -585,7 +585,7 @@ class BaseLink(ABC):
 
     @property
     def report_delay(self) -> float:
-        """About how many seconds the peer's reports are under way."""
+        """About how many seconds the peer's reports take to arrive."""
         return self.keepalive.ping_delay
 
     @property

@@ -13,7 +13,7 @@ from rsb_bridge.config.rights import rights_of_server
 from rsb_bridge.link.connecting import ConnectAttempt, Failure, LetIn
 from rsb_bridge.link.control_channel import ControlChannel
 from rsb_bridge.link.link import Link
-from rsb_bridge.link.refused_clients import ASKED_EVERY, NAME_TRIED_EVERY, DuplicateClients, told_by_server, with_remedy
+from rsb_bridge.link.refused_clients import ASKED_EVERY, NAME_TRIED_EVERY, DuplicateClients, server_refusal, with_remedy
 from rsb_bridge.link.server_search import ServerSearch, failure_of_search, unproven_servers
 from rsb_bridge.model.budgets import Backoff
 from rsb_bridge.model.codes import EventCode
@@ -141,9 +141,9 @@ class ClientLink(Link):
             return
         self._longest = _LONGEST_DELAY_UNREACHED
         self._backoff.reset()
-        if self._stays_down and self.control is not None:  # decided during the handshake
+        if self._stays_down and self.control is not None:  # an operator did so during the handshake
             self.control.shut_down("shut down", retry_after=None)
-        elif key is not self.key and self.control is not None:  # likewise
+        elif key is not self.key and self.control is not None:  # changed during the handshake
             self.control.shut_down(_KEY_CHANGED, retry_after=0.0)
         await self._ended.wait()
 
@@ -204,7 +204,7 @@ class ClientLink(Link):
         rank: int | None = None,
         sample_secret: bytes | None = None,
     ) -> Failure | None:
-        """Connect, and wait for the server's answer; None: the server accepted the stream."""
+        """Connect, and wait for the answer. Return the failure, or None if the server accepted the stream."""
         remedied = partial(with_remedy, name=self.name, has_key=self.key is not None)
         address = transport.format_address((host, port))
         attempt = ConnectAttempt(connection, address, remedied, let_in, sample_secret)
@@ -289,7 +289,7 @@ class ClientLink(Link):
         if self.control is None:
             return
         if message.retry_after is None:
-            self.control.abort(told_by_server(message.reason), EventCode.LINK_SHUT_DOWN)
+            self.control.abort(server_refusal(message.reason), EventCode.LINK_SHUT_DOWN)
         else:
             self._retry_after = min(message.retry_after, _LONGEST_RETRY_AFTER)
             self.control.abort(f"the server closed the link: {message.reason}", EventCode.LINK_CLOSED_BY_PEER)

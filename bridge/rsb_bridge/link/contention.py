@@ -228,18 +228,18 @@ def _overflows(asking: _Asking) -> bool:
 
 
 class _Counts(NamedTuple):
-    """Of a route's ledger."""
+    """Figures from a route's ledger."""
 
     delivered: int
     queue_full: int
 
 
 class Contention:
-    """One link's.
+    """Decides for one link whether it is full, and divides it.
 
     Attributes:
-        sending: what the link carries from here.
-        receiving: what it carries to here.
+        sending: throughput of the link from here.
+        receiving: throughput of the link to here.
     """
 
     def __init__(

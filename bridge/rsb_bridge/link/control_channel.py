@@ -109,7 +109,7 @@ class ControlChannel(StreamHandler):
         self._goodbye = ""
         self._code = EventCode.LINK_LOST
         self._events: deque[Event] = deque()
-        self._unsent = bytearray()  # sealed; the stream's own buffer would have to be counted anew for each message
+        self._unsent = bytearray()  # sealed; to measure the stream's own buffer for each message would cost more
         self._loop = asyncio.get_running_loop()
         self._allowance = TokenBucket(_MESSAGES, _MESSAGES_A_SECOND, self._loop.time())
         self._volume = TokenBucket(_BYTES, _BYTES_A_SECOND, self._loop.time())
@@ -256,7 +256,7 @@ class ControlChannel(StreamHandler):
     def _take_data(self, route_id: int, frame: memoryview) -> None:
         channel = self.multiplexer.channels.get(route_id)
         if channel is None:
-            return  # it was closed here while the frame was under way
+            return  # it was closed here before the frame arrived
         try:
             channel.received(frame)
         except (ProtocolError, SealError) as error:

@@ -1,7 +1,7 @@
-"""Measuring a link with topics that no node has: for this side's operator, and for the peer with this side's leave.
+"""Measures a link with topics that no node has: for this side's operator, or for the peer if this side permits it.
 
-The side that measures proposes the topics, and orders each run. The other side sends or counts, and says what it has
-used. It needs no DDS for that. `rsb_bridge.ros.synthetic` makes and takes the messages.
+The measuring side proposes the topics and orders each run. The other side sends or counts, and reports its usage,
+without DDS: `rsb_bridge.ros.synthetic` makes and takes the messages.
 """
 
 from __future__ import annotations
@@ -60,10 +60,10 @@ _ENDED = "the benchmark is over"
 
 
 class BenchBudget:
-    """What a peer that measures the link may still cause here, within an hour from the first use on.
+    """Limits a peer that measures the link, within an hour from its first use.
 
     Args:
-        now: the clock that all timers use, in s.
+        now: the clock of all timers, in s.
     """
 
     def __init__(self, now: Callable[[], float]) -> None:
@@ -74,13 +74,13 @@ class BenchBudget:
         self._full = False
 
     def refusal(self, leave: Leave | None, seconds: float = 0.0, size: float = 0.0, rate: float = 0.0) -> str:
-        """Why nothing, or nothing of this kind, may be caused now; empty: it may.
+        """Return why the peer may not cause this now, or an empty string.
 
         Args:
             leave: the limits that the session sets now, or None if nothing is allowed.
-            seconds: s for which is to be sent.
-            size: bytes that are to be sent.
-            rate: Hz at which.
+            seconds: duration of the sending, in s.
+            size: bytes to send.
+            rate: messages per second.
         """
         if leave is None:
             return "there is no leave to measure the link"
@@ -95,7 +95,7 @@ class BenchBudget:
         return ""
 
     def spend(self, seconds: float, size: float) -> None:
-        """So many s were used, and bytes."""
+        """Count used seconds and bytes."""
         self._renew()
         self._begin()
         self._seconds += seconds
@@ -120,7 +120,7 @@ class BenchBudget:
         return True
 
     def _used(self) -> float:
-        """Bytes that were sent for the peer, and of what it sent what is more: as it came, or unpacked."""
+        """Return the bytes sent for the peer plus the larger of the bytes it sent, sealed or unpacked."""
         return self._bytes + max(self._wire, self._payload)
 
     def _begin(self) -> None:
@@ -153,9 +153,9 @@ class LinkBench(Extension):
         self._stopped_until = float("-inf")
         self._busy = False
         self._seen: dict[Drain, int] = {}
-        """What the peer sends to: messages that had come at the last tick."""
+        """Messages of the peer by drain, as of the last tick."""
         self._own: set[Drain] = set()
-        """What this side has the peer send to, which costs the peer nothing."""
+        """Drains of this side's own runs, which the peer's limits do not cover."""
         self._ends_soon = False
         if self._synthetic is not None:
             self._synthetic.admits[link.name] = self._admits
@@ -172,7 +172,7 @@ class LinkBench(Extension):
         return self._budget.refusal(self._link.rights.bench)
 
     def removed(self, route: Route) -> None:
-        """An operator of this side removes a topic: one that the peer measures with does not come back at once."""
+        """Keep the peer from measuring for a while: an operator of this side has removed one of its topics."""
         if is_bench_topic(route.local_topic) and not route.proposed_here:
             self._stopped_until = self._now() + _STOPPED_FOR
 
@@ -208,11 +208,11 @@ class LinkBench(Extension):
         )
 
     def _send_for_peer(self, ask: BenchAsk, route: Route, source: Source | None) -> str:
-        """Begin to send for the peer; why that is not done, or empty."""
+        """Begin to send for the peer; return why this is not possible, or an empty string."""
         if source is None or route.proposed_here:  # whose topic it is orders the runs
             return "what is sent on that topic comes from the side that asks"
         if any(self._sends_for_peer(each) for each in self._routes()):
-            return "what was asked for before is still being sent"
+            return "the previous order is still being sent"
         size, seconds = max(ask.size, LEAST_SIZE), ask.count / max(ask.rate, 1e-3)
         if seconds > MOST_SECONDS:
             return f"a run takes at most {MOST_SECONDS:g} s"
@@ -229,13 +229,13 @@ class LinkBench(Extension):
         return lambda size: self._budget.take(self._link.rights.bench, wire=size) or self._end_soon()
 
     def _admits(self, drain: Drain, size: int) -> bool:
-        """Whether a message may come to a topic that measures, unpacked."""
+        """Whether an unpacked message may come to a measuring topic."""
         if drain in self._own:
             return True
         return self._budget.take(self._link.rights.bench, payload=size) or self._end_soon()
 
     def _end_soon(self) -> bool:
-        """End the peer's topics at the next turn of the loop: what they have used up has just come through one."""
+        """End the peer's topics at the next turn of the loop: now a message of a topic is being handled."""
         if not self._ends_soon:
             self._ends_soon = True
             self._context.loop.call_soon(self._end_refused)
@@ -262,7 +262,7 @@ class LinkBench(Extension):
                 self._table.remove(route, _ENDED)
 
     def _come(self) -> int:
-        """Messages that the peer has sent since the last tick, also on topics that are gone."""
+        """Return how many messages the peer has sent since the last tick, on closed topics, too."""
         if self._synthetic is None:
             return 0
         messages = 0
@@ -283,7 +283,7 @@ class LinkBench(Extension):
     # --- for this side's operator
 
     async def run(self, order: Order) -> Outcome:
-        """Send some messages over the link, wait until no more comes, and say what came.
+        """Send messages over the link, wait until all have arrived or are lost, and return the outcome.
 
         Raises:
             LinkError: it cannot be done, or the peer does not allow it.
@@ -308,12 +308,12 @@ class LinkBench(Extension):
         self._questions.disconnected()
 
     def usage(self) -> Usage:
-        """What this process has used so far, with the bytes of this link."""
+        """Return the usage of this process so far, with the bytes of this link."""
         cpu, memory = resources()
         return Usage(cpu, memory, *self.wire_bytes())
 
     def wire_bytes(self) -> tuple[int, int]:
-        """Bytes sent and received by what carries the present connection."""
+        """Return the bytes sent and received by the carriers of the present connection."""
         carriers = self._link.carriers()
         return sum(each.sent_bytes for each in carriers), sum(each.received_bytes for each in carriers)
 
@@ -379,7 +379,7 @@ class LinkBench(Extension):
         )
 
     async def _opened(self, order: Order) -> Route:
-        """The topic's route, once messages can cross on it."""
+        """Return the topic's route, once messages can cross on it."""
         link_transport = self._context.transports.of_link(self._context.session.server_ip)
         transport = order.transport or link_transport.name
         name = bench_topic(transport, order.direction)
@@ -445,7 +445,7 @@ class LinkBench(Extension):
                 come, grown = drain.count, self._now()
 
     def _deadline(self, order: Order) -> float:
-        """When a run, or what is still on its way, is waited for no longer."""
+        """Return when to give up waiting for a run and its last messages."""
         return self._now() + 2 * order.count / order.rate + _QUIET
 
     # --- both
@@ -461,7 +461,7 @@ class LinkBench(Extension):
 
 
 def _check_opening(route: Route, opening: int) -> None:
-    """See that a topic is open as it was when the run began.
+    """Check that a topic is in the opening in which the run began.
 
     Raises:
         LinkError: it is not.
@@ -469,11 +469,11 @@ def _check_opening(route: Route, opening: int) -> None:
     if route.refusal or not route.id:
         raise LinkError(_why_not(route))
     if route.id != opening:
-        raise LinkError("the topic was opened anew meanwhile, so that not all that came was counted")
+        raise LinkError("the topic was reopened during the run, so that the count is incomplete")
 
 
 def _why_not(route: Route) -> str:
-    """Why nothing crosses on a route that measures."""
+    """Return why no message crosses on a measuring route."""
     if route.refusal:
         return route.refusal
     return f"{STOPPED}: it has removed or paused the topic" if not route.flowing else route.trouble()

@@ -1,4 +1,4 @@
-"""The patterns that this side of a link proposes: each name that matches gets a route, for as long as it is there."""
+"""Patterns that this side of a link proposes: each matching name has a route for as long as the name exists."""
 
 from __future__ import annotations
 
@@ -56,20 +56,20 @@ def _from_client_graph(topic: Topic) -> bool:
 
 
 class PatternEntry:
-    """An entry of a session whose name is a pattern, ready to be held against names.
+    """An entry of a session whose name is a pattern, ready for matching.
 
     Args:
-        topic: whose name is a pattern; validated.
-        client: the client's name: the prefix.
-        prefixed: whether the server's names of what has no `Topic.remote_topic` have the prefix.
-        always_prefixed: whether the others have it, too, unless they begin with it already.
+        topic: the validated entry.
+        client: name of the client, which is the prefix.
+        prefixed: whether the server's names have the prefix if the entry has no `Topic.remote_topic`.
+        always_prefixed: whether other names get the prefix, too, unless they begin with it.
 
     Attributes:
-        topic: likewise.
-        source: the pattern of names in the graph that is followed.
-        from_client: whether that is the client's.
-        left_out: what the last names that matched could not be bridged for, by name.
-        beyond: how many more names match than there is room for.
+        topic: the entry.
+        source: the pattern of names in the followed graph.
+        from_client: whether the client's graph is followed.
+        left_out: reasons why matching names could not be bridged, by name.
+        beyond: number of matching names for which there is no room.
     """
 
     def __init__(self, topic: Topic, *, client: str, prefixed: bool, always_prefixed: bool = False) -> None:
@@ -87,17 +87,17 @@ class PatternEntry:
         self.source = self._here if self.from_client else Pattern(self.server_name(topic.remote_topic or topic.topic))
 
     def server_name(self, name: str) -> str:
-        """The server's name of what the client, or its session's `Topic.remote_topic`, calls so."""
+        """Return the server's name for a name on the client or in `Topic.remote_topic`."""
         if self._prefixed or (self._always and client_topic(name, self._client) is None):
             return server_topic(name, self._client)
         return name
 
     def match(self, name: str, type_name: str | None) -> Topic | None:
-        """What a name of the graph that is followed is to be bridged as; None: it does not match.
+        """Return the topic to bridge for a name of the followed graph, or None if it does not match.
 
         Args:
-            name: in that graph.
-            type_name: its type there; empty: its endpoints disagree; None: whatever it is.
+            name: the name in that graph.
+            type_name: its type there, an empty string if its endpoints disagree, or None for any type.
         """
         parts = self.source.match(name)
         if parts is None or (self._type and type_name is not None and type_name != self._type):
@@ -109,19 +109,19 @@ class PatternEntry:
         return msgspec.structs.replace(self.topic, topic=on_client, remote_topic=remote, excepts=())
 
     def matches_client(self, name: str) -> bool:
-        """Whether a name on the client is one of those that it stands for."""
+        """Whether the pattern matches a name on the client."""
         return self._here.match(name) is not None and not self.excepts(name)
 
     def excepts(self, name: str) -> bool:
-        """Whether it leaves out a name on the client."""
+        """Whether the entry leaves out a name on the client."""
         return any(each.match(name) is not None for each in self._excepts)
 
 
 class PeerSubscription:
-    """What the peer follows of this side's graph: it is told which names match its patterns.
+    """Sends the peer the names of this side's graph that match its patterns.
 
     Args:
-        context: is told when the peer asks for something else.
+        context: looks for names again when the peer asks for others.
         shows: whether the peer may know of a name of a kind.
         send: sends a control message.
     """
@@ -140,18 +140,18 @@ class PeerSubscription:
         self._answered = False
 
     def disconnected(self) -> None:
-        """The next connection begins with nothing."""
+        """Forget what the peer follows."""
         self._request, self._asked_for, self._patterns, self._told = None, (), [], {}
 
     def asked(self, message: Follow) -> None:
-        """The peer asks."""
+        """Take the peer's patterns, which replace its earlier ones."""
         self.disconnected()
         self._request, self._answered, self._more = message.request, False, 0
         self._asked_for = message.patterns
         self._context.names_changed()
 
     def patterns_here(self) -> Collection[tuple[Kind, Pattern]]:
-        """What the peer asks for. It is compiled when the graph is looked at, not as often as the peer asks."""
+        """Return the peer's patterns. They are compiled when the graph is searched, not each time the peer asks."""
         if self._asked_for:
             self._patterns = [
                 (kind, Pattern(each.pattern))
@@ -162,7 +162,7 @@ class PeerSubscription:
         return self._patterns
 
     def look(self, names: Names) -> None:
-        """Tell the peer what has changed."""
+        """Send the peer the changes of the matching names."""
         if self._request is None or self._asked_for or not (self._patterns or self._told or not self._answered):
             return
         matching = [(named, type_name) for named, type_name in sorted(names.items()) if self._tells(named, type_name)]
@@ -213,10 +213,10 @@ class LinkPatterns(Extension):
         self.followed = PeerSubscription(context, link.shows, link.send)
         self.messages = {Follow: self.followed.asked, Followed: self._take}
         self.entries: list[PatternEntry] = []
-        self._here: Names | None = None  # this side's graph; None: not known yet
+        self._here: Names | None = None  # matching names of this side's graph, or None as long as they are unknown
         self.there: Names | None = None
         self._request = 0
-        self._due = False  # the peer has told something new
+        self._due = False  # the peer has sent other names
         self.unseen = 0
         self.gone: dict[Identity, float] = {}
         self._known: dict[tuple[bool, Kind, str, str], tuple[int, Topic] | None] = {}  # which pattern matches
@@ -226,14 +226,14 @@ class LinkPatterns(Extension):
     # --- what operators want
 
     def all(self) -> tuple[Topic, ...]:
-        """The patterns, in order. May be called from any thread."""
+        """Return the patterns, in order. May be called from any thread."""
         return tuple(entry.topic for entry in tuple(self.entries))
 
     def add(self, topic: Topic) -> str:
-        """Follow one more pattern; its key.
+        """Follow one more pattern, and return its key.
 
         Raises:
-            LinkError: it has a mistake, there is such a pattern, or there are too many.
+            LinkError: it has a mistake or exists already, or there are too many patterns.
         """
         self._proposed.check(topic)
         if any(entry.topic.identity == topic.identity for entry in self.entries):
@@ -244,10 +244,10 @@ class LinkPatterns(Extension):
         return self.key_of(topic)
 
     def replace(self, identity: Identity, topic: Topic) -> str:
-        """Put another pattern in a pattern's place; its key.
+        """Replace a pattern, and return the new one's key.
 
         Raises:
-            LinkError: it has a mistake, or there is such a pattern at another place.
+            LinkError: the new one has a mistake, or equals another pattern.
         """
         self.check_replace(identity, topic)
         self._set(topic if each.identity == identity else each for each in self.all())
@@ -260,7 +260,7 @@ class LinkPatterns(Extension):
             raise LinkError(Denied.FOLLOWED_ALREADY(topic=topic.topic))
 
     def remove(self, identity: Identity) -> None:
-        """Follow a pattern no more: all routes that it has made are removed, unless another one matches."""
+        """Stop following a pattern, and remove its routes unless another pattern matches."""
         self._set(each for each in self.all() if each.identity != identity)
 
     def arrange(self, identities: Iterable[Identity]) -> None:
@@ -269,7 +269,7 @@ class LinkPatterns(Extension):
         self._set(known[identity] for identity in identities if identity in known)
 
     def leave_out(self, route: Route) -> None:
-        """An operator removes a route: no pattern brings it back."""
+        """Keep patterns from restoring a route that an operator removes."""
         name = route.spec.topic
         if not any(self._claims(entry, route) for entry in self.entries):
             return
@@ -284,7 +284,7 @@ class LinkPatterns(Extension):
         )
 
     def brings_back(self, route: Route) -> str:
-        """Why a pattern cannot leave out a route's topic; empty: all can."""
+        """Return why a pattern cannot leave out a route's topic, or an empty string if all can."""
         reached = (_exceptions_reached(entry) for entry in self.entries if self._claims(entry, route))
         return next(filter(None, reached), "")
 
@@ -293,15 +293,15 @@ class LinkPatterns(Extension):
         return same and route.proposed_here and entry.matches_client(route.spec.topic)
 
     def has_made(self, route: Route, topic: Topic) -> bool:
-        """Whether a route is one of a pattern's."""
+        """Whether a pattern has made a route."""
         return bool(route.pattern) and _identity_of(route) == topic.identity
 
     def key_of(self, topic: Topic) -> str:
-        """What identifies a pattern in commands and snapshots of this side; no route has such a key."""
+        """Return the key of a pattern in commands and snapshots of this side. No route has such a key."""
         return f"{self._link.name} {'→' if topic.direction == 'transmit' else '←'} pattern {topic.kind} {topic.topic}"
 
     def find(self, key: str) -> Topic | None:
-        """The pattern of that key."""
+        """Return the pattern with a key, or None."""
         return next((topic for topic in self.all() if self.key_of(topic) == key), None)
 
     def _set(self, topics: Iterable[Topic]) -> None:
@@ -327,11 +327,11 @@ class LinkPatterns(Extension):
         self.renew()
 
     def renew(self) -> None:
-        """The server may have other names for the client's topics, or the peer other rights."""
+        """Match all names again: the server's names, or the peer's rights, may have changed."""
         self._set(self.all())
 
     def disconnected(self) -> None:
-        """The connection is over: nothing is known of the peer's graph, and nothing of it is taken for gone."""
+        """Forget the peer's names, without counting them as gone."""
         self.followed.disconnected()
         self.there, self.unseen = None, 0
         self.reconcile()
@@ -359,11 +359,11 @@ class LinkPatterns(Extension):
         self.there, self.unseen, self._due = names, message.more, True
 
     def patterns_here(self) -> Collection[tuple[Kind, Pattern]]:
-        """What it asks of this side's graph."""
+        """Return the patterns of this side's graph."""
         return [(entry.topic.kind, entry.source) for entry in self.entries if self.is_local(entry)]
 
     def look(self, names: Names) -> None:
-        """See what this side's graph has now."""
+        """Take the present names of this side's graph."""
         if self.entries and names != self._here:
             self._here = names
             self.reconcile()
@@ -375,14 +375,14 @@ class LinkPatterns(Extension):
     # --- routes
 
     def routes_of(self, entry: PatternEntry) -> list[Route]:
-        """The routes that a pattern has made."""
+        """Return the routes that a pattern has made."""
         return [route for route in self._link.routes.values() if self.has_made(route, entry.topic)]
 
     def reconcile(self) -> None:
-        """Have routes for what matches, and for nothing else."""
+        """Add and remove routes so that each matching name has one."""
         if not self.entries and not any(route.pattern for route in self._link.routes.values()):
             return
-        with acting(""):  # whoever has made the graph change is no operator
+        with acting(""):  # a change of the graph is not an operator's action
             self._reconcile(self._wanted())
 
     def _reconcile(self, wanted: dict[Identity, tuple[PatternEntry, Topic]]) -> None:
@@ -405,7 +405,7 @@ class LinkPatterns(Extension):
         self._add(wanted)
 
     def _wanted(self) -> dict[Identity, tuple[PatternEntry, Topic]]:
-        """What matches now, each with the pattern that wins, in the order of patterns and names."""
+        """Return the matching topics, each with its winning pattern, in the order of patterns and names."""
         session, rights = self._context.session, as_if_listed(self._link.rights)
         own = {session.shutdown_topic, session.diagnostics_topic}
         found: list[tuple[int, str, Topic]] = []
@@ -426,7 +426,7 @@ class LinkPatterns(Extension):
     def _first_match(
         self, local: bool, kind: Kind, name: str, type_name: str, rights: Rights
     ) -> tuple[int, Topic] | None:
-        """The place of the first pattern that matches a name, and what that makes of it."""
+        """Return the index of the first pattern that matches a name, and the topic to bridge."""
         if len(self._known) >= _REMEMBERED:
             self._known.clear()
         for at, entry in enumerate(self.entries):
@@ -437,7 +437,7 @@ class LinkPatterns(Extension):
         return None
 
     def _entry_of(self, route: Route) -> PatternEntry | None:
-        """The pattern that would match a route's topic if that was there; None: none does any more."""
+        """Return the pattern that matches a route's topic, which may be gone, or None."""
         rights = as_if_listed(self._link.rights)
         for entry in self.entries:
             if self._claims(entry, route):
@@ -460,7 +460,7 @@ class LinkPatterns(Extension):
         return rights.refusal(Use(local, may, topic.protocol or self._transport, topic.kind)) is None
 
     def _keep(self, route: Route, entry: PatternEntry, topic: Topic) -> None:
-        """Have a route be as its pattern says now."""
+        """Change a route to the present values of its pattern."""
         if msgspec.structs.replace(topic, paused=route.spec.paused) != route.spec:
             try:
                 route = self._proposed.replace(route, topic)
@@ -469,14 +469,14 @@ class LinkPatterns(Extension):
         route.pattern = entry.topic.topic
 
     def _add(self, wanted: dict[Identity, tuple[PatternEntry, Topic]]) -> None:
-        """Make routes for what has none, as far as there is room."""
+        """Add routes for topics without one, within the limits."""
         matched = [route for route in self._link.routes.values() if route.pattern]
         total = len(matched)
         counts = dict.fromkeys((entry.topic.identity for entry in self.entries), 0)
         for route in matched:
             counts[_identity_of(route)] = counts.get(_identity_of(route), 0) + 1
         taken = {route.spec.identity for route in self._link.routes.values()}
-        taken |= {topic.identity for topic in self._table.yielded.values()}
+        taken |= {topic.identity for topic in self._table.superseded.values()}
         for identity, (entry, topic) in wanted.items():
             if identity in taken:
                 continue
@@ -500,7 +500,7 @@ class LinkPatterns(Extension):
         self._tell_full()
 
     def _longest_gone(self, pattern: Identity | None) -> Route | None:
-        """The route whose topic has been gone for longest, of one pattern or of any."""
+        """Return the route whose topic has been gone for longest, of one pattern or of any."""
         routes = {route.spec.identity: route for route in self._link.routes.values() if route.pattern}
         for identity in sorted(self.gone, key=lambda each: self.gone[each]):
             if identity in routes and pattern in (None, _identity_of(routes[identity])):
@@ -512,7 +512,7 @@ class LinkPatterns(Extension):
         self._table.remove(route, reason, told=False)
 
     def tick(self) -> None:
-        """Once a second: see what the peer has told, however often it has; remove what has been gone for long."""
+        """Take the peer's latest names, and remove routes whose topic has long been gone."""
         if self._due:
             self._due = False
             self.reconcile()
@@ -541,7 +541,7 @@ class LinkPatterns(Extension):
                 self._link.log(Level.INFO, EventCode.LINK_PATTERN_ROOM, text, topic=name)
 
     def snapshots(self) -> Iterator[PatternSnapshot]:
-        """Yield the patterns as user interfaces show them."""
+        """Yield a snapshot of each pattern."""
         for entry in self.entries:
             routes = self.routes_of(entry)
             gone = sum(1 for each in routes if each.spec.identity in self.gone)
@@ -580,18 +580,18 @@ class LinkPatterns(Extension):
             return State.WAITING, f"{some}what the other side has is not known: {why}"
         if not count:
             side = f"in domain {self._context.domain_id}" if here else "on the other side"
-            but = ", but for what it leaves out" if entry.topic.excepts else ""
+            but = " except what it leaves out" if entry.topic.excepts else ""
             return State.WAITING, f"nothing {side} matches {entry.source.text}{but}"
         return State.OK, count
 
 
 def _identity_of(route: Route) -> Identity:
-    """Of the pattern that has made a route."""
+    """Return the identity of the pattern that has made a route."""
     return route.spec.kind, route.pattern, route.spec.direction
 
 
 def _exceptions_reached(entry: PatternEntry) -> str:
-    """Why a pattern can leave out no more names, and what to do; empty: it can."""
+    """Return why a pattern can have no more exceptions, with the remedy, or an empty string."""
     if len(entry.topic.excepts) < EXCEPTIONS_PER_PATTERN:
         return ""
     limit = f"pattern {entry.topic.topic} has {EXCEPTIONS_PER_PATTERN} exceptions already, which is the limit"
@@ -599,7 +599,7 @@ def _exceptions_reached(entry: PatternEntry) -> str:
 
 
 def _limit_reached(entry: PatternEntry, routes: int) -> str:
-    """What is left out for a limit, and what to do."""
+    """Return how many names exceed which limit, with the remedy."""
     alone = routes >= ROUTES_PER_PATTERN
     limit = f"{ROUTES_PER_PATTERN} for a pattern" if alone else f"{ROUTES_BY_PATTERNS} for all patterns of a link"
     remedy = "make it narrower, leave some out (except), or list them by name"

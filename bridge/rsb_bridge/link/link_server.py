@@ -116,7 +116,7 @@ class Server:
         self.context.log(Level.WARNING, EventCode.ENGINE_OTHER_SERVERS, message)
 
     def stop(self) -> None:
-        """Stop accepting connections, and reject those that are pending."""
+        """Stop accepting connections, and reject the pending ones."""
         self._ports.close()
         self._pending.close()
 
@@ -178,11 +178,11 @@ class Server:
         )
 
     def connection(self) -> ServerConnection:
-        """The state machine for a stream that comes in."""
+        """Return the state machine for an inbound stream."""
         return ServerConnection(self.credential, self._welcome, self._aes, multiplexed=self._transport.multiplexed)
 
     def credential(self, name: str) -> Credential:
-        """What a client of that name has to prove; raises Refusal where there is none."""
+        """Return what a client by that name has to prove; raise Refusal if the name is unknown."""
         entry = self.entries.get(name)
         if entry is None:
             raise Refusal(RefusalCode.UNKNOWN_NAME, f"unknown client name {name!r}")

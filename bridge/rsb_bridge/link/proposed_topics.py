@@ -28,21 +28,21 @@ class ProposedTopics:
         self._table = table
 
     def all(self) -> tuple[Topic, ...]:
-        """What this side proposes by its name, in a session's order. May be called from any thread."""
+        """Return the topics that this side proposes by name, in the session's order. May be called from any thread."""
         routes = tuple(self._link.routes.values())
         proposed = [route.spec for route in routes if route.proposed_here and not route.pattern]
         topics = [topic for topic in proposed if not is_bench_topic(topic.topic)]
-        return (*topics, *tuple(self._table.yielded.values()))
+        return (*topics, *tuple(self._table.superseded.values()))
 
     def add(self, topic: Topic, *, by_pattern: bool = False) -> Route:
-        """Bridge one more topic, which this side proposes; where a pattern has made its route, that is the topic's now.
+        """Bridge one more topic, which this side proposes; it takes over a route that a pattern has made.
 
         Args:
             topic: what to bridge.
-            by_pattern: a pattern wants it, which demands by itself what it demands.
+            by_pattern: whether a pattern adds it, whose entry makes the demands.
 
         Raises:
-            LinkError: the topic has a mistake, or there is such a route.
+            LinkError: the topic has a mistake, or is bridged already.
         """
         proposal = self._proposal(topic)
         route = self._link.routes.get(route_key(self._link.name, proposal))
@@ -60,7 +60,7 @@ class ProposedTopics:
             raise LinkError(str(problem))
 
     def is_bridged(self, topic: Topic) -> bool:
-        """Whether there is a route for a topic, which has no mistake, be it under another name on the client."""
+        """Whether a valid topic has a route, possibly under another name on the client."""
         try:
             return route_key(self._link.name, self._proposal(topic)) in self._link.routes
         except LinkError:
@@ -75,7 +75,7 @@ class ProposedTopics:
         return _can_amend(route, self._proposal(topic))
 
     def replace(self, route: Route, topic: Topic) -> Route:
-        """Put another topic in a route's place, which is no pattern's then.
+        """Put another topic in a route's place; a pattern no longer controls it.
 
         The route goes on if only limits differ, else there is a new one.
 

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from rsb_bridge.wire.records import CallsReport, FullRecord
 
 _REPORTED_AT_ONCE = 250
-"""Routes in one message, whatever long texts are in it (PROTOCOL.md section 1)."""
+"""Routes in one message, which must not exceed its limit even with the longest texts (PROTOCOL.md section 1)."""
 _EARLY = 0.1
 """Seconds from `RouteReports.add` to the report."""
 

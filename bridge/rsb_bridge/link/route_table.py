@@ -1,4 +1,4 @@
-"""The routes of one link: proposed, accepted, refused, tried again, removed."""
+"""Negotiates the routes of one link: proposes, accepts, refuses, retries and removes them."""
 
 from __future__ import annotations
 
@@ -77,29 +77,29 @@ _HALVES: dict[str, tuple[type[Route], type[Route]]] = {
     "action": (CallingAction, ProvidingAction),
     "parameters": (ParametersCallingRoute, ParametersProvidingRoute),
 }
-"""By kind: of the side that sends, or calls, and of the other one."""
+"""Classes of a route's halves by kind: first the side that sends or calls, then the other."""
 _HalfMessage: TypeAlias = Describe | Ready | Publishers | Provide
-"""The control messages that one half has for the other, by what they carry."""
+"""The control messages from one half of a route to the other."""
 _AboutOpenRoute: TypeAlias = Accept | Refuse | _HalfMessage | Close | Limit | Pause | ByHand | ArmingMessage
 RouteMessage: TypeAlias = Propose | Amend | LeaseMessage | _AboutOpenRoute
 """The control messages that are about routes."""
 
 
 def _half_of(proposal: Propose, *, is_client: bool) -> type[Route]:
-    """What a route's half on this side is made of."""
+    """Return the class of this side's half of a route."""
     sending, receiving = _HALVES[proposal.kind]
     return sending if proposal.from_client == is_client else receiving
 
 
 def _unsupported(proposal: Propose, features: Container[str]) -> str:
-    """Why a peer with these features cannot be asked for that; empty: it can."""
+    """Return why a peer with these features does not know such a route, or an empty string if it does."""
     if proposal.kind == "topic" or FEATURE in features:
         return ""
     return "the other side's rsb-console is too old for services, actions and parameters: update it"
 
 
 def _dispatch(message: _HalfMessage, route: Route) -> None:
-    """Give a message to this side's half; one that such a half does not take is ignored."""
+    """Pass a message to this side's half; ignore it if it is for the other half."""
     match message:
         case Describe() if isinstance(route, IncomingRoute):
             route.described(message)
@@ -112,11 +112,11 @@ def _dispatch(message: _HalfMessage, route: Route) -> None:
 
 
 class Pausing:
-    """Pauses and resumes routes on both sides, whoever asks for it.
+    """Pauses and resumes routes on both sides, at the request of either side.
 
     Args:
         peer: the other side.
-        peer_operators: record what is paused and resumed there.
+        peer_operators: records the actions of operators there.
     """
 
     def __init__(self, peer: Peer, peer_operators: PeerOperators) -> None:
@@ -130,7 +130,7 @@ class Pausing:
         self._send(route, who)
 
     def taken_up(self, route: Route, proposal: Propose, *, known: bool) -> None:
-        """The peer proposes a route, paused or not; this side's operators may have changed that since.
+        """Compare the pause of a proposal with this side's, which an operator may have changed since.
 
         Args:
             route: this side's half.
@@ -142,7 +142,7 @@ class Pausing:
             self._send(route)  # an operator of this side changed it while the link was down
 
     def from_peer(self, route: Route, message: Pause | Propose, *, known: bool = True) -> None:
-        """The peer tells its state of the pause; what an operator there has changed is recorded here, too."""
+        """Take the peer's state of the pause, and record the change of an operator there."""
         was, who = route.paused, message.who if isinstance(message, Pause) else ""
         revision = message.revision if isinstance(message, Pause) else message.pause_revision
         route.pause_from_peer(message.paused, revision, self._peer_operators.says(who), known=known)
@@ -158,16 +158,15 @@ class RouteTable(Extension):
     """Negotiates a link's routes, which live on while the peer is away.
 
     Attributes:
-        arming: arms and disarms them.
-        ages: how old their messages may be, by this side's session.
-        yielded: the topics that this side proposed until the other side's own took their places; by their routes' keys.
-        listed: identities of the topics that this side proposes; named ones stay though the other side removes them.
-        on_removed: called with a route that an operator of the other side has removed.
+        arming: arms and disarms the routes.
+        superseded: topics of this side whose place the other side's own have taken, by their routes' keys.
+        listed: identities of the topics that this side proposes; named ones stay even if the other side removes them.
+        on_removed: is called with a route that an operator of the other side has removed.
     """
 
     def __init__(self, link: BaseLink) -> None:
         self.messages = dict.fromkeys(get_args(RouteMessage), self.handle)
-        self.yielded: dict[str, Topic] = {}
+        self.superseded: dict[str, Topic] = {}
         self.listed: set[Identity] = set()
         self.on_removed: Callable[[Route], None] = lambda _: None
         self._context = link.context
@@ -198,14 +197,14 @@ class RouteTable(Extension):
     def add(
         self, spec: Topic, proposal: Propose, *, proposed_here: bool, edited: bool = False, by_pattern: bool = False
     ) -> Route:
-        """Make a route's half on this side; if this side proposes it, ask the peer for the other half.
+        """Make this side's half of a route, and ask the peer for the other half if this side proposes it.
 
         Args:
             spec: the topic, validated.
             proposal: of it, with this side's names.
             proposed_here: whether this side proposes it.
-            edited: it takes the place of a route that was removed right before.
-            by_pattern: a pattern wants it, which demands by itself what it demands.
+            edited: whether it replaces a route that was removed right before.
+            by_pattern: whether a pattern adds it, whose entry makes the demands.
 
         Raises:
             LinkError: there is such a route, or one that bridges the same service.
@@ -225,38 +224,38 @@ class RouteTable(Extension):
         return route
 
     def check_add(self, spec: Topic, proposal: Propose, key: str, instead_of: Route | None = None) -> None:
-        """Raise `LinkError` where a topic cannot be added, or not in a route's place."""
+        """Raise `LinkError` if a topic cannot be added, or cannot replace a route."""
         if self._link.routes.get(key, instead_of) is not instead_of:
             raise LinkError(Denied.EDIT_THAT_ROUTE(topic=proposal.topic))
         check_overlap(spec, [each for each in self._link.routes.values() if each is not instead_of])
 
     def keep_demand(self, spec: Topic, key: str) -> None:
-        """Keep what a topic demands that cannot be added because the other side proposes the route with its key."""
+        """Keep the demand of a topic that cannot be added because the other side proposes its route."""
         route = self._link.routes.get(key)
         if spec.arm and route is not None and not route.proposed_here:
             self.arming.keep_demand(route, spec)
             self._context.demands.apply()
 
     def move(self, route: Route, at: int) -> None:
-        """Give a route its place among the others, in whose order a session has its topics."""
+        """Move a route to an index; a session lists its topics in this order."""
         routes = [each for each in self._link.routes.values() if each is not route]
         routes.insert(at, route)
         self._link.routes = {each.key: each for each in routes}
 
     def remove(self, route: Route, reason: str, *, told: bool = True) -> None:
-        """Remove a route on both sides; `told`: the other side's operators are told who does it."""
+        """Remove a route on both sides; `told` means that the other side learns the operator's name."""
         self.listed.discard(route.spec.identity)
         self._tell_removed(route, reason, acting_operator() if told else "")
         self._forget(route, EventCode.ROUTE_REMOVED, reason)
 
     def deny(self, route: Route, reason: str) -> None:
-        """End a route that the peer proposed and may not have any more; the peer goes on asking for it."""
+        """End a route that the peer has proposed and may no longer have; the peer keeps asking for it."""
         if route.id:
             self._link.send(Refuse(route=route.id, code="denied", reason=sanitize_text(reason)))
         self._forget(route, EventCode.ROUTE_REFUSED, reason)
 
     def rights_changed(self) -> None:
-        """Hold the open routes to what the peer may do now."""
+        """Apply changed rights of the peer to the open routes."""
         routes = tuple(self._link.routes.values())
         for route, reason in denied(routes, self._link.rights, is_client=self._link.is_client).items():
             self.deny(route, reason)
@@ -269,7 +268,7 @@ class RouteTable(Extension):
             self._link.send(Limit(route=route.id, max_rate=route.limit.here))
 
     def _tell_removed(self, route: Route, reason: str, who: str = "") -> None:
-        """Tell the peer, by the last id that the route had where it is closed for now."""
+        """Tell the peer that a route is removed; a closed route is named by its last id."""
         if route_id := self._link.ids.last_of(route):
             self._link.send(Close(route=route_id, reason=sanitize_text(reason), removed=True, who=who))
 
@@ -277,8 +276,8 @@ class RouteTable(Extension):
         """Remove a route on this side."""
         self._link.routes.pop(route.key, None)
         self.listed -= {route.spec.identity} if route.pattern else set()
-        yielded = self.yielded.pop(route.key, None) if code is EventCode.ROUTE_REMOVED else None
-        if route.proposed_here or yielded is not None:
+        superseded = self.superseded.pop(route.key, None) if code is EventCode.ROUTE_REMOVED else None
+        if route.proposed_here or superseded is not None:
             self._context.demands.changed()
         if route.arming.held:
             route.disarm(Disarmed.REMOVED)
@@ -308,10 +307,10 @@ class RouteTable(Extension):
         return unsupported_change(route.proposal, proposal, self._link.features)
 
     def _amended(self, message: Amend) -> None:
-        """The peer has changed the limits of a route, or asks for that."""
+        """Take the peer's change of a route's limits, or its request for one."""
         route = self._link.ids.find(message.route)
         if route is None:
-            return  # it was removed here while the message was under way
+            return  # it was removed here before the message arrived
         proposal, old = amended(route.proposal, message), route.spec
         route.amend(amended_topic(route.spec, proposal), proposal)
         if route.proposed_here and route.spec.max_age != old.max_age:
@@ -335,8 +334,8 @@ class RouteTable(Extension):
         return message
 
     def pause(self, route: Route, *, paused: bool) -> None:
-        """Pause or resume a route on both sides; what was armed has to be armed again."""
-        self._pausing.pause(route, paused=paused)  # first: what is disarmed opens anew, and that names nobody
+        """Pause or resume a route on both sides, and disarm it."""
+        self._pausing.pause(route, paused=paused)  # first: disarming reopens the route, which names no operator
         self.arming.disarm(route, Disarmed.PAUSED)
 
     def apply_demands(self) -> None:
@@ -353,7 +352,7 @@ class RouteTable(Extension):
                 self._link.send(self._amendment(route, route.proposal))
 
     def retry(self) -> None:
-        """Propose at once what was refused."""
+        """Propose refused routes at once."""
         for route in tuple(self._link.routes.values()):
             if self._link.linked and route.proposed_here and not route.id:
                 self.propose(route)
@@ -372,9 +371,9 @@ class RouteTable(Extension):
         """Ask the peer to open a route; if it is open, it is closed and opened again.
 
         Args:
-            route: which.
-            who: has just added or edited it; empty: nobody has.
-            edited: it takes the place of a route that was removed right before.
+            route: the route.
+            who: operator who has just added or edited it, or an empty string.
+            edited: whether it replaces a route that was removed right before.
         """
         self._reopen(route, self._link.ids.new())
         if refusal := _unsupported(route.proposal, self._link.features):
@@ -397,7 +396,7 @@ class RouteTable(Extension):
     # --- what the peer says
 
     def handle(self, message: RouteMessage) -> None:
-        """Do what a control message says."""
+        """Act on a control message of the peer."""
         match message:
             case Propose():
                 self._proposed(message)
@@ -411,7 +410,7 @@ class RouteTable(Extension):
                 self.arming.settled(message)
             case _:
                 route = self._link.ids.open_route(message.route)
-                if route is not None:  # else it was closed here while the message was under way
+                if route is not None:  # otherwise it was closed here before the message arrived
                     self._about_route(route, message)
                 if isinstance(message, Disarm) and message.cause != DROPPED and self.arming.lease.supported:
                     self._link.send(Settled(message.route))
@@ -429,7 +428,7 @@ class RouteTable(Extension):
             self._peer_operators.proposed(route, proposal)
 
     def _take_up(self, proposal: Propose) -> Route:
-        """This side's half of what the peer proposes.
+        """Return this side's half of a route that the peer proposes.
 
         Raises:
             LinkError: the peer may not have it.
@@ -446,7 +445,7 @@ class RouteTable(Extension):
             # this side's.
             if known.proposed_here:
                 self._tell_removed(known, "replaced by the client's")
-                self.yielded |= {} if known.pattern else {known.key: known.spec}
+                self.superseded |= {} if known.pattern else {known.key: known.spec}
             self._forget(known, EventCode.ROUTE_REPLACED, "replaced by the other side's")
             known = None
         if known is not None:
@@ -491,7 +490,7 @@ class RouteTable(Extension):
         self._link.send(Refuse(route=proposal.route, code=code, reason=sanitize_text(reason)))
 
     def _removed(self, message: Close) -> None:
-        """The peer has removed a route, which may have been closed or opened again on this side meanwhile."""
+        """Remove a route that the peer has removed; this side may have closed or reopened it before."""
         route = self._link.ids.find(message.route)
         if route is None:
             return  # both sides removed it
@@ -531,11 +530,11 @@ class RouteTable(Extension):
     # --- time
 
     async def tick_routes(self) -> None:
-        """Once a second: the routes' own tick."""
+        """Run the routes' own tick, once a second."""
         await in_slices(tuple(self._link.routes.values()), lambda route: self._link.guarded(route.tick))
 
     def tick(self) -> None:
-        """Propose refused routes again, and remove those that the peer no longer wants."""
+        """Propose refused routes again, and remove routes that the peer no longer wants."""
         now, link = self._context.now(), self._link
         if not link.linked:
             return
