@@ -108,13 +108,13 @@ class ShutDown:
 
     def reason(self, name: str) -> str:
         """Return the reason for the server's operator, for the link by that name."""
-        return f"{self.refusal()}; `rsb-console retry --link {name}` lets it in again"
+        return f"{self.refusal()}; run `rsb-console retry --link {name}` to accept it again"
 
 
 def server_refusal(refusal: str) -> str:
     """Return the server's refusal for the client's operator."""
     asks = f"this side asks again every {ASKED_EVERY:g} s"
-    return f"the server says: {refusal}; {asks}, until an operator there lets it in again"
+    return f"the server says: {refusal}; {asks}, until an operator there accepts it again"
 
 
 class _Logged:

@@ -306,7 +306,7 @@ class ServerLink(Link):
         """Accept the client again if an operator has shut its link down."""
         if self.shut_down_by is not None:
             self.shut_down_by = None
-            self.status.down(LinkCause.CLOSED, "an operator lets it in again; the client has not asked yet")
+            self.status.down(LinkCause.CLOSED, "accepted again by an operator; the client has not asked yet")
 
     # --- two clients of one name
 
