@@ -188,6 +188,11 @@ class BaseLink(ABC):
         control: the authenticated connection, or None without a link.
         keys: keys of the present connection, or None without a link.
         peer: `Hello` or `Welcome` of the present or last peer, or None before the first connection.
+        peer_name: name of the peer, for operators.
+        instance: process of the present or last peer, or an empty string before the first connection.
+        features: features of the present or last peer, beyond version 2 of the wire format.
+        clock: offset of the peer's clock, on the present or last connection.
+        stamps: offset of the clock by which the peer stamps messages.
         connections: number of connections so far.
         linked_at: time of the present or last connection, in s.
         bridges: names of the bridge nodes in the peer's domain, its own first; empty as long as they are unknown.
@@ -210,9 +215,12 @@ class BaseLink(ABC):
         self.is_client = is_client
         self.role: Role = "client" if is_client else "server"
         self.peer_name = "the server" if is_client else name
+        self._peer_role = "the server" if is_client else "the client"
         self.control: ControlChannel | None = None
         self.keys: SessionKeys | None = None
         self.peer: Hello | Welcome | None = None
+        self.instance = ""
+        self.features: tuple[str, ...] = ()
         self.encrypted = encrypted
         self._is_silent = False
         self._shifts_stamps = False
@@ -229,13 +237,14 @@ class BaseLink(ABC):
         self.duplicates = DuplicateClients(name)
         self._tasks = Tasks(context.loop, self.fail)
         self.keepalive = Keepalive(context, self.carriers)
+        self.clock, self.stamps = self.keepalive.clock, self.keepalive.stamps
         self.channels = DataChannels(
             context.loop,
             self._log_udp,
             self.budget.unfinished,
             self.send,
-            lambda: max(0.0, self.report_delay - (self.clock_uncertainty or 0.0)),
-            lambda: 2 * (self.clock_uncertainty or 0.0),
+            lambda: max(0.0, self.report_delay - (self.clock.uncertainty or 0.0)),
+            lambda: 2 * (self.clock.uncertainty or 0.0),
             self._meter_of,
         )
         self.fullness = LinkFullness(partial(self.log, link_status=True))
@@ -331,16 +340,6 @@ class BaseLink(ABC):
         return "" if self.control else self.status.reason
 
     @property
-    def instance(self) -> str:
-        """The present or last process of the peer, or an empty string before the first connection."""
-        return self.peer.instance if self.peer is not None else ""
-
-    @property
-    def features(self) -> tuple[str, ...]:
-        """Features of the present or last peer, beyond version 2 of the wire format."""
-        return self.peer.features if self.peer is not None else ()
-
-    @property
     def sample_secret(self) -> bytes | None:
         """The secret of the sample tags of routes' streams, or None if the peer sends none."""
         if self.keys is None or sealing.FEATURE not in self.features:
@@ -348,33 +347,9 @@ class BaseLink(ABC):
         return self.keys.sample_secret
 
     @property
-    def _peer_role(self) -> str:
-        return "the server" if self.is_client else "the client"
-
-    @property
     def peer_at(self) -> str:
         """The peer with its address, as the log names it."""
         return f"{self._peer_role} at {self.address}"
-
-    @property
-    def clock_offset(self) -> float | None:
-        """The peer's clock minus this side's, in s."""
-        return self.keepalive.clock.offset
-
-    @property
-    def clock_uncertainty(self) -> float | None:
-        """Seconds by which `clock_offset` may be wrong."""
-        return self.keepalive.clock.uncertainty
-
-    @property
-    def stamp_offset(self) -> float | None:
-        """The peer's clock for stamps minus this side's, in s."""
-        return self.keepalive.stamps.offset
-
-    @property
-    def stamp_uncertainty(self) -> float | None:
-        """Seconds by which `stamp_offset` may be wrong."""
-        return self.keepalive.stamps.uncertainty
 
     @property
     def stamp_shift(self) -> int:
@@ -384,12 +359,14 @@ class BaseLink(ABC):
     def up(self, control: ControlChannel, peer: Hello | Welcome, keys: SessionKeys) -> None:
         """Begin a connection: the peer is authenticated."""
         self.control, self.peer, self.keys = control, peer, keys
+        self.instance, self.features = peer.instance, peer.features
         self.channels.connected(keys, self.role, receipts=window.FEATURE in peer.features)
         self._is_silent = False
         self._shifts_stamps = MAX_AGE_FEATURE in peer.features
         self.connections += 1
         self.linked_at = self.context.now()
         self.keepalive = self.keepalive.next(self.profile.patience)
+        self.clock, self.stamps = self.keepalive.clock, self.keepalive.stamps
         self.keepalive.watch(partial(self._silent, control))
         self.status.up(self.context.wall())
         encryption = f"encrypted with {keys.suite.name}" if self.encrypted else "NOT ENCRYPTED"

@@ -362,7 +362,7 @@ class LinkBench(Extension):
         now = self.usage()
         mine = _between(ours, now)
         peers = _between(_usage_in(theirs), _usage_in(answer))
-        offset = (self._link.clock_offset or 0.0) * (-1 if sends else 1)
+        offset = (self._link.clock.offset or 0.0) * (-1 if sends else 1)
         p50, p99, p999 = (each + offset for each in latencies)
         return Outcome(
             now,
@@ -372,7 +372,7 @@ class LinkBench(Extension):
             p50,
             p99,
             p999,
-            self._link.clock_uncertainty,
+            self._link.clock.uncertainty,
             mine if sends else peers,
             peers if sends else mine,
             answer.max_rate,
