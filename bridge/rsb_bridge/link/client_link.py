@@ -111,7 +111,7 @@ class ClientLink(Link):
     # --- calling
 
     async def run(self) -> None:
-        """Connect, and reconnect, for ever. A connection that an earlier run left is closed first."""
+        """Connect and reconnect for ever. First close the connection of an earlier run."""
         self.fail()
         while True:
             self._retry.clear()
@@ -129,7 +129,7 @@ class ClientLink(Link):
         self.table.retry()
 
     async def _call(self) -> None:
-        """One attempt; returns when it failed or when the link it made is over."""
+        """Try once to connect; return after a failure, or after the end of the link."""
         key = self.key
         if not self.status.attempts:
             self.log(Level.INFO, EventCode.LINK_CONNECTING, f"connecting to {self.peer_at}", link_status=True)
@@ -261,7 +261,7 @@ class ClientLink(Link):
         self.status.retry_at = None
 
     def _delay(self) -> float:
-        """S until the next attempt."""
+        """Return the seconds until the next attempt."""
         if self.status.cause is LinkCause.SHUT_DOWN:
             return self._asking.next()
         return max(self._backoff.next(self._longest), self._retry_after)
@@ -336,7 +336,7 @@ class ClientLink(Link):
         return rights_of_server(self.context.session, self.table.listed)
 
     def change_listed(self, topics: set[Identity]) -> None:
-        """Go on with the rights of another session, which lists these topics."""
+        """Use the rights of another session, which lists these topics."""
         self.table.listed = topics | {route.spec.identity for route in self.routes.values() if route.pattern}
         self.table.rights_changed()
         self.patterns.renew()

@@ -1,10 +1,10 @@
-"""Decides whether a link is full, and divides it among this side's topics by their priorities while it is.
+"""Decides whether a link is full, and divides a full link among this side's topics by priority.
 
-Once a second it looks whether more is asked for than crosses: a channel that was never idle for half a second, messages
-dropped from a full queue, or pings held up behind a queue somewhere on the way. Then what arrives now, less a tenth, is
-divided (`rsb_bridge.model.link_budget`). As long as that is enough, what is divided grows again, until nobody has to
-yield. A link that carried everything before may only have stalled: it is soon given everything again, once. Where all
-topics have one priority, nothing is divided: each has its own queue, as ever.
+Once a second it checks for overload: a channel without idle time for half a second, messages dropped from a full
+queue, or pings delayed by a queue on the path. Then it divides the arriving rate less a tenth
+(`rsb_bridge.model.link_budget`). While that suffices, the divided rate grows until no topic is thinned. A link that carried everything before may have
+stalled: it soon gets its full rate back, once. If all topics have the same priority, nothing is divided: each has its
+own queue.
 """
 
 from __future__ import annotations
@@ -90,7 +90,7 @@ class Asked(NamedTuple):
 
 
 class LinkFullness:
-    """Whether a link is full: this side judges what it sends, and takes the peer's word for the other direction.
+    """Whether a link is full: this side judges its own direction, and the peer reports the other.
 
     Args:
         log: adds an event about the link.
@@ -317,7 +317,7 @@ class Contention:
                 route.judge_again()
 
     def disconnected(self) -> None:
-        """The connection is over: the next one may go another way."""
+        """Forget the connection: the next one may go another way."""
         self._divided = None
         self._enough_for, self._may_be_stall = _PROBES_AFTER, False
         self._received = 0
@@ -333,7 +333,7 @@ class Contention:
                 route.thinning.told(None, low=False, qos=route.qos, now=self._context.now())
 
     def _looked(self, asking: Collection[_Asking]) -> tuple[float, float, bool]:
-        """Count what has arrived since the last look.
+        """Count what has arrived since the last check.
 
         Returns:
             The bytes of messages, the bytes of datagrams of incomplete messages, and whether more waits to be sent all
@@ -359,7 +359,7 @@ class Contention:
         return asked > _MORE * self._crossed and any(each.route.delay >= _DELAYED for each in asking)
 
     def _calls(self) -> float:
-        """Bytes/s of calls, which go ahead of all topics."""
+        """Return the bytes/s of calls, which go ahead of all topics."""
         return sum(route.meter.bytes_per_second for route in self._routes() if route.duplex)
 
     def _held_up(self, keepalive: Keepalive) -> bool:
@@ -418,7 +418,7 @@ class Contention:
             route.thinning.told(share, low=route.rank < 0, qos=route.qos, now=now)
 
     def _warn(self, features: Collection[str], connection: int) -> None:
-        """Say, once a connection, where the other side is too old to keep to the priorities that are asked for."""
+        """Warn once a connection if the other side is too old for priorities of its topics."""
         if PRIORITY_FEATURE in features or self._told == connection:
             return
         asked = [route for route in self._routes() if not route.outgoing and route.proposal.priority and route.accepted]

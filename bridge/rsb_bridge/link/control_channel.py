@@ -58,7 +58,11 @@ _NOT_TOO_EARLY = 0.001
 
 
 def in_slices(entries: Iterable[tuple[_E, int]], work: Callable[[_E], None]) -> Slices:
-    """Work off a long list of the peer's, each entry given with its bytes; other links have their turn in between.
+    """Process a long list of the peer in slices, between which other links have their turn.
+
+    Args:
+        entries: the entries, each with its bytes.
+        work: processes one entry.
 
     Raises:
         ProtocolError: an entry is invalid.
@@ -149,7 +153,6 @@ class ControlChannel(StreamHandler):
         self._end(reason)
 
     def received(self, data: bytes) -> None:
-        """Bytes came."""
         self.take(self._connection.receive_data(data))
         if not self.multiplexer.channels:  # else most of them may be messages, which a radio keeps slow enough
             self._charge(len(data))
@@ -218,7 +221,7 @@ class ControlChannel(StreamHandler):
 
     def _go_on(self) -> None:
         if not self.over:
-            self.stream.received_at = self._loop.time()  # who is not read for now is not silent
+            self.stream.received_at = self._loop.time()  # a peer that is not read for now is not silent
             self._act()
             self._resume()
 
@@ -263,12 +266,10 @@ class ControlChannel(StreamHandler):
             self._broken(error)
 
     def writable(self) -> None:
-        """The stream takes more again."""
         self._flush()
         self.multiplexer.pump()
 
     def closed(self, reason: str) -> None:
-        """The stream is over."""
         self._end(self._goodbye or reason)
 
     def _end(self, reason: str) -> None:

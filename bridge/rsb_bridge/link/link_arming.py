@@ -279,7 +279,7 @@ class LinkArming:
             self._open_if_begun(route)
 
     def _open_if_begun(self, route: Route) -> None:
-        """Let messages cross if both sides have agreed and the lease has begun; else this is called again then."""
+        """Let messages cross once both sides have agreed and the lease has begun."""
         if route.arming.armed and self.lease.state.begun:
             route.arming.opens()
             route.armed()

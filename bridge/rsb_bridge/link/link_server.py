@@ -121,14 +121,14 @@ class Server:
         self._pending.close()
 
     def tick(self) -> None:
-        """Once a second."""
+        """Do the regular work once a second."""
         self._pending.tick()
         self.refused_clients.tick()
 
     # --- other clients than before
 
     def add_client(self, entry: ClientEntry) -> None:
-        """Let one more client in."""
+        """Accept one more client."""
         self.entries[entry.client.name] = entry
         self.refused_clients.forget(entry.client.name)
         self._add_link(entry)
@@ -149,7 +149,7 @@ class Server:
         link.destroy()
 
     def change_client(self, entry: ClientEntry) -> None:
-        """Go on with another entry of a client."""
+        """Use another entry of a client."""
         name = entry.client.name
         self.entries[name] = entry
         self._pending.expel(name, _SESSION_CHANGED)
@@ -170,7 +170,7 @@ class Server:
     # --- inbound connections
 
     def streams_awaited(self, host: str = "") -> int:
-        """How many routes' streams linked clients have yet to open; with `host`: those at that host."""
+        """Return how many streams linked clients have yet to open, at one host or at all."""
         return sum(
             link.streams_awaited
             for link in self.links.values()
@@ -200,7 +200,7 @@ class Server:
         return welcome
 
     def established(self, stream: Stream, connection: ServerConnection, event: Established) -> ControlChannel:
-        """A client is authenticated; it takes the place of an older connection of its name."""
+        """Link an authenticated client; it replaces an older connection of its name."""
         assert isinstance(event.peer, Hello)
         link = self.links[event.peer.name]
         self.refused_clients.forget(link.name)
@@ -218,7 +218,7 @@ class Server:
         return control
 
     def attach(self, stream: Stream, connection: ServerConnection, event: Attach) -> None:
-        """A stream was opened for a route; raises Refusal where it may not be."""
+        """Attach a stream that was opened for a route; raise Refusal if it may not be."""
         link = self._link_of(event.link_id)
         if link is None:
             raise Refusal(RefusalCode.NO_SUCH_ROUTE, UNKNOWN_ROUTE)

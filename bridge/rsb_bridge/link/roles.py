@@ -68,7 +68,7 @@ class BridgeRole(Protocol):
         ...
 
     async def stop(self) -> None:
-        """Say goodbye and close everything."""
+        """Tell the peers, and close everything."""
         ...
 
     @property
@@ -371,7 +371,7 @@ async def _until(condition: Callable[[], bool], otherwise: Callable[[], str]) ->
 
 
 def preferred_suite() -> Suite:
-    """AES-GCM where the processor has AES instructions (a flag in /proc/cpuinfo), else ChaCha20-Poly1305."""
+    """Return AES-GCM if the processor has AES instructions (a flag in /proc/cpuinfo), else ChaCha20-Poly1305."""
     try:
         flags = Path("/proc/cpuinfo").read_text(encoding="ascii", errors="replace").split()
     except OSError:

@@ -164,7 +164,7 @@ class TopicPorts:
 
 
 def _nothing() -> None:
-    """A listed port is not counted."""
+    """Release a listed port, which is not counted."""
 
 
 def check_topic_port(domain: int, transport: TransportTraits, port: int) -> None:
@@ -415,7 +415,7 @@ class ServerLink(Link):
         return min(awaited, max(0, self.descriptors.room)) if awaited else 0
 
     def waiting_route(self, preamble: Attach | DataPreamble) -> tuple[Route, StreamTransport]:
-        """The route that a data preamble names, and its transport; raises Refusal if it does not wait for a stream."""
+        """Return the route that a data preamble names, and its transport; raise Refusal if it awaits no stream."""
         route = self.ids.open_route(preamble.route)
         transport = _stream_awaited(route) if route is not None else None
         if self.keys is None or route is None or transport is None:
