@@ -1,10 +1,10 @@
 """Decides whether a link is full, and divides a full link among this side's topics by priority.
 
-Once a second it checks for overload: a channel without idle time for half a second, messages dropped from a full
-queue, or pings delayed by a queue on the path. Then it divides the arriving rate less a tenth
-(`rsb_bridge.model.link_budget`). While that suffices, the divided rate grows until no topic is thinned. A link that carried everything before may have
-stalled: it soon gets its full rate back, once. If all topics have the same priority, nothing is divided: each has its
-own queue.
+Once a second it checks for overload: a channel without idle time for half a second, messages dropped from a full queue,
+or pings delayed by a queue on the path. Then it divides the arriving rate less a tenth
+(`rsb_bridge.model.link_budget`). While that suffices, the divided rate grows until no topic is thinned. A link that
+carried everything before may have stalled: it soon gets its full rate back, once. If all topics have the same priority,
+nothing is divided: each has its own queue.
 """
 
 from __future__ import annotations
