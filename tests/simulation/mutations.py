@@ -26,6 +26,7 @@ from rsb_bridge.channel.receipts import WindowedSender
 from rsb_bridge.channel.stream import StreamReceiver, StreamSender
 from rsb_bridge.channel.udp_channel import UdpChannel
 from rsb_bridge.channel.window import Window
+from rsb_bridge.link.base_link import RouteIds
 from rsb_bridge.link.keepalive import Keepalive
 from rsb_bridge.link.route_table import RouteTable
 from rsb_bridge.model.budgets import Backoff
@@ -239,7 +240,7 @@ MUTATIONS = (
     ),
     Mutation(
         "the ids of routes that were closed are never forgotten",
-        ((RouteTable, "closed", _nothing),),
+        ((RouteIds, "closed", _nothing),),
         "_by_id", STILL, 1, 3.0, _differs,
     ),
     Mutation(
