@@ -77,7 +77,7 @@ _HALVES: dict[str, tuple[type[Route], type[Route]]] = {
     "action": (CallingAction, ProvidingAction),
     "parameters": (ParametersCallingRoute, ParametersProvidingRoute),
 }
-"""Classes of a route's halves by kind: first the side that sends or calls, then the other."""
+"""By kind: of the side that sends, or calls, and of the other one."""
 _HalfMessage: TypeAlias = Describe | Ready | Publishers | Provide
 """The control messages from one half of a route to the other."""
 _AboutOpenRoute: TypeAlias = Accept | Refuse | _HalfMessage | Close | Limit | Pause | ByHand | ArmingMessage
@@ -86,7 +86,7 @@ RouteMessage: TypeAlias = Propose | Amend | LeaseMessage | _AboutOpenRoute
 
 
 def _half_of(proposal: Propose, *, is_client: bool) -> type[Route]:
-    """Return the class of this side's half of a route."""
+    """What a route's half on this side is made of."""
     sending, receiving = _HALVES[proposal.kind]
     return sending if proposal.from_client == is_client else receiving
 
