@@ -275,7 +275,7 @@ class IncomingRoute(TopicRoute):
             self._report_at = self._received + _REPORTS_AFTER
             self.peer.report_soon(self)
         if count:
-            latency = None if (offset := self.peer.stamp_offset) is None else (now - stamp) / 1e9 + offset
+            latency = None if (offset := self.peer.stamps.offset) is None else (now - stamp) / 1e9 + offset
             if latency is not None and latency <= began - self._flows_since:  # else it was kept from before
                 self.latency.add(latency)
             if self.peek_slot.wanted:
@@ -378,14 +378,14 @@ class IncomingRoute(TopicRoute):
             content = self._unpacker.unpack(payload) if flags & ZSTD else payload
         except (ExpandsTooMuchError, zstandard.ZstdError, ProtocolError):
             return
-        clock = (self.peer.clock_offset, self.peer.clock_uncertainty)
+        clock = (self.peer.clock.offset, self.peer.clock.uncertainty)
         self.peek_slot.put(peeked(self, content, now_ns, latency=latency, clock=clock), self.context.now())
 
     def _failed_later(self, error: Exception) -> None:
         self.notices.message_error(EventCode.ROUTE_PUBLISH_FAILED, str(error))
 
     def _tick_lateness(self, now: float) -> None:
-        uncertainty = self.peer.stamp_uncertainty
+        uncertainty = self.peer.stamps.uncertainty
         if not self.flowing or uncertainty is None or self._held_back:
             self.lateness.reset()
         else:

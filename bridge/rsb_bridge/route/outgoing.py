@@ -389,7 +389,7 @@ class OutgoingRoute(TopicRoute):
         if not self.transport.reliable:  # unreported datagrams may be lost, unless pings by a stream are held up, too
             unreported = min(unreported, self.peer.ping_wait)
         own = max(self._sending.waits(now), delay_of_sender(unreported, self.peer.report_delay))
-        self.delay = max(own, (measured or 0.0) - (self.peer.clock_uncertainty or 0.0))
+        self.delay = max(own, (measured or 0.0) - (self.peer.clock.uncertainty or 0.0))
         self.lateness.tick(self.delay, 0.0, self.late_after, now, measured, own=own, learns=self.learns)
 
     @property

@@ -531,7 +531,7 @@ class Route:
             expected_rate=self._expected_rate(),
             bytes_per_second=self.meter.bytes_per_second,
             bytes_total=self.meter.bytes,
-            latency_uncertainty=self.peer.clock_uncertainty,
+            latency_uncertainty=self.peer.clock.uncertainty,
             age=None if self.meter.last is None else now - self.meter.last,
             history=tuple(self.meter.history),
             last_error=self.notices.last_error,
