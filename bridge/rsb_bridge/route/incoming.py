@@ -10,6 +10,7 @@ import msgspec
 import zstandard
 
 from rsb_bridge.cdr.checker import MalformedError, TooComplexError
+from rsb_bridge.channel.channel import ReceivingChannel
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.demands import full_type
 from rsb_bridge.model.qos import incompatible, match_subscriptions
@@ -44,7 +45,6 @@ from rsb_bridge.wire.records import ReceivedReport, SentReport
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterable
 
-    from rsb_bridge.channel.channel import ReceivingChannel
     from rsb_bridge.context import Context
     from rsb_bridge.model.qos import Qos
     from rsb_bridge.model.session import Topic
@@ -86,11 +86,10 @@ class _NotPublishedError(Exception):
         self.code = code
 
 
-class IncomingRoute(TopicRoute):
+class IncomingRoute(TopicRoute[ReceivingChannel]):
     """Publishes here what the peer sends."""
 
     outgoing: ClassVar[bool] = False
-    channel: ReceivingChannel | None
 
     def __init__(self, context: Context, peer: Owner, spec: Topic, proposal: Propose, *, proposed_here: bool) -> None:
         super().__init__(context, peer, spec, proposal, proposed_here=proposed_here)

@@ -61,6 +61,11 @@ class Throttle:
         """As `limit`, without a new beat: no message passes for the change alone."""
         self._interval = int(1e9 / rate) if rate else 0
 
+    @property
+    def is_on(self) -> bool:
+        """Whether there is a highest rate."""
+        return self._interval > 0
+
     def passes(self, stamp: int, publisher: bytes = b"") -> bool:
         """Whether a message passes that was received at `stamp` (ns)."""
         interval = self._interval
@@ -210,24 +215,30 @@ _IDLE = Traffic(0.0, 0.0, 0.0)
 
 
 class Thinning:
-    """One sending half's.
+    """The thinning of one sending half.
 
     Attributes:
-        share: what it has of its link; None: as much as it likes.
+        share: of the link, or None without a limit.
+        thins: whether messages are left out.
+        holds: whether messages wait for the topic's share of the link.
+        offered: messages that the topic wanted to send since the last look, within its own rate limit.
+        busy_since: time (s) from which on the channel had more to send than it took, or None if it has not.
+        changed: called when `thins` may have changed.
     """
 
     def __init__(self, now: float) -> None:
         self.share: Share | None = None
-        self._thins = True
+        self.thins = self.holds = False
+        self.offered = 0
+        self.busy_since: float | None = None
+        self.changed: Callable[[], object] = bool
         self._throttle = Throttle(0.0)
         self._rate = 0.0
-        self._offered = 0
         self._messages, self._bytes, self._before = 0.0, 0.0, 0.0  # packed lately, and until the last look
         self._gone = 0  # messages that were sent while the topic is held back, since the last look
         self._size = 0.0
         self._wanted = Smoothed(now)
         self._crossed = Smoothed(now)
-        self._busy_since: float | None = None
         self._next_at = 0.0
         self._thinned_at = self._since = float("-inf")
         self._now = now
@@ -247,56 +258,49 @@ class Thinning:
             return
         before, self.share = self.share, share
         if share is None:
+            self.thins = self.holds = False
             self._rate = self._next_at = 0.0
             self._throttle.adjust(0.0)
+            self.changed()
             return
         if before is not None:  # the last message takes as long as it would have with this share
             left = self.wait(now) * max(1.0, before.bytes_per_second)
             self._next_at = now + left / max(1.0, share.bytes_per_second)
         latched = qos is not None and qos.latched
-        self._thins = not latched and (low or qos is None or qos.reliability == "best_effort")
-        rate = max(SLOWEST, share.bytes_per_second / max(1.0, self._size)) if self._thins else 0.0
-        self._rate = rate
-        self._throttle.adjust(rate)
-        if not self._thins and share.bytes_per_second < self._wanted.rate * self._size:
+        self.thins = not latched and (low or qos is None or qos.reliability == "best_effort")
+        self.holds = not self.thins
+        self._rate = max(SLOWEST, share.bytes_per_second / max(1.0, self._size)) if self.thins else 0.0
+        self._throttle.adjust(self._rate)
+        self.changed()
+        if self.holds and share.bytes_per_second < self._wanted.rate * self._size:
             self._mark(now)
 
     def look(self, now: float) -> Traffic:
         """Once a second: what it wants."""
-        if not self._offered and self._wanted.idle(now) and self._crossed.idle(now):
+        if not self.offered and self._wanted.idle(now) and self._crossed.idle(now):
             return _IDLE
         if self._messages:
             self._size = PER_MESSAGE + self._bytes / self._messages
-        self._wanted.add(self._offered, now)
+        self._wanted.add(self.offered, now)
         self._crossed.add(self._gone if self.holds else self._messages - self._before, now)
         self._messages *= _FADES
         self._bytes *= _FADES
         self._before = self._messages
-        self._offered = self._gone = 0
+        self.offered = self._gone = 0
         self._now = now
-        busy = 0.0 if self._busy_since is None else now - self._busy_since
+        busy = 0.0 if self.busy_since is None else now - self.busy_since
         return Traffic(self._wanted.rate * self._size, self._size, busy)
 
     # --- messages
 
     def keep(self, batch: Sequence[RawMessage], now: float) -> Sequence[RawMessage]:
-        """Those of some messages of a volatile topic that go, oldest first, at `now` (s)."""
-        self._offered += len(batch)
-        if not self._rate or not self._thins:
-            return batch
+        """Return the messages of a thinned topic that are sent, at `now` (s), and count the others as offered."""
         passes = self._throttle.passes
         kept = [message for message in batch if passes(message.stamp)]
         if len(kept) < len(batch):
+            self.offered += len(batch) - len(kept)
             self._mark(now)
         return kept
-
-    def latched(self, messages: int) -> None:
-        """So many messages of a latched topic go, which never are thinned."""
-        self._offered += messages
-
-    def left_out(self, messages: int) -> None:
-        """Count so many messages less: the transport does not carry them."""
-        self._offered -= messages
 
     def packed(self, messages: int, size: int) -> None:
         """So many messages go, of so many bytes together."""
@@ -309,11 +313,6 @@ class Thinning:
         self._thinned_at = now
 
     # --- being held back
-
-    @property
-    def holds(self) -> bool:
-        """Whether messages have to wait for their part of the link."""
-        return self.share is not None and not self._thins
 
     def wait(self, now: float) -> float:
         """S until the next message may go, at `now` (s); 0: at once."""
@@ -332,9 +331,9 @@ class Thinning:
     def busy(self, busy: bool, now: float) -> None:
         """Note whether the channel has more to send than it takes, at `now` (s)."""
         if not busy:
-            self._busy_since = None
-        elif self._busy_since is None:
-            self._busy_since = now
+            self.busy_since = None
+        elif self.busy_since is None:
+            self.busy_since = now
 
     # --- what is made of it
 
@@ -348,7 +347,7 @@ class Thinning:
             return None
         if self._crossed.rate >= _LESS * self._wanted.rate:
             return None  # it has just recovered
-        return ThinningShare(self.share, self._crossed.rate, self._wanted.rate, self._thins, self._since)
+        return ThinningShare(self.share, self._crossed.rate, self._wanted.rate, self.thins, self._since)
 
 
 def verdict_of(thinned: ThinningShare) -> Verdict:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Generic, TypeVar
 
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.snapshot import Level, State
@@ -17,6 +17,7 @@ from rsb_bridge.telemetry.meters import LatencyMeter, StaleWatch
 if TYPE_CHECKING:
     from collections.abc import Callable
 
+    from rsb_bridge.channel.channel import DataChannel
     from rsb_bridge.context import Context
     from rsb_bridge.model.qos import Qos
     from rsb_bridge.model.session import Session, Topic
@@ -26,6 +27,7 @@ if TYPE_CHECKING:
     from rsb_bridge.wire.messages import Propose
     from rsb_bridge.wire.records import ReceivedReport, SentReport
 
+ChannelT = TypeVar("ChannelT", bound="DataChannel")
 _EXPLAINS = frozenset(
     {
         Cause.NO_PATH,
@@ -95,7 +97,10 @@ class Silence:
             self._log(Level.WARNING, EventCode.ROUTE_STALE, text)
 
     def seen(self, now: float) -> None:
-        """A message came at `now` (s)."""
+        """Note a message that came at `now` (s)."""
+        if not self._watch.warned:
+            self._watch.quiet_since = now
+            return
         quiet = self._watch.seen(now)
         if quiet is not None and self._warned:
             self._log(Level.INFO, EventCode.ROUTE_DATA_AGAIN, f"reinitialized: data again after {quiet:.0f} s")
@@ -111,7 +116,7 @@ class Silence:
         return self._watch.quiet_since if self._watch.stale(now) else None
 
 
-class TopicRoute(Route):
+class TopicRoute(Route, Generic[ChannelT]):
     """A topic's half on this side.
 
     Attributes:
@@ -122,6 +127,8 @@ class TopicRoute(Route):
         lateness: watches for messages that take too long.
         thinning: its sending half's share of the link.
     """
+
+    channel: ChannelT | None
 
     def __init__(self, context: Context, peer: Owner, spec: Topic, proposal: Propose, *, proposed_here: bool) -> None:
         super().__init__(context, peer, spec, proposal, proposed_here=proposed_here)
@@ -240,9 +247,12 @@ class TopicRoute(Route):
         return self.peer.profile.max_rate or 0.0
 
     def count(self, messages: int, size: int) -> None:
-        """Note that messages passed."""
-        super().count(messages, size)
-        self.silence.seen(self.context.now())
+        """Count messages that pass, of `size` bytes together."""
+        now = self.context.now()
+        if self.notices.last_error:
+            self.notices.flowing()
+        self.meter.add(messages, size, now)
+        self.silence.seen(now)
 
     @property
     def is_latched(self) -> bool:
