@@ -226,42 +226,44 @@ class IncomingRoute(TopicRoute[ReceivingChannel]):
     # --- messages
 
     def deliver(self, messages: Iterable[Message]) -> None:
-        """Publish messages that arrived whole and authentic, or have them wait for later turns of the I/O loop."""
+        """Publish messages that arrived whole and authentic, or let them wait for later turns of the I/O loop.
+
+        Each message goes through lease, expansion budget, rate limit and `_publish`, where they are on.
+        """
         if self._later:
             self._later.extend(messages)
             return
-        if not self.arming.passes(self.context.now()):
-            disarmed = len(tuple(messages))
-            self._received += disarmed
-            self._dropped["disarmed"] += disarmed
+        began, arming = self.context.now(), self.arming
+        required = arming.required
+        if required and not arming.passes(began):
+            self._drop_disarmed(len(tuple(messages)))
             return
         if not self._outputs.sinks:
             return
-        now, began = self.context.stamps.now(), self.context.now()
-        count = size = 0
-        stamp, messages = now, iter(messages)
-        required = self.arming.required
-        number = 0  # of the lease
+        now = stamp = self.context.stamps.now()
+        limited, looks = self.limit.here > 0.0, required or self.age.is_on
+        count = size = number = 0
+        messages = iter(messages)
         arrived: Message | None
         for message in messages:
             arrived = message
             if required:
                 number, arrived = self._of_lease(message)
-            if arrived is None:
-                self._received += 1
-                self._dropped["disarmed"] += 1
-                continue
-            if not self._unpacker.begin(arrived):
+                if arrived is None:
+                    self._drop_disarmed(1)
+                    continue
+            payload, stamp, flags = arrived  # the last one's stamp is the batch's latency sample
+            if flags & ZSTD and not self._unpacker.begin(arrived):
                 self._later.extend((message, *messages))
                 self.peer.budget.expansion.wait(self._go_on)
                 break
-            payload, stamp, flags = arrived  # the last one's stamp is the batch's latency sample
             self._received += 1
-            if not self.limit.admits(began):
+            if limited and not self.limit.admits(began):
                 self._leave_out()
                 continue
+            look = partial(self._look, stamp, number) if looks else None
             try:
-                self._publish(payload, flags, stamp, number)
+                self._publish(payload, flags, stamp, look)
             except _NotPublishedError as error:
                 self._dropped[error.cause] += 1
                 if error.code is not None:
@@ -281,6 +283,10 @@ class IncomingRoute(TopicRoute[ReceivingChannel]):
                 self._show(payload, flags, self.context.wall_ns(), latency)
             self.count(count, size)
 
+    def _drop_disarmed(self, count: int) -> None:
+        self._received += count
+        self._dropped["disarmed"] += count
+
     def _of_lease(self, message: Message) -> tuple[int, Message | None]:
         """Return the lease's number of an armed route's message, and the rest of it, or None if it is too old."""
         try:
@@ -298,8 +304,8 @@ class IncomingRoute(TopicRoute[ReceivingChannel]):
         text = f"the other side sends more than the {self.limit.here:g} Hz that this side allows: the rest is left out"
         self.notices.message_error(EventCode.ROUTE_TOO_FAST, text)
 
-    def _publish(self, payload: bytes, flags: int, stamp: int, number: int) -> None:
-        """Publish one message, which has a number of the lease or 0, or raise _NotPublishedError."""
+    def _publish(self, payload: bytes, flags: int, stamp: int, look: Callable[[], None] | None) -> None:
+        """Publish one message, or raise _NotPublishedError; `look` is called right before DDS gets it."""
         try:
             output = self._outputs.sinks[flags >> SOURCE_SHIFT]
         except IndexError:
@@ -313,7 +319,6 @@ class IncomingRoute(TopicRoute[ReceivingChannel]):
             content = self._unpacker.unpack(payload) if flags & ZSTD else payload
             if self.check.checker is not None:
                 self.check.check(content)
-            look = partial(self._look, stamp, number) if self.arming.required or self.age.is_on else None
             if not isinstance(output, LatchedTopic):
                 output.publish(content, look)
                 return

@@ -120,7 +120,28 @@ class VolatileTopic:
             RosError: the middleware refused it.
             SlowSubscriberError: it would take too much memory.
         """
-        size = len(content) + _MESSAGE_COST
+        size, waiting = len(content) + _MESSAGE_COST, self._waiting
+        is_full = len(waiting) >= self._depth
+        memory = waiting[0] if is_full else self._free[-1] if self._free else 0
+        room = self._held_when_asked + FREE - self._held
+        if size <= memory and size - memory <= room and self._successor is None:  # nothing more is held
+            waiting.append(memory)
+            if is_full:
+                waiting.popleft()
+            else:
+                self._free.pop()
+        else:
+            self._make_room(size)
+        if look is not None:
+            try:
+                look()
+            except Exception:
+                self._free.append(self._waiting.pop())  # for the next message
+                raise
+        self._publisher.publish(content)
+
+    def _make_room(self, size: int) -> None:
+        """Take memory for the next message: ask DDS what is acknowledged, or have another publisher, if needed."""
         growth, deep = size - self._memory(), self._depth > self._lasting_depth
         full = deep and growth > 0 and self._held + growth > max(_BURST_BYTES, self._lasting_depth * size)
         if full or self._held + growth > self._held_when_asked + FREE:
@@ -137,13 +158,6 @@ class VolatileTopic:
                 raise
             self._begin_anew(self._renew)
             self._take(size, 0)
-        if look is not None:
-            try:
-                look()
-            except Exception:
-                self._free.append(self._waiting.pop())  # for the next message
-                raise
-        self._publisher.publish(content)
 
     def close(self) -> None:
         """Close the publisher, which frees its memory. May be called twice."""
