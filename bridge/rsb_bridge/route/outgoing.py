@@ -1,4 +1,7 @@
-"""The sending half of a route: describe, subscribe, send; and the ledger, which the sender keeps."""
+"""The sending half of a topic's route: it describes the topic to the peer, subscribes, and keeps the ledger.
+
+Messages don't pass here: `rsb_bridge.route.sending.OutgoingPath` is their path.
+"""
 
 from __future__ import annotations
 
@@ -45,26 +48,26 @@ if TYPE_CHECKING:
 _REPORTED_LATELY = 2.5
 """s for which a delay that the receiver has reported counts."""
 _LONGEST_DELAY = 3600.0
-"""s; a longer delay is taken for a mistake."""
+"""s; a longer delay counts as a mistake."""
 _LONGEST_UNDER_WAY = 60.0
-"""s; a message that is in transit for longer is lost."""
+"""s; a message that takes longer counts as lost."""
 _JITTERS = 2.0
-"""Times the jitter: that a message takes so much longer says nothing."""
-_LIMITED = "they are limited to what was sent"
+"""Times the jitter by which a message may take longer without a cause."""
+_LIMITED = "they are limited to the messages sent"
 
 
 class Flow(NamedTuple):
-    """A route's messages, as far as they are watched.
+    """The figures of a route's messages that `Health` watches.
 
     Attributes:
-        flowing: messages could cross now.
-        last: s, when the last one was sent, or since when they could cross.
+        flowing: whether messages could cross now.
+        last: time (s) of the last message, or when messages could first cross.
         rate: Hz.
-        given_rate: Hz, that an operator expects; 0: none.
-        usual_rate: Hz, learned; None: not known.
-        limit: Hz that an operator allows; 0: all.
-        publishers: which there are.
-        ledger: where the messages went.
+        given_rate: Hz that an operator expects, or 0 for none.
+        usual_rate: Hz, learned, or None if unknown.
+        limit: Hz that may cross, or 0 for any.
+        publishers: ids of the topic's publishers.
+        ledger: of the route.
     """
 
     flowing: bool
@@ -78,10 +81,10 @@ class Flow(NamedTuple):
 
 
 class Health:
-    """How well a sending half's messages flow, watched once a second.
+    """Watches once a second whether a sending half's messages are slow, stopped or lost.
 
     Attributes:
-        expected_rate: Hz, that the route is judged by; None: it is not known, or messages come at random.
+        expected_rate: Hz that the route is judged by, or None if it is unknown or messages come at random.
     """
 
     def __init__(self) -> None:
@@ -92,7 +95,7 @@ class Health:
         self._lost_in_dds: deque[int] = deque(maxlen=LATELY)
 
     def tick(self, flow: Flow, now: float) -> None:
-        """Once a second, at `now` (s)."""
+        """Watch the flow at `now` (s). Called once a second."""
         ledger = flow.ledger
         self._lost_in_dds.append(ledger.lost_in_dds)
         self._loss.tick(ledger.delivered, ledger.dropped, now)
@@ -111,7 +114,7 @@ class Health:
             self._slow.tick(flow.rate, expected, now)
 
     def added_to(self, facts: Facts) -> Facts:
-        """The facts of a route with what the watches say."""
+        """Return the facts of a route, completed by the watches."""
         lost = self._lost_in_dds
         return facts._replace(
             expected_rate=self.expected_rate,
@@ -126,8 +129,8 @@ class OutgoingRoute(TopicRoute[SendingChannel]):
     """Takes a topic's messages here and sends them to the peer.
 
     Attributes:
-        delay: s that messages take at least; needs no clock of the other side.
-        longer: s that messages take beyond the shortest time of this opening and their jitter, as the receiver reports.
+        delay: s that messages take at least, measured without the other side's clock.
+        longer: s that messages take beyond the shortest time of this opening and their jitter, as reported.
     """
 
     outgoing: ClassVar[bool] = True
@@ -136,7 +139,7 @@ class OutgoingRoute(TopicRoute[SendingChannel]):
         super().__init__(context, peer, spec, proposal, proposed_here=proposed_here)
         self._subscription: TopicSubscription | None = None
         self._type = TypeUse(context.ros, peer.budget.types)
-        self._present: frozenset[bytes] | None = None  # the publishers that the peer was told of
+        self._present: frozenset[bytes] | None = None  # the publishers that the peer knows
         self._ledger = RouteLedger(numbered=isinstance(self.transport, DatagramTransport))
         self._report: ReceivedReport | None = None  # of the present opening
         self._kept_there: Collection[bytes] = ()  # publishers of a latched topic whose messages the peer keeps
@@ -154,7 +157,7 @@ class OutgoingRoute(TopicRoute[SendingChannel]):
     # --- setting up
 
     def peer_ready(self, ready: Ready) -> None:
-        """The peer has a publisher for what was described, and says what it counted in the opening before this one."""
+        """Subscribe: the peer has publishers. Its counts of the previous opening settle the ledger."""
         again = self.life.ready
         if not self.life.take(Event.READY):
             return
@@ -181,7 +184,7 @@ class OutgoingRoute(TopicRoute[SendingChannel]):
         self.advance()
 
     def advance(self) -> None:
-        """See who publishes; resolve type and QoS, describe them, make the path, subscribe: whatever is next."""
+        """Do the next steps that are possible: look for publishers, describe them, open the channel, subscribe."""
         self._advance()
         if self._subscription is not None and (released := self._loop_filter.release()):
             self._path.take(released)
@@ -237,7 +240,7 @@ class OutgoingRoute(TopicRoute[SendingChannel]):
         self.peer.send(described)
 
     def _resolve(self) -> Describe | None:
-        """What is sent; None: not known yet."""
+        """Return the description to send, or None if type or QoS is unknown."""
         resolved = self._resolver.resolve(MessageType(self.type_name, self.type_hash), self._loop_filter)
         self.notices.set_warning(resolved.warning if resolved else "")
         if resolved is None:
@@ -279,7 +282,7 @@ class OutgoingRoute(TopicRoute[SendingChannel]):
             self._type.end()
 
     def _look_who_is_present(self) -> None:
-        """Have the histories of publishers that are gone dropped, here and by the peer."""
+        """Drop the histories of publishers that are gone, here and at the peer."""
         if self._subscription is None or self.qos is None or not self.qos.latched:
             return
         gids = {endpoint.gid for endpoint in self.endpoints}
@@ -299,7 +302,7 @@ class OutgoingRoute(TopicRoute[SendingChannel]):
         return self._subscription.failure if self._subscription is not None else ""
 
     def disarm(self, why: Disarmed, reason: str = "") -> None:
-        """Drop what waits, here and on the way."""
+        """Drop the waiting messages, here and at the peer."""
         self._unsubscribe()
         self._path.lose("disarmed", self._loop_filter.forget())
         self._ledger.drop("disarmed", self._path.clear())
@@ -316,7 +319,7 @@ class OutgoingRoute(TopicRoute[SendingChannel]):
         self._ledger.opened(route_id, self.peer.instance)
 
     def close(self, reason: str) -> None:
-        """End the opening; what waits is lost, and what is under way is settled when the peer is back."""
+        """End the opening. Waiting messages are lost; messages in flight are settled with the next opening."""
         if self.endpoints and self._subscribed and not self.arming.required:
             self._ledger.missed.lost(self.context.now())
         self._end_subscription()
@@ -411,7 +414,7 @@ class OutgoingRoute(TopicRoute[SendingChannel]):
     # --- the ledger
 
     def reported(self, report: ReceivedReport) -> None:
-        """The peer said what arrived in the present opening."""
+        """Take the peer's counts of the present opening."""
         self._report = report
         self.judged.take(report.verdict, self.context.now())
         if not self._ledger.reported(report, self.context.now(), self._message_and_report):
@@ -429,12 +432,12 @@ class OutgoingRoute(TopicRoute[SendingChannel]):
         self.latency.told(report.latency_p50, report.latency_p99, report.jitter)
 
     def ledger(self) -> Ledger:
-        """Where the messages went, by the peer's last report."""
+        """Return the ledger, by the peer's last report."""
         lost_in_dds = self._subscription.lost if self._subscription else 0
         return self._ledger.ledger(lost_in_dds)
 
     def news(self) -> SentReport | None:
-        """The report that the peer has not been sent yet; None: it knows everything."""
+        """Return the report to send to the peer now, or None if nothing has changed."""
         report = self._sent_report()
         if report == self._told_report:
             return None
@@ -528,13 +531,13 @@ class OutgoingRoute(TopicRoute[SendingChannel]):
         return self.channel.arrival_rate() / datagrams
 
     def _datagrams(self) -> int:
-        """How many datagrams one of its messages takes; 0: it goes by none."""
+        """Return the number of datagrams of an average message, or 0 if the channel uses none."""
         if not isinstance(self.channel, DatagramSender) or not self.meter.count or not self.channel.ready:
             return 0
         return self.channel.datagrams(self.meter.bytes // self.meter.count)
 
     def _stages(self) -> tuple[Stage, ...]:
-        """From the publisher here to the subscriber there."""
+        """Return the stages from the publisher here to the subscriber there."""
         report = self._report
         known = self.life.described
         publishers = len(self.endpoints)

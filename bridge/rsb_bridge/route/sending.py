@@ -463,7 +463,7 @@ class OutgoingPath:
         self._take_latched(0, samples)
 
     def _take_latched(self, new: int, samples: Sequence[Sample]) -> None:
-        """Take messages of a latched topic, of which `new` are new; of those that wait, some may come now."""
+        """Take messages of a latched topic. `new` have just come; others have waited in the histories."""
         if self._route.peek_slot.wanted and samples:
             self._show(samples[-1].message)
         self._ledger.offered += new

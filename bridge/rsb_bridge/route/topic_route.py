@@ -1,4 +1,4 @@
-"""One topic in one direction over one link: what its sending and its receiving half share."""
+"""One topic in one direction over one link: the base of its sending and its receiving half."""
 
 from __future__ import annotations
 
@@ -77,7 +77,7 @@ class Silence:
         self._watch.times = session.stale_warnings
 
     def rearm(self, now: float) -> None:
-        """Begin anew: no message was due before `now` (s)."""
+        """Begin again: no message was due before `now` (s)."""
         self._watch.rearm(now)
         self._warned = False
 
@@ -93,7 +93,7 @@ class Silence:
             self._warned = True
             text = f"nothing for {self._watch.after * number:g} s (warning {number} of {self._watch.times})"
             if number == self._watch.times:
-                text += "; no more will be said until data returns"
+                text += "; no further warnings until data returns"
             self._log(Level.WARNING, EventCode.ROUTE_STALE, text)
 
     def seen(self, now: float) -> None:
@@ -108,7 +108,7 @@ class Silence:
 
     @property
     def quiet_since(self) -> float:
-        """s, when the last message came, or when counting began anew."""
+        """Time (s) of the last message, or when counting began again."""
         return self._watch.quiet_since
 
     def stale_since(self, now: float) -> float | None:
@@ -120,7 +120,7 @@ class TopicRoute(Route, Generic[ChannelT]):
     """A topic's half on this side.
 
     Attributes:
-        qos: of the bridge's endpoints on both sides; None: not known yet.
+        qos: of the bridge's endpoints on both sides, or None if unknown.
         latency: of its messages, one way.
         silence: warns of a silent topic.
         peek_slot: takes the next message for operators who look at the topic.
@@ -146,15 +146,15 @@ class TopicRoute(Route, Generic[ChannelT]):
     # --- what the halves do differently
 
     def ledger(self) -> Ledger:
-        """Where the messages went."""
+        """Return the ledger: the number of messages by their fate."""
         raise NotImplementedError
 
     def end_qos(self) -> tuple[Qos | None, Qos | None]:
-        """What the publishers at the beginning offer, and what the subscriptions at the end ask for."""
+        """Return the QoS that the original publishers offer, and the QoS that the final subscriptions request."""
         raise NotImplementedError
 
     def end_nodes(self) -> tuple[tuple[str, ...], tuple[str, ...]]:
-        """The nodes that publish the topic at the beginning, and those that subscribe to it at the end."""
+        """Return the nodes of the original publishers, and the nodes of the final subscriptions."""
         raise NotImplementedError
 
     # --- what is the same for both
@@ -166,7 +166,7 @@ class TopicRoute(Route, Generic[ChannelT]):
         self._full_at = None
 
     def amend(self, spec: Topic, proposal: Propose) -> None:
-        """Go on with other limits; counts, endpoints and what is under way stay."""
+        """Change the limits; counts, endpoints and messages in flight stay."""
         super().amend(spec, proposal)
         self.set_stale_after()
 
@@ -227,7 +227,7 @@ class TopicRoute(Route, Generic[ChannelT]):
         raise NotImplementedError
 
     def tick(self) -> None:
-        """Once a second: histories, stale warnings, and what has turned for the worse."""
+        """Update histories, stale warnings and the verdict. Called once a second."""
         self.latency.tick()
         self._tick_lateness(self.context.now())
         self.age.tick(self._came_here, self.context.now())
@@ -241,7 +241,7 @@ class TopicRoute(Route, Generic[ChannelT]):
         self.silence.tick(self.context.now(), due=shown.state in (State.STALE, State.STOPPED), cause=shown.cause)
 
     def _profile_rate(self) -> float:
-        """Hz that the link's profile allows a topic that says nothing of it, and may lose messages; 0: any."""
+        """Return the link profile's limit (Hz) if this topic has none and may lose messages, else 0."""
         if not self.outgoing or self.qos is None or self.qos.reliability != "best_effort" or self.proposal.max_rate:
             return 0.0
         return self.peer.profile.max_rate or 0.0
@@ -284,7 +284,7 @@ class TopicRoute(Route, Generic[ChannelT]):
         return self.silence.own or (self.meter.regular and not self.is_latched)
 
     def facts(self) -> Facts:
-        """What this half knows; each adds its own."""
+        """Return the facts that both halves know; each half adds its own."""
         known = self.life.described
         return Facts(
             **self.standing()._asdict(),

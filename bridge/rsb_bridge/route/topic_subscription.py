@@ -73,7 +73,7 @@ class TopicSubscription:
         Args:
             context: shared by all parts of the engine.
             spec: of the topic.
-            path: gets the messages; after `close` it drops those that are on their way from the ROS thread.
+            path: gets the messages; after `close` it drops messages that are still in the ROS queue.
             meter: of the topic's messages so far.
             log: adds an event about the subscription.
             automatic: whether depths are chosen here instead of by the QoS.
@@ -116,7 +116,7 @@ class TopicSubscription:
             self._subscription = None
 
     def close(self) -> int:
-        """Take no more messages, drop those that wait in the histories, and return their number."""
+        """Take no more messages, drop the messages that the histories hold, and return their number."""
         self.unsubscribe()
         self._receiver.offer = self._too_late  # they may be older than what arms the next opening
         return self.histories.close() if self.histories is not None else 0
