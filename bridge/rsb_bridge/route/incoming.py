@@ -252,11 +252,11 @@ class IncomingRoute(TopicRoute[ReceivingChannel]):
                 if arrived is None:
                     self._drop_disarmed(1)
                     continue
-            payload, stamp, flags = arrived  # the last one's stamp is the batch's latency sample
-            if flags & ZSTD and not self._unpacker.begin(arrived):
+            if arrived[2] & ZSTD and not self._unpacker.begin(arrived):
                 self._later.extend((message, *messages))
                 self.peer.budget.expansion.wait(self._go_on)
                 break
+            payload, stamp, flags = arrived  # the last one's stamp is the batch's latency sample
             self._received += 1
             if limited and not self.limit.admits(began):
                 self._leave_out()
