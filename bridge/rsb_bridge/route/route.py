@@ -431,11 +431,6 @@ class Route:
         """Whether its rate and delays are as usual now, so that the usual ones are learned from them."""
         return True
 
-    def count(self, messages: int, size: int) -> None:
-        """Note that messages, or calls, passed."""
-        self.notices.flowing()
-        self.meter.add(messages, size, self.context.now())
-
     # --- how it is
 
     def trouble(self) -> str:
