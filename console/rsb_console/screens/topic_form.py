@@ -15,9 +15,9 @@ from rsb_bridge.api import EngineError
 from rsb_bridge.model import transports
 from rsb_bridge.model.limits import CHANNEL, NO_PORT
 from rsb_bridge.model.link_budget import LoadSource, cost_of, told
-from rsb_bridge.model.qos import AUTO, PROFILES
-from rsb_bridge.model.session import CALL_TIMEOUT, DEADMAN
+from rsb_bridge.model.qos import AUTO
 from rsb_bridge.model.text import plural
+from rsb_bridge.model.topic_keys import TOPIC_KEYS
 from rsb_console.look.formats import KIND_NOUN
 from rsb_console.look.glyphs import IN, OUT
 from rsb_console.screens.form_screen import FormScreen
@@ -78,36 +78,11 @@ def _with_value(spec: Spec, value: str) -> Spec:
 
 def _specs(session: Session, ends: Ends, kind: Kind, route: RouteSnapshot | None) -> Iterator[Spec]:
     yield from _which(ends, kind, new=route is None)
-    if kind == "topic":
-        known = f"auto, {', '.join(PROFILES)}, a depth (20), or policies: {{reliability: best_effort}}"
-        yield Spec("qos", "QoS", known, blank="auto")
-    yield Spec(
-        "remote_topic",
-        "On the server",
-        f"Its name there. Empty: the same{f', with /{ends.client} before it' if ends.use_name else ''}.",
-        blank=f"/{ends.client} and its name" if ends.use_name else "same name",
-    )
-    if kind != "topic":
-        yield Spec(
-            "timeout",
-            "Timeout",
-            "Seconds without an answer until a call is given up.",
-            blank=f"{CALL_TIMEOUT:g} s",
-        )
-    yield from _how(session, kind, None if route is None else route.spec.protocol)
-    yield Spec(
-        "arm",
-        "Must be armed",
-        "Carries nothing until an operator arms it (key A).",
-        options=(("", "no"), ("yes", "yes")),
-    )
-    yield Spec(
-        "deadman",
-        "Deadman",
-        "Seconds without a key on the console that armed it until it disarms; 0: none.",
-        blank=f"{DEADMAN:g} s, if it has to be armed",
-    )
-    yield Spec("paused", "Paused", "Set up, but carries nothing until resumed.", options=(("", "no"), ("yes", "yes")))
+    yield from _how(session, ends, kind, None if route is None else route.spec.protocol)
+    for key in TOPIC_KEYS.values():
+        if key.label and key.is_of(kind):
+            blank = key.blank.format(session=session)
+            yield Spec(key.name, key.label, key.help_of(kind), blank=blank, options=key.options)
 
 
 def _which(ends: Ends, kind: Kind, *, new: bool) -> Iterator[Spec]:
@@ -142,52 +117,31 @@ def _which(ends: Ends, kind: Kind, *, new: bool) -> Iterator[Spec]:
             "The side whose node answers. The other side's nodes call it.",
             options=(("server", f"the server ({there})"), ("client", f"the client ({here})")),
         )
-    yield Spec(
-        "excepts",
-        "Except",
-        "Of a pattern (/camera/**, /nav/*): names and patterns on the client that it leaves out, with blanks between.",
-        blank="nothing",
-    )
     if kind in _FOLDERS:
         short = ", or a common type's short name (LaserScan)" if kind == "topic" else ""
         form = f"package/{_FOLDERS[kind]}/Name{short}. Empty: the type in either graph."
         yield Spec("type", "Type", form, blank="auto")
 
 
-def _how(session: Session, kind: Kind, begun: str | None) -> Iterator[Spec]:
+def _how(session: Session, ends: Ends, kind: Kind, begun: str | None) -> Iterator[Spec]:
     """How it crosses; `begun` is the protocol that it has already."""
+    yield Spec(
+        "remote_topic",
+        "On the server",
+        f"Its name there. Empty: the same{f', with /{ends.client} before it' if ends.use_name else ''}.",
+        blank=f"/{ends.client} and its name" if ends.use_name else "same name",
+    )
     bluetooth = session.is_bluetooth
     has_radio = session.bluetooth_address is not None or begun == "bluetooth"
     if not bluetooth:
         yield _protocol(kind, session, has_radio=has_radio)
-    has_ports = transports.of_link(session.server_ip).topic_ports is not NO_PORT
-    packing = (("", f"the link's ({'zstd' if bluetooth else 'none'})"), ("none", "none"), ("zstd", "zstd"))
-    port = "Channel" if bluetooth else "Port"
-    channel = f" Bluetooth: a channel, {CHANNEL}, which several may share." if has_radio and not bluetooth else ""
-    if has_ports:
+    if transports.of_link(session.server_ip).topic_ports is not NO_PORT:
+        port = "Channel" if bluetooth else "Port"
+        channel = f" Bluetooth: a channel, {CHANNEL}, which several may share." if has_radio and not bluetooth else ""
         yield Spec("port", port, f"A {port.lower()} of its own. Empty: it shares the link's.{channel}", blank="shared")
-    if kind == "topic":
-        after = f"{session.stale_after:g} s"
-        yield Spec("max_rate", "Max rate", "Hz; messages beyond it are left out. Empty: no limit.", blank="all")
-        yield Spec(
-            "priority",
-            "Priority",
-            "While the link carries less than is asked for, lower ones are thinned first.",
-            options=(("", "normal"), ("high", "high"), ("low", "low")),
-        )
-        yield Spec("expected_rate", "Expected rate", "Hz, shown beside the real rate. Empty: learned.", blank="learned")
-        yield Spec("stale_after", "Stale after", "Seconds without a message before a warning; 0: never.", blank=after)
-        late = f"{session.late_after:g} s"
-        yield Spec("late_after", "Late after", "Seconds that a message may take, or 0 for no limit.", blank=late)
-        old = "Seconds; an older message is dropped. 0: no limit. Empty: 1 s if it has to be armed, else no limit."
-        yield Spec("max_age", "Max age", old, blank="1 s if armed")
-        worth = "zstd is worth it for maps and clouds, and on slow links."
-    else:
-        yield Spec("max_rate", "Max rate", "Calls a second; those beyond it are refused. Empty: no limit.", blank="all")
-        old = "Seconds; an older request is refused. 0: no limit. Empty: 1 s if it has to be armed, else no limit."
-        yield Spec("max_age", "Max age", old, blank="1 s if armed")
-        worth = "zstd is worth it for large requests and answers, and on slow links."
-    yield Spec("compression", "Compression", worth, options=packing)
+    packed = "maps and clouds" if kind == "topic" else "large requests and answers"
+    packing = (("", f"the link's ({'zstd' if bluetooth else 'none'})"), ("none", "none"), ("zstd", "zstd"))
+    yield Spec("compression", "Compression", f"zstd is worth it for {packed}, and on slow links.", options=packing)
 
 
 def _protocol(kind: Kind, session: Session, *, has_radio: bool) -> Spec:

@@ -15,6 +15,7 @@ from rsb_bridge.config.topic_rules import overlaps
 from rsb_bridge.config.yaml_text import read_yaml
 from rsb_bridge.model.names import client_topic
 from rsb_bridge.model.session import Session, Topic
+from rsb_bridge.model.topic_keys import keys_of_value
 from rsb_bridge.model.wording import Wording
 
 if TYPE_CHECKING:
@@ -22,8 +23,7 @@ if TYPE_CHECKING:
 
     from rsb_bridge.model.snapshot import Snapshot
 
-NUMBERS = ("port", "max_rate", "expected_rate", "stale_after", "late_after", "max_age", "deadman", "timeout")
-SWITCHES = ("paused", "arm")
+_NUMBERS, SWITCHES = keys_of_value("number"), keys_of_value("switch")
 """The keys that are on or off: any text is on but those of `_OFF`."""
 _OFF = ("", "false", "no", "off")
 _DIRECTIONS = {"server": "transmit", "client": "receive"}
@@ -60,7 +60,7 @@ def plain(key: str, text: str) -> Any:
         return _plain_qos(text)
     if key == "excepts":
         return tuple(text.replace(",", " ").split())
-    if key not in NUMBERS:
+    if key not in _NUMBERS:
         return text
     for kind in (int, float):
         try:
