@@ -43,7 +43,7 @@ _AMENDABLE = {name: _NONE[name] for name, key in TOPIC_KEYS.items() if key.live}
 def proposal_of(
     topic: Topic, transport: Transport, *, client_name: str, use_name: bool, profile: LinkProfile = PLAIN
 ) -> Propose:
-    """What to ask the peer for.
+    """Make the proposal for a topic.
 
     Args:
         topic: as the client sees it; validated.
@@ -102,7 +102,7 @@ def _numbers_of(proposal: Propose) -> dict[str, Any]:
 
 
 def _kind_of(proposal: Propose) -> Kind:
-    """What a peer proposes.
+    """Return the kind of a peer's proposal.
 
     Raises:
         LinkError: it is something that only newer versions have.
@@ -123,7 +123,7 @@ def same_route(one: Propose, other: Propose) -> bool:
 
 
 def unsupported_change(old: Propose, new: Propose, features: Container[str]) -> str:
-    """Return why a proposer with these features would not take part of a change, or an empty string if it would."""
+    """Return the reason why a proposer with these features does not take a change, or an empty string."""
     for name, key in TOPIC_KEYS.items():
         if key.negotiated and getattr(old, name) != getattr(new, name) and name not in features:
             return f"the other side's rsb-console is too old for {name}: update it"
@@ -140,7 +140,7 @@ def amended(proposal: Propose, limits: Propose | Amend) -> Propose:
 
 
 def amendment(proposal: Propose, route_id: int, who: str = "") -> Amend:
-    """The message that tells a proposal's limits, and which operator has changed them; empty: it is an answer."""
+    """Make the message with a proposal's limits. `who` is the operator who has changed them, or empty in an answer."""
     return Amend(route_id, who=who, **{name: getattr(proposal, name) for name in _AMENDABLE})
 
 
@@ -152,17 +152,17 @@ def amended_topic(topic: Topic, limits: Propose) -> Topic:
 
 
 class Authority(Protocol):
-    """What decides about a peer's proposals: its link."""
+    """The link of the peer that proposes."""
 
     is_client: bool
 
     @property
     def rights(self) -> Rights:
-        """What the peer may do here."""
+        """The peer's rights on this side."""
         ...
 
     def bench_refusal(self, topic: str) -> str:
-        """Why the peer may not measure the link now with a topic; empty: it may, or the topic is an ordinary one."""
+        """Return the reason why the peer may not measure the link with a topic now, or an empty string."""
         ...
 
     def with_local_name(self, proposal: Propose) -> Propose:
@@ -194,7 +194,7 @@ def authorized(proposal: Propose, authority: Authority, session: Session) -> Pro
 
 
 def use_of(proposal: Propose, *, is_client: bool) -> Use:
-    """What a peer does here with what it proposes, of a proposal that has this side's name for that."""
+    """Return the use that a peer's proposal makes of this side, given the proposal with this side's name."""
     kind = _kind_of(proposal)
     sends, takes = uses(kind)
     if proposal.from_client != is_client:

@@ -61,12 +61,12 @@ class TopicKey:
         kinds: the entries that may have it; `wrong_kind` is the remedy for the others.
         limits: the range of a number, or None if other rules apply; `range_text` tells it to an operator.
         unit: of the number.
-        zero: whether 0 is allowed besides the range.
+        zero: whether 0 is allowed, too.
         sentence: the key with its value, for a person; `zero_sentence` if that is 0.
-        live: whether it changes without opening the route anew.
+        live: whether a change leaves the route open.
         negotiated: whether only peers take it that have its name among their features.
         label: of its field in the form, or empty if the form makes the field itself.
-        help: what the form says of it for a topic, and `help_of_calls` if that differs for other kinds.
+        help: the form's help for a topic, and `help_of_calls` if that differs for other kinds.
         blank: the meaning of an empty field, a template with the session.
         options: the choices of its field, each a value and a label.
     """
@@ -98,7 +98,7 @@ class TopicKey:
         return self.limits is None or value is None or value in self.limits or (self.zero and value == 0)
 
     def help_of(self, kind: Kind) -> str:
-        """Return what the form says of it."""
+        """Return the form's help for a kind."""
         return (kind != "topic" and self.help_of_calls) or self.help
 
     def described(self, value: Any, kind: Kind) -> str:

@@ -44,23 +44,23 @@ ORDER = (
 _LABELS: dict[Kind, str] = {"topic": "Topic", "service": "Service", "action": "Action", "parameters": "Node"}
 _FOLDERS: dict[Kind, str] = {"topic": "msg", "service": "srv", "action": "action"}
 LOOK_EVERY = 2.0  # s between two looks at the graphs
-_NAME_WIDTH, _WHERE_WIDTH, _TYPE_WIDTH = 32, 21, 24  # cells; the name takes what is left, and no less than this
+_NAME_WIDTH, _WHERE_WIDTH, _TYPE_WIDTH = 32, 21, 24  # cells; the name gets the rest, at least so many
 _ENDS: dict[Kind, tuple[str, str]] = {
     "topic": ("publisher", "subscriber"),
     "service": ("server", "client"),
     "action": ("server", "client"),
     "parameters": ("parameters", "client"),
 }
-"""What there is of each kind on the side that gives it, and on the other."""
+"""The endpoints of each kind on the providing side, and on the other."""
 
 
 def fields_by_kind(session: Session, ends: Ends, route: RouteSnapshot | None) -> dict[Kind, dict[str, Spec]]:
-    """The fields of each kind that the form may be about, by their keys.
+    """Return the fields of each kind that the form may have, by their keys.
 
     Args:
-        session: what it is for.
+        session: the session that it is for.
         ends: of the link.
-        route: what is edited; None: the form is for something new, of any kind.
+        route: the route to edit, or None for a form of something new, of any kind.
     """
     kinds = KINDS if route is None else (route.spec.kind,)
     values = {} if route is None else values_of(route.spec) | {"provider": route.spec.provider}
@@ -86,7 +86,6 @@ def _specs(session: Session, ends: Ends, kind: Kind, route: RouteSnapshot | None
 
 
 def _which(ends: Ends, kind: Kind, *, new: bool) -> Iterator[Spec]:
-    """What it is, and between whom."""
     name = f"{'The name of the node' if kind == 'parameters' else 'Its name'} on the client."
     yield Spec(
         "topic",
@@ -124,7 +123,7 @@ def _which(ends: Ends, kind: Kind, *, new: bool) -> Iterator[Spec]:
 
 
 def _how(session: Session, ends: Ends, kind: Kind, begun: str | None) -> Iterator[Spec]:
-    """How it crosses; `begun` is the protocol that it has already."""
+    """Yield the fields of the way over the link; `begun` is the present protocol."""
     yield Spec(
         "remote_topic",
         "On the server",
@@ -162,7 +161,7 @@ def _protocol(kind: Kind, session: Session, *, has_radio: bool) -> Spec:
 
 
 class Draft(NamedTuple):
-    """What the form gives.
+    """The result of the form.
 
     Attributes:
         topic: as the client sees it.
@@ -178,8 +177,8 @@ class TopicScreen(FormScreen[Draft]):
 
     Args:
         engine: whose graphs and links it is about.
-        do: carries out what the form gives; the form stays open, with the reason, if the engine refuses it.
-        route: what to edit; None: something new.
+        do: carries out the result; if the engine refuses it, the form stays open and shows the reason.
+        route: the route to edit, or None for something new.
     """
 
     def __init__(
@@ -201,7 +200,7 @@ class TopicScreen(FormScreen[Draft]):
         self._show_kind()
 
     def _all_specs(self) -> Iterator[Spec]:
-        """Those of every kind, each once, in an order that is that of each kind."""
+        """Yield the fields of every kind, each once, in the order of `ORDER`."""
         if len(self._links) > 1:
             clients = tuple((name, name) for name in self._links)
             yield Spec("link", "Client", "The client that it is bridged with.", options=clients)
@@ -244,7 +243,7 @@ class TopicScreen(FormScreen[Draft]):
         return told(cost, now.time) if cost.load.source is not LoadSource.UNKNOWN else ()
 
     def _type_of(self, draft: Draft) -> str:
-        """The type that the sending side's graph has; empty: none."""
+        """Return the type in the sending side's graph, or an empty string."""
         sends_here = (draft.topic.direction == "receive") == (self._engine.session.role == "server")
         found = self._found.get(None if sends_here else draft.link, [])
         names = {draft.topic.topic, draft.topic.remote_topic, f"/{draft.link}{draft.topic.topic}"}
@@ -262,7 +261,7 @@ class TopicScreen(FormScreen[Draft]):
 
     @work(group=DIALOG)
     async def accept(self, result: Draft) -> None:
-        """Have it carried out; what is refused is said here, beside the values."""
+        """Add or change the topic. If the engine refuses, show the reason in the form."""
         try:
             await self._do(result)
         except EngineError as error:
@@ -342,7 +341,7 @@ class TopicScreen(FormScreen[Draft]):
 def suggestions_for(
     ends: Ends, here: Iterable[TopicInfo], there: Iterable[TopicInfo], bridged: Sequence[RouteSnapshot]
 ) -> list[Suggestion]:
-    """What both graphs have that is not bridged yet: topics, then services, actions and parameters, each by name.
+    """Return what can be bridged from both graphs: topics, then services, actions and parameters, each by name.
 
     A publisher makes a topic flow away from its side; where there are only subscriptions it is to flow towards them.
     What has both, one on each side, is told by its publisher. So it is with the servers and clients of a service.
@@ -375,7 +374,7 @@ def suggestions_for(
 
 
 def _from_here(route: RouteSnapshot) -> bool:
-    """Whether a topic's messages go out. Whatever else has a name, it crosses one way only."""
+    """Whether a topic's messages go out. False for calls: their names cross one way only."""
     return route.outgoing and route.spec.kind == "topic"
 
 
@@ -386,7 +385,7 @@ def _direction(ends: Ends, info: TopicInfo, is_here: bool) -> str:
 
 
 def _suggestion(ends: Ends, info: TopicInfo, is_here: bool) -> Suggestion | None:
-    """What the client would call it; None: it is not the client's to bridge."""
+    """Make the suggestion with the client's name, or return None if the client has none."""
     name = ends.client_topic(info.topic, on_server=is_here == ends.is_server)
     if name is None:
         return None
