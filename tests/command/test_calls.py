@@ -14,11 +14,11 @@ from tests.support.wording import says
 
 from rsb_bridge.api import EngineError, InvalidRequestError
 from rsb_bridge.config.decoding import ValueMistake
-from rsb_bridge.config.file_form import ForeignKey
 from rsb_bridge.config.validation import SessionMistake
 from rsb_bridge.model.calls import CallsSnapshot, GoalSnapshot
 from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import ArmingSnapshot, Ledger, Stage, State
+from rsb_bridge.model.topic_keys import ForeignKey
 from rsb_console.command.call_command import CallProblem
 from rsb_console.command.remote import RemoteProblem
 

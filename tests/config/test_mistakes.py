@@ -10,7 +10,7 @@ from tests.support.wording import says
 from rsb_bridge.config.decoding import Hint, ValueMistake
 from rsb_bridge.config.rights import RightsMistake
 from rsb_bridge.config.session_file import SessionError, load, parse, validate, validate_topic
-from rsb_bridge.config.topic_rules import RangeText, TopicMistake
+from rsb_bridge.config.topic_rules import TopicMistake
 from rsb_bridge.config.validation import AddressProblem, SessionMistake
 from rsb_bridge.config.yaml_text import FileProblem, YamlMistake
 from rsb_bridge.model.limits import CHANNEL, DEADMAN_TIME, DEPTH, DOMAIN, PORT, QOS_TIME, RATE, STALE_AFTER, TOPIC_PORT
@@ -18,6 +18,7 @@ from rsb_bridge.model.names import TypeNameProblem
 from rsb_bridge.model.qos import QosProblem
 from rsb_bridge.model.session import Problem, Session, Topic
 from rsb_bridge.model.sources import ANNOUNCEMENT_TOPIC
+from rsb_bridge.model.topic_keys import RangeText
 from rsb_bridge.model.wording import Wording
 
 FILE = Path("robot1.yaml")

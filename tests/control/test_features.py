@@ -16,7 +16,6 @@ from rsb_bridge.control.features import (
     COMMANDS,
     FEATURES,
     FIELDS,
-    LATE_AFTER,
     missing_feature,
     with_unknown_kept,
     without_unknown,
@@ -143,10 +142,10 @@ def test_a_bridge_of_this_version_gets_all(machine: Machine) -> None:
     ("command", "missing"),
     [
         (AddTopic(Topic("/a", "receive")), ""),
-        (AddTopic(Topic("/a", "receive", late_after=0.0)), LATE_AFTER),
+        (AddTopic(Topic("/a", "receive", late_after=0.0)), "late_after"),
         (
             ChangeClient(Client("a", topics=(Topic("/a", "receive"), Topic("/b", "receive", late_after=1.0)))),
-            LATE_AFTER,
+            "late_after",
         ),
     ],
 )

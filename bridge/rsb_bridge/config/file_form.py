@@ -12,7 +12,7 @@ import msgspec
 from msgspec.structs import FieldInfo, fields
 
 from rsb_bridge.model.session import Client, Direction, Kind, Provider, Session, Topic
-from rsb_bridge.model.wording import Wording
+from rsb_bridge.model.topic_keys import TOPIC_KEYS, ForeignKey
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -34,8 +34,6 @@ NOUNS: Final[dict[str, str]] = {
 }  # fmt: skip
 """What an entry is called, before its name, by list."""
 
-_OF_TOPICS = ("qos", "priority", "expected_rate", "stale_after", "late_after")
-_OF_CALLS = ("kind", "timeout")
 _PROVIDERS: dict[Any, Provider] = {"transmit": "server", "receive": "client"}
 DIRECTIONS: Final[dict[Any, Direction]] = {provider: direction for direction, provider in _PROVIDERS.items()}
 """The direction of requests, by which side's node answers."""
@@ -43,10 +41,11 @@ DIRECTIONS: Final[dict[Any, Direction]] = {provider: direction for direction, pr
 
 _RENAMED = {"excepts": "except"}
 """Keys of entries that are no names in Python, by the fields of `Topic`."""
+_FIELDS = [field.name for field in fields(Topic) if field.name in TOPIC_KEYS]
 
 
 def _keys(name: str) -> dict[str, str]:
-    known = (field.name for field in fields(Topic) if field.name not in (*_OF_TOPICS, *_OF_CALLS))
+    known = (field for field in _FIELDS if TOPIC_KEYS[field].kinds == "all")
     renamed = _RENAMED | {"topic": name, "direction": "provider", "remote_topic": f"remote_{name}"}
     keys = {renamed.get(field, field): field for field in known if not (name == "node" and field == "type")}
     first = [name, "provider", *(["type"] if "type" in keys else [])]
@@ -54,9 +53,7 @@ def _keys(name: str) -> dict[str, str]:
 
 
 KEYS: Final[dict[Kind, dict[str, str]]] = {
-    "topic": {
-        _RENAMED.get(field.name, field.name): field.name for field in fields(Topic) if field.name not in _OF_CALLS
-    },
+    "topic": {_RENAMED.get(field, field): field for field in _FIELDS if TOPIC_KEYS[field].is_of("topic")},
     "service": _keys("service"),
     "action": _keys("action"),
     "parameters": _keys("node"),
@@ -64,42 +61,16 @@ KEYS: Final[dict[Kind, dict[str, str]]] = {
 """The fields of `Topic` by the keys of an entry, in the order in which one is written."""
 
 
-class ForeignKey(Wording):
-    """A key that entries of another kind have, and this one does not."""
-
-    KIND_OF_TOPIC = "not a key: what is no topic is listed under services, actions or parameters instead"
-    KIND_OF_CALLED = "not a key: the list defines the kind; leave it out"
-    TIMEOUT_OF_TOPIC = "a topic has none: leave it out; what is called is listed under services or actions"
-    PROVIDER_OF_TOPIC = (
-        "a topic has a direction, transmit or receive; what is called is listed under services or actions"
-    )
-    NOT_A_TOPIC = "not a topic: list it under {list}"
-    PRIORITY_OF_CALLED = "calls go ahead of all topics: leave it out"
-    QOS_OF_CALLED = "calls have ROS's own QoS: leave it out"
-    EXPECTED_RATE_OF_CALLED = "nobody expects calls at a rate: leave it out"
-    STALE_AFTER_OF_CALLED = "nobody expects calls all the time: leave it out; timeout says how long an answer may take"
-    LATE_AFTER_OF_CALLED = "only topics have it: leave it out; timeout limits how long a call waits for its answer"
-    DIRECTION_OF_CALLED = "write provider: client or provider: server, the side whose node answers"
-    LIST_UNDER = "list this entry under {list}, or write {key}: /..."
-    OTHER_REMOTE = "write {key}"
-    TYPE_OF_PARAMETERS = "parameters have types of ROS's own: leave it out"
-    OTHER = "leave it out"
-
-
 _NOT_OF_TOPICS = {
     "kind": ForeignKey.KIND_OF_TOPIC(),
-    "timeout": ForeignKey.TIMEOUT_OF_TOPIC(),
+    **{name: key.wrong_kind() for name, key in TOPIC_KEYS.items() if key.kinds == "calls"},
     "provider": ForeignKey.PROVIDER_OF_TOPIC(),
     **{key: ForeignKey.NOT_A_TOPIC(list=name) for name, key in NAME_KEYS.items() if name != "topics"},
 }
 _NOT_OF_CALLS = {
     "kind": ForeignKey.KIND_OF_CALLED(),
-    "priority": ForeignKey.PRIORITY_OF_CALLED(),
-    "qos": ForeignKey.QOS_OF_CALLED(),
-    "expected_rate": ForeignKey.EXPECTED_RATE_OF_CALLED(),
-    "stale_after": ForeignKey.STALE_AFTER_OF_CALLED(),
-    "late_after": ForeignKey.LATE_AFTER_OF_CALLED(),
     "direction": ForeignKey.DIRECTION_OF_CALLED(),
+    **{name: key.wrong_kind() for name, key in TOPIC_KEYS.items() if key.kinds == "topics"},
 }
 
 

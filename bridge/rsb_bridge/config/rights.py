@@ -14,7 +14,7 @@ import msgspec
 from rsb_bridge.config.decoding import join, read, show
 from rsb_bridge.config.file_form import LISTS
 from rsb_bridge.config.keys import KeyFileError, fingerprint, key_path, read_key
-from rsb_bridge.config.topic_rules import rate_problems, service_names
+from rsb_bridge.config.topic_rules import range_problems, service_names
 from rsb_bridge.config.yaml_text import SessionError, inline, read_yaml
 from rsb_bridge.model import transports
 from rsb_bridge.model.benchmark import is_bench_topic
@@ -189,7 +189,7 @@ def grant_problems(holder: Client | Session, location: str) -> Iterator[Problem]
                 yield Problem(join(here, "protocol"), RightsMistake.NO_PROTOCOLS())
             if key == "deny" and grant.max_rate is not None:
                 yield Problem(join(here, "max_rate"), RightsMistake.RATE_OF_DENIED())
-            yield from rate_problems(grant.max_rate, join(here, "max_rate"))
+            yield from range_problems(grant, here)
 
 
 def _subject_problems(grant: Grant, here: str) -> Iterator[Problem]:
@@ -225,7 +225,7 @@ def leave_problems(leave: Leave | None, location: str) -> Iterator[Problem]:
     """Mistakes in what a benchmark may cause."""
     if leave is None:
         return
-    yield from rate_problems(leave.max_rate, join(location, "max_rate"))
+    yield from range_problems(leave, location)
     for key, value in (("seconds", leave.seconds), ("megabytes", leave.megabytes)):
         if not 0 < value <= _MOST_LEAVE:
             yield Problem(join(location, key), RightsMistake.LIMIT(value=f"{value:g}", limit=f"{_MOST_LEAVE:g}"))

@@ -5,24 +5,14 @@ from __future__ import annotations
 import re
 from typing import TYPE_CHECKING, Any, Final
 
+import msgspec
+
 from rsb_bridge.config.decoding import Hint, did_you_mean, join, read, show
 from rsb_bridge.config.file_form import LISTS, NOUNS, key_of, locations
 from rsb_bridge.config.keys import conceal
 from rsb_bridge.model import transports
 from rsb_bridge.model.calls import LANES
-from rsb_bridge.model.limits import (
-    CALL_TIME,
-    CHANNEL,
-    DEADMAN_TIME,
-    LATE_AFTER,
-    MAX_AGE,
-    NO_PORT,
-    RATE,
-    STALE_AFTER,
-    TEXT_LENGTH,
-    TOPIC_LENGTH,
-    Range,
-)
+from rsb_bridge.model.limits import CHANNEL, NO_PORT, TEXT_LENGTH, TOPIC_LENGTH
 from rsb_bridge.model.names import expand_type_name, is_topic_name, server_topic, well_formed
 from rsb_bridge.model.patterns import (
     EXCEPTIONS_PER_PATTERN,
@@ -35,6 +25,7 @@ from rsb_bridge.model.patterns import (
 from rsb_bridge.model.qos import AUTO, PROFILES, Qos, parse_qos
 from rsb_bridge.model.session import Kind, Problem, Session, Topic
 from rsb_bridge.model.sources import ANNOUNCEMENT_TOPIC, OWN_NAMES
+from rsb_bridge.model.topic_keys import TOPIC_KEYS
 from rsb_bridge.model.wording import Wording
 
 if TYPE_CHECKING:
@@ -112,20 +103,18 @@ class TopicMistake(Wording):
     BRIDGED_ALREADY = "{service} is bridged already, with {noun} {name}: keep one of the two"
 
 
-class RangeText(Wording):
-    """The values that a field may have."""
+def range_problems(holder: msgspec.Struct, location: str) -> Iterator[Problem]:
+    """Yield the numbers outside of their ranges.
 
-    DEADMAN = "{range} s, or 0 for none"
-    LATE_AFTER = "{range} s, or 0 to accept any delay"
-    MAX_AGE = "{range} s, or 0 for no limit"
-    STALE_AFTER = "{range} s, or 0 to never warn"
-    RATE = "{range} Hz, or leave it out"
-    TIMEOUT = "{range} s, or leave it out"
-
-
-def out_of_range(value: float, location: str, text: RangeText, limits: Range) -> Problem:
-    """Make the problem of a value outside of its range."""
-    return Problem(location, TopicMistake.OUT_OF_RANGE(value=value, range=text(range=limits)))
+    Args:
+        holder: a topic, or anything else with fields of these names.
+        location: of the holder, or an empty string for a session.
+    """
+    for name in holder.__struct_fields__:
+        key = TOPIC_KEYS.get(name)
+        if key is not None and key.range_text and not key.allows(value := getattr(holder, name)):
+            message = TopicMistake.OUT_OF_RANGE(value=value, range=key.range_text(range=key.limits))
+            yield Problem(join(location, name), message)
 
 
 def port_problems(port: int, location: str, transport: type[TransportTraits]) -> Iterator[Problem]:
@@ -178,24 +167,10 @@ def topic_problems(topic: Topic, location: str, session: Session | None, client:
     if topic.port is not None:
         yield from port_problems(topic.port, join(location, "port"), transport_of(topic, session))
     yield from _qos(topic.qos, join(location, "qos"))
-    yield from rate_problems(topic.max_rate, join(location, "max_rate"))
-    yield from rate_problems(topic.expected_rate, join(location, "expected_rate"))
-    if topic.stale_after is not None:
-        yield from stale_problems(topic.stale_after, join(location, "stale_after"))
-    if topic.late_after is not None:
-        yield from late_problems(topic.late_after, join(location, "late_after"))
-    if topic.max_age:
-        yield from _max_age(topic.max_age, join(location, "max_age"))
-    yield from _arming(topic, location)
-
-
-def _arming(topic: Topic, location: str) -> Iterator[Problem]:
-    if topic.deadman is None:
-        return
-    if not topic.arm:
+    useless_deadman = topic.deadman is not None and not topic.arm
+    yield from range_problems(msgspec.structs.replace(topic, deadman=None) if useless_deadman else topic, location)
+    if useless_deadman:
         yield Problem(join(location, "deadman"), TopicMistake.DEADMAN_WITHOUT_ARM(kind=A_KIND[topic.kind]))
-    elif topic.deadman and topic.deadman not in DEADMAN_TIME:
-        yield out_of_range(topic.deadman, join(location, "deadman"), RangeText.DEADMAN, DEADMAN_TIME)
 
 
 def name_problems(name: str, location: str, kind: Kind = "topic") -> Iterator[Problem]:
@@ -263,29 +238,6 @@ def _qos(value: str | int | dict[str, Any], location: str) -> Iterator[Problem]:
         options = list(PROFILES) if isinstance(value, dict) else [AUTO, *PROFILES]
         hint = did_you_mean(name, options) if isinstance(name, str) else ""
         yield Problem(location, conceal(f"{error}{hint}"))
-
-
-def late_problems(seconds: float, location: str) -> Iterator[Problem]:
-    """Check a topic's or a session's `late_after`."""
-    if seconds and seconds not in LATE_AFTER:
-        yield out_of_range(seconds, location, RangeText.LATE_AFTER, LATE_AFTER)
-
-
-def _max_age(seconds: float, location: str) -> Iterator[Problem]:
-    if seconds not in MAX_AGE:
-        yield out_of_range(seconds, location, RangeText.MAX_AGE, MAX_AGE)
-
-
-def stale_problems(seconds: float, location: str) -> Iterator[Problem]:
-    """Whether such a time without messages can be watched."""
-    if seconds and seconds not in STALE_AFTER:
-        yield out_of_range(seconds, location, RangeText.STALE_AFTER, STALE_AFTER)
-
-
-def rate_problems(rate: float | None, location: str) -> Iterator[Problem]:
-    """Whether a rate limit is in its range."""
-    if rate is not None and rate not in RATE:
-        yield out_of_range(rate, location, RangeText.RATE, RATE)
 
 
 def pattern_problems(topic: Topic, location: str, transport: type[TransportTraits]) -> Iterator[Problem]:
@@ -367,8 +319,6 @@ def call_problems(topic: Topic, location: str) -> Iterator[Problem]:
             yield from _called_name(name, join(location, key_of(topic.kind, field)))
     if topic.kind in _FOLDERS:
         yield from _call_type(topic, join(location, "type"))
-    if topic.timeout is not None and topic.timeout not in CALL_TIME:
-        yield out_of_range(topic.timeout, join(location, "timeout"), RangeText.TIMEOUT, CALL_TIME)
 
 
 def _called_name(name: str, location: str) -> Iterator[Problem]:

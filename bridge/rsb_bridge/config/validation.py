@@ -32,21 +32,18 @@ from rsb_bridge.config.keys import conceal
 from rsb_bridge.config.rights import grant_problems, leave_problems, operator_problems
 from rsb_bridge.config.topic_rules import (
     A_KIND,
-    RangeText,
     form_problems,
-    late_problems,
     name_problems,
-    out_of_range,
     overlaps,
     port_problems,
-    stale_problems,
+    range_problems,
     too_many_patterns,
     topic_problems,
     transport_of,
 )
 from rsb_bridge.model import transports
 from rsb_bridge.model.demands import local_name
-from rsb_bridge.model.limits import DEADMAN_TIME, DOMAIN, MAX_AGE, NAME_BYTES, PORT, TOPIC_PORT
+from rsb_bridge.model.limits import DOMAIN, NAME_BYTES, PORT, TOPIC_PORT
 from rsb_bridge.model.names import is_prefix, well_formed
 from rsb_bridge.model.patterns import is_pattern
 from rsb_bridge.model.session import Armed, Identity, Problem, Session, Topic, is_mac
@@ -372,8 +369,7 @@ def _session(session: Session) -> Iterator[Problem]:
         yield Problem("domain_id", SessionMistake.DOMAIN_INVALID(domain=session.domain_id, range=DOMAIN))
     yield from key_file_problems(session)
     yield from operator_problems(session)
-    yield from stale_problems(session.stale_after, "stale_after")
-    yield from late_problems(session.late_after, "late_after")
+    yield from range_problems(session, "")
     if session.stale_warnings < 0:
         yield Problem("stale_warnings", SessionMistake.STALE_WARNINGS_NEGATIVE(count=session.stale_warnings))
     yield from _profiles(session)
@@ -554,10 +550,7 @@ def armed_problems(armed: Sequence[str | Armed]) -> Iterator[Problem]:
         here = join("armed", at)
         entry = Armed(each) if isinstance(each, str) else each
         yield from form_problems(entry.name, here if isinstance(each, str) else join(here, "name"), hidden=True)
-        if entry.deadman and entry.deadman not in DEADMAN_TIME:
-            yield out_of_range(entry.deadman, join(here, "deadman"), RangeText.DEADMAN, DEADMAN_TIME)
-        if entry.max_age and entry.max_age not in MAX_AGE:
-            yield out_of_range(entry.max_age, join(here, "max_age"), RangeText.MAX_AGE, MAX_AGE)
+        yield from range_problems(entry, here)
         if known.setdefault(entry, at) != at:
             yield Problem(here, SessionMistake.ARMED_TWICE(name=show(entry.name), number=known[entry] + 1))
 

@@ -27,24 +27,16 @@ ACKNOWLEDGE = "acknowledge"
 """The command `Acknowledge`."""
 ARMED = "armed"
 """The field `armed` of sessions, and `drop_arm` of commands."""
-CHECK_MESSAGES = "check_messages"
-"""The field `check_messages` of sessions."""
-LATE_AFTER = "late_after"
-"""The field `late_after` of topics and sessions."""
-MAX_AGE = "max_age"
-"""The field `max_age` of topics."""
-ON_FAULT = "on_fault"
-"""The field `on_fault` of sessions."""
 TOTALS = "totals"
 """The field `messages_total` of routes."""
-FEATURES: Final = (ACKNOWLEDGE, ARMED, CHECK_MESSAGES, LATE_AFTER, MAX_AGE, ON_FAULT, TOTALS)
-"""All features of this version."""
+FEATURES: Final = (ACKNOWLEDGE, ARMED, "check_messages", "late_after", "max_age", "on_fault", TOTALS)
+"""All features of this version. A feature with the name of a field of sessions or topics is that field."""
 
 COMMANDS: Final[dict[type, str]] = {Acknowledge: ACKNOWLEDGE}
 """The features of commands."""
 FIELDS: Final[dict[type, dict[str, str]]] = {
-    Topic: {"late_after": LATE_AFTER, "max_age": MAX_AGE},
-    Session: {"armed": ARMED, "check_messages": CHECK_MESSAGES, "late_after": LATE_AFTER, "on_fault": ON_FAULT},
+    Topic: {name: name for name in FEATURES if name in Topic.__struct_fields__},
+    Session: {name: name for name in FEATURES if name in Session.__struct_fields__},
     EditTopic: {"drop_arm": ARMED},
     RemoveTopic: {"drop_arm": ARMED},
 }
@@ -54,10 +46,6 @@ _ALL = frozenset(FEATURES)
 _LACKS: Final = {
     ACKNOWLEDGE: "cannot acknowledge faults",
     ARMED: "cannot end the demand that a name be armed",
-    CHECK_MESSAGES: "has no check_messages",
-    LATE_AFTER: "has no late_after",
-    MAX_AGE: "has no max_age",
-    ON_FAULT: "has no on_fault",
     TOTALS: "does not report message counts",
 }
 
@@ -93,7 +81,8 @@ def older_bridge_text(name: str, feature: str, version: str = "") -> str:
         version: of its rsb-console, or empty if that tells nothing.
     """
     which = f" ({version})" if version else ""
-    return f"{name} runs an older rsb-console{which}, which {_LACKS[feature]}: update and restart it"
+    lack = _LACKS.get(feature, f"has no {feature}")
+    return f"{name} runs an older rsb-console{which}, which {lack}: update and restart it"
 
 
 def without_unknown(value: V, features: frozenset[str]) -> V:

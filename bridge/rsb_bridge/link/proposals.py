@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import msgspec
 from msgspec import UNSET
@@ -12,13 +12,13 @@ from rsb_bridge.config.rights import Use, uses
 from rsb_bridge.config.topic_rules import overlap
 from rsb_bridge.config.validation import validate_topic
 from rsb_bridge.link.errors import Denied, LinkError
-from rsb_bridge.model import session
 from rsb_bridge.model.calls import LANES
-from rsb_bridge.model.limits import LATE_AFTER_FEATURE, MAX_AGE_FEATURE, ROUTES_PER_LINK, ROUTES_PROPOSED_BY_SERVER
+from rsb_bridge.model.limits import ROUTES_PER_LINK, ROUTES_PROPOSED_BY_SERVER
 from rsb_bridge.model.names import server_topic
 from rsb_bridge.model.patterns import is_pattern
 from rsb_bridge.model.profiles import PLAIN, compression_of
 from rsb_bridge.model.session import RANKS, Topic, priority_of
+from rsb_bridge.model.topic_keys import TOPIC_KEYS, keys_of_value
 from rsb_bridge.wire.messages import Amend, Propose
 
 if TYPE_CHECKING:
@@ -33,6 +33,13 @@ if TYPE_CHECKING:
 
 KINDS: dict[str, Kind] = {kind: kind for kind in LANES}
 """The kinds that this version knows, by their names on the wire."""
+
+
+_NUMBERS = tuple(name for name in keys_of_value("number") if name != "deadman")
+"""The keys whose numbers a proposal has as a session has them."""
+_NONE = {field.name: field.default for field in msgspec.structs.fields(Propose) if field.name in TOPIC_KEYS}
+"""The values with which a proposal sets nothing."""
+_AMENDABLE = {name: _NONE[name] for name, key in TOPIC_KEYS.items() if key.live}
 
 
 def proposal_of(
@@ -56,20 +63,14 @@ def proposal_of(
         from_client=from_client,
         type="" if topic.type == "auto" else topic.type,
         transport=transport.name,
-        port=topic.port or 0,
         qos=topic.parsed_qos(),
         compression=compression_of(topic.compression, profile, transport.compression),
-        max_rate=topic.max_rate or 0.0,
-        expected_rate=topic.expected_rate or 0.0,
-        stale_after=topic.stale_after,
-        late_after=topic.late_after,
-        max_age=topic.max_age,
         paused=topic.paused,
         arm=topic.arm,
         deadman=topic.deadman_seconds if topic.arm else 0.0,
         kind=topic.kind,
-        timeout=topic.timeout or 0.0,
         priority=RANKS[topic.priority],
+        **{name: _NONE[name] if (value := getattr(topic, name)) is None else value for name in _NUMBERS},
     )
 
 
@@ -86,22 +87,20 @@ def topic_of(proposal: Propose) -> Topic:
         direction="transmit" if proposal.from_client else "receive",
         type=proposal.type or "auto",
         protocol=proposal.transport,
-        port=proposal.port or None,
         qos=msgspec.to_builtins(proposal.qos) if proposal.qos else "auto",
         remote_topic=on_server,
         compression=proposal.compression,
-        max_rate=proposal.max_rate or None,
-        expected_rate=proposal.expected_rate or None,
-        stale_after=proposal.stale_after,
-        late_after=proposal.late_after,
-        max_age=proposal.max_age,
         paused=proposal.paused,
         arm=proposal.arm,
         deadman=proposal.deadman if proposal.arm else None,
         kind=_kind_of(proposal),
-        timeout=proposal.timeout or None,
         priority=priority_of(proposal.priority) if proposal.kind == "topic" else "normal",
+        **_numbers_of(proposal),
     )
+
+
+def _numbers_of(proposal: Propose) -> dict[str, Any]:
+    return {name: None if (value := getattr(proposal, name)) == _NONE[name] else value for name in _NUMBERS}
 
 
 def _kind_of(proposal: Propose) -> Kind:
@@ -117,11 +116,6 @@ def _kind_of(proposal: Propose) -> Kind:
 
 
 _OF_AN_OPENING = {"route": 1, "paused": False, "pause_revision": 0, "who": "", "edited": False}
-_FEATURES = {"late_after": LATE_AFTER_FEATURE, "max_age": MAX_AGE_FEATURE, "priority": session.PRIORITY_FEATURE}
-"""The features of limits; an older side ignores unknown limits."""
-_AMENDABLE = {
-    "max_rate": 0.0, "expected_rate": 0.0, "stale_after": None, "late_after": None, "max_age": None, "priority": 0,
-}  # fmt: skip
 
 
 def same_route(one: Propose, other: Propose) -> bool:
@@ -131,9 +125,9 @@ def same_route(one: Propose, other: Propose) -> bool:
 
 
 def unsupported_change(old: Propose, new: Propose, features: Container[str]) -> str:
-    """Return why a proposer with these features would not take part of a change, or an empty string if it would."""
-    for name, feature in _FEATURES.items():
-        if getattr(old, name) != getattr(new, name) and feature not in features:
+    """Return the reason why a proposer with these features does not take a change, or an empty string."""
+    for name, key in TOPIC_KEYS.items():
+        if key.negotiated and getattr(old, name) != getattr(new, name) and name not in features:
             return f"the other side's rsb-console is too old for {name}: update it"
     return ""
 
@@ -154,15 +148,9 @@ def amendment(proposal: Propose, route_id: int, who: str = "") -> Amend:
 
 def amended_topic(topic: Topic, limits: Propose) -> Topic:
     """Return a topic with a proposal's limits."""
-    return msgspec.structs.replace(
-        topic,
-        max_rate=limits.max_rate or None,
-        expected_rate=limits.expected_rate or None,
-        stale_after=limits.stale_after,
-        late_after=limits.late_after,
-        max_age=limits.max_age,
-        priority=priority_of(limits.priority) if limits.kind == "topic" else "normal",
-    )
+    numbers = {name: value for name, value in _numbers_of(limits).items() if name in _AMENDABLE}
+    priority = priority_of(limits.priority) if limits.kind == "topic" else "normal"
+    return msgspec.structs.replace(topic, **numbers, priority=priority)
 
 
 def authorized(proposal: Propose, link: BaseLink, session: Session) -> Propose:

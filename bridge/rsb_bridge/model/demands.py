@@ -24,7 +24,7 @@ PEER_DEMANDS: Final = "the other side's session"
 
 
 class OriginText(Wording):
-    """Where a demand comes from, for operators."""
+    """The source of a demand, for operators."""
 
     THIS_SESSION = "this session"
     PEER = "the other side"

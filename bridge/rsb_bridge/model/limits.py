@@ -1,7 +1,7 @@
 """Every limit on a value that an operator or a peer gives, with its source.
 
 `rsb_bridge.config.validation` applies them to sessions, `rsb_bridge.wire.fields` to messages. Both read them here, so
-that whatever the one accepts, the other accepts too. Budgets of memory and time stand beside the code that spends them.
+that they accept the same values. Budgets of memory and time are in the modules that spend them.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ SAFE_DOMAIN = Range(0, 101)
 PORT = Range(1, 65535)
 """TCP and UDP (RFC 9293, section 3.1; RFC 768); 0 lets the kernel choose."""
 NO_PORT = Range(0, 0)
-"""Zenoh has none: who is meant stands in the key."""
+"""Zenoh has no ports: its keys name the peer."""
 DEFAULT_PORT = 7060
 """Below the ports of DDS (7400 + 250 for each domain), and of the kernel for outgoing connections (32768 to 60999)."""
 TOPIC_PORT = Range(1024, PORT.high)
@@ -59,9 +59,9 @@ REASON_LENGTH = 500
 DEPTH = Range(1, 100_000)
 """Messages that a QoS may ask for."""
 KEPT_DEPTH = 10_000
-"""Messages that a receiver's publisher keeps for slow readers, whatever the QoS asks for."""
+"""Most messages that a receiver's publisher keeps for slow readers; a QoS may ask for more."""
 LATCHED_DEPTH = 1000
-"""Messages of one publisher that the receiving side keeps for late joiners, whatever the publisher keeps."""
+"""Most messages of one publisher that the receiving side keeps for late joiners; the publisher may keep more."""
 QOS_TIME = Range(0.001, 1e9)
 """s: a deadline or lifespan where there is one. The shortest costs no timer storm, the longest is 30 years."""
 RATE = Range(0.001, 1e6)
@@ -77,14 +77,14 @@ MAX_AGE = Range(0.05, 3600)
 MAX_AGE_FEATURE = "max_age"
 """The feature by which a side holds messages to `max_age`, and stamps them by a clock that nobody sets."""
 DEADMAN_TIME = Range(2, 86_400)
-"""s: the other side is told of keys once a second; the longest is a day."""
+"""s: the other side hears of pressed keys once a second; the longest is a day."""
 CALL_TIME = Range(0.1, 86_400)
 """s: until a call is given up. Shorter ones are over before a slow link has answered; the longest is a day."""
 
 ROUTES_PER_LINK = 1000
 """Routes that one peer may make the other side keep."""
 ROUTES_PROPOSED_BY_SERVER = 256
-"""Of them, those that a server may have a client keep beyond the client's own: each costs a descriptor and endpoints in
+"""Routes of them that a server may have a client keep beyond the client's own: each costs a descriptor and endpoints in
 DDS, and the client's own file may list more."""
 OPERATORS = 32
 """Operators of one session."""

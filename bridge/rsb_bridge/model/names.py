@@ -127,7 +127,7 @@ def split_type_name(type_name: str) -> tuple[str, str, str]:
 
 
 def expand_type_name(name: str) -> str:
-    """The full name of a type that an operator may have written short.
+    """Return the full name of a type, given the full or a short one.
 
     Args:
         name: ``pkg/msg/Name``, ``pkg/Name``, or the bare name of a common type (``LaserScan``).

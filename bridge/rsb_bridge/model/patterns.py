@@ -1,4 +1,4 @@
-"""Patterns of names: ``*`` stands for characters of one segment, ``**`` for segments."""
+"""Patterns of names: ``*`` matches characters of one segment, ``**`` matches segments."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _WILDCARD = re.compile(r"\*+")
 
 
 def is_pattern(name: str) -> bool:
-    """Whether a name stands for others."""
+    """Whether a name has wildcards."""
     return "*" in name
 
 
@@ -69,17 +69,17 @@ class Pattern:
         return f"Pattern({self.text!r})"
 
     def match(self, name: str) -> tuple[str, ...] | None:
-        """What the wildcards stand for in a name; None: it does not match. Of ``**``, slashes are between segments."""
+        """Return the parts of a name that the wildcards match, or None. Parts of ``**`` may have slashes."""
         found = self._expression.fullmatch(name)
         return None if found is None else tuple(part.lstrip("/") for part in found.groups())
 
     def fill(self, parts: tuple[str, ...]) -> str:
-        """The name in which the wildcards stand for something: the inverse of `match`."""
+        """Put parts of a name in place of the wildcards: the inverse of `match`."""
         pieces = [self._fixed[0]]
         for part, fixed in zip(parts, self._fixed[1:], strict=True):
             if part:
                 pieces.append(part)
-            elif fixed.startswith("/") and pieces[-1].endswith("/"):  # ** that stands for no segment
+            elif fixed.startswith("/") and pieces[-1].endswith("/"):  # ** matches no segment
                 pieces[-1] = pieces[-1][:-1]
             pieces.append(fixed)
         return "".join(pieces)

@@ -1,4 +1,4 @@
-"""What a link over a kind of network is set to, where its session file does not say otherwise.
+"""Settings of links by the kind of their network, for what session files leave out.
 
 One table: `PROFILES`. Without a profile, and on a ``lan``, a link is as it always was. The other figures follow.
 
@@ -20,15 +20,15 @@ Compression = Literal["none", "zstd"]
 
 
 class LinkProfile(NamedTuple):
-    """What one sets.
+    """The settings of one profile.
 
     Attributes:
-        compression: of topics, services and actions that name none; None: the transport's.
+        compression: of topics, services and actions that name none, or None for the transport's.
         depth: best-effort messages of a topic that wait, where its QoS names no depth.
-        queue_bytes: of a best-effort topic that wait; one message always may. None: the transport's.
-        max_rate: Hz of a best-effort topic that names none; None: any.
+        queue_bytes: of a best-effort topic that wait; one message always may. None for the transport's.
+        max_rate: Hz of a best-effort topic that names none, or None for any rate.
         patience: s without a byte until the link is given up, and for which a reliable topic's messages are kept
-            meanwhile; None: 5.
+            meanwhile, or None for 5.
     """
 
     compression: Compression | None = None
@@ -39,7 +39,7 @@ class LinkProfile(NamedTuple):
 
 
 PLAIN: Final = LinkProfile()
-"""Of a link that has no profile."""
+"""The settings of a link without a profile."""
 
 PROFILES: Final[dict[ProfileName, LinkProfile]] = {
     "lan": PLAIN,
@@ -55,14 +55,14 @@ def profile_of(*names: ProfileName | None) -> LinkProfile:
 
 
 def compression_of(own: Compression | None, profile: LinkProfile, transport: Compression) -> Compression:
-    """How a topic is compressed: as it says itself, else as its link's profile or its transport wants."""
+    """Return a topic's own compression, or that of its link's profile or transport."""
     if own is not None:
         return own
     return "zstd" if "zstd" in (profile.compression, transport) else "none"
 
 
 def described(profile: LinkProfile) -> str:
-    """What a profile gives, in a line."""
+    """Describe a profile in a line."""
     size = f" or {profile.queue_bytes // 1024:,} KiB" if profile.queue_bytes else ""
     parts = [
         f"{profile.compression or 'no'} compression",

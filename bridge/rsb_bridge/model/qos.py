@@ -41,7 +41,7 @@ class Qos(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defaults
 
     @property
     def latched(self) -> bool:
-        """Whether subscriptions that join late get what was published before."""
+        """Whether subscriptions that join late get earlier messages."""
         return self.durability == "transient_local"
 
 
@@ -128,7 +128,7 @@ def _from_mapping(value: dict[str, Any]) -> Qos:
 
 
 def qos_problem(qos: Qos, *, depth_known: bool = True) -> str:
-    """What is out of range in a QoS; empty where nothing is.
+    """Return the values of a QoS that are out of range, or an empty string.
 
     Args:
         qos: to look at.
@@ -213,7 +213,7 @@ def _loosest(seconds: list[float]) -> float:
 
 
 def clashes(offered: Qos, requested: Qos) -> list[tuple[str, str]]:
-    """What a publisher offers, and what a subscription asks for instead, of each policy that keeps them apart.
+    """Return the publisher's offer and the subscription's request of each policy that keeps them apart.
 
     The rules are DDS's for request and offer (OMG DDS 1.4, table in section 2.2.3), of the policies that `Qos` has.
     """
@@ -229,5 +229,5 @@ def clashes(offered: Qos, requested: Qos) -> list[tuple[str, str]]:
 
 
 def incompatible(offered: Qos, requested: Qos) -> str:
-    """Why a publisher and a subscription do not match; empty if they do."""
+    """Return the reason why a publisher and a subscription do not match, or an empty string."""
     return "; ".join(QosMismatch.POLICY(offer=offer, request=request) for offer, request in clashes(offered, requested))

@@ -1,4 +1,4 @@
-"""A session: what one bridge process is told to do.
+"""A session: the configuration of one bridge process.
 
 In `rsb_bridge.config`, `decoding` makes it of plain data, `validation` finds its mistakes, and `session_file` reads and
 writes its file.
@@ -35,7 +35,7 @@ def priority_of(rank: int) -> Priority:
 
 
 def weight_of(rank: int) -> int:
-    """The share of a stream that a route has beside others that want more than there is, relative to theirs."""
+    """Return the weight of a route's share of a full stream, relative to the weights of the others."""
     return _WEIGHTS[priority_of(rank)]
 
 
@@ -142,7 +142,7 @@ class Topic(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defaul
 
     @property
     def is_pattern(self) -> bool:
-        """Whether it stands for all whose names match."""
+        """Whether the name is a pattern."""
         return is_pattern(self.topic)
 
     @property
@@ -171,17 +171,15 @@ class Topic(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defaul
 
 
 class Grant(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True):
-    """What the other side of a link may do with some topics or services here; in `deny`, what it may not.
-
-    It is either about topics or about services.
+    """A right of the other side of a link to some topics, or to some services, of this side; in `deny`, a prohibition.
 
     Attributes:
         topics: a pattern (shell glob) of their names on this side; of a client, with or without its prefix.
-        services: likewise of the names of services and actions, and of nodes with parameters.
+        services: a pattern of the names of services and actions, and of nodes with parameters.
         may: ``publish`` topics here or ``read`` them here; ``call`` what nodes of this side provide, or ``serve``:
-            provide what is offered to nodes of this side. None: both.
-        protocol: what may carry them; None: anything.
-        max_rate: Hz, of each topic and direction, or of the calls of each service; None: no limit. Only in `allow`.
+            provide what is offered to nodes of this side; or None for both.
+        protocol: the transports that may carry them, or None for all.
+        max_rate: Hz, of each topic and direction, or of the calls of each service; None for no limit. Only in `allow`.
     """
 
     topics: str | None = None
@@ -196,18 +194,18 @@ class Client(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defau
 
     Attributes:
         name: as in the client's session.
-        key_file: its key; None: the server's `Session.key_file`.
-        next_key_file: the key that replaces it, and is valid, too; None: none, or `Session.next_key_file` where
-            `key_file` is the server's.
-        use_name: prefix its topics on the server; None: the server's `Session.use_name`.
-        allow: what it may bridge, each entry a `Grant`, or a pattern of topics; empty: everything. Where several
-            entries match a topic, each of them narrows what may be done with it.
+        key_file: its key, or None for the server's `Session.key_file`.
+        next_key_file: the key that replaces it, and is valid, too, or None for none; if `key_file` is None, the
+            default is `Session.next_key_file`.
+        use_name: whether its topics have a prefix on the server, or None for the server's `Session.use_name`.
+        allow: its rights, each entry a `Grant`, or a pattern of topics; if empty, it may bridge everything. If several
+            entries match a topic, each of them narrows the rights to it.
         deny: what it may not bridge, each entry a `Grant`, or a pattern of topics and services alike; stronger than
             `allow`.
-        topics: what the server proposes to it whenever it links, as the client sees them.
-        profile: of its link; None: the server's `Session.profile`.
-        bench: it may measure the link, and cause so much by that; None: it may not.
-        group: of the fleet, that it belongs to; None: none.
+        topics: the topics that the server proposes whenever it links, as the client sees them.
+        profile: of its link, or None for the server's `Session.profile`.
+        bench: the limits within which it may measure the link, or None if it may not.
+        group: its group of the fleet, or None.
     """
 
     name: str
@@ -223,7 +221,7 @@ class Client(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defau
 
 
 class ZenohSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True):
-    """How a session reaches its Zenoh network.
+    """The Zenoh network of a session.
 
     Attributes:
         connect: endpoints of routers, or of a bridge that listens: ``tls/hub:7447``; the first that answers is used.

@@ -1,4 +1,4 @@
-"""Where messages come from: the bridges that they crossed on their way, so that no message crosses one twice.
+"""The bridges that messages have crossed, so that no message crosses a bridge twice.
 
 A *hop* is a bridge that took messages, and the topic it took them from: ``rsb_robot1_1a2b3c4d/scan``, the name of its
 ROS node and that of the topic. Messages that crossed the same bridges have the same `Via`.
@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable
 
 Via: TypeAlias = tuple[str, ...]
-"""Hops, the first one first; empty: the messages of a publisher that is no bridge."""
+"""Hops in the order of the way, or empty for the messages of a publisher that is no bridge."""
 
 OWN_NAMES = "/_rsb_bridge/"
 """Before the names of what bridges themselves publish or serve."""

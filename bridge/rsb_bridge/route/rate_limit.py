@@ -9,10 +9,12 @@ from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.limits import ROUTES_PER_LINK
 from rsb_bridge.model.session import priority_of
 from rsb_bridge.model.snapshot import Level
+from rsb_bridge.model.topic_keys import TOPIC_KEYS
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
+    from rsb_bridge.model.topic_keys import TopicKey
     from rsb_bridge.wire.messages import Propose
 
 _AT_ONCE = 1.0
@@ -148,21 +150,14 @@ def _figure(rate: float) -> str:
 
 def limits_changed(old: Propose, new: Propose) -> str:
     """Return the differences between the limits of two proposals, for an operator."""
-    limits = (
-        ("max_rate", old.max_rate or None, new.max_rate or None, " Hz"),
-        ("expected_rate", old.expected_rate or None, new.expected_rate or None, " Hz"),
-        ("stale_after", old.stale_after, new.stale_after, " s"),
-        ("late_after", old.late_after, new.late_after, " s"),
-        ("max_age", old.max_age, new.max_age, " s"),
-    )
     changed = [
-        f"{name} {_limit_text(before, unit)} → {_limit_text(after, unit)}"
-        for name, before, after, unit in limits
-        if before != after
+        f"{name} {_limit_text(before, key)} → {_limit_text(after, key)}"
+        for name, key in TOPIC_KEYS.items()
+        if key.live and key.value == "number" and (before := getattr(old, name)) != (after := getattr(new, name))
     ]
     before, after = priority_of(old.priority), priority_of(new.priority)
     return ", ".join(changed + ([f"priority {before} → {after}"] if before != after else []))
 
 
-def _limit_text(value: float | None, unit: str) -> str:
-    return "none" if value is None else f"{value:g}{unit}"
+def _limit_text(value: float | None, key: TopicKey) -> str:
+    return "none" if value is None or not (value or key.zero) else f"{value:g} {key.unit}"

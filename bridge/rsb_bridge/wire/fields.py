@@ -7,13 +7,14 @@ from __future__ import annotations
 
 from typing import Annotated, Literal, TypeAlias
 
-from msgspec import Meta, UnsetType
+from msgspec import Meta, Struct
 
 from rsb_bridge.cdr.description import DESCRIPTION_LIMIT
 from rsb_bridge.model.limits import LATE_AFTER, MAX_AGE, PORT, RATE, REASON_LENGTH, STALE_AFTER, TEXT_LENGTH
 from rsb_bridge.model.session import HIGHEST, LOWEST
 from rsb_bridge.model.sources import HOP_LENGTH, MOST_BRIDGES, MOST_HOPS
 from rsb_bridge.model.text import UNPRINTABLE
+from rsb_bridge.model.topic_keys import TOPIC_KEYS
 from rsb_bridge.model.wording import Wording
 
 PRINTABLE = rf"\A[^{UNPRINTABLE}]*\Z"
@@ -59,38 +60,24 @@ class OutOfRange(Wording):
     """Limits of a route that are neither 0 nor in their range."""
 
     RATE = "a rate is 0 or {range} Hz"
-    STALE_AFTER = "stale_after is 0 or {range} s"
-    LATE_AFTER = "late_after is 0 or {range} s"
-    MAX_AGE = "max_age is 0 or {range} s"
-    DEADMAN = "deadman is 0 or {range} s"
+    SECONDS = "{name} is 0 or {range} s"
 
 
-def check_limits(
-    max_rate: float,
-    expected_rate: float = 0.0,
-    stale_after: float | None = None,
-    late_after: float | UnsetType | None = None,
-    max_age: float | UnsetType | None = None,
-) -> None:
-    """Check the limits of a route, which are 0 or in a range.
+_CHECKED = tuple(
+    (key.name, key.limits, OutOfRange.RATE if key.unit == "Hz" else OutOfRange.SECONDS)
+    for key in TOPIC_KEYS.values()
+    if key.limits and key.name != "timeout"
+)
+"""A timeout out of range is refused with the topic, and the link stays."""
+
+
+def check_limits(message: Struct) -> None:
+    """Check the limits of a route in a message, which are 0 or in a range.
 
     Raises:
         ValueError: one is out of its range.
     """
-    if any(rate and rate not in RATE for rate in (max_rate, expected_rate)):
-        raise ValueError(OutOfRange.RATE(range=RATE))
-    if stale_after and stale_after not in STALE_AFTER:
-        raise ValueError(OutOfRange.STALE_AFTER(range=STALE_AFTER))
-    if late_after and late_after not in LATE_AFTER:
-        raise ValueError(OutOfRange.LATE_AFTER(range=LATE_AFTER))
-    check_max_age(max_age)
-
-
-def check_max_age(max_age: float | UnsetType | None) -> None:
-    """Check the age that messages of a route may have.
-
-    Raises:
-        ValueError: it is neither 0 nor in its range.
-    """
-    if max_age and max_age not in MAX_AGE:
-        raise ValueError(OutOfRange.MAX_AGE(range=MAX_AGE))
+    for name, limits, mistake in _CHECKED:
+        value = getattr(message, name, None)
+        if value and value not in limits:
+            raise ValueError(mistake(name=name, range=limits))

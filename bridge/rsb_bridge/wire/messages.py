@@ -9,7 +9,6 @@ from msgspec import UNSET, Meta, UnsetType
 
 from rsb_bridge.model.benchmark import MOST_SIZE
 from rsb_bridge.model.calls import MOST_LANES
-from rsb_bridge.model.limits import DEADMAN_TIME
 from rsb_bridge.model.patterns import NAMES_FOLLOWED, PATTERNS_PER_LINK
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.model.sources import MOST_SOURCES
@@ -29,7 +28,6 @@ from rsb_bridge.wire.fields import (
     Nanoseconds,
     NewestNumbers,
     NodeNames,
-    OutOfRange,
     Port,
     PublisherIds,
     Rank,
@@ -41,7 +39,6 @@ from rsb_bridge.wire.fields import (
     StaleAfter,
     Transport,
     check_limits,
-    check_max_age,
 )
 from rsb_bridge.wire.headers import LeaseNumber
 from rsb_bridge.wire.records import (
@@ -166,8 +163,7 @@ class Propose(ControlMessageBase, frozen=True, kw_only=True):
 
     def __post_init__(self) -> None:
         check_qos(self.qos, depth_known=True)
-        check_limits(self.max_rate, self.expected_rate, self.stale_after, self.late_after, self.max_age)
-        check_deadman(self.deadman)
+        check_limits(self)
 
 
 class Accept(ControlMessageBase, frozen=True):
@@ -188,8 +184,7 @@ class Accept(ControlMessageBase, frozen=True):
     max_age: MaxAge | None = None
 
     def __post_init__(self) -> None:
-        check_deadman(self.deadman)
-        check_max_age(self.max_age)
+        check_limits(self)
 
 
 class Refuse(ControlMessageBase, frozen=True):
@@ -433,7 +428,7 @@ class Amend(ControlMessageBase, frozen=True):
     max_age: MaxAge | UnsetType | None = UNSET
 
     def __post_init__(self) -> None:
-        check_limits(self.max_rate, self.expected_rate, self.stale_after, self.late_after, self.max_age)
+        check_limits(self)
 
 
 class Limit(ControlMessageBase, frozen=True):
@@ -448,7 +443,7 @@ class Limit(ControlMessageBase, frozen=True):
     max_rate: Hertz = 0.0
 
     def __post_init__(self) -> None:
-        check_limits(self.max_rate)
+        check_limits(self)
 
 
 class Pause(ControlMessageBase, frozen=True):
@@ -466,12 +461,6 @@ class Pause(ControlMessageBase, frozen=True):
     paused: bool
     revision: Count
     who: Name = ""
-
-
-def check_deadman(seconds: float) -> None:
-    """Raise ValueError where a deadman time is out of range."""
-    if seconds and seconds not in DEADMAN_TIME:
-        raise ValueError(OutOfRange.DEADMAN(range=DEADMAN_TIME))
 
 
 class Arm(ControlMessageBase, frozen=True):

@@ -33,6 +33,7 @@ from rsb_bridge.model.demands import Demands, demand_on_entry, describe, sources
 from rsb_bridge.model.profiles import PROFILES, compression_of, described, profile_of
 from rsb_bridge.model.session import Grant
 from rsb_bridge.model.text import join_first
+from rsb_bridge.model.topic_keys import TOPIC_KEYS
 from rsb_bridge.model.wording import Wording
 from rsb_console.command.shell import NO_KEY, OK, USAGE, print_error, print_line
 
@@ -216,18 +217,10 @@ def _details(topic: Topic, compression: Compression) -> Iterator[str]:
         yield f"not {join_first(topic.excepts, _NAMED)}"
     if topic.remote_topic is not None:
         yield f"{topic.remote_topic} on the server"
-    if topic.max_rate is not None:
-        yield f"at most {topic.max_rate:g} {'Hz' if topic.kind == 'topic' else 'calls/s'}"
-    if topic.priority != "normal":
-        yield f"{topic.priority} priority"
-    if topic.expected_rate is not None:
-        yield f"expected {topic.expected_rate:g} Hz"
-    if topic.stale_after is not None:
-        yield f"stale after {topic.stale_after:g} s" if topic.stale_after else "never stale"
-    if topic.late_after is not None:
-        yield f"late after {topic.late_after:g} s" if topic.late_after else "never late"
-    if topic.max_age is not None:
-        yield f"dropped if older than {topic.max_age:g} s" if topic.max_age else "of any age"
+    given = msgspec.to_builtins(topic)  # without what is at its default
+    for name, key in TOPIC_KEYS.items():
+        if name in given and key.sentence:
+            yield key.described(given[name], topic.kind)
     if topic.paused:
         yield "paused"
     if topic.arm and topic.is_pattern:

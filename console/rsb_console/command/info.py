@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import msgspec
 
 from rsb_bridge.control.features import TOTALS
+from rsb_bridge.model.topic_keys import TOPIC_KEYS
 from rsb_console.command.figures import measured
 from rsb_console.command.formatting import clock, json_line, link_word, links_of, route_of, without_peer
 from rsb_console.command.shell import OK, print_line
@@ -119,9 +120,9 @@ def _carriers(route: RouteSnapshot) -> Iterator[str]:
     if route.spec.compression not in (None, "none"):
         yield f"{route.spec.compression} compression"
     if route.max_rate is not None:
-        yield f"at most {route.max_rate:g} {'Hz' if route.calls is None else 'calls/s'}"
+        yield TOPIC_KEYS["max_rate"].described(route.max_rate, route.spec.kind)
     if route.max_age:
-        yield f"dropped if older than {route.max_age:g} s"
+        yield TOPIC_KEYS["max_age"].described(route.max_age, route.spec.kind)
     if route.pattern:
         yield f"matches {route.pattern}"
 

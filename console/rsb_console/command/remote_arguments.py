@@ -7,20 +7,16 @@ from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Protocol, TypeAlias
 
+from rsb_bridge.config.file_form import key_of
+from rsb_bridge.model.topic_keys import TOPIC_KEYS
 from rsb_console.command.argument_values import above_0, count, seconds, timeout, window_seconds
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
+    from rsb_bridge.model.session import Kind
+
 Complete: TypeAlias = "Callable[[argparse.Action, str], None]"
-TOPIC_KEYS = (
-    "type=, protocol=, port=, qos=, remote_topic=, compression=, max_rate=, priority=, expected_rate=, stale_after=, "
-    "late_after=, max_age=, paused=, arm=, deadman=, except="
-)
-CALL_KEYS = (
-    "type=, timeout=, protocol=, port=, remote_service= (remote_action=, remote_node=), compression=, max_rate=, "
-    "max_age=, paused=, arm=, deadman=, except="
-)
 KINDS = ("topic", "service", "action", "parameters")
 
 
@@ -362,14 +358,20 @@ def _cost_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--size", type=above_0, metavar="BYTES", help=figures)
 
 
+def _keys(kind: Kind) -> str:
+    keys = (key for key in TOPIC_KEYS.values() if key.is_of(kind) and key.name not in ("topic", "direction"))
+    return ", ".join(f"{key_of(kind, key.name)}=" for key in keys)
+
+
 def _topic_keys(parser: argparse.ArgumentParser, complete: Complete) -> None:
+    of_calls = _keys("service").replace("remote_service=", "remote_service= (remote_action=, remote_node=)")
     keys = parser.add_argument(
         "keys",
         nargs="*",
         default=[],  # without it argparse says that it is required
         metavar="KEY=VALUE",
-        help=f"as in a session file: {TOPIC_KEYS}; of a service, an action or parameters: {CALL_KEYS}; an empty value "
-        "is the default",
+        help=f"as in a session file: {_keys('topic')}; of a service, an action or parameters: {of_calls}; an empty "
+        "value is the default",
     )
     complete(keys, "keys")
 

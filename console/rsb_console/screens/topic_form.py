@@ -15,9 +15,9 @@ from rsb_bridge.api import EngineError
 from rsb_bridge.model import transports
 from rsb_bridge.model.limits import CHANNEL, NO_PORT
 from rsb_bridge.model.link_budget import LoadSource, cost_of, told
-from rsb_bridge.model.qos import AUTO, PROFILES
-from rsb_bridge.model.session import CALL_TIMEOUT, DEADMAN
+from rsb_bridge.model.qos import AUTO
 from rsb_bridge.model.text import plural
+from rsb_bridge.model.topic_keys import TOPIC_KEYS
 from rsb_console.look.formats import KIND_NOUN
 from rsb_console.look.glyphs import IN, OUT
 from rsb_console.screens.form_screen import FormScreen
@@ -44,23 +44,23 @@ ORDER = (
 _LABELS: dict[Kind, str] = {"topic": "Topic", "service": "Service", "action": "Action", "parameters": "Node"}
 _FOLDERS: dict[Kind, str] = {"topic": "msg", "service": "srv", "action": "action"}
 LOOK_EVERY = 2.0  # s between two looks at the graphs
-_NAME_WIDTH, _WHERE_WIDTH, _TYPE_WIDTH = 32, 21, 24  # cells; the name takes what is left, and no less than this
+_NAME_WIDTH, _WHERE_WIDTH, _TYPE_WIDTH = 32, 21, 24  # cells; the name gets the rest, at least so many
 _ENDS: dict[Kind, tuple[str, str]] = {
     "topic": ("publisher", "subscriber"),
     "service": ("server", "client"),
     "action": ("server", "client"),
     "parameters": ("parameters", "client"),
 }
-"""What there is of each kind on the side that gives it, and on the other."""
+"""The endpoints of each kind on the providing side, and on the other."""
 
 
 def fields_by_kind(session: Session, ends: Ends, route: RouteSnapshot | None) -> dict[Kind, dict[str, Spec]]:
-    """The fields of each kind that the form may be about, by their keys.
+    """Return the fields of each kind that the form may have, by their keys.
 
     Args:
-        session: what it is for.
+        session: the session that it is for.
         ends: of the link.
-        route: what is edited; None: the form is for something new, of any kind.
+        route: the route to edit, or None for a form of something new, of any kind.
     """
     kinds = KINDS if route is None else (route.spec.kind,)
     values = {} if route is None else values_of(route.spec) | {"provider": route.spec.provider}
@@ -78,40 +78,14 @@ def _with_value(spec: Spec, value: str) -> Spec:
 
 def _specs(session: Session, ends: Ends, kind: Kind, route: RouteSnapshot | None) -> Iterator[Spec]:
     yield from _which(ends, kind, new=route is None)
-    if kind == "topic":
-        known = f"auto, {', '.join(PROFILES)}, a depth (20), or policies: {{reliability: best_effort}}"
-        yield Spec("qos", "QoS", known, blank="auto")
-    yield Spec(
-        "remote_topic",
-        "On the server",
-        f"Its name there. Empty: the same{f', with /{ends.client} before it' if ends.use_name else ''}.",
-        blank=f"/{ends.client} and its name" if ends.use_name else "same name",
-    )
-    if kind != "topic":
-        yield Spec(
-            "timeout",
-            "Timeout",
-            "Seconds without an answer until a call is given up.",
-            blank=f"{CALL_TIMEOUT:g} s",
-        )
-    yield from _how(session, kind, None if route is None else route.spec.protocol)
-    yield Spec(
-        "arm",
-        "Must be armed",
-        "Carries nothing until an operator arms it (key A).",
-        options=(("", "no"), ("yes", "yes")),
-    )
-    yield Spec(
-        "deadman",
-        "Deadman",
-        "Seconds without a key on the console that armed it until it disarms; 0: none.",
-        blank=f"{DEADMAN:g} s, if it has to be armed",
-    )
-    yield Spec("paused", "Paused", "Set up, but carries nothing until resumed.", options=(("", "no"), ("yes", "yes")))
+    yield from _how(session, ends, kind, None if route is None else route.spec.protocol)
+    for key in TOPIC_KEYS.values():
+        if key.label and key.is_of(kind):
+            blank = key.blank.format(session=session)
+            yield Spec(key.name, key.label, key.help_of(kind), blank=blank, options=key.options)
 
 
 def _which(ends: Ends, kind: Kind, *, new: bool) -> Iterator[Spec]:
-    """What it is, and between whom."""
     name = f"{'The name of the node' if kind == 'parameters' else 'Its name'} on the client."
     yield Spec(
         "topic",
@@ -142,52 +116,31 @@ def _which(ends: Ends, kind: Kind, *, new: bool) -> Iterator[Spec]:
             "The side whose node answers. The other side's nodes call it.",
             options=(("server", f"the server ({there})"), ("client", f"the client ({here})")),
         )
-    yield Spec(
-        "excepts",
-        "Except",
-        "Of a pattern (/camera/**, /nav/*): names and patterns on the client that it leaves out, with blanks between.",
-        blank="nothing",
-    )
     if kind in _FOLDERS:
         short = ", or a common type's short name (LaserScan)" if kind == "topic" else ""
         form = f"package/{_FOLDERS[kind]}/Name{short}. Empty: the type in either graph."
         yield Spec("type", "Type", form, blank="auto")
 
 
-def _how(session: Session, kind: Kind, begun: str | None) -> Iterator[Spec]:
-    """How it crosses; `begun` is the protocol that it has already."""
+def _how(session: Session, ends: Ends, kind: Kind, begun: str | None) -> Iterator[Spec]:
+    """Yield the fields of the way over the link; `begun` is the present protocol."""
+    yield Spec(
+        "remote_topic",
+        "On the server",
+        f"Its name there. Empty: the same{f', with /{ends.client} before it' if ends.use_name else ''}.",
+        blank=f"/{ends.client} and its name" if ends.use_name else "same name",
+    )
     bluetooth = session.is_bluetooth
     has_radio = session.bluetooth_address is not None or begun == "bluetooth"
     if not bluetooth:
         yield _protocol(kind, session, has_radio=has_radio)
-    has_ports = transports.of_link(session.server_ip).topic_ports is not NO_PORT
-    packing = (("", f"the link's ({'zstd' if bluetooth else 'none'})"), ("none", "none"), ("zstd", "zstd"))
-    port = "Channel" if bluetooth else "Port"
-    channel = f" Bluetooth: a channel, {CHANNEL}, which several may share." if has_radio and not bluetooth else ""
-    if has_ports:
+    if transports.of_link(session.server_ip).topic_ports is not NO_PORT:
+        port = "Channel" if bluetooth else "Port"
+        channel = f" Bluetooth: a channel, {CHANNEL}, which several may share." if has_radio and not bluetooth else ""
         yield Spec("port", port, f"A {port.lower()} of its own. Empty: it shares the link's.{channel}", blank="shared")
-    if kind == "topic":
-        after = f"{session.stale_after:g} s"
-        yield Spec("max_rate", "Max rate", "Hz; messages beyond it are left out. Empty: no limit.", blank="all")
-        yield Spec(
-            "priority",
-            "Priority",
-            "While the link carries less than is asked for, lower ones are thinned first.",
-            options=(("", "normal"), ("high", "high"), ("low", "low")),
-        )
-        yield Spec("expected_rate", "Expected rate", "Hz, shown beside the real rate. Empty: learned.", blank="learned")
-        yield Spec("stale_after", "Stale after", "Seconds without a message before a warning; 0: never.", blank=after)
-        late = f"{session.late_after:g} s"
-        yield Spec("late_after", "Late after", "Seconds that a message may take, or 0 for no limit.", blank=late)
-        old = "Seconds; an older message is dropped. 0: no limit. Empty: 1 s if it has to be armed, else no limit."
-        yield Spec("max_age", "Max age", old, blank="1 s if armed")
-        worth = "zstd is worth it for maps and clouds, and on slow links."
-    else:
-        yield Spec("max_rate", "Max rate", "Calls a second; those beyond it are refused. Empty: no limit.", blank="all")
-        old = "Seconds; an older request is refused. 0: no limit. Empty: 1 s if it has to be armed, else no limit."
-        yield Spec("max_age", "Max age", old, blank="1 s if armed")
-        worth = "zstd is worth it for large requests and answers, and on slow links."
-    yield Spec("compression", "Compression", worth, options=packing)
+    packed = "maps and clouds" if kind == "topic" else "large requests and answers"
+    packing = (("", f"the link's ({'zstd' if bluetooth else 'none'})"), ("none", "none"), ("zstd", "zstd"))
+    yield Spec("compression", "Compression", f"zstd is worth it for {packed}, and on slow links.", options=packing)
 
 
 def _protocol(kind: Kind, session: Session, *, has_radio: bool) -> Spec:
@@ -208,7 +161,7 @@ def _protocol(kind: Kind, session: Session, *, has_radio: bool) -> Spec:
 
 
 class Draft(NamedTuple):
-    """What the form gives.
+    """The result of the form.
 
     Attributes:
         topic: as the client sees it.
@@ -224,8 +177,8 @@ class TopicScreen(FormScreen[Draft]):
 
     Args:
         engine: whose graphs and links it is about.
-        do: carries out what the form gives; the form stays open, with the reason, if the engine refuses it.
-        route: what to edit; None: something new.
+        do: carries out the result; if the engine refuses it, the form stays open and shows the reason.
+        route: the route to edit, or None for something new.
     """
 
     def __init__(
@@ -247,7 +200,7 @@ class TopicScreen(FormScreen[Draft]):
         self._show_kind()
 
     def _all_specs(self) -> Iterator[Spec]:
-        """Those of every kind, each once, in an order that is that of each kind."""
+        """Yield the fields of every kind, each once, in the order of `ORDER`."""
         if len(self._links) > 1:
             clients = tuple((name, name) for name in self._links)
             yield Spec("link", "Client", "The client that it is bridged with.", options=clients)
@@ -290,7 +243,7 @@ class TopicScreen(FormScreen[Draft]):
         return told(cost, now.time) if cost.load.source is not LoadSource.UNKNOWN else ()
 
     def _type_of(self, draft: Draft) -> str:
-        """The type that the sending side's graph has; empty: none."""
+        """Return the type in the sending side's graph, or an empty string."""
         sends_here = (draft.topic.direction == "receive") == (self._engine.session.role == "server")
         found = self._found.get(None if sends_here else draft.link, [])
         names = {draft.topic.topic, draft.topic.remote_topic, f"/{draft.link}{draft.topic.topic}"}
@@ -308,7 +261,7 @@ class TopicScreen(FormScreen[Draft]):
 
     @work(group=DIALOG)
     async def accept(self, result: Draft) -> None:
-        """Have it carried out; what is refused is said here, beside the values."""
+        """Add or change the topic. If the engine refuses, show the reason in the form."""
         try:
             await self._do(result)
         except EngineError as error:
@@ -388,7 +341,7 @@ class TopicScreen(FormScreen[Draft]):
 def suggestions_for(
     ends: Ends, here: Iterable[TopicInfo], there: Iterable[TopicInfo], bridged: Sequence[RouteSnapshot]
 ) -> list[Suggestion]:
-    """What both graphs have that is not bridged yet: topics, then services, actions and parameters, each by name.
+    """Return what can be bridged from both graphs: topics, then services, actions and parameters, each by name.
 
     A publisher makes a topic flow away from its side; where there are only subscriptions it is to flow towards them.
     What has both, one on each side, is told by its publisher. So it is with the servers and clients of a service.
@@ -421,7 +374,7 @@ def suggestions_for(
 
 
 def _from_here(route: RouteSnapshot) -> bool:
-    """Whether a topic's messages go out. Whatever else has a name, it crosses one way only."""
+    """Whether a topic's messages go out. False for calls: their names cross one way only."""
     return route.outgoing and route.spec.kind == "topic"
 
 
@@ -432,7 +385,7 @@ def _direction(ends: Ends, info: TopicInfo, is_here: bool) -> str:
 
 
 def _suggestion(ends: Ends, info: TopicInfo, is_here: bool) -> Suggestion | None:
-    """What the client would call it; None: it is not the client's to bridge."""
+    """Make the suggestion with the client's name, or return None if the client has none."""
     name = ends.client_topic(info.topic, on_server=is_here == ends.is_server)
     if name is None:
         return None

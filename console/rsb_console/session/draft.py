@@ -15,6 +15,7 @@ from rsb_bridge.config.topic_rules import overlaps
 from rsb_bridge.config.yaml_text import read_yaml
 from rsb_bridge.model.names import client_topic
 from rsb_bridge.model.session import Session, Topic
+from rsb_bridge.model.topic_keys import keys_of_value
 from rsb_bridge.model.wording import Wording
 
 if TYPE_CHECKING:
@@ -22,9 +23,8 @@ if TYPE_CHECKING:
 
     from rsb_bridge.model.snapshot import Snapshot
 
-NUMBERS = ("port", "max_rate", "expected_rate", "stale_after", "late_after", "max_age", "deadman", "timeout")
-SWITCHES = ("paused", "arm")
-"""The keys that are on or off: any text is on but those of `_OFF`."""
+_NUMBERS, SWITCHES = keys_of_value("number"), keys_of_value("switch")
+"""The keys that are on or off. Every text outside `_OFF` means on."""
 _OFF = ("", "false", "no", "off")
 _DIRECTIONS = {"server": "transmit", "client": "receive"}
 """Of requests, by the side whose node answers."""
@@ -32,7 +32,7 @@ _DIRECTIONS = {"server": "transmit", "client": "receive"}
 
 @dataclass(frozen=True, slots=True)
 class Ends:
-    """Who is who on the link that a topic is for.
+    """The two sides of the link that a topic is for.
 
     Attributes:
         is_server: whether this side is the server.
@@ -46,21 +46,21 @@ class Ends:
 
     @classmethod
     def of(cls, now: Snapshot, client: str) -> Ends:
-        """Those of a running engine and one of its links, by the client's name."""
+        """Make it for a running engine and one of its links, by the client's name."""
         return cls(now.role == "server", client, any(link.use_name for link in now.links if link.name == client))
 
     def client_topic(self, topic: str, *, on_server: bool) -> str | None:
-        """A topic's name on the client; None: a topic of the server's that this client's names cannot mean."""
+        """Return a topic's name on the client, or None for a topic of the server that the client has no name for."""
         return client_topic(topic, self.client) if on_server and self.use_name else topic
 
 
 def plain(key: str, text: str) -> Any:
-    """What a field's text would be in a session file. A text that is no number stays one, for the rules to refuse."""
+    """Convert a field's text to the value in a session file. What should be a number and is none stays a text."""
     if key == "qos":
         return _plain_qos(text)
     if key == "excepts":
         return tuple(text.replace(",", " ").split())
-    if key not in NUMBERS:
+    if key not in _NUMBERS:
         return text
     for kind in (int, float):
         try:
@@ -82,9 +82,9 @@ def _plain_qos(text: str) -> Any:
 
 
 def topic_of(values: Mapping[str, str]) -> Topic:
-    """The topic that a form's texts make. It may be wrong in every way that `problems_of` knows.
+    """Make a topic of a form's texts. It may have any of the mistakes that `problems_of` finds.
 
-    Of what is not a topic, a ``provider`` may stand for the direction.
+    For calls, the texts may give a ``provider`` instead of the direction.
     """
     given = {key: plain(key, text) for key, text in values.items() if text and key not in SWITCHES}
     given |= {key: True for key in SWITCHES if values.get(key, "").lower() not in _OFF}
@@ -107,11 +107,11 @@ def _text(value: object) -> str:
 
 
 def problems_of(topic: Topic, session: Session, replaced: Topic | None) -> dict[str, str]:
-    """What is wrong with a topic, and with having it beside the session's others.
+    """Return the mistakes in a topic, and its conflicts with the session's other topics.
 
     Args:
         topic: as the client sees it.
-        session: what it is for. A server's has no topics to get in its way: the client answers for those.
+        session: the session that it is for. A server's has no topics that could conflict.
         replaced: one of the session's that it takes the place of.
 
     Returns:
@@ -150,7 +150,7 @@ class TypedError(ValueError):
 
 
 def typed_topic(values: Mapping[str, str], keys: Sequence[str], session: Session, replaced: Topic | None) -> Topic:
-    """A topic of the values that it has already and those that are typed.
+    """Make a topic of its present values and the typed ones.
 
     Args:
         values: as of `rsb_console.session.draft.values_of`.
@@ -186,6 +186,6 @@ def _value(key: str, value: str) -> str:
 
 
 def suggestion(name: str, known: Sequence[str]) -> str:
-    """A hint at the most similar name; empty: none is similar."""
+    """Return a hint at the most similar name, or an empty string."""
     near = difflib.get_close_matches(name, known, n=1)
     return f"; did you mean {near[0]}?" if near else ""

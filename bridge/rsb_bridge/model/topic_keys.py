@@ -1,0 +1,170 @@
+"""The table of the keys that an entry for a topic, a service, an action or a node's parameters may have.
+
+`rsb_bridge.model.session.Topic` has a field for each key. The table has what the rules of session files, the console's
+form, the command line, proposals and the wire need to know about it. Rules about several keys are in
+`rsb_bridge.config.topic_rules`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Final, Literal
+
+from rsb_bridge.model.limits import CALL_TIME, DEADMAN_TIME, LATE_AFTER, MAX_AGE, RATE, STALE_AFTER, Range
+from rsb_bridge.model.qos import PROFILES
+from rsb_bridge.model.session import CALL_TIMEOUT, DEADMAN, Kind
+from rsb_bridge.model.wording import Wording
+
+Value = Literal["text", "number", "switch", "list"]
+
+
+class ForeignKey(Wording):
+    """A key that entries of another kind have, and this one does not."""
+
+    KIND_OF_TOPIC = "not a key: what is no topic is listed under services, actions or parameters instead"
+    KIND_OF_CALLED = "not a key: the list defines the kind; leave it out"
+    TIMEOUT_OF_TOPIC = "a topic has none: leave it out; what is called is listed under services or actions"
+    PROVIDER_OF_TOPIC = (
+        "a topic has a direction, transmit or receive; what is called is listed under services or actions"
+    )
+    NOT_A_TOPIC = "not a topic: list it under {list}"
+    PRIORITY_OF_CALLED = "calls go ahead of all topics: leave it out"
+    QOS_OF_CALLED = "calls have ROS's own QoS: leave it out"
+    EXPECTED_RATE_OF_CALLED = "nobody expects calls at a rate: leave it out"
+    STALE_AFTER_OF_CALLED = "nobody expects calls all the time: leave it out; timeout says how long an answer may take"
+    LATE_AFTER_OF_CALLED = "only topics have it: leave it out; timeout limits how long a call waits for its answer"
+    DIRECTION_OF_CALLED = "write provider: client or provider: server, the side whose node answers"
+    LIST_UNDER = "list this entry under {list}, or write {key}: /..."
+    OTHER_REMOTE = "write {key}"
+    TYPE_OF_PARAMETERS = "parameters have types of ROS's own: leave it out"
+    OTHER = "leave it out"
+
+
+class RangeText(Wording):
+    """The values that a key may have."""
+
+    DEADMAN = "{range} s, or 0 for none"
+    LATE_AFTER = "{range} s, or 0 to accept any delay"
+    MAX_AGE = "{range} s, or 0 for no limit"
+    STALE_AFTER = "{range} s, or 0 to never warn"
+    RATE = "{range} Hz, or leave it out"
+    TIMEOUT = "{range} s, or leave it out"
+
+
+@dataclass(frozen=True, slots=True)
+class TopicKey:
+    """A key of an entry in a session.
+
+    Attributes:
+        name: the field of `rsb_bridge.model.session.Topic`.
+        value: what an operator gives for it.
+        kinds: the entries that may have it; `wrong_kind` is the remedy for the others.
+        limits: the range of a number, or None if other rules apply; `range_text` tells it to an operator.
+        unit: of the number.
+        zero: whether 0 is allowed, too.
+        sentence: the key with its value, for a person; `zero_sentence` if that is 0.
+        live: whether a change leaves the route open.
+        negotiated: whether only peers take it that have its name among their features.
+        label: of its field in the form, or empty if the form makes the field itself.
+        help: the form's help for a topic, and `help_of_calls` if that differs for other kinds.
+        blank: the meaning of an empty field, a template with the session.
+        options: the choices of its field, each a value and a label.
+    """
+
+    name: str
+    value: Value = "text"
+    kinds: Literal["all", "topics", "calls"] = "all"
+    wrong_kind: ForeignKey = ForeignKey.OTHER
+    limits: Range | None = None
+    range_text: RangeText | None = None
+    unit: str = ""
+    zero: bool = False
+    sentence: str = ""
+    zero_sentence: str = ""
+    live: bool = False
+    negotiated: bool = False
+    label: str = ""
+    help: str = ""
+    help_of_calls: str = ""
+    blank: str = ""
+    options: tuple[tuple[str, str], ...] = ()
+
+    def is_of(self, kind: Kind) -> bool:
+        """Whether entries of a kind may have it."""
+        return self.kinds == "all" or (self.kinds == "topics") == (kind == "topic")
+
+    def allows(self, value: float | None) -> bool:
+        """Whether a number is in the key's range, 0 where that is allowed, or None."""
+        return self.limits is None or value is None or value in self.limits or (self.zero and value == 0)
+
+    def help_of(self, kind: Kind) -> str:
+        """Return the form's help for a kind."""
+        return (kind != "topic" and self.help_of_calls) or self.help
+
+    def described(self, value: Any, kind: Kind) -> str:
+        """Return the key with its value, for a person: ``at most 5 Hz``."""
+        unit = "calls/s" if kind != "topic" and self.unit == "Hz" else self.unit
+        return self.sentence.format(value=value, unit=unit) if value or not self.zero else self.zero_sentence
+
+
+_SWITCH = (("", "no"), ("yes", "yes"))
+_PRIORITIES = (("", "normal"), ("high", "high"), ("low", "low"))
+_OLD = "Seconds; an older {} 0: no limit. Empty: 1 s if it has to be armed, else no limit."
+_KNOWN_QOS = f"auto, {', '.join(PROFILES)}, a depth (20), or policies: {{reliability: best_effort}}"
+
+TOPIC_KEYS: Final = {key.name: key for key in (
+    TopicKey("topic"),
+    TopicKey("direction"),
+    TopicKey("type"),
+    TopicKey("timeout", "number", kinds="calls", wrong_kind=ForeignKey.TIMEOUT_OF_TOPIC,
+             limits=CALL_TIME, range_text=RangeText.TIMEOUT, unit="s",
+             label="Timeout", help="Seconds without an answer until a call is given up.", blank=f"{CALL_TIMEOUT:g} s"),
+    TopicKey("protocol"),
+    TopicKey("port", "number"),
+    TopicKey("qos", kinds="topics", wrong_kind=ForeignKey.QOS_OF_CALLED,
+             label="QoS", help=_KNOWN_QOS, blank="auto"),
+    TopicKey("remote_topic"),
+    TopicKey("compression"),
+    TopicKey("max_rate", "number", limits=RATE, range_text=RangeText.RATE, unit="Hz", live=True,
+             sentence="at most {value:g} {unit}",
+             label="Max rate", help="Hz; messages beyond it are left out. Empty: no limit.", blank="all",
+             help_of_calls="Calls a second; those beyond it are refused. Empty: no limit."),
+    TopicKey("priority", kinds="topics", wrong_kind=ForeignKey.PRIORITY_OF_CALLED, live=True, negotiated=True,
+             sentence="{value} priority",
+             label="Priority", help="While the link carries less than is asked for, lower ones are thinned first.",
+             options=_PRIORITIES),
+    TopicKey("expected_rate", "number", kinds="topics", wrong_kind=ForeignKey.EXPECTED_RATE_OF_CALLED,
+             limits=RATE, range_text=RangeText.RATE, unit="Hz", live=True, sentence="expected {value:g} {unit}",
+             label="Expected rate", help="Hz, shown beside the real rate. Empty: learned.", blank="learned"),
+    TopicKey("stale_after", "number", kinds="topics", wrong_kind=ForeignKey.STALE_AFTER_OF_CALLED,
+             limits=STALE_AFTER, range_text=RangeText.STALE_AFTER, zero=True, unit="s", live=True,
+             sentence="stale after {value:g} {unit}", zero_sentence="never stale",
+             label="Stale after", help="Seconds without a message before a warning; 0: never.",
+             blank="{session.stale_after:g} s"),
+    TopicKey("late_after", "number", kinds="topics", wrong_kind=ForeignKey.LATE_AFTER_OF_CALLED,
+             limits=LATE_AFTER, range_text=RangeText.LATE_AFTER, zero=True, unit="s", live=True, negotiated=True,
+             sentence="late after {value:g} {unit}", zero_sentence="never late",
+             label="Late after", help="Seconds that a message may take, or 0 for no limit.",
+             blank="{session.late_after:g} s"),
+    TopicKey("max_age", "number", limits=MAX_AGE, range_text=RangeText.MAX_AGE, zero=True, unit="s",
+             live=True, negotiated=True,
+             sentence="dropped if older than {value:g} {unit}", zero_sentence="of any age",
+             label="Max age", help=_OLD.format("message is dropped."), blank="1 s if armed",
+             help_of_calls=_OLD.format("request is refused.")),
+    TopicKey("paused", "switch",
+             label="Paused", help="Set up, but carries nothing until resumed.", options=_SWITCH),
+    TopicKey("arm", "switch",
+             label="Must be armed", help="Carries nothing until an operator arms it (key A).", options=_SWITCH),
+    TopicKey("deadman", "number", limits=DEADMAN_TIME, range_text=RangeText.DEADMAN, zero=True, unit="s",
+             label="Deadman", help="Seconds without a key on the console that armed it until it disarms; 0: none.",
+             blank=f"{DEADMAN:g} s, if it has to be armed"),
+    TopicKey("excepts", "list", label="Except", blank="nothing",
+             help="Of a pattern (/camera/**, /nav/*): names and patterns on the client that it leaves out, "
+                  "with blanks between."),
+)}  # fmt: skip
+"""All keys by the fields' names, in the order of the command line's help. `kind` is no key: the list defines it."""
+
+
+def keys_of_value(value: Value) -> tuple[str, ...]:
+    """Return the names of the keys with such values."""
+    return tuple(name for name, key in TOPIC_KEYS.items() if key.value == value)
