@@ -537,10 +537,10 @@ class OutgoingRoute(TopicRoute):
 
     def facts(self) -> Facts:
         unresolved = self._resolver.unresolved
-        facts = super().facts()
+        facts, full = super().facts(), self.peer.full_out is not None or self.peer.fullness_undecided
         facts = facts._replace(
             similar=self._resolver.similar,
-            breaking="" if self.peer.full_out is not None or self.peer.fullness_undecided else self.losses.repeated,
+            status=facts.status._replace(breaking="" if full else self.losses.repeated),
             subscribe_failed=self._failure,
             unresolved=(unresolved.cause, self._resolver.why()) if unresolved and self.accepted else None,
             left_out=self.notices.warning,

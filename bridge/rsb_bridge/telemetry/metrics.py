@@ -88,16 +88,10 @@ _CAUSES = {Of.MESSAGES: DROPPED, Of.CALLS: REFUSED}
 _OF_BRIDGE = (
     Family("rsb_build_info", ("version",), "Always 1; the version of rsb-console."),
     Family(
-        "rsb_session_info",
-        ("session", "role", "domain"),
-        "Always 1; the name, role and ROS domain of the session.",
+        "rsb_session_info", ("session", "role", "domain"), "Always 1; the name, role and ROS domain of the session."
     ),
     Family("rsb_running", (), "1 while the engine runs."),
-    Family(
-        "rsb_snapshot_timestamp_seconds",
-        (),
-        "When these figures were taken; the engine takes them once a second.",
-    ),
+    Family("rsb_snapshot_timestamp_seconds", (), "When these figures were taken; the engine takes them once a second."),
     Family("rsb_events_total", ("level",), "Events that the bridge has reported, by severity."),
 )
 

@@ -623,8 +623,7 @@ class CallsRoute(Route):
     def facts(self) -> CallsFacts:
         """What this half knows."""
         return CallsFacts(
-            **self.standing()._asdict(),
-            breaking=self.losses.repeated,
+            self.status()._replace(breaking=self.losses.repeated),
             unavailable=self._unavailable or self._failures.trouble,
             warning=self._warning,
             offered=self.offered,
