@@ -25,10 +25,7 @@ from rsb_bridge.model.demands import sources_of_entries
 from rsb_bridge.model.limits import MAX_AGE_FEATURE
 from rsb_bridge.model.snapshot import Level, LinkSnapshot, State
 from rsb_bridge.model.verdict import LinkCause
-from rsb_bridge.route.calls.calls_route import CallsRoute
-from rsb_bridge.route.incoming import IncomingRoute
 from rsb_bridge.route.lifecycle import Revisions
-from rsb_bridge.route.outgoing import OutgoingRoute
 from rsb_bridge.route.peer import PeerBudget
 from rsb_bridge.tasks import Tasks
 from rsb_bridge.telemetry.meters import ClockOffset
@@ -55,7 +52,7 @@ from rsb_bridge.wire.messages import (
     Welcome,
 )
 from rsb_bridge.wire.protocol_error import Broken, ProtocolError
-from rsb_bridge.wire.records import ReceivedReport, SentReport
+from rsb_bridge.wire.records import CallsReport, ReceivedReport, SentReport
 
 if TYPE_CHECKING:
     import asyncio
@@ -74,7 +71,7 @@ if TYPE_CHECKING:
     from rsb_bridge.telemetry.event_log import About
     from rsb_bridge.transport.transport import DatagramTransport
     from rsb_bridge.wire.messages import ControlMessage, Hello, Propose
-    from rsb_bridge.wire.records import CallsReport, FullRecord
+    from rsb_bridge.wire.records import FullRecord
     from rsb_bridge.wire.sealing import Role, SessionKeys
 
 _REPORTED_AT_ONCE = 250
@@ -87,20 +84,10 @@ _EARLY = 0.1
 
 def reports(routes: Iterable[Route], full: FullRecord | None = None) -> Iterator[Report]:
     """Yield the counts that the peer does not know yet, and the link's fullness if it has changed."""
-    sent: list[SentReport] = []
-    received: list[ReceivedReport] = []
-    calls: list[CallsReport] = []
-    for route in routes:
-        if not route.accepted:
-            continue  # the other side may not know it yet
-        if isinstance(route, OutgoingRoute):
-            if (sending := route.news()) is not None:
-                sent.append(sending)
-        elif isinstance(route, IncomingRoute):
-            if (receiving := route.news()) is not None:
-                received.append(receiving)
-        elif isinstance(route, CallsRoute) and (carrying := route.news()) is not None:
-            calls.append(carrying)
+    news = [route.news() for route in routes if route.accepted]  # the other side may not know the others yet
+    sent = [each for each in news if isinstance(each, SentReport)]
+    received = [each for each in news if isinstance(each, ReceivedReport)]
+    calls = [each for each in news if isinstance(each, CallsReport)]
     if full is not None:
         yield Report(sent=(), received=(), full=full)
     for first in range(0, max(len(sent), len(received), len(calls)), _REPORTED_AT_ONCE):
@@ -147,13 +134,7 @@ def take_report(report: Report | ReportParts, open_route: Callable[[int], Route 
 
     def take(entry: SentReport | ReceivedReport | CallsReport) -> None:
         route = open_route(entry.route)
-        if isinstance(entry, SentReport):
-            if isinstance(route, IncomingRoute):
-                route.reported(entry)
-        elif isinstance(entry, ReceivedReport):
-            if isinstance(route, OutgoingRoute):
-                route.reported(entry)
-        elif isinstance(route, CallsRoute):
+        if route is not None and isinstance(entry, route.peer_report):
             route.reported(entry)
 
     return in_slices(report_entries(report), take)

@@ -89,6 +89,7 @@ class _NotPublishedError(Exception):
 class IncomingRoute(TopicRoute):
     """Publishes here what the peer sends."""
 
+    peer_report = SentReport
     outgoing: ClassVar[bool] = False
     channel: ReceivingChannel | None
 

@@ -132,6 +132,7 @@ class OutgoingRoute(TopicRoute):
         longer: s that messages take beyond the shortest time of this opening and their jitter, as the receiver reports.
     """
 
+    peer_report = ReceivedReport
     outgoing: ClassVar[bool] = True
     channel: SendingChannel | None
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections import deque
 from functools import partial
-from typing import TYPE_CHECKING, ClassVar, Protocol, Unpack
+from typing import TYPE_CHECKING, Any, ClassVar, Protocol, Unpack
 
 import msgspec
 
@@ -44,6 +44,7 @@ if TYPE_CHECKING:
     from rsb_bridge.route.combined_verdict import Announcement
     from rsb_bridge.telemetry.event_log import About
     from rsb_bridge.wire.framing import Message
+    from rsb_bridge.wire.records import CallsReport, ReceivedReport, SentReport
 
 _LINK_STAGE = "link up"
 _FIRST_PAUSE, _LONGEST_PAUSE = 1.0, 10.0
@@ -88,8 +89,10 @@ class Route:
         losses: of the channels that carried it.
         judged: what both sides make of it.
         limit: how many messages cross at most.
+        peer_report: the type of the reports that the other side's half sends.
     """
 
+    peer_report: ClassVar[type[SentReport | ReceivedReport | CallsReport]]
     outgoing: ClassVar[bool]
     duplex: ClassVar[bool] = False
 
@@ -142,6 +145,14 @@ class Route:
 
     def deliver(self, messages: Iterable[Message]) -> None:
         """Messages came, whole and authentic. A half that only sends gets none: the peer does not even have its key."""
+
+    def news(self) -> SentReport | ReceivedReport | CallsReport | None:
+        """Return the report for the peer, or None if the peer knows everything."""
+        raise NotImplementedError
+
+    def reported(self, report: Any) -> None:
+        """Take a report of the peer, a `peer_report`."""
+        raise NotImplementedError
 
     def _may_flow(self) -> None:
         """From now on something may cross: what is watched over time begins anew."""
