@@ -1,4 +1,4 @@
-"""What one half of a route makes of it: rules over what it knows. They use no clock and change nothing."""
+"""The verdict of a topic's half: rules over its facts, which use no clock and change nothing."""
 
 from __future__ import annotations
 

@@ -1,10 +1,10 @@
 """A snapshot as Prometheus metrics, and the HTTP server that makes them when somebody asks.
 
-Nothing is counted here for a message.
+Messages cost nothing here.
 
-A counter may only grow while its route lives, or a rate that Prometheus makes of it jumps. A ledger's figures do not
-always: a message that was taken for lost may come after all. So the highest value counts, until the route's first
-figure, of what was offered or asked, says that it counts anew.
+A counter must not fall while its route exists, or a rate that Prometheus computes from it jumps. A ledger's figures may
+fall: a message counted as lost may arrive later. So a counter shows its highest value, until the route's first figure
+(messages offered, or calls asked) falls: then the route's counts have started from 0.
 """
 
 from __future__ import annotations
@@ -112,7 +112,7 @@ FAMILIES = (
 
 
 def application(look: Callable[[], Snapshot], events: EventLog) -> WSGIApplication:
-    """What serves the metrics of one engine, and of its process, in the formats that Prometheus asks for.
+    """Make the WSGI application that serves the metrics of one engine and its process in Prometheus' formats.
 
     Args:
         look: gives the newest snapshot.
@@ -182,7 +182,7 @@ class _Families:
 
 
 class _Life:
-    """The counts of a route, which begin anew when its sender restarts, and never become smaller otherwise."""
+    """The counters of a route, which fall only when its sender restarts."""
 
     def __init__(self) -> None:
         self._first = 0.0
@@ -191,7 +191,7 @@ class _Life:
     def highest(self, samples: _Samples) -> _Samples:
         """Return samples with the highest value so far of each counter.
 
-        The first counter, of what was offered or asked, is the one that no correction makes smaller.
+        No correction makes the first counter, of messages offered or calls asked, fall.
         """
         counts = {sample: value for sample, value in samples.items() if sample[0].endswith("_total")}
         first = next(iter(counts.values()))
@@ -222,7 +222,7 @@ def _samples(of: Of, subject: LinkSnapshot | RouteSnapshot, now: float) -> _Samp
 
 
 def _labels_of(routes: Sequence[RouteSnapshot]) -> Iterator[tuple[str, str, str]]:
-    """Link, topic and direction of each. Topics that become one on this side are told apart by both their names."""
+    """Yield link, topic and direction of each. Topics with one name on this side get the other side's name as well."""
     named = [(route.link, route.topic, "out" if route.outgoing else "in", route.spec.kind) for route in routes]
     times = Counter(named)
     for each, route in zip(named, routes, strict=True):
@@ -233,14 +233,14 @@ def _labels_of(routes: Sequence[RouteSnapshot]) -> Iterator[tuple[str, str, str]
 class MetricsServer(ThreadingMixIn, WSGIServer):
     """Serves a WSGI application: a thread for each connection, while somebody calls `turn`.
 
-    It is for a few readers, each of which gets little time: it may be open to a whole network.
+    It serves a few readers, each for a short time, because a whole network may reach it.
 
     Args:
         host: an address or a name.
         port: a TCP port.
-        app: what is served.
+        app: the application.
         steady: the time (s) on a clock that nobody sets.
-        failed: is told what the application raises.
+        failed: called with exceptions of the application.
 
     Raises:
         OSError: the address cannot be bound.
@@ -270,7 +270,7 @@ class MetricsServer(ThreadingMixIn, WSGIServer):
     def _answer(self, environ: WSGIEnvironment, start_response: StartResponse) -> Iterable[bytes]:
         try:
             return self._app(environ, start_response)
-        except Exception as error:  # noqa: BLE001 (the last resort: the server goes on, and an operator is told)
+        except Exception as error:  # noqa: BLE001 (the last resort: the server goes on, and the log has the error)
             self._failed(error)
             start_response("500 Internal Server Error", [("Content-Type", "text/plain")])
             return [b"internal error: see the bridge's log\n"]
@@ -327,6 +327,6 @@ class _Handler(WSGIRequestHandler):
 
 
 def _shut(sock: socket.socket) -> None:
-    """Have whoever waits for a socket wait no longer."""
+    """Wake all threads that wait for a socket."""
     with contextlib.suppress(OSError):
         sock.shutdown(socket.SHUT_RDWR)
