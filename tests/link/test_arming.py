@@ -23,9 +23,8 @@ from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.verdict import Cause
 from rsb_bridge.route.arming import CONSOLE_SILENT_AFTER, PEER_GRACE, SAID, Disarmed
-from rsb_bridge.route.blocking_rules import gated
+from rsb_bridge.route.blocking_rules import blocked
 from rsb_bridge.route.lease import LASTS, SLOW
-from rsb_bridge.route.topic_verdict import Facts
 from rsb_bridge.transport.streams import CLOSED_BY_PEER
 from rsb_bridge.wire.messages import Arm, Armed, Close, Describe, Disarm, Lease, Pause, Propose, Provide
 from rsb_bridge.wire.records import LaneEntry
@@ -513,13 +512,13 @@ def test_both_sides_know_which_operator_disarmed_it(by: int, pair: Pair, loop: V
 def test_what_cannot_be_armed_says_so_before_anybody_tries(pair: Pair) -> None:
     _, pc = pair
     pc.linked = True
-    assert route(pc).standing().can_be_armed
+    assert route(pc).status().can_be_armed
     pc.features = (calls.FEATURE,)
-    standing = route(pc).standing()
-    assert (standing.can_be_armed, standing.disarmed) == (False, SAID[Disarmed.PEER_TOO_OLD])
-    verdict = gated(Facts(**standing._asdict()))
+    status = route(pc).status()
+    assert (status.can_be_armed, status.disarmed) == (False, SAID[Disarmed.PEER_TOO_OLD])
+    verdict = blocked(status)
     assert verdict is not None
-    assert (verdict.state, verdict.cause, verdict.text) == (State.DISARMED, Cause.DISARMED, standing.disarmed)
+    assert (verdict.state, verdict.cause, verdict.text) == (State.DISARMED, Cause.DISARMED, status.disarmed)
 
 
 def test_a_link_whose_round_trip_is_too_long_cannot_be_armed(pair: Pair, loop: VirtualLoop) -> None:

@@ -81,10 +81,10 @@ def test_a_receiver_claims_to_wait_for_nothing_that_only_the_sender_knows(make_c
     for number in (1, 3):
         receiver.close("opened anew")
         receiver.open(number)
-        assert receiver.standing().waits_for == "peer accepted"
+        assert receiver.status().waits_for == "peer accepted"
         receiver.on_accepted()
         claims = {stage.name for stage in receiver.stages()}
-        assert receiver.standing().waits_for not in claims
+        assert receiver.status().waits_for not in claims
         assert {stage.name for stage in receiver.stages() if stage.done is False} == set()
         before = receiver.verdict()
         assert (before.state, before.cause) == (State.WAITING, Cause.NO_MESSAGE)

@@ -17,10 +17,11 @@ from rsb_bridge.model.verdict import EXPIRES, FINE, Cause, Verdict, about, worse
 from rsb_bridge.ros.ros_interface import Endpoint
 from rsb_bridge.route.age import Expired, expired_verdict
 from rsb_bridge.route.arming import SAID, Disarmed
+from rsb_bridge.route.blocking_rules import RouteStatus
 from rsb_bridge.route.combined_verdict import CombinedVerdict, lasting, record_of
 from rsb_bridge.route.lateness import QUEUE, WAY, Late, late_verdict
 from rsb_bridge.route.lease import Standstill
-from rsb_bridge.route.thinning import Share, ThinningShare
+from rsb_bridge.route.thinning import Share, ThinningShare, why
 from rsb_bridge.route.topic_verdict import (
     LOWER_MTU,
     PUBLISHED_NOTHING,
@@ -47,16 +48,25 @@ def endpoint(node: str, qos: Qos = RELIABLE, type_name: str = STRING, type_hash:
 
 TALKER = endpoint("/talker")
 SENDER = Facts(
-    sends=True, topic="/chat", domain_id=2, endpoints=[TALKER], type_name=STRING, qos=RELIABLE, flowing=True, came=True
+    RouteStatus(sends=True, topic="/chat", domain_id=2),
+    endpoints=[TALKER],
+    type_name=STRING,
+    qos=RELIABLE,
+    flowing=True,
+    came=True,
 )
-RECEIVER = SENDER._replace(sends=False, topic="/robot1/chat", domain_id=3, endpoints=[endpoint("/rviz")])
+RECEIVER = SENDER._replace(
+    status=RouteStatus(sends=False, topic="/robot1/chat", domain_id=3), endpoints=[endpoint("/rviz")]
+)
 
 
 LOST, FULL = Loss(9, 10, "lost on the way", NOW - 2.0), Fullness(5e3, 14e3)
 
 
 def verdict_on(facts: Facts, **changes: Any) -> Verdict:
-    return judge(facts._replace(**changes))
+    """Judge with some facts changed, whether or not they depend on what the route carries."""
+    of_route = {name: changes.pop(name) for name in RouteStatus._fields if name in changes}
+    return judge(facts._replace(status=facts.status._replace(**of_route), **changes))
 
 
 def test_a_route_that_flows_is_fine() -> None:
@@ -79,7 +89,7 @@ def test_a_route_that_flows_is_fine() -> None:
             SENDER,
             {
                 "breaking": "Connection timed out",
-                "thinned": ThinningShare(Share(1e4, 4e5, 3.5e6, "/scan"), 0.1, 30.0, thins=True, since=NOW),
+                "crowded_out": why(ThinningShare(Share(1e4, 4e5, 3.5e6, "/scan"), 0.1, 30.0, thins=True, since=NOW)),
             },
             State.DOWN,
             Cause.NO_PATH,
@@ -299,20 +309,24 @@ losses = st.none() | st.builds(
 texts = st.sampled_from(["", "words"])
 facts = st.builds(
     Facts,
-    sends=st.booleans(),
-    topic=st.just("/chat"),
+    status=st.builds(
+        RouteStatus,
+        sends=st.booleans(),
+        topic=st.just("/chat"),
+        link_down=texts,
+        refusal=texts,
+        loop=texts,
+        paused=st.booleans(),
+        disarmed=st.sampled_from(["", "nobody has armed it"]),
+        no_path=texts,
+        waits_for=texts,
+        limit=st.sampled_from([0.0, 5.0]),
+    ),
     endpoints=endpoints,
     similar=texts,
-    link_down=texts,
-    refusal=texts,
-    loop=texts,
-    paused=st.booleans(),
-    disarmed=st.sampled_from(["", "nobody has armed it"]),
-    no_path=texts,
     subscribe_failed=texts,
     left_out=texts,
     unresolved=st.none() | st.tuples(st.sampled_from([Cause.NO_PUBLISHER, Cause.TYPE_CONFLICT]), st.just("why")),
-    waits_for=texts,
     type_name=st.sampled_from(["", STRING]),
     qos=st.none() | qos,
     flowing=st.booleans(),
@@ -322,7 +336,6 @@ facts = st.builds(
     slow_since=moments,
     expected_rate=st.none() | st.floats(0.001, 1e6),
     loss=losses,
-    limit=st.sampled_from([0.0, 5.0]),
 )
 
 
@@ -333,7 +346,7 @@ def test_whatever_is_wrong_has_a_cause_and_words(known: Facts) -> None:
     if verdict.state is not State.OK:
         assert verdict.cause
         assert 0 < len(verdict.said(NOW)) <= REASON_LENGTH
-    if known.link_down:
+    if known.status.link_down:
         assert verdict.state is State.DOWN
 
 
@@ -503,8 +516,7 @@ def test_a_disarmed_topic_has_its_text_on_one_line(why: str, state: State) -> No
     disarming = state is State.DISARMING
     if disarming and not can_be_armed:
         return
-    facts = SENDER._replace(topic="/cmd_vel", disarmed=why, disarming=disarming, can_be_armed=can_be_armed)
-    verdict = judge(facts)
+    verdict = verdict_on(SENDER, topic="/cmd_vel", disarmed=why, disarming=disarming, can_be_armed=can_be_armed)
     assert verdict.state is state
     assert len(verdict.text) <= ON_ONE_LINE, verdict.text
 

@@ -109,6 +109,16 @@ def test_the_document_lists_every_family() -> None:
     assert set(listed) == {family.name for family in FAMILIES}
 
 
+def test_the_document_says_their_labels() -> None:
+    document = (_ROOT / "docs" / "instruments.md").read_text(encoding="utf-8")
+    short = {"topic": ["link", "topic", "direction"], "route": ["link", "topic", "direction", "kind"]}
+    labels: dict[str, list[str]] = {}
+    for row in re.findall(r"^\| (`rsb_.+?) \|(.*?)\|", document, re.MULTILINE):
+        said = [short.get(each, [each.strip("`")]) for each in row[1].strip().split(", ") if each]
+        labels |= {name: [each for part in said for each in part] for name in re.findall(r"`(rsb_\w+)`", row[0])}
+    assert labels == {family.name: list(family.labels) for family in FAMILIES}
+
+
 def test_the_figures_are_the_snapshots(scraped: Scraped) -> None:
     found = scraped.samples(route("/scan", State.STALE, age=4.0, jitter=None), CALLS)
     scan, dock = ("in", "/scan"), ("out", "service", "/dock")

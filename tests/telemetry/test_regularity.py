@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import pytest
 
 from rsb_bridge.model.snapshot import Ledger
+from rsb_bridge.route.blocking_rules import RouteStatus
 from rsb_bridge.route.outgoing import Flow, Health
 from rsb_bridge.route.topic_verdict import Facts
 from rsb_bridge.telemetry.meters import RateMeter
@@ -50,7 +51,7 @@ def watched(
             times.append(due)
         due += gap
     meter, health = RateMeter(0.0), Health()
-    said: list[Facts] = [Facts(sends=True, topic="/chat")]
+    said: list[Facts] = [Facts(RouteStatus(sends=True, topic="/chat"))]
     stopped, sent, second = [], 0, 0
     while (second := second + 1) < seconds:
         now = second + random.uniform(0.0, 0.02)

@@ -9,22 +9,43 @@ from rsb_bridge.config.validation import host_and_port
 from rsb_bridge.engine.fault_hook import FaultHook
 from rsb_bridge.model.calls import FieldError
 from rsb_bridge.model.codes import EventCode
+from rsb_bridge.model.figure_table import Of, Unit, figures
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.model.snapshot import Level
 from rsb_bridge.ros.announcements import Origin
 from rsb_bridge.ros.ros_interface import Endpoint, RosError
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping
+    from collections.abc import Callable, Iterable, Iterator
     from pathlib import Path
 
     from rsb_bridge.context import Context
     from rsb_bridge.model.calls import Fields
+    from rsb_bridge.model.figure_table import Figure
     from rsb_bridge.model.snapshot import LinkSnapshot, RouteSnapshot, Snapshot
     from rsb_bridge.ros.ros_interface import Publisher
 
 _LEVELS = ("0", "1", "2")
 """OK, WARN and ERROR of ``diagnostic_msgs/DiagnosticStatus``, by severity."""
+_FORMATS = {
+    Unit.HERTZ: (" (Hz)", 1.0, ".1f"),
+    Unit.BYTES_PER_SECOND: (" (B/s)", 1.0, ".0f"),
+    Unit.SECONDS: (" (ms)", 1e3, ".1f"),
+}
+"""Text after a figure's name, factor, and format of the number."""
+_LINK_FIGURES = figures(
+    Of.LINK, "state", "cause", "peer", "peer_version", "cipher", "rtt", "clock_offset", "rx_bytes_per_second",
+    "tx_bytes_per_second", "attempts",
+)  # fmt: skip
+_ROUTE_FIGURES = (
+    *figures(Of.ROUTE, "state", "cause", "type_name", "rate", "expected_rate", "bytes_per_second"),
+    *figures(Of.MESSAGES, "latency_p50", "latency_p99"),
+)
+_TOPIC_FIGURES = (
+    *_ROUTE_FIGURES,
+    *figures(Of.MESSAGES, "offered", "delivered", "throttled", "expired", "dropped", "unknown", "missed_while_down"),
+)
+_CALL_FIGURES = (*_ROUTE_FIGURES, *figures(Of.CALLS, "asked", "answered", "expired", "lost", "refused"))
 
 
 def diagnostics(snapshot: Snapshot) -> Fields:
@@ -40,62 +61,32 @@ def diagnostics(snapshot: Snapshot) -> Fields:
 def _link(session: str, link: LinkSnapshot) -> Fields:
     severity = max(link.state.severity, int(bool(link.warning) or not link.encrypted))
     message = link.reason or link.warning or ("linked" if link.encrypted else "linked, not encrypted")
-    return _status(f"rsb {session}: link {link.name}", session, severity, message, dict(_of_link(link)))
-
-
-def _of_link(link: LinkSnapshot) -> Iterator[tuple[str, object]]:
-    yield "state", link.state
-    yield "cause", link.cause
-    yield "peer", link.peer
-    yield "peer version", link.peer_version
-    yield "cipher", link.cipher if link.encrypted else "none"
-    yield "round trip (ms)", _milliseconds(link.rtt)
-    yield "clock offset (ms)", _milliseconds(link.clock_offset)
-    yield "received (B/s)", f"{link.rx_bytes_per_second:.0f}"
-    yield "sent (B/s)", f"{link.tx_bytes_per_second:.0f}"
-    yield "failed attempts", link.attempts
+    values = _values(_LINK_FIGURES, link)
+    return _status(f"rsb {session}: link {link.name}", session, severity, message, values)
 
 
 def _route(session: str, route: RouteSnapshot) -> Fields:
     name = f"rsb {session}: {route.topic} {'to' if route.outgoing else 'from'} {route.link}"
     message = route.reason or (f"{route.rate:.1f} Hz" if route.state.flows else route.state.value)
-    return _status(name, session, route.state.severity, message, dict(_of_route(route)))
+    values = _values(_TOPIC_FIGURES if route.calls is None else _CALL_FIGURES, route)
+    return _status(name, session, route.state.severity, message, values)
 
 
-def _of_route(route: RouteSnapshot) -> Iterator[tuple[str, object]]:
-    yield "state", route.state
-    yield "cause", route.cause
-    yield "type", route.type_name
-    yield "rate (Hz)", f"{route.rate:.1f}"
-    yield "expected rate (Hz)", "" if route.expected_rate is None else f"{route.expected_rate:.1f}"
-    yield "payload (B/s)", f"{route.bytes_per_second:.0f}"
-    yield "latency p50 (ms)", _milliseconds(route.latency_p50)
-    yield "latency p99 (ms)", _milliseconds(route.latency_p99)
-    if route.calls is None:
-        yield "offered", route.ledger.offered
-        yield "delivered", route.ledger.delivered
-        yield "throttled", route.ledger.throttled
-        yield "expired", route.ledger.expired
-        for why, count in route.ledger.dropped.items():
-            yield f"dropped: {why}", count
-        yield "unknown", route.ledger.unknown
-        yield "missed while down (estimate)", route.ledger.missed_while_down
-    else:
-        yield "asked", route.calls.asked
-        yield "answered", route.calls.answered
-        yield "expired", route.calls.expired
-        yield "lost", route.calls.lost
-        for why, count in route.calls.refused.items():
-            yield f"refused: {why}", count
+def _values(shown: tuple[Figure, ...], subject: LinkSnapshot | RouteSnapshot) -> Iterator[tuple[str, str]]:
+    for each in shown:
+        value = each.read(subject)
+        if each.unit in _FORMATS:
+            unit, factor, digits = _FORMATS[each.unit]
+            yield f"{each.words}{unit}", "" if value is None else format(value * factor, digits)
+        elif isinstance(value, dict):
+            yield from ((f"{each.words}: {cause}", str(count)) for cause, count in value.items())
+        else:
+            yield each.words, str(value)
 
 
-def _status(name: str, session: str, severity: int, message: str, values: Mapping[str, object]) -> Fields:
-    known: list[Fields] = [{"key": key, "value": str(value)} for key, value in values.items() if value != ""]
+def _status(name: str, session: str, severity: int, message: str, values: Iterable[tuple[str, str]]) -> Fields:
+    known: list[Fields] = [{"key": key, "value": value} for key, value in values if value]
     return {"level": _LEVELS[severity], "name": name, "message": message, "hardware_id": session, "values": known}
-
-
-def _milliseconds(seconds: float | None) -> str:
-    return "" if seconds is None else f"{seconds * 1e3:.1f}"
 
 
 _TYPE = "diagnostic_msgs/msg/DiagnosticArray"

@@ -1,1 +1,1 @@
-"""What happened in the last 24 hours, in memory and on disk."""
+"""The history of the last 24 hours, in memory and on disk."""

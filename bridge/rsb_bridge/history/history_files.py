@@ -165,11 +165,11 @@ def write_history(path: Path, saved: Saved) -> None:
 
 
 def read_history(path: Path) -> Saved:
-    """The content of the file.
+    """Read a time line from its file.
 
     Raises:
-        FileNotFoundError: there is none.
-        HistoryFileError: it is not one of this version, or it cannot be read.
+        FileNotFoundError: the file does not exist.
+        HistoryFileError: the file is damaged, of another version, or cannot be read.
     """
     try:
         with path.open("rb") as file:
@@ -194,7 +194,7 @@ def read_history(path: Path) -> Saved:
 
 
 def report(files: Files, now: float, seconds: float) -> HistoryReport:
-    """What happened in the last so many s.
+    """Report on the last `seconds` from the files of a bridge that does not run.
 
     Args:
         files: of the bridge.
@@ -202,7 +202,7 @@ def report(files: Files, now: float, seconds: float) -> HistoryReport:
         seconds: 24 h at most.
 
     Raises:
-        HistoryFileError: there is no time line, or none that can be used.
+        HistoryFileError: the time line is missing or cannot be used.
     """
     try:
         saved = read_history(files.history)
@@ -219,7 +219,7 @@ def report(files: Files, now: float, seconds: float) -> HistoryReport:
 
 
 _EVERY = 0.5
-"""s from one writing to the next: what comes in between is written together."""
+"""s from one write to the next; all events in between are written together."""
 _LOOKS_EVERY = 2.0
 """s after which it looks whether the time line is due, if there is no event before."""
 _RETRIED_EVERY = 5.0
@@ -231,9 +231,10 @@ SET_ASIDE = ".bad"
 
 
 class Disk:
-    """Keeps what one engine reports and a recorder remembers, from `start` to `stop`.
+    """Writes an engine's events and a recorder's time line to disk, from `start` to `stop`.
 
-    What cannot be written is told once, as an event; the events wait in the engine's log, as many as that keeps.
+    A failure is reported once, as an event. Until writing works again, the events wait in the engine's log, which keeps
+    a limited number.
 
     Args:
         folder: where the files are.
@@ -341,7 +342,7 @@ class Disk:
             aside = path.with_name(path.name + SET_ASIDE)
             with contextlib.suppress(OSError):  # then the first save replaces it, or says why it cannot
                 path.replace(aside)
-            text = f"{path}: {error}. It is set aside as {aside.name}, and the time line begins anew"
+            text = f"{path}: {error}. It is set aside as {aside.name}, and a new time line begins"
             self._events.add(Level.WARNING, EventCode.LOG_HISTORY_SET_ASIDE, text)
         self._is_restored = True
 
@@ -368,7 +369,7 @@ class Disk:
             write_history(self._files.history, saved)
             self._saved_at = now
 
-    # --- what is told
+    # --- failures
 
     def _failed(self, reason: str) -> None:
         if not self._trouble:

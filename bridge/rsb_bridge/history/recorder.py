@@ -26,7 +26,7 @@ _SET_BY = 2.0
 T = TypeVar("T")
 _EVERY = 1.0
 _GAP = 30.0
-"""s without a new snapshot after which nothing is known of the time between."""
+"""s without a new snapshot that count as a gap in the history."""
 
 
 class ClockAxis:
@@ -42,7 +42,7 @@ class ClockAxis:
 
     Attributes:
         now: the time.
-        jump: s by which the clock was set, as noticed by the last `advance`; 0: it was not.
+        jump: s by which the clock was set, as noticed by the last `advance`, or 0.
     """
 
     def __init__(self, steady: float, wall: float, floor: float = 0.0) -> None:
@@ -55,8 +55,8 @@ class ClockAxis:
         """Move on to the present time.
 
         Args:
-            steady: as in the constructor, likewise the other.
-            wall: likewise.
+            steady: as in the constructor.
+            wall: as in the constructor.
 
         Returns:
             s that have passed.
@@ -131,7 +131,7 @@ class Recorder:
             self._thread.join(timeout)
 
     def history(self, seconds: float) -> Future[HistoryReport]:
-        """What happened in the last so many s, 24 h at most."""
+        """Report on the last `seconds`, 24 h at most."""
         return self.ask(lambda: self.report(min(seconds, KEPT_FOR)))
 
     def ask(self, question: Callable[[], T]) -> Future[T]:
@@ -182,11 +182,11 @@ class Recorder:
             self._has_ended = True
 
     def restore(self, saved: Saved, events: Iterable[Event] = ()) -> None:
-        """Go on from what was saved. What was seen since this process began is forgotten: it is of the last seconds.
+        """Continue a saved time line; the seconds that this process has recorded so far are dropped.
 
         Args:
             saved: by an earlier process.
-            events: those that it reported afterwards; what is from the future is left out.
+            events: later ones of that process; those with a time in the future are ignored.
 
         Raises:
             ValueError: it contradicts itself, or the clock is days behind it.
@@ -223,7 +223,7 @@ class Recorder:
         self._seen = snapshot
 
     def report(self, seconds: float) -> HistoryReport:
-        """As `history`."""
+        """Return what `history` returns; called on this recorder's thread."""
         self.look()
         return self._timeline.report(self._axis.now, seconds, running=True)
 
@@ -239,7 +239,7 @@ class Recorder:
             self.changes += self._timeline.did(event, self._axis.of_wall(event.time))
 
     def _slept(self, seconds: float) -> None:
-        text = f"nothing is known of the last {_span(seconds)}: the machine slept, or the process could not run"
+        text = f"no history of the last {_span(seconds)}: the machine slept, or the process could not run"
         self._events.add(Level.WARNING, EventCode.ENGINE_GAP, text)
 
     def _clock_set(self, wall: float) -> None:

@@ -39,10 +39,10 @@ def searched_folders(environ: Mapping[str, str]) -> list[Path]:
 
 
 class Files:
-    """The files of one bridge. Of several with one name, the second has ``NAME-2`` and so on.
+    """The files of one bridge. If several bridges have one name, the second one's files are ``NAME-2`` and so on.
 
     Args:
-        folder: that they are in; need not exist.
+        folder: of the files; it may be missing.
         stem: their name without suffix.
     """
 

@@ -66,12 +66,12 @@ class Series:
         return self.first + len(self)
 
     def add(self, minute: int, rate: float, up: float, out: float, waiting: float) -> None:
-        """Append a minute's figures, or add to those of the last one if it is the same.
+        """Append a minute's figures, or add to the last minute's if it is the same minute.
 
         Args:
-            minute: its number; not before the last one's.
-            rate: mean over the time that is known of it.
-            up: s in which it was fine.
+            minute: its number, not less than the last one.
+            rate: mean over the recorded part of the minute.
+            up: s in which the subject was fine.
             out: s in which it was not.
             waiting: s in which it waited for its first message.
         """
@@ -101,7 +101,7 @@ class Series:
         return up, out, waiting
 
     def rates(self, start: int, end: int, parts: int) -> Iterator[float | None]:
-        """The mean rate in each of `parts` parts of the minutes from `start` to before `end`; None: not known."""
+        """Yield the mean rate in each of `parts` parts of the minutes from `start` to `end`, or None if unknown."""
         for part in range(parts):
             begin = start + (end - start) * part // parts - self.first
             stop = start + (end - start) * (part + 1) // parts - self.first
@@ -109,11 +109,11 @@ class Series:
             yield round(math.fsum(known) / len(known), 3) if known else None
 
     def move(self, since: int, minutes: int) -> None:
-        """Move what is from minute `since` on, because the clock was set.
+        """Move the figures from minute `since` on, because the clock was set.
 
         Args:
             since: number of a minute.
-            minutes: how far; below 0 towards the past, over what was there.
+            minutes: how far. A negative distance moves them to the past, where they replace older figures.
         """
         at = max(0, min(len(self), since - self.first))
         if at == 0:
@@ -150,7 +150,7 @@ class Series:
         return series
 
     def _insert(self, at: int, minutes: int) -> None:
-        """Put minutes in of which nothing is known."""
+        """Insert minutes without figures."""
         self._rates[at:at] = array("f", [_UNKNOWN]) * minutes
         for kept in self._times:
             kept[at:at] = bytes(minutes)
@@ -163,7 +163,7 @@ class Series:
 
 
 class Ended(NamedTuple):
-    """An outage that is over; the fields are those of `Outage`."""
+    """An outage that is over; for its fields see `Outage`."""
 
     start: float
     seconds: float
@@ -204,14 +204,14 @@ class Subject:
     Args:
         link: the peer's name.
         kind: `rsb_bridge.model.history.LINK`, or a `rsb_bridge.model.session.Kind`.
-        topic: its name on this side; empty: the link itself.
-        outgoing: this side sends it.
+        topic: its name on this side, or empty for the link itself.
+        outgoing: whether this side sends it.
 
     Attributes:
-        live: it exists at present.
-        dropped: outages that there was no room for, since `dropped_at`'s day began.
-        dropped_at: when the newest of them was dropped.
-        outages: that are over, oldest first.
+        live: whether it exists at present.
+        dropped: number of outages dropped because there was no room; 0 again a day after `dropped_at`.
+        dropped_at: the time when the newest of them was dropped.
+        outages: past ones, oldest first.
     """
 
     def __init__(self, link: str, kind: Kind | Literal["link"], topic: str, outgoing: bool) -> None:
@@ -289,20 +289,20 @@ class Subject:
         return self._open is None or is_open or now - self._waits_since >= _OPENS_WITHIN
 
     def count(self, total: int) -> None:
-        """Take note of how many messages or calls there were so far; fewer than before: they are counted anew.
+        """Record the number of messages or calls so far; a lower number than before means that counting has restarted.
 
-        To be called before `observe`, which ends a minute.
+        Call it before `observe`, which may end a minute.
         """
         self._amount += total - (self._count if total >= self._count else 0)
         self._count = total
 
     def cut(self, now: float, link: Subject | None, *, cut_off: bool) -> None:
-        """It is gone, or nobody watches any more.
+        """End the record at `now`, because the subject was removed or nobody watches it any more.
 
         Args:
             now: the time.
             link: of a topic.
-            cut_off: its outage does not end here; only what is known of it does.
+            cut_off: whether an outage may go on after the record ends.
         """
         if self.live:
             self._pass(now)
@@ -394,13 +394,13 @@ class Subject:
             yield self._ended(self._open, now, link, cut_off=True)
 
     def track(self, start: float, now: float, outages: int, parts: int) -> Track:
-        """How it did from `start` to `now`, to the minute.
+        """Summarize the time from `start` to `now`, to the minute.
 
         Args:
             start: a time.
             now: the time.
-            outages: how many there were.
-            parts: how many rates to give.
+            outages: their number.
+            parts: the number of rates.
         """
         begin, end = int(start // MINUTE), int(now // MINUTE)
         up, out, waiting = self.series.times(begin, end + 1)

@@ -1,4 +1,4 @@
-"""What happened to the links and topics of one bridge in the last 24 hours. No clock, no thread, no file."""
+"""The history of a bridge's links and topics in the last 24 hours, without clock, thread or file."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from rsb_bridge.model.snapshot import RouteSnapshot, Snapshot, State
 
 SUBJECTS = 2000
-"""Links and topics kept, those that are gone included."""
+"""The most links and topics kept, including removed ones."""
 
 Key = tuple[str, Kind | Literal["link"], str, bool]
 """Of a subject: link, kind, topic, outgoing."""
@@ -61,13 +61,14 @@ class Subjects(dict[Key, Subject]):
             del self._topics[key[0]]
 
     def make_room(self, key: Key, turn: int) -> bool:
-        """Make room for a new subject: no link has more topics than it leaves to the others.
+        """Make room for a new subject, and return whether there is room.
 
-        Those that are gone give way, of the link that has most, but not of one that has fewer than the new one's.
+        A link may have as many topics as it leaves room for the others. Beyond that, a removed subject makes room:
+        one of the link with the most topics, unless the new subject's link has more.
 
         Args:
             key: the new subject's.
-            turn: differs from one look at all links and topics to the next.
+            turn: number of the present `observe`.
         """
         topics, own = self._topics, self._topics[key[0]]
         if key[1] == LINK or own <= SUBJECTS - len(self):
@@ -123,7 +124,7 @@ class Saved(msgspec.Struct, frozen=True):
 
 
 class Timeline:
-    """Remembers outages, rates and operators' actions. All times are those of one `ClockAxis`.
+    """Remembers outages, rates and operators' actions. All times are on one `ClockAxis`.
 
     Args:
         name: of the session.
@@ -221,7 +222,7 @@ class Timeline:
 
     @property
     def last(self) -> float:
-        """The time at which the last run ended; 0: there was none."""
+        """The end of the last run, or 0 before the first."""
         return self._runs[-1][1] if self._runs else 0.0
 
     def move(self, seconds: float) -> None:
@@ -245,7 +246,7 @@ class Timeline:
         return self._subjects.get(_key_of(subject.link)) if subject.topic else None
 
     def _tidy(self, now: float) -> None:
-        """Forget what is too old, and what there is no room for: of those first that have most."""
+        """Drop what is too old, and outages beyond the limit, first of the subjects with the most outages."""
         self._tidied = now
         for key, subject in list(self._subjects.items()):
             if not subject.forget(now - KEPT_FOR):
@@ -264,12 +265,12 @@ class Timeline:
     # --- questions
 
     def report(self, now: float, span: float, *, running: bool) -> HistoryReport:
-        """What happened.
+        """Report on the last `span` s.
 
         Args:
             now: the time.
-            span: of the last so many s.
-            running: the bridge runs.
+            span: s.
+            running: whether the bridge runs.
         """
         start = now - span
         tracks: list[Track] = []

@@ -6,12 +6,9 @@ from typing import TYPE_CHECKING
 
 from rsb_bridge.link.control_channel import in_slices
 from rsb_bridge.link.extension import Extension
-from rsb_bridge.route.calls.calls_route import CallsRoute
-from rsb_bridge.route.incoming import IncomingRoute
-from rsb_bridge.route.outgoing import OutgoingRoute
 from rsb_bridge.wire.codec import ReportParts, report_entries
 from rsb_bridge.wire.messages import Report
-from rsb_bridge.wire.records import ReceivedReport, SentReport
+from rsb_bridge.wire.records import CallsReport, ReceivedReport, SentReport
 
 if TYPE_CHECKING:
     import asyncio
@@ -20,7 +17,7 @@ if TYPE_CHECKING:
     from rsb_bridge.link.base_link import BaseLink
     from rsb_bridge.link.control_channel import Slices
     from rsb_bridge.route.route import Route
-    from rsb_bridge.wire.records import CallsReport, FullRecord
+    from rsb_bridge.wire.records import FullRecord
 
 _REPORTED_AT_ONCE = 250
 """Routes in one message, which must not exceed its limit even with the longest texts (PROTOCOL.md section 1)."""
@@ -30,20 +27,10 @@ _EARLY = 0.1
 
 def _reports(routes: Iterable[Route], full: FullRecord | None = None) -> Iterator[Report]:
     """Yield the counts that the peer does not know yet, and the link's fullness if it has changed."""
-    sent: list[SentReport] = []
-    received: list[ReceivedReport] = []
-    calls: list[CallsReport] = []
-    for route in routes:
-        if not route.accepted:
-            continue  # the other side may not know it yet
-        if isinstance(route, OutgoingRoute):
-            if (sending := route.news()) is not None:
-                sent.append(sending)
-        elif isinstance(route, IncomingRoute):
-            if (receiving := route.news()) is not None:
-                received.append(receiving)
-        elif isinstance(route, CallsRoute) and (carrying := route.news()) is not None:
-            calls.append(carrying)
+    news = [route.news() for route in routes if route.accepted]  # the other side may not know the others yet
+    sent = [each for each in news if isinstance(each, SentReport)]
+    received = [each for each in news if isinstance(each, ReceivedReport)]
+    calls = [each for each in news if isinstance(each, CallsReport)]
     if full is not None:
         yield Report(sent=(), received=(), full=full)
     for first in range(0, max(len(sent), len(received), len(calls)), _REPORTED_AT_ONCE):
@@ -90,11 +77,5 @@ class RouteReports(Extension):
 
     def _take_entry(self, entry: SentReport | ReceivedReport | CallsReport) -> None:
         route = self._link.ids.open_route(entry.route)
-        if isinstance(entry, SentReport):
-            if isinstance(route, IncomingRoute):
-                route.reported(entry)
-        elif isinstance(entry, ReceivedReport):
-            if isinstance(route, OutgoingRoute):
-                route.reported(entry)
-        elif isinstance(route, CallsRoute):
+        if route is not None and isinstance(entry, route.peer_report):
             route.reported(entry)

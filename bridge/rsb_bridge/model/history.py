@@ -1,4 +1,4 @@
-"""What the engine remembers of the last 24 hours: immutable data, as an answer to a question."""
+"""The history of the last 24 hours as immutable data: outages, tracks, gaps."""
 
 from __future__ import annotations
 
@@ -16,25 +16,25 @@ ACTIONS_AT_ONCE = 500
 RATES_AT_ONCE = 48
 """Rates of one topic in one answer."""
 LINK: Final = "link"
-"""The kind of a link itself; the others are those of `rsb_bridge.model.session.Kind`."""
+"""The kind of a link itself. For the kinds of routes see `rsb_bridge.model.session.Kind`."""
 
 
 @dataclass(frozen=True, slots=True)
 class Outage:
-    """A time in which a link, or a topic or whatever else a route carries, was not fine.
+    """A time in which a link or a route was not fine.
 
     Attributes:
         start: s since the epoch.
-        seconds: how long; on a clock that nobody sets.
+        seconds: its length, on a clock that nobody sets.
         link: the peer's name.
-        topic: its name on this side; empty: the link itself.
-        outgoing: True: this side sends the topic.
-        state: the worst `rsb_bridge.model.snapshot.State` that it was in.
-        cause: why, in words: the first ones, and the last ones if they say something else.
-        ongoing: it has not ended yet.
-        cut_off: the bridge stopped, or the machine slept, before it ended: the end is not known.
-        with_link: a topic that was out because its link was.
-        kind: what it is: `LINK`, or what the topic is, a `rsb_bridge.model.session.Kind`.
+        topic: its name on this side, or empty for the link itself.
+        outgoing: whether this side sends the topic.
+        state: the worst `rsb_bridge.model.snapshot.State` in this time.
+        cause: the first reason in words, and the last one if it differs.
+        ongoing: whether the outage goes on.
+        cut_off: whether the end is unknown, because the bridge stopped or the machine slept before.
+        with_link: whether a topic was out because its link was out.
+        kind: `LINK`, or the route's `rsb_bridge.model.session.Kind`.
     """
 
     start: float
@@ -51,26 +51,25 @@ class Outage:
 
     @property
     def subject(self) -> tuple[str, str, str, bool]:
-        """Tells whose it is: link, kind, topic and direction."""
+        """Link, kind, topic and direction."""
         return self.link, self.kind, self.topic, self.outgoing
 
 
 @dataclass(frozen=True, slots=True)
 class Track:
-    """How a link or a topic did, or a service and the like.
+    """A link's or a route's times, outages and rates in a span.
 
     Attributes:
-        link: as in `Outage`, likewise the next two.
-        topic: likewise.
-        outgoing: likewise.
+        link: as in `Outage`.
+        topic: as in `Outage`.
+        outgoing: as in `Outage`.
         up: s in which it was fine.
-        out: s in which it was not. What is missing to the whole span is not known, or it was paused on purpose, or
-            waited.
-        outages: how many.
-        rates: mean rate in each part of the span, oldest first: a topic's in Hz, in calls/s of what is called, a
-            link's in bytes/s, both ways together. None: not known.
-        waiting: s in which no message had come yet, and no fault was known: neither up nor out.
-        waits_for: what it waits for now, in words; empty: it does not wait.
+        out: s in which it was not. The rest of the span was not recorded, or it was paused on purpose, or it waited.
+        outages: their number.
+        rates: mean rate in each part of the span, oldest first, or None if unknown: of a topic in Hz, of other routes
+            in calls/s, of a link in bytes/s in both directions together.
+        waiting: s before the first message without a fault, which count neither as up nor as out.
+        waits_for: the reason why it waits now, or empty.
         kind: as in `Outage`.
     """
 
@@ -87,23 +86,23 @@ class Track:
 
     @property
     def subject(self) -> tuple[str, str, str, bool]:
-        """As `Outage.subject`."""
+        """Link, kind, topic and direction."""
         return self.link, self.kind, self.topic, self.outgoing
 
     @property
     def up_ratio(self) -> float | None:
-        """The part of the time in which it was fine; None: it was neither fine nor out at any time that is known."""
+        """Share of the time in which it was fine, or None if it was never recorded as up or out."""
         known = self.up + self.out
         return self.up / known if known else None
 
 
 @dataclass(frozen=True, slots=True)
 class Gap:
-    """A time of which nothing is known: the bridge did not run, or the machine slept.
+    """A time without a record, because the bridge did not run or the machine slept.
 
     Attributes:
         start: s since the epoch.
-        seconds: how long.
+        seconds: its length.
     """
 
     start: float
@@ -112,20 +111,20 @@ class Gap:
 
 @dataclass(frozen=True, slots=True)
 class HistoryReport:
-    """What happened in a span of time.
+    """The history of a bridge in a span of time.
 
     Attributes:
         name: of the session.
         role: ``client`` or ``server``.
         time: the end of the span, s since the epoch.
-        span: how long it is, s.
-        running: whether the bridge still runs; else this comes from its files.
-        tracks: of each link and each topic: first a link, then its topics.
-        outages: by their start; the newest ones, if there are more.
-        actions: what operators did, and what concerns the whole bridge, oldest first; likewise.
+        span: its length, s.
+        running: whether the bridge still runs; if not, the report comes from its files.
+        tracks: of each link and each route: first a link, then its routes.
+        outages: the newest `OUTAGES_AT_ONCE`, oldest first.
+        actions: events of operators and of the whole bridge, the newest `ACTIONS_AT_ONCE`, oldest first.
         gaps: oldest first.
-        outages_left_out: how many more there were.
-        actions_left_out: how many more there were.
+        outages_left_out: number of older outages.
+        actions_left_out: number of older actions.
     """
 
     name: str
@@ -147,5 +146,5 @@ class HistoryReport:
 
     @property
     def watched(self) -> float:
-        """Seconds of the span of which something is known."""
+        """Recorded seconds of the span."""
         return max(0.0, self.span - sum(gap.seconds for gap in self.gaps))

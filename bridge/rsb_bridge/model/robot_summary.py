@@ -1,6 +1,6 @@
-"""One robot of a fleet in a few figures: worked out of a server's snapshot for each client, or by an engine of itself.
+"""A robot of a fleet in a few figures, made from a server's snapshot for each client, or by an engine for itself.
 
-Every figure is the robot's, whoever works it out: `from_robot` is what it sends, `to_robot` what it gets.
+All figures are seen from the robot: it sends `from_robot` and receives `to_robot`.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ WHY_LENGTH = 200
 SUMMARY_BYTES = 4096
 """Of a summary that comes from elsewhere."""
 LOSS_SPAN = 60.0
-"""s that a figure of loss is about, once it is known for so long."""
+"""The most s that a loss is computed over."""
 
 _MEANT = frozenset({"already published", "would loop", "thinned", "paused", "disarmed"})
 """Causes of drops that an operator or the bridge wants: no loss."""
@@ -111,8 +111,8 @@ class Loss(NamedTuple):
     """Messages that did not arrive.
 
     Attributes:
-        share: of those whose end is known, 0 to 1, both ways together.
-        span: s that this is about, until now.
+        share: lost messages of all that were delivered or lost, 0 to 1, in both directions together.
+        span: the last s, which this share is computed over.
     """
 
     share: float
@@ -120,32 +120,32 @@ class Loss(NamedTuple):
 
 
 class RobotSummary(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
-    """One robot.
+    """The figures of one robot.
 
     Attributes:
-        name: its session's.
-        group: the group that it belongs to; empty: none.
-        role: of its session: ``client`` or ``server``; empty: not known.
+        name: of its session.
+        group: its group, or empty.
+        role: of its session: ``client``, ``server``, or empty if unknown.
         state: its state.
-        why: the worst verdict in words, and how many more there are; empty: there is nothing to say.
-        since: s since the epoch, when what `why` says began; without a reason, when the state did.
-        seen: s since the epoch, when it was last there; None: it has not been.
-        host: where it is: the address of its link, or its machine's name.
-        version: of its rsb-console; empty: not known.
-        links_up: links that are up.
-        links: all links.
-        flowing: topics, services and the like that carry something.
-        routes: all of them.
-        states: number of them in each state; the robot's own console shows the same figures.
+        why: the worst verdict in words and the number of the others, or empty.
+        since: s since the epoch, when the fault in `why` began, or without a fault, when the state began.
+        seen: s since the epoch, when it was last connected, or None if it never was.
+        host: the address of its link, or its machine's name.
+        version: of its rsb-console, or empty if unknown.
+        links_up: number of links that are up.
+        links: number of links.
+        flowing: number of routes that carry messages or calls.
+        routes: number of routes.
+        states: number of routes in each state; the robot's own console shows the same figures.
         wrong_clients: of a server, names of clients with a fault, as many as fit.
-        clients_wrong: number of all clients with a fault.
+        clients_wrong: number of clients with a fault.
         acknowledged: number of acknowledged faults.
         messages_from_robot: Hz, of all topics that it sends.
-        messages_to_robot: Hz, likewise.
-        bytes_from_robot: a second, on the wire of its links.
-        bytes_to_robot: likewise.
-        loss: of its messages; None: no message has ended yet.
-        battery: None: no topic says.
+        messages_to_robot: Hz, of all topics that it receives.
+        bytes_from_robot: bytes/s that it sends over its links.
+        bytes_to_robot: bytes/s that it receives over its links.
+        loss: of its messages, or None before the first message was delivered or lost.
+        battery: its battery, or None if no topic reports it.
     """
 
     name: str
@@ -201,11 +201,11 @@ class LossWindow:
         return {link: Loss(lost[link] / count, now - since[link]) for link, count in settled.items() if count}
 
     def _first_mark(self, route: RouteSnapshot, now: float) -> _Mark:
-        """What had been counted of a route at the beginning of the window."""
+        """Return the counts of a route at the beginning of the window."""
         marks, lost = self._marks[route.key], _lost(route.ledger)
         settled = lost + route.ledger.delivered
         if marks and (settled < marks[-1].settled or now < marks[-1].time):
-            marks.clear()  # counted anew
+            marks.clear()  # the counts have begun again
         if not marks or now - marks[-1].time >= _MARK_EVERY:
             marks.append(_Mark(now, lost, settled))
         while len(marks) > 1 and now - marks[1].time >= LOSS_SPAN:
@@ -220,13 +220,13 @@ def _lost(ledger: Ledger) -> int:
 def of_clients(
     snapshot: Snapshot, session: Session, losses: Mapping[str, Loss], batteries: Mapping[str, Battery]
 ) -> list[RobotSummary]:
-    """The clients of a server, one for each link.
+    """Summarize the clients of a server, one for each link.
 
     Args:
-        snapshot: the server's.
-        session: likewise; says which groups its clients belong to.
-        losses: of each link, by its name, as `LossWindow.take` gives them.
-        batteries: of each link, by its name.
+        snapshot: of the server.
+        session: of the server, with the groups of its clients.
+        losses: of each link by its name, as `LossWindow.take` returns them.
+        batteries: of each link by its name.
     """
     groups = {client.name: client.group or "" for client in session.accepted_clients}
     routes: dict[str, list[RouteSnapshot]] = {link.name: [] for link in snapshot.links}
@@ -256,14 +256,14 @@ def of_engine(
     losses: Mapping[str, Loss],
     battery: Battery | None,
 ) -> RobotSummary:
-    """An engine itself, as it announces itself.
+    """Summarize an engine for its own announcement.
 
     Args:
-        snapshot: its own.
-        session: likewise.
+        snapshot: of the engine.
+        session: of the engine.
         host: its machine's name.
         version: of its rsb-console.
-        losses: as in `of_clients`; the worst of its links counts.
+        losses: of each link by its name; the greatest counts.
         battery: of its robot.
     """
     summary = _summary(
@@ -337,15 +337,15 @@ def _summary(
     *,
     from_robot_is_sent: bool,
 ) -> RobotSummary:
-    """What both kinds have in common.
+    """Make the part of a summary that both kinds have in common.
 
     Args:
-        name: the robot's.
-        snapshot: that the links and routes are of.
-        links: the robot's.
-        routes: likewise.
-        called: gives what the robot calls the topic of a route.
-        from_robot_is_sent: the engine that made the snapshot is the robot's own.
+        name: of the robot.
+        snapshot: of the engine.
+        links: of the robot.
+        routes: of the robot.
+        called: returns the robot's name for the topic of a route.
+        from_robot_is_sent: whether the engine that made the snapshot is the robot's own.
     """
     state, why, since = _state(snapshot, links, routes, called)
     up = {link.name for link in links if link.state is State.OK}
@@ -457,7 +457,7 @@ def _seen(link: LinkSnapshot, now: float) -> float | None:
 
 
 class InvalidSummary(Wording):
-    """Why bytes are no summary of a robot."""
+    """Reasons why bytes are not a summary of a robot."""
 
     TOO_LONG = "a summary of {length:,} bytes; at most {limit:,} are allowed"
     UNREADABLE = "no summary of a robot: {error}"

@@ -1,4 +1,4 @@
-"""What a user interface or a log sees of the engine: immutable data."""
+"""The state and the events of an engine as immutable data, for user interfaces and logs."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ class State(StrEnum):
     UNHEARD = "unheard"
     """Messages cross, but a publisher or a subscriber that should have a part in it has none, or nobody subscribes."""
     WAITING = "waiting"
-    """Nothing is known to be wrong; no message has come yet."""
+    """It waits for the first message; nothing is wrong so far."""
     DISARMING = "disarming"
     """The topic was disarmed, and the other side may act on earlier messages for up to 1 s."""
     PAUSED = "paused"
@@ -77,25 +77,25 @@ class Level(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Event:
-    """Something that happened, told to an operator.
+    """An entry of the log for operators.
 
     Attributes:
         number: counts from 1, without gaps.
         time: s since the epoch.
         level: its severity.
-        code: what kind of event, an `rsb_bridge.model.codes.EventCode`; stable, unlike the text.
+        code: its kind, an `rsb_bridge.model.codes.EventCode`; stable, unlike the text.
         text: one line, complete in itself.
         link: the peer's name, or empty.
         topic: the topic, or empty.
-        who: the operator who did it, or empty where no operator did.
-        old: what the operator changed, as it was before; or empty.
-        new: what the operator made of it; or empty.
+        who: the operator who caused it, or empty.
+        old: the value before an operator's change, or empty.
+        new: the value after an operator's change, or empty.
         cause: of a fault, an `rsb_bridge.model.verdict.Cause`, or a newer peer's; of a link that is not up, an
             `rsb_bridge.model.verdict.LinkCause`; of a topic that disarms, an `rsb_bridge.route.arming.Disarmed`; else
             empty.
-        state: what the route or the link has become, a `State`; empty: the event is about something else.
-        since: s since the epoch, when that state began; None: the event is about something else.
-        from_peer: the other side says so.
+        state: the new `State` of the route or the link, or empty if the event is not about a state.
+        since: s since the epoch, when that state began, or None if the event is not about a state.
+        from_peer: whether the other side reports it.
     """
 
     number: int
@@ -115,7 +115,7 @@ class Event:
 
     @property
     def source(self) -> str:
-        """What it concerns: ``engine``, ``log``, ``key``, ``link`` or ``route``."""
+        """Its subject: ``engine``, ``log``, ``key``, ``link`` or ``route``."""
         return self.code.partition(".")[0]
 
 
@@ -124,8 +124,8 @@ class Stage(msgspec.Struct, frozen=True, array_like=True, gc=False):
 
     Attributes:
         name: ``publisher seen``, ``type known``, ... (`rsb_bridge.route.route.Route.stages`).
-        done: True: passed; False: failed; None: not known yet.
-        detail: what was found, or what is missing; may be empty.
+        done: whether the step has passed or failed, or None if it is unknown yet.
+        detail: the reason in words, or empty.
     """
 
     name: str
@@ -302,7 +302,7 @@ class RouteSnapshot:
 
     @property
     def max_rate(self) -> float | None:
-        """Hz that cross at most, whoever says so; None: all."""
+        """The lowest limit of the topic's entry and the rights, Hz, or None for no limit."""
         return min((rate for rate in (self.spec.max_rate, self.allowed_rate) if rate), default=None)
 
 
@@ -471,12 +471,12 @@ class TopicInfo:
 
     Attributes:
         topic: its name there.
-        type_name: its type; empty if its endpoints disagree.
-        type_hash: or empty.
-        qos: what its publishers offer, combined; None: no publisher, or not a topic.
-        publishers: how many; of what is not a topic, providers.
-        subscriptions: how many; of what is not a topic, callers.
-        kind: what it is.
+        type_name: its type, or empty if its endpoints disagree.
+        type_hash: of its type, or empty.
+        qos: combined offer of its publishers, or None without publishers and for other kinds.
+        publishers: number of publishers, or of providers.
+        subscriptions: number of subscriptions, or of callers.
+        kind: its kind.
     """
 
     topic: str
@@ -490,12 +490,12 @@ class TopicInfo:
 
 @dataclass(frozen=True, slots=True)
 class Reloaded:
-    """How the session file differed from what ran, in words.
+    """Differences between the session file and the running session, in words.
 
     Attributes:
-        changed: what the bridge does differently from now on; or would do, where it was only asked.
-        left: what cannot change while the bridge runs, with the remedy.
-        failed: what could not be done, with the reason.
+        changed: changes that the bridge has made, or would make if it was only asked.
+        left: changes that need a restart, with the remedy.
+        failed: changes that failed, with the reason.
     """
 
     changed: tuple[str, ...] = ()
@@ -518,10 +518,11 @@ class PeekedMessage:
         type_hash: ``RIHS01_...``, or empty.
         time: s since the epoch on this machine's clock, when DDS received it (sending side), or when it came over the
             link (receiving side).
-        outgoing: this side sends it.
-        is_kept: it is a latched topic's message of before, as a late joiner gets it; `time` is when it was asked for.
-        latency: s that it took over the link, as the clock offset says; None: it is not known, or this side sends it.
-        clock_offset: s, the peer's clock minus this machine's; None: it is not known.
+        outgoing: whether this side sends it.
+        is_kept: whether it is a latched topic's earlier message, as a late joiner gets it; `time` is then
+            that of the request.
+        latency: s that it took over the link, by the clock offset, or None if it is unknown or this side sends it.
+        clock_offset: s, the peer's clock minus this machine's, or None if it is unknown.
         clock_uncertainty: s.
     """
 

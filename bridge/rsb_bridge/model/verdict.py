@@ -1,4 +1,4 @@
-"""What a side makes of a route: its state, the cause, and a sentence for an operator with the remedy."""
+"""Verdicts on routes: a state, its cause, and a sentence for operators with the remedy."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ from math import floor
 from rsb_bridge.model.snapshot import State
 
 LASTING = "{lasting}"
-"""Stands in a verdict's text for how long it has lasted, so that the text itself stays the same."""
+"""Placeholder in a verdict's text for the duration, so that the text itself stays the same."""
 
 
 class Cause(StrEnum):
-    """Why a route is in its state. Programs and tests may rely on it; the text is for people and may change."""
+    """The cause of a route's state. Programs and tests may rely on it; texts are for people and may change."""
 
     NONE = ""
     LINK_DOWN = "link_down"
@@ -85,7 +85,7 @@ class Cause(StrEnum):
 
 
 class LinkCause(StrEnum):
-    """Why a link is not up, or is up with a fault."""
+    """The cause of a link's fault."""
 
     NONE = ""
     NOT_YET = "not_yet"
@@ -133,13 +133,13 @@ _DETAILS_UNKNOWN = frozenset({Cause.SILENT, Cause.NO_MESSAGE, Cause.NO_CALL})
 
 @dataclass(frozen=True, slots=True)
 class Verdict:
-    """What one side makes of a route.
+    """One side's judgement of a route.
 
     Attributes:
         state: its state.
-        cause: of the state; one that is in no `Cause` is a newer peer's.
-        text: for an operator, with the remedy, and perhaps `LASTING`; empty: there is nothing to say.
-        since: s, when it began; None: it does not say.
+        cause: of the state, a `Cause` or one of a newer peer.
+        text: for an operator, with the remedy, and perhaps with `LASTING`; or empty.
+        since: s, when it began, or None if the verdict does not say.
     """
 
     state: State

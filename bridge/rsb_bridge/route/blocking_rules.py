@@ -1,81 +1,99 @@
-"""Rules that decide about any route, whatever it carries, before those of topics and of calls."""
+"""The verdicts that all routes have in common: a link that is down, a pause, a limit and the like."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING, NamedTuple
 
 from rsb_bridge.model.snapshot import State
-from rsb_bridge.model.verdict import Cause, Verdict
+from rsb_bridge.model.verdict import FINE, Cause, Verdict
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterable
 
 
-class Standing(Protocol):
-    """What a half knows of its route, whatever that carries: as in `rsb_bridge.route.topic_verdict.Facts`."""
+class RouteStatus(NamedTuple):
+    """The part of one half's knowledge that does not depend on what its route carries.
 
-    @property
-    def topic(self) -> str: ...
-    @property
-    def link_down(self) -> str: ...
-    @property
-    def breaking(self) -> str: ...
-    @property
-    def crowded_out(self) -> str: ...
-    @property
-    def refusal(self) -> str: ...
-    @property
-    def loop(self) -> str: ...
-    @property
-    def paused(self) -> bool: ...
-    @property
-    def paused_by(self) -> str: ...
-    @property
-    def disarmed(self) -> str: ...
-    @property
-    def disarming(self) -> bool: ...
-    @property
-    def can_be_armed(self) -> bool: ...
-    @property
-    def no_path(self) -> str: ...
-    @property
-    def limit(self) -> float: ...
-    @property
-    def limited_by(self) -> str: ...
+    Attributes:
+        sends: whether it is the sending half; of calls, the callers' half.
+        topic: its name on this side.
+        domain_id: of this side.
+        link_down: the reason why the link is down, or empty.
+        refusal: the reason why the route is refused, or empty.
+        loop: the reason why its messages or calls would loop, or empty.
+        paused: whether an operator has paused it.
+        paused_by: the operator, or empty if unknown.
+        disarmed: the reason why it is not armed although it must be, or empty.
+        disarming: whether the other side may still act on messages from before it was disarmed.
+        can_be_armed: whether an operator may arm it; if not, `disarmed` names the step that has to come first.
+        no_path: the reason why its transport does not get through, or empty.
+        breaking: the reason why its channel breaks before anything arrives, or empty.
+        crowded_out: the reason why it yields to other routes of its link, or empty.
+        waits_for: the step that has to come before anything can cross.
+        limit: Hz that an operator allows, or 0 for no limit.
+        limited_by: the reason for the limit, in words.
+    """
 
-
-def gated(facts: Standing) -> Verdict | None:
-    """What keeps everything else from being known; None: nothing does."""
-    return next((verdict for gate in _GATES if (verdict := gate(facts)) is not None), None)
-
-
-def rank(verdict: Verdict) -> int:
-    """0 for the worst."""
-    return verdict.state.rank
-
-
-def no_path(facts: Standing) -> Verdict | None:
-    """A rule: its transport does not get through."""
-    return Verdict(State.DOWN, Cause.NO_PATH, facts.no_path) if facts.no_path else None
+    sends: bool
+    topic: str
+    domain_id: int = 0
+    link_down: str = ""
+    refusal: str = ""
+    loop: str = ""
+    paused: bool = False
+    paused_by: str = ""
+    disarmed: str = ""
+    disarming: bool = False
+    can_be_armed: bool = True
+    no_path: str = ""
+    breaking: str = ""
+    crowded_out: str = ""
+    waits_for: str = ""
+    limit: float = 0.0
+    limited_by: str = "set on purpose (max_rate)"
 
 
-def throttled(facts: Standing) -> Verdict | None:
-    """A rule: an operator limits it."""
-    if not facts.limit:
+def worst(status: RouteStatus, verdicts: Iterable[Verdict | None]) -> tuple[Verdict, list[Verdict]]:
+    """Return the verdict that counts, and all that were found.
+
+    A blocking verdict counts alone, because it keeps the others from being known. Otherwise the worst one counts,
+    and of equally bad ones the first.
+
+    Args:
+        status: the route's.
+        verdicts: of the rules for what the route carries; not evaluated if something blocks.
+    """
+    if (blocking := blocked(status)) is not None:
+        return blocking, [blocking]
+    found = [each for each in (_no_path(status), *verdicts, _throttled(status)) if each is not None]
+    return min(found, key=lambda verdict: verdict.state.rank, default=FINE), found
+
+
+def blocked(status: RouteStatus) -> Verdict | None:
+    """Return the verdict that keeps the others from being known, or None."""
+    return next((verdict for rule in _BLOCKING if (verdict := rule(status)) is not None), None)
+
+
+def _no_path(status: RouteStatus) -> Verdict | None:
+    return Verdict(State.DOWN, Cause.NO_PATH, status.no_path) if status.no_path else None
+
+
+def _throttled(status: RouteStatus) -> Verdict | None:
+    if not status.limit:
         return None
-    return Verdict(State.OK, Cause.THROTTLED, f"limit {facts.limit:g} Hz, {facts.limited_by}")
+    return Verdict(State.OK, Cause.THROTTLED, f"limit {status.limit:g} Hz, {status.limited_by}")
 
 
-def _link(facts: Standing) -> Verdict | None:
-    return Verdict(State.DOWN, Cause.LINK_DOWN, facts.link_down) if facts.link_down else None
+def _link(status: RouteStatus) -> Verdict | None:
+    return Verdict(State.DOWN, Cause.LINK_DOWN, status.link_down) if status.link_down else None
 
 
-def _breaking(facts: Standing) -> Verdict | None:
-    if not facts.breaking:
+def _breaking(status: RouteStatus) -> Verdict | None:
+    if not status.breaking:
         return None
-    text = f"its data connection ends before a message arrives ({facts.breaking}), though the link is up: "
-    if facts.crowded_out:
-        text += f"{facts.crowded_out}; make its messages smaller, or set compression: zstd or a higher priority"
+    text = f"its data connection ends before a message arrives ({status.breaking}), though the link is up: "
+    if status.crowded_out:
+        text += f"{status.crowded_out}; make its messages smaller, or set compression: zstd or a higher priority"
     else:
         text += (
             "large packets may be lost on the way; set a lower MTU on both sides (ip link set DEVICE mtu 1280), "
@@ -84,38 +102,38 @@ def _breaking(facts: Standing) -> Verdict | None:
     return Verdict(State.DOWN, Cause.NO_PATH, text)
 
 
-def _refused(facts: Standing) -> Verdict | None:
-    return Verdict(State.DOWN, Cause.REFUSED, facts.refusal) if facts.refusal else None
+def _refused(status: RouteStatus) -> Verdict | None:
+    return Verdict(State.DOWN, Cause.REFUSED, status.refusal) if status.refusal else None
 
 
-def _loop(facts: Standing) -> Verdict | None:
-    return Verdict(State.DOWN, Cause.LOOP, facts.loop) if facts.loop else None
+def _loop(status: RouteStatus) -> Verdict | None:
+    return Verdict(State.DOWN, Cause.LOOP, status.loop) if status.loop else None
 
 
-def _disarming(facts: Standing) -> Verdict | None:
-    """A gate: before that of a pause, as a pause disarms, too."""
-    if not (facts.disarmed and facts.disarming):
+def _disarming(status: RouteStatus) -> Verdict | None:
+    """Judge a route that is being disarmed; comes before `_paused`, because a pause disarms as well."""
+    if not (status.disarmed and status.disarming):
         return None
-    text = f"{facts.disarmed}; messages sent before it may act for 1 s"
+    text = f"{status.disarmed}; messages sent before it may act for 1 s"
     return Verdict(State.DISARMING, Cause.DISARMING, text)
 
 
-def _paused(facts: Standing) -> Verdict | None:
-    if not facts.paused:
+def _paused(status: RouteStatus) -> Verdict | None:
+    if not status.paused:
         return None
-    text = f"paused ({facts.paused_by})" if facts.paused_by else "paused by an operator"
+    text = f"paused ({status.paused_by})" if status.paused_by else "paused by an operator"
     return Verdict(State.PAUSED, Cause.PAUSED, text)
 
 
-def _disarmed(facts: Standing) -> Verdict | None:
-    if not facts.disarmed:
+def _disarmed(status: RouteStatus) -> Verdict | None:
+    if not status.disarmed:
         return None
-    if not facts.can_be_armed:
-        return Verdict(State.DISARMED, Cause.DISARMED, facts.disarmed)
-    text = f"{facts.disarmed}: arm it (key A, rsb-console arm {facts.topic})"
+    if not status.can_be_armed:
+        return Verdict(State.DISARMED, Cause.DISARMED, status.disarmed)
+    text = f"{status.disarmed}: arm it (key A, rsb-console arm {status.topic})"
     return Verdict(State.DISARMED, Cause.DISARMED, text)
 
 
-_GATES: tuple[Callable[[Standing], Verdict | None], ...] = (
+_BLOCKING: tuple[Callable[[RouteStatus], Verdict | None], ...] = (
     _link, _breaking, _refused, _loop, _disarming, _paused, _disarmed,
 )  # fmt: skip

@@ -1,4 +1,4 @@
-"""What counts of what the two sides make of a route, on the screens and in the logs of both."""
+"""The combined verdict of the two sides of a route, for the screens and the logs of both."""
 
 from __future__ import annotations
 
@@ -31,13 +31,13 @@ _LONGEST = 1e9  # s
 _JITTER = 2.0
 """s by which two reports on the same fault may be apart."""
 _NODES, _NODE_LENGTH = 4, 64
-"""Nodes that the other side is told of, and characters of their names."""
+"""The most nodes in a report to the other side, and characters of their names."""
 _LASTS = 3.0
 """s that a verdict must last."""
 _LOSS_LASTS = 7.0
 """s that a loss on the way must last: before that, its remedy is not known (`MEASURED_FOR`)."""
 _WAITS = 10.0
-"""s that a route must wait for the same: nodes that start beside the bridge have come by then."""
+"""s that a route must wait before the log reports it: nodes that start with the bridge are up by then."""
 _MENDABLE: dict[str, Level] = {
     Cause.NO_PUBLISHER: Level.INFO,
     Cause.NO_SERVER: Level.INFO,
@@ -46,7 +46,7 @@ _MENDABLE: dict[str, Level] = {
 }
 """What a route may wait for that a person can mend: a name or a type that is typed wrong, a type to install."""
 _AGAIN_AFTER = 60.0
-"""s until the same is said again."""
+"""s until the log repeats a verdict."""
 _MOST_SAID = 32
 _SAID_ELSEWHERE = frozenset(
     {
@@ -59,11 +59,11 @@ _TOLD = frozenset({State.DOWN, State.STALE, State.STOPPED, State.LATE, State.SLO
 
 
 class Shown(NamedTuple):
-    """What operators of this side are shown.
+    """The verdict for operators of this side.
 
     Attributes:
-        verdict: the worse of both; its text names the other side where that says so.
-        from_peer: the other side says so.
+        verdict: the worse of both; if it is the other side's, its text names that side.
+        from_peer: whether it is the other side's.
     """
 
     verdict: Verdict
@@ -103,7 +103,7 @@ class CombinedVerdict:
         self.peer = Verdict(state, record.cause, record.text, since)
 
     def shown(self, own: Verdict) -> Shown:
-        """What counts, given this side's verdict."""
+        """Return the verdict that counts, given this side's."""
         same = (own.state, own.cause) == (self.peer.state, self.peer.cause)
         if own.cause in _SAME_ON_BOTH or (same and own.cause in _ENOUGH_SAID_HERE):
             return Shown(own, from_peer=False)
@@ -125,9 +125,9 @@ class CombinedVerdict:
         return self._announcer.tick(verdict, now)
 
     def since(self, verdict: Verdict, now: float) -> float:
-        """Since when (s) the state and the cause are those of `verdict`, which is shown at `now` (s).
+        """Return the beginning (s) of the state and cause of `verdict`, which is shown at `now` (s).
 
-        That is the beginning of the trouble where the verdict says it, else the moment when it was first shown.
+        It is the beginning that the verdict names, or the moment when it was first shown.
         """
         shows = (verdict.state, verdict.cause)
         if shows != self._shows:
@@ -137,7 +137,7 @@ class CombinedVerdict:
 
 
 def record_of(verdict: Verdict) -> VerdictRecord | None:
-    """A verdict as the other side is told, but for how long it has lasted; None: it is fine."""
+    """Return a verdict's record for the other side without its duration, or None if nothing is wrong."""
     if verdict == FINE:
         return None
     return VerdictRecord(state_for_any(verdict.state), verdict.cause, sanitize_text(verdict.text, _TEXT_LENGTH))
@@ -156,7 +156,7 @@ def _since(seconds: float, now: float) -> float:
 
 
 def node_names(endpoints: Iterable[Endpoint]) -> tuple[str, ...]:
-    """The names of the nodes that have endpoints, as far as they are told to the other side."""
+    """Return the names of the nodes with these endpoints, as reports to the other side list them."""
     names = sorted({each.node for each in endpoints if each.node})
     return tuple([sanitize_text(name, _NODE_LENGTH) for name in names[:_NODES]])
 

@@ -89,6 +89,7 @@ class _NotPublishedError(Exception):
 class IncomingRoute(TopicRoute[ReceivingChannel]):
     """Publishes here what the peer sends."""
 
+    peer_report = SentReport
     outgoing: ClassVar[bool] = False
 
     def __init__(self, context: Context, peer: Owner, spec: Topic, proposal: Propose, *, proposed_here: bool) -> None:

@@ -1,7 +1,7 @@
-"""Where a route's messages went: the ledger as the sending side keeps it, with the receiver's counts taken in.
+"""The ledger of a route's messages, which the sending side keeps and the receiver's counts complete.
 
-The receiver's counts are another process's word. They are brought within what was sent here, so whatever they say, no
-part of the ledger is negative and all parts add up.
+The receiver's counts may be wrong. They are limited to the messages sent here, so that no part of the ledger is
+negative and all parts add up.
 """
 
 from __future__ import annotations
@@ -35,15 +35,15 @@ _LARGEST = 2**53
 
 @dataclass(frozen=True, slots=True)
 class _Counted:
-    """What the receiver counted of one opening, within what was sent.
+    """The receiver's counts of one opening, limited to the messages sent.
 
     Attributes:
-        plausible: the receiver's figures could be right, and none was changed.
+        plausible: whether the receiver's figures could be right, so that none was changed.
         whole: messages that arrived whole.
-        delivered: of those, published.
-        dropped: of those, by cause.
-        expired: given up incomplete.
-        incomplete: that wait for fragments.
+        delivered: whole messages that were published.
+        dropped: whole messages that were dropped, by cause.
+        expired: messages given up incomplete.
+        incomplete: messages that wait for fragments.
         newest: the highest message number seen.
     """
 
@@ -57,7 +57,7 @@ class _Counted:
 
     @property
     def settled(self) -> int:
-        """Messages whose end is known."""
+        """Messages that were delivered, dropped or given up."""
         return self.delivered + self.expired + sum(self.dropped.values())
 
     def lost(self, overdue: int = 0) -> int:
@@ -66,7 +66,7 @@ class _Counted:
 
 
 def _within(report: ReceivedReport, sent: int) -> _Counted:
-    """A report's counts, each limited to what is left of `sent` by those before it."""
+    """Return a report's counts, each limited to `sent` minus the counts before it."""
     plausible, left = True, sent
 
     def take(count: int) -> int:
@@ -197,7 +197,7 @@ class RouteLedger:
         self._opening = _Opening()
 
     def disarmed(self) -> None:
-        """What has not arrived in the present opening is not to be published any more."""
+        """Count messages of the present opening that have not arrived as disarmed: the receiver drops them."""
         self._opening.lost_as = "disarmed"
 
     def reported(self, report: ReceivedReport, now: float, delay: float = 0.0) -> bool:

@@ -1,4 +1,4 @@
-"""What an operator is told of a route beside its state: each thing once, and why its channel breaks."""
+"""A route's errors and warnings for operators, each reported once, and the losses of its channels."""
 
 from __future__ import annotations
 
@@ -24,13 +24,13 @@ _TIMED_OUT = os.strerror(errno.ETIMEDOUT)
 
 
 class Notices:
-    """What one route has said beside its state.
+    """Reports the errors and warnings of one route.
 
     Attributes:
-        loop: why the open route carries nothing: it would close a loop of bridges; empty: it would not.
-        warning: what an operator should know although messages flow; empty: nothing.
+        loop: the reason why the open route would close a loop of bridges and carries nothing, or empty.
+        warning: a warning although messages flow, or empty.
         last_error: the last error, or empty.
-        undelivered: why the last message was not carried; empty: it was, or none has come in this opening.
+        undelivered: the reason why the last message of this opening was not carried, or empty.
     """
 
     def __init__(self, log: Callable[[Level, EventCode, str], None]) -> None:
@@ -43,25 +43,25 @@ class Notices:
         self._doubted = ""
 
     def error(self, code: EventCode, reason: str, level: Level = Level.ERROR) -> None:
-        """The route has failed. The next tries need not say the same, until messages flow."""
+        """Report that the route has failed; until messages flow, the same reason is not repeated."""
         self.last_error = reason
         if reason != self._told:
             self._told = reason
             self._log(level, code, reason)
 
     def flowing(self) -> None:
-        """Messages flow: what fails from now on is said again."""
+        """Note that messages flow, so that every later failure is reported."""
         self._told = self.undelivered = ""
 
     def message_error(self, code: EventCode, reason: str) -> None:
-        """A message cannot be carried, while others can."""
+        """Report that a message could not be carried, although others can."""
         self.undelivered = reason
         if reason != self.last_error:
             self.last_error = reason
             self._log(Level.ERROR, code, reason)
 
     def set_loop(self, reason: str) -> None:
-        """The route is refused for as long as it would close a loop; empty: it would not. It stays open."""
+        """Set the reason why the open route would close a loop, or an empty string if it would not."""
         if reason and not self.loop:
             self.error(EventCode.ROUTE_LOOP, reason)
         elif self.loop and not reason:
@@ -70,20 +70,20 @@ class Notices:
         self.loop = reason
 
     def set_warning(self, warning: str) -> None:
-        """Say what an operator should know although messages flow; empty: nothing."""
+        """Set a warning that applies although messages flow, or an empty string."""
         if warning and warning != self.warning:
             self._log(Level.WARNING, EventCode.ROUTE_TYPE_CHANGED, warning)
         self.warning = warning
 
     def doubt(self, instance: str, remedy: str) -> None:
-        """Say, once for each of the peer's processes, that its counts cannot be right, and what is done about it."""
+        """Report wrong counts of the peer and the remedy, once for each process of the peer."""
         if self._doubted != instance:
             self._doubted = instance
             text = f"the other side reports counts that cannot be right; {remedy}"
             self._log(Level.WARNING, EventCode.ROUTE_IMPLAUSIBLE_REPORT, text)
 
     def closed(self) -> None:
-        """The opening has ended, and with it what holds only while it lasts."""
+        """Drop the notices that apply only while the route is open."""
         self.loop = self.warning = self.undelivered = ""
 
 
@@ -120,7 +120,7 @@ class ChannelLosses:
 
     @property
     def repeated(self) -> str:
-        """Why channels end again and again, before a message arrives; empty: they do not."""
+        """The reason why channels repeatedly end before a message arrives, or empty."""
         if len(self._reasons) == _AGAIN_AND_AGAIN or any(map(timed_out, self._reasons)):
             return self._reasons[-1]
         return ""

@@ -133,6 +133,7 @@ class OutgoingRoute(TopicRoute[SendingChannel]):
         longer: s that messages take beyond the shortest time of this opening and their jitter, as reported.
     """
 
+    peer_report = ReceivedReport
     outgoing: ClassVar[bool] = True
 
     def __init__(self, context: Context, peer: Owner, spec: Topic, proposal: Propose, *, proposed_here: bool) -> None:
@@ -492,10 +493,10 @@ class OutgoingRoute(TopicRoute[SendingChannel]):
 
     def facts(self) -> Facts:
         unresolved = self._resolver.unresolved
-        facts = super().facts()
+        facts, full = super().facts(), self.peer.full_out is not None or self.peer.fullness_undecided
         facts = facts._replace(
             similar=self._resolver.similar,
-            breaking="" if self.peer.full_out is not None or self.peer.fullness_undecided else self.losses.repeated,
+            status=facts.status._replace(breaking="" if full else self.losses.repeated),
             subscribe_failed=self._failure,
             unresolved=(unresolved.cause, self._resolver.why()) if unresolved and self.accepted else None,
             left_out=self.notices.warning,

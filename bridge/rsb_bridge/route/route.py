@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections import deque
 from functools import partial
-from typing import TYPE_CHECKING, ClassVar, NamedTuple, Protocol, Unpack
+from typing import TYPE_CHECKING, Any, ClassVar, Protocol, Unpack
 
 import msgspec
 
@@ -22,6 +22,7 @@ from rsb_bridge.model.snapshot import Level, RouteSnapshot, Stage
 from rsb_bridge.model.text import sanitize_text
 from rsb_bridge.route.age import MessageAge
 from rsb_bridge.route.arming import SAID, Arming, Disarmed, Settling
+from rsb_bridge.route.blocking_rules import RouteStatus
 from rsb_bridge.route.combined_verdict import CombinedVerdict
 from rsb_bridge.route.lifecycle import Event, Lifecycle, PauseState
 from rsb_bridge.route.notices import ChannelLosses, Notices, timed_out
@@ -43,6 +44,7 @@ if TYPE_CHECKING:
     from rsb_bridge.route.combined_verdict import Announcement
     from rsb_bridge.telemetry.event_log import About
     from rsb_bridge.wire.framing import Message
+    from rsb_bridge.wire.records import CallsReport, ReceivedReport, SentReport
 
 _LINK_STAGE = "link up"
 _FIRST_PAUSE, _LONGEST_PAUSE = 1.0, 10.0
@@ -61,26 +63,6 @@ class Owner(Peer, Protocol):
     def open_channel(self, route: Route) -> None:
         """Begin to open `route.channel`. For streams, a server waits for the client's instead."""
         ...
-
-
-class Standing(NamedTuple):
-    """How a route stands, whatever it carries: what `Facts` of topics and of calls have in common, named as there."""
-
-    sends: bool
-    topic: str
-    domain_id: int
-    link_down: str
-    refusal: str
-    loop: str
-    paused: bool
-    paused_by: str
-    disarmed: str
-    disarming: bool
-    can_be_armed: bool
-    no_path: str
-    waits_for: str
-    limit: float
-    limited_by: str
 
 
 class Route:
@@ -107,8 +89,10 @@ class Route:
         losses: of the channels that carried it.
         judged: what both sides make of it.
         limit: how many messages cross at most.
+        peer_report: the type of the reports that the other side's half sends.
     """
 
+    peer_report: ClassVar[type[SentReport | ReceivedReport | CallsReport]]
     outgoing: ClassVar[bool]
     duplex: ClassVar[bool] = False
 
@@ -161,6 +145,14 @@ class Route:
 
     def deliver(self, messages: Iterable[Message]) -> None:
         """Messages came, whole and authentic. A half that only sends gets none: the peer does not even have its key."""
+
+    def news(self) -> SentReport | ReceivedReport | CallsReport | None:
+        """Return the report for the peer, or None if the peer knows everything."""
+        raise NotImplementedError
+
+    def reported(self, report: Any) -> None:
+        """Take a report of the peer, a `peer_report`."""
+        raise NotImplementedError
 
     def _may_flow(self) -> None:
         """From now on something may cross: what is watched over time begins anew."""
@@ -454,12 +446,12 @@ class Route:
 
     # --- what is made of it
 
-    def standing(self) -> Standing:
-        """What any half knows."""
+    def status(self) -> RouteStatus:
+        """Return the part of this half's knowledge that does not depend on what the route carries."""
         now = self.context.now()
         stands, overdue = self.arming.stands(now), self.arming.overdue(now)
         why_not = self._why_not_armable()
-        return Standing(
+        return RouteStatus(
             sends=self.outgoing,
             topic=self.local_topic,
             domain_id=self.context.domain_id,

@@ -10,7 +10,7 @@ from rsb_bridge.model.verdict import EXPIRES, Cause
 from rsb_bridge.route.lateness import Late, LateWatch
 from rsb_bridge.route.peeking import PeekSlot
 from rsb_bridge.route.route import Route
-from rsb_bridge.route.thinning import Thinning
+from rsb_bridge.route.thinning import Thinning, why
 from rsb_bridge.route.topic_verdict import LOSS_CAUSES, Facts, judge
 from rsb_bridge.telemetry.meters import LatencyMeter, StaleWatch
 
@@ -286,8 +286,9 @@ class TopicRoute(Route, Generic[ChannelT]):
     def facts(self) -> Facts:
         """Return the facts that both halves know; each half adds its own."""
         known = self.life.described
+        thinned = self.thinning.shown()
         return Facts(
-            **self.standing()._asdict(),
+            self.status()._replace(crowded_out="" if thinned is None else why(thinned)),
             endpoints=self.endpoints,
             type_name=self.type_name if known else "",
             qos=self.qos if known else None,
@@ -295,7 +296,7 @@ class TopicRoute(Route, Generic[ChannelT]):
             came=self.came,
             came_before=self.came_before,
             stale_since=self._stale_since(),
-            thinned=self.thinning.shown(),
+            thinned=thinned,
             late=self.late(),
             expired=self.age.late() if self.flowing else None,
             full=self.link_full,

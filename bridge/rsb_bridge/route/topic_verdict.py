@@ -1,4 +1,4 @@
-"""What one half of a route makes of it: rules over what it knows. They use no clock and change nothing."""
+"""The verdict of a topic's half: rules over its facts, which use no clock and change nothing."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING, NamedTuple
 from rsb_bridge.model.qos import clashes
 from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.text import join_first
-from rsb_bridge.model.verdict import FINE, LASTING, Cause, Verdict
+from rsb_bridge.model.verdict import LASTING, Cause, Verdict
 from rsb_bridge.route.age import expired_verdict
-from rsb_bridge.route.blocking_rules import gated, no_path, rank, throttled
+from rsb_bridge.route.blocking_rules import worst
 from rsb_bridge.route.lateness import late_verdict
-from rsb_bridge.route.thinning import verdict_of, why
+from rsb_bridge.route.thinning import verdict_of
 from rsb_bridge.telemetry.watches import FAST_ABOVE
 
 if TYPE_CHECKING:
@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from rsb_bridge.model.qos import Qos
     from rsb_bridge.ros.ros_interface import Endpoint
     from rsb_bridge.route.age import Expired
+    from rsb_bridge.route.blocking_rules import RouteStatus
     from rsb_bridge.route.lateness import Late
     from rsb_bridge.route.thinning import ThinningShare
     from rsb_bridge.telemetry.watches import Loss
@@ -59,29 +60,16 @@ LOSS_CAUSES = frozenset({Cause.LOSSY, *(cause for cause, _ in _LOSSES.values())}
 
 
 class Facts(NamedTuple):
-    """One half's knowledge of its route.
+    """One half's knowledge of its topic.
 
     Attributes:
-        sends: whether it is the sending half.
-        topic: its name on this side.
-        domain_id: of this side.
+        status: the part that does not depend on what the route carries.
         endpoints: the topic's publishers on the sending side, its subscriptions on the receiving side.
         matched: subscriptions on the receiving side that DDS has matched, which may be known before their nodes are.
         similar: a topic of the sending side with publishers and a similar name, where this one never had any; or empty.
-        link_down: the reason why the link is down, or empty.
-        refusal: the reason why the route is refused, or empty.
-        loop: the reason why its messages would loop, or empty.
-        paused: whether an operator has paused it.
-        paused_by: the operator, or empty if unknown.
-        disarmed: the reason why it is not armed although it must be, or empty.
-        disarming: what was sent before it was disarmed may still be published.
-        can_be_armed: whether an operator may arm it; else `disarmed` says what to do first.
-        no_path: the reason why its transport does not get through, or empty.
-        breaking: the reason why its channel breaks before a message arrives, or empty.
         subscribe_failed: the reason why its subscription failed, or empty.
         left_out: the publishers with another type, which are not bridged, or empty.
         unresolved: cause and reason if its type or QoS is unknown, or None.
-        waits_for: the step that has to come before messages can cross.
         type_name: of its messages, or empty if unknown yet.
         qos: of its subscription and publishers, or None if unknown yet.
         flowing: whether messages could cross now.
@@ -95,8 +83,6 @@ class Facts(NamedTuple):
         lost_in_dds: messages that DDS lost in the last `LATELY` s before they could be taken.
         loss: between the two sides, or None if it is negligible.
         datagrams: about how many a message takes, or 0 if its transport has none.
-        limit: Hz that an operator allows, or 0 for no limit.
-        limited_by: the reason for the limit, in words.
         thinned: the share that it leaves to topics with a higher priority, or None.
         late: the lateness of its messages, or None if they are on time.
         expired: the messages that were dropped lately because they were too old, or None if they are few.
@@ -106,26 +92,13 @@ class Facts(NamedTuple):
         shown_cause: the cause that was shown last, or empty.
     """
 
-    sends: bool
-    topic: str
-    domain_id: int = 0
+    status: RouteStatus
     endpoints: Collection[Endpoint] = ()
     matched: int = 0
     similar: str = ""
-    link_down: str = ""
-    refusal: str = ""
-    loop: str = ""
-    paused: bool = False
-    disarmed: str = ""
-    disarming: bool = False
-    can_be_armed: bool = True
-    paused_by: str = ""
-    no_path: str = ""
-    breaking: str = ""
     subscribe_failed: str = ""
     left_out: str = ""
     unresolved: tuple[Cause, str] | None = None
-    waits_for: str = ""
     type_name: str = ""
     qos: Qos | None = None
     flowing: bool = False
@@ -139,8 +112,6 @@ class Facts(NamedTuple):
     lost_in_dds: int = 0
     loss: Loss | None = None
     datagrams: int = 0
-    limit: float = 0.0
-    limited_by: str = "set on purpose (max_rate)"
     thinned: ThinningShare | None = None
     late: Late | None = None
     expired: Expired | None = None
@@ -149,22 +120,14 @@ class Facts(NamedTuple):
     loss_of_full_link: bool = False
     shown_cause: str = ""
 
-    @property
-    def crowded_out(self) -> str:
-        """Why it yields to others of its link; empty: it does not."""
-        return "" if self.thinned is None else why(self.thinned)
-
 
 def judge(facts: Facts) -> Verdict:
-    """What counts: what keeps everything else from being known, else the worst of `_RULES`, of equals the first."""
-    if (verdict := gated(facts)) is not None:
-        return verdict
-    found = [verdict for rule in _RULES if (verdict := rule(facts)) is not None]
-    worst = min(found, key=rank, default=FINE)
-    if worst.cause in _SILENCE:
+    """Return the verdict that counts; of silence, its explanation."""
+    verdict, found = worst(facts.status, (rule(facts) for rule in _RULES))
+    if verdict.cause in _SILENCE:
         explained = next((each for each in found if each.cause in _EXPLAINS_SILENCE), None)
-        return worst if explained is None else replace(explained, state=worst.state)
-    return worst
+        return verdict if explained is None else replace(explained, state=verdict.state)
+    return verdict
 
 
 def no_publisher(topic: str, domain_id: int, similar: str = "") -> str:
@@ -198,7 +161,7 @@ def _stale(facts: Facts) -> Verdict | None:
     if (since := facts.stale_since) is None or _stopped(facts) is not None:
         return None
     text = f"nothing for {LASTING}"
-    if not facts.sends:
+    if not facts.status.sends:
         return Verdict(State.STALE, Cause.SILENT, text, since)
     cause, why = _why_silent(facts)
     return Verdict(State.STALE, cause, f"{text}: {why}", since)
@@ -213,8 +176,8 @@ def _why_silent(facts: Facts) -> tuple[Cause, str]:
             silent = PUBLISHED_NOTHING
         return Cause.PUBLISHER_SILENT, _plural(facts.endpoints, *silent)
     if ever:
-        return Cause.PUBLISHER_GONE, f"{no_publisher(facts.topic, facts.domain_id)} any more"
-    return _nobody(facts), no_publisher(facts.topic, facts.domain_id, facts.similar)
+        return Cause.PUBLISHER_GONE, f"{no_publisher(facts.status.topic, facts.status.domain_id)} any more"
+    return _nobody(facts), no_publisher(facts.status.topic, facts.status.domain_id, facts.similar)
 
 
 def _nobody(facts: Facts) -> Cause:
@@ -224,13 +187,13 @@ def _nobody(facts: Facts) -> Cause:
 def _waiting(facts: Facts) -> Verdict | None:
     if facts.came and facts.flowing:
         return None
-    if facts.sends and facts.flowing and not facts.endpoints:
-        text = no_publisher(facts.topic, facts.domain_id, facts.similar)
+    if facts.status.sends and facts.flowing and not facts.endpoints:
+        text = no_publisher(facts.status.topic, facts.status.domain_id, facts.similar)
         return Verdict(State.WAITING, _nobody(facts), text)
-    if facts.sends and facts.flowing:
+    if facts.status.sends and facts.flowing:
         text = _plural(facts.endpoints, *(NOTHING_SINCE_OPENED if facts.came_before else PUBLISHED_NOTHING))
         return Verdict(State.WAITING, Cause.PUBLISHER_SILENT, text)
-    text = "no message yet" if facts.flowing or not facts.waits_for else f"waiting: {facts.waits_for}"
+    text = "no message yet" if facts.flowing or not facts.status.waits_for else f"waiting: {facts.status.waits_for}"
     return Verdict(State.WAITING, Cause.NO_MESSAGE, text)
 
 
@@ -252,7 +215,7 @@ def _subscription(facts: Facts) -> Verdict | None:
 
 
 def _publishers_qos(facts: Facts) -> Verdict | None:
-    if not facts.sends or facts.qos is None:
+    if not facts.status.sends or facts.qos is None:
         return None
     ours = [each for each in facts.endpoints if each.type_name == facts.type_name]
     others = [each for each in ours if clashes(each.qos, facts.qos)]
@@ -292,9 +255,9 @@ def _stopped(facts: Facts) -> Verdict | None:
 
 def _departed(facts: Facts) -> Verdict | None:
     """Judge a topic whose publisher has left while no message was due."""
-    if not facts.sends or not facts.flowing or not facts.came or facts.endpoints:
+    if not facts.status.sends or not facts.flowing or not facts.came or facts.endpoints:
         return None
-    text = f"{no_publisher(facts.topic, facts.domain_id)} any more"
+    text = f"{no_publisher(facts.status.topic, facts.status.domain_id)} any more"
     return Verdict(State.OK, Cause.PUBLISHER_GONE, text)
 
 
@@ -360,10 +323,12 @@ def _lossy(facts: Facts) -> Verdict | None:
 
 
 def _subscribers(facts: Facts) -> Verdict | None:
-    if facts.sends or facts.qos is None or not facts.type_name:
+    if facts.status.sends or facts.qos is None or not facts.type_name:
         return None
     if others := [each for each in facts.endpoints if each.type_name != facts.type_name]:
-        text = f"{types_and_nodes(others)}, but {facts.topic} carries {facts.type_name}: correct the subscription"
+        text = (
+            f"{types_and_nodes(others)}, but {facts.status.topic} carries {facts.type_name}: correct the subscription"
+        )
         return Verdict(State.UNHEARD, Cause.TYPE_CONFLICT, text)
     for each in facts.endpoints:
         if found := clashes(facts.qos, each.qos):
@@ -371,12 +336,14 @@ def _subscribers(facts: Facts) -> Verdict | None:
             offer, asked = zip(*found, strict=True)
             who = _plural(alike, "asks", "ask", "subscriptions")
             text = (
-                f"{who} for {', '.join(asked)}, but {facts.topic} is published with "
+                f"{who} for {', '.join(asked)}, but {facts.status.topic} is published with "
                 f"{', '.join(offer)}: change the QoS of the subscription, or of the publishers and this topic"
             )
             return Verdict(State.UNHEARD, Cause.QOS_INCOMPATIBLE, text)
     if not facts.endpoints and not facts.matched and facts.came:
-        return Verdict(State.UNHEARD, Cause.NO_SUBSCRIBER, no_subscriber(facts.topic, f"in domain {facts.domain_id}"))
+        return Verdict(
+            State.UNHEARD, Cause.NO_SUBSCRIBER, no_subscriber(facts.status.topic, f"in domain {facts.status.domain_id}")
+        )
     return None
 
 
@@ -395,7 +362,6 @@ def _plural(endpoints: Collection[Endpoint], one: str, several: str, what: str =
 
 
 _RULES: tuple[Callable[[Facts], Verdict | None], ...] = (
-    no_path,
     _subscription,
     _publishers_qos,
     _publishers_types,
@@ -410,5 +376,4 @@ _RULES: tuple[Callable[[Facts], Verdict | None], ...] = (
     _subscribers,
     _waiting,
     _departed,
-    throttled,
 )

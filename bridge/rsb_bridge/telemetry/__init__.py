@@ -1,1 +1,1 @@
-"""What the engine measures and reports: meters, events, snapshots."""
+"""Meters, watches, event log, snapshots and metrics of the engine."""

@@ -33,7 +33,7 @@ _REPORTED_EVERY = 10.0
 
 
 class About(TypedDict, total=False):
-    """What an event may say beside its text, as in `rsb_bridge.model.snapshot.Event`."""
+    """Optional fields of an `rsb_bridge.model.snapshot.Event`."""
 
     link: str
     topic: str
@@ -51,7 +51,7 @@ class EventLog:
 
     Attributes:
         last: the number of the newest event.
-        counts: how many there were of each level, also those that are not kept any more.
+        counts: number of events of each level, including dropped ones.
     """
 
     def __init__(self, clock: Clock) -> None:
@@ -87,19 +87,19 @@ class EventLog:
             return list(itertools.islice(reversed(self._events), missing))[::-1]
 
     def wait(self, number: int, timeout: float, ends: Callable[[], bool] = lambda: False) -> list[Event]:
-        """As `after`, but waits for one to come.
+        """Wait for an event above `number`, and return all of them.
 
         Args:
-            number: as `after`.
+            number: of the last event that the caller has.
             timeout: s to wait, at most.
-            ends: whether to wait no longer; looked at when `wake` is called.
+            ends: returns whether to stop waiting; called after each `wake`.
         """
         with self._news:
             self._news.wait_for(lambda: self.last > number or ends(), timeout)
         return self.after(number)
 
     def wake(self) -> None:
-        """Have those that wait look whether their waiting ends."""
+        """Make all callers of `wait` check whether to stop."""
         with self._news:
             self._news.notify_all()
 
@@ -134,11 +134,11 @@ class RateLimitedEventLog:
         """Add an event of a link, if its quota has room.
 
         Args:
-            level: how grave it is.
-            code: what happened.
-            text: in one line.
-            link_status: it is about the link itself.
-            about: `link`, by the client's name, and whatever else an event says.
+            level: its severity.
+            code: its kind.
+            text: one line.
+            link_status: whether it is about the link itself.
+            about: `link`, the client's name, and other fields of the event.
         """
         link = about["link"]
         now = self._now()
@@ -147,7 +147,7 @@ class RateLimitedEventLog:
             quota = self._quotas[link, link_status] = _Quota(now)
         if not quota.passes(_Line(level, code, text, about), now):
             return
-        if link_status:  # keep the order: first report what was left out before it
+        if link_status:  # keep the order: earlier events that were left out come first
             self._report(link, link_status=False)
             self._report(link, link_status=True)
         self._events.add(level, code, text, **about)

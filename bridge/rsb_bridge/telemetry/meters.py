@@ -80,11 +80,11 @@ class RateMeter:
 
     Attributes:
         count: messages.
-        bytes: of them all.
-        last: s, when the last one came; None: none yet.
+        bytes: of all messages.
+        last: s, when the last message came, or None before the first.
         rate: Hz, over the shortest of 3, 10 and 30 s that holds at least three messages, and never above one message in
             the seconds since the last one.
-        usual_rate: Hz, that it usually has (`UsualRate`); None: not known yet, or it has none.
+        usual_rate: Hz (`UsualRate`), or None if it is unknown yet or messages have none.
         history: messages in each of the last seconds, oldest first.
     """
 
@@ -273,7 +273,7 @@ class ClockOffset:
     """The peer's clock minus ours, from pings (RFC 5905 section 8: offset and delay from four timestamps).
 
     Attributes:
-        rtt: s, of the last exchange; None: no exchange yet.
+        rtt: s, of the last exchange, or None before the first.
         offset: s, of the exchange with the least uncertainty among the last ones and the best earlier one, or None
             before the first.
         uncertainty: s: half the round trip, which bounds the error on asymmetric paths, too, plus the clocks' possible
@@ -338,12 +338,12 @@ class StaleWatch:
         return quiet
 
     def rearm(self, now: float) -> None:
-        """Start counting anew: a route that was just opened or resumed is not late yet."""
+        """Restart the clock: a route that was just opened or resumed is not late yet."""
         self.warned = 0
         self.quiet_since = now
 
     def check(self, now: float) -> int:
-        """The number of the warning that is due at `now`; 0: none is."""
+        """Return the number of the warning that is due at `now`, or 0."""
         if self.after and self.warned < self.times and now - self.quiet_since >= self.after * (self.warned + 1):
             self.warned += 1
             return self.warned
@@ -357,14 +357,14 @@ class StaleWatch:
 class UsualRate:
     """Learns a rate from messages that come regularly. An outage teaches nothing.
 
-    A sample is what came in one tick: how many messages, and how long they and the gaps before them took. From their
-    spread follows the coefficient of variation of a single gap, and from that how steady the rate is over the time that
-    it is judged by. Messages that come at random or in bursts have no usual rate: their silence means nothing.
+    A sample is the number of messages in one tick, and the time that they and the gaps before them took. The spread of
+    the samples yields the coefficient of variation of a single gap, and that tells how steady the rate is over the time
+    that it is judged by. Messages that come at random or in bursts have no usual rate: their silence means nothing.
 
     A higher rate is learned within seconds. A lower one counts as slow first, and is learned after ten minutes.
 
     Attributes:
-        rate: Hz, or None if it is not known yet or there is none.
+        rate: Hz, or None if it is unknown yet or messages are not regular.
         regular: whether messages came at a rhythm, even if its rate is not known yet.
     """
 
@@ -380,11 +380,11 @@ class UsualRate:
         self._lower_for = 0.0
 
     def add(self, messages: int, last: float | None, now: float) -> None:
-        """Take how many messages came since the last call.
+        """Take the messages since the last call.
 
         Args:
-            messages: how many.
-            last: s, when the last one came; None: none ever did.
+            messages: their number.
+            last: s, when the last message came, or None before the first.
             now: s.
         """
         began, self._ticked = self._ticked, now
@@ -403,7 +403,7 @@ class UsualRate:
         self.regular = self.rate is not None or self._regular_rate(_RHYTHM_SAMPLES, _RHYTHM_STEADY) is not None
 
     def skip(self, now: float) -> None:
-        """Learn nothing from what came since the last call, at `now` (s), and keep the rate.
+        """Ignore the messages since the last call, at `now` (s), and keep the rate.
 
         The samples before are dropped: trouble begins a little before it is noticed.
         """
@@ -450,10 +450,10 @@ class UsualRate:
 
 
 class Throughput:
-    """How much a link carries in one direction, by what has arrived.
+    """Measures a link's capacity in one direction by the bytes that have arrived.
 
     Attributes:
-        capacity: what it is known to carry; None: nothing yet.
+        capacity: the measured capacity, or None before the first measurement.
     """
 
     def __init__(self) -> None:
@@ -488,7 +488,7 @@ class Throughput:
         return rate
 
     def disconnected(self) -> None:
-        """What arrives from now on comes by another connection."""
+        """Start over: later bytes arrive over another connection."""
         self._looked, self._full = None, False
         self._window.clear()
 

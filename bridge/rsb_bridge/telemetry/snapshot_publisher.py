@@ -42,7 +42,7 @@ class ShownRoute(Protocol):
 
 
 class ShownLink(Protocol):
-    """A link, likewise."""
+    """A link, as the publisher sees it."""
 
     @property
     def routes(self) -> Mapping[str, ShownRoute]:
@@ -55,7 +55,7 @@ class ShownLink(Protocol):
 
 
 class ShownBridge(Protocol):
-    """A bridge's links, likewise."""
+    """A bridge, as the publisher sees it."""
 
     def links(self) -> Sequence[ShownLink]:
         """All of them, up or down."""
@@ -151,7 +151,7 @@ class SnapshotPublisher:
         self._links[link] = link.snapshot()
 
     def _publish(self, bridge: ShownBridge, *, running: bool) -> None:
-        """Show what was renewed and is still there; what has come meanwhile follows in the next refresh."""
+        """Publish the renewed links and routes that still exist; new ones follow in the next refresh."""
         self._links = {link: self._links[link] for link in bridge.links() if link in self._links}
         now = self._clock.time_ns() / 1e9
         shown = [self._routes[route] for route in _routes_of(bridge) if route in self._routes]

@@ -34,10 +34,10 @@ _NO_LOSS = frozenset({"already published", "link lost", "would loop", "thinned",
 
 
 class SlowWatch:
-    """Whether a topic is slower than expected.
+    """Watches whether a topic is slower than expected.
 
     Attributes:
-        since: s, when it began; None: it is not slow.
+        since: s, when it became slow, or None.
     """
 
     __slots__ = ("_other", "since")
@@ -59,19 +59,19 @@ class SlowWatch:
             self._other = 0
 
     def reset(self) -> None:
-        """Begin anew: messages do not flow now, so their rate means nothing."""
+        """Start over: messages do not flow now, so their rate means nothing."""
         self.since = None
         self._other = 0
 
 
 class StopWatch:
-    """Whether a topic's publishers have stopped.
+    """Watches whether a topic's publishers have stopped.
 
-    Publishers that have paused by themselves and gone on are expected to do so again, for up to twice as long.
+    Publishers that have paused and resumed are expected to do so again, for up to twice as long.
 
     Attributes:
-        since: s, when the last message came before they stopped; None: they have not.
-        quiet: nothing has come for longer than the rate explains, be it a usual pause.
+        since: s, when the last message came before they stopped, or None.
+        quiet: whether the silence is longer than the rate explains, even if it is a usual pause.
     """
 
     __slots__ = ("_longest_pause", "_publishers", "quiet", "since")
@@ -103,7 +103,7 @@ class StopWatch:
             self.since = last
 
     def reset(self) -> None:
-        """Begin anew: messages cannot flow now, whoever publishes."""
+        """Start over: messages cannot flow now."""
         self.since, self.quiet = None, False
 
 
@@ -112,9 +112,9 @@ class Loss:
     """Messages lost in the last seconds.
 
     Attributes:
-        lost: how many.
-        of: of so many whose end is known.
-        cause: that most of them were dropped for, as in the ledger.
+        lost: their number.
+        of: number of messages that were delivered or lost.
+        cause: of most of the losses, as in the ledger.
         since: s, when it began.
         recovering: whether fewer are lost now than make a fault.
     """
@@ -132,10 +132,10 @@ class Loss:
 
 
 class LossWatch:
-    """Whether messages are lost between the two sides.
+    """Watches whether messages are lost between the two sides.
 
     Attributes:
-        loss: the present one; None: there is none to speak of.
+        loss: the present loss, or None if it is negligible.
     """
 
     __slots__ = ("_few", "_lossless", "_marks", "_since_loss", "loss")
@@ -157,7 +157,7 @@ class LossWatch:
         """
         lost = {cause: count for cause, count in lost.items() if cause not in _NO_LOSS}
         if self._marks and delivered < self._marks[-1][1]:
-            self.reset()  # counted anew
+            self.reset()  # the counts have begun again
         self._marks.append((now, delivered, lost))
         while len(self._marks) > 2 and now - self._marks[1][0] >= _WINDOW:
             self._marks.popleft()
@@ -201,7 +201,7 @@ class LossWatch:
         return self._since_loss * max(loss.share, _LOSSY_ABOVE) >= _EXPECTED_LOSSES
 
     def reset(self) -> None:
-        """Begin anew."""
+        """Start over."""
         self.loss = None
         self._few = self._lossless = self._since_loss = 0
         self._marks.clear()

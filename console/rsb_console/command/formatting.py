@@ -9,6 +9,7 @@ from collections import Counter
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Any, TypeAlias
 
+from rsb_bridge.model.figure_table import Of, Unit, figures
 from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.text import escape_json, join_first, plural
 from rsb_bridge.model.verdict import LinkCause
@@ -18,6 +19,7 @@ if TYPE_CHECKING:
 
     from rsb_bridge.model.calls import CallsSnapshot
     from rsb_bridge.model.capacity import Fullness
+    from rsb_bridge.model.figure_table import Figure
     from rsb_bridge.model.session import Kind
     from rsb_bridge.model.snapshot import Event, LinkSnapshot, PatternSnapshot, RefusedClient, RouteSnapshot, Snapshot
 
@@ -33,6 +35,16 @@ _COUNTED: dict[Kind, str] = {
     "action": "{} action",
     "parameters": "parameters of {} node",
 }
+_DIGITS = {Unit.HERTZ: 3, Unit.BYTES_PER_SECOND: None, Unit.MOMENT: 3}
+"""Decimal places in JSON."""
+_OF_LINK = figures(Of.LINK, "state", "cause", "reason", "since")
+_MORE_OF_LINK = figures(Of.LINK, "peer", "rtt", "fingerprint", "next_fingerprint", "acknowledged")
+_OF_ROUTE = figures(
+    Of.ROUTE, "topic", "kind", "link", "pattern", "outgoing", "state", "cause", "reason", "from_peer", "since",
+    "publishers", "subscribers", "max_rate", "arming", "acknowledged", "missing", "rate", "bytes_per_second",
+    "latency_p50", "latency_p99",
+)  # fmt: skip
+_OF_CALLS = figures(Of.ROUTE, "provider", "calls")
 
 
 def clock(moment: float) -> str:
@@ -214,7 +226,7 @@ def _dropped(route: RouteSnapshot) -> str:
 
 
 def _failed_calls(calls: CallsSnapshot) -> str:
-    """The calls that had no answer, by what became of them."""
+    """Format the numbers of calls without an answer, by reason."""
     counts = {"expired": calls.expired, "refused": sum(calls.refused.values()), "lost": calls.lost}
     return ", ".join(f"{count} {name}" for name, count in counts.items() if count)
 
@@ -255,7 +267,7 @@ def json_event(event: Event) -> str:
 
 
 def json_status(snapshot: Snapshot) -> str:
-    """As `text_status`, with all topics, as one JSON object."""
+    """Format the status of all links and routes as one JSON object."""
     return json_line({"time": snapshot.time, "status": status_of(snapshot)})
 
 
@@ -277,22 +289,28 @@ def links_of(snapshot: Snapshot) -> dict[str, object]:
     """Return the links as plain data, by name."""
     return {
         link.name: {
-            "state": link.state,
-            "cause": link.cause,
-            "reason": link.reason or link.warning,
-            "since": round(link.fault_since, 3),
+            **_values(_OF_LINK, link),
             "full": {
                 way: _full(each) for way, each in (("out", link.full_out), ("in", link.full_in)) if each is not None
             },
-            "peer": link.peer,
-            "rtt": link.rtt,
-            "fingerprint": link.fingerprint,
-            "next_fingerprint": link.next_fingerprint,
-            "acknowledged": None if link.acknowledged is None else asdict(link.acknowledged),
+            **_values(_MORE_OF_LINK, link),
             "patterns": [pattern_of(pattern) for pattern in link.patterns],
         }
         for link in snapshot.links
     }
+
+
+def _values(chosen: tuple[Figure, ...], subject: LinkSnapshot | RouteSnapshot) -> dict[str, object]:
+    """Return figures as plain data, with the digits that their units have in JSON."""
+    found: dict[str, object] = {}
+    for each in chosen:
+        value = each.read(subject)
+        if each.unit in _DIGITS and value is not None:
+            value = round(value, _DIGITS[each.unit])
+        elif hasattr(value, "__dataclass_fields__"):
+            value = asdict(value)
+        found[each.name] = value
+    return found
 
 
 def _full(full: Fullness) -> dict[str, object]:
@@ -339,28 +357,5 @@ def route_of(route: RouteSnapshot) -> dict[str, object]:
     if route.calls is None:
         figures = asdict(route.ledger)
     else:
-        figures = {"provider": route.spec.provider, "calls": asdict(route.calls)}
-        figures["goals"] = [asdict(goal) for goal in route.goals]
-    return {
-        "topic": route.topic,
-        "kind": route.spec.kind,
-        "link": route.link,
-        "pattern": route.pattern or None,
-        "outgoing": route.outgoing,
-        "state": route.state,
-        "cause": route.cause,
-        "reason": route.reason,
-        "from_peer": route.from_peer,
-        "since": round(route.since, 3),
-        "publishers": route.publishers,
-        "subscribers": route.subscribers,
-        "max_rate": route.max_rate,
-        "arming": None if route.arming is None else asdict(route.arming),
-        "acknowledged": None if route.acknowledged is None else asdict(route.acknowledged),
-        "missing": [stage.name for stage in route.stages if not stage.done],
-        "rate": round(route.rate, 3),
-        "bytes_per_second": round(route.bytes_per_second),
-        "latency_p50": route.latency_p50,
-        "latency_p99": route.latency_p99,
-        **figures,
-    }
+        figures = _values(_OF_CALLS, route) | {"goals": [asdict(goal) for goal in route.goals]}
+    return _values(_OF_ROUTE, route) | figures

@@ -2,18 +2,26 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import pytest
 
 from rsb_bridge.model.calls import Refused
 from rsb_bridge.model.snapshot import State
-from rsb_bridge.model.verdict import Cause
+from rsb_bridge.model.verdict import Cause, Verdict
+from rsb_bridge.route.blocking_rules import RouteStatus
 from rsb_bridge.route.calls.calls_verdict import CallsFacts, Trouble, judge_calls
 from rsb_bridge.route.combined_verdict import CombinedVerdict, record_of
 
-FINE = CallsFacts(sends=True, topic="/go", offered=True, came=True, timeout=5.0, providers="/teller")
+FINE = CallsFacts(RouteStatus(sends=True, topic="/go"), offered=True, came=True, timeout=5.0, providers="/teller")
 NOBODY = Trouble(Cause.NO_SERVER, "no server of /go in domain 2")
 GONE = Trouble(Cause.SERVER_GONE, "no server of /go in domain 2 any more")
 TWO = Trouble(Cause.SEVERAL_SERVERS, "/go is served by /one and /two")
+
+
+def verdict_on(**changes: Any) -> Verdict:
+    of_route = {name: changes.pop(name) for name in RouteStatus._fields if name in changes}
+    return judge_calls(FINE._replace(status=FINE.status._replace(**of_route), **changes))
 
 
 @pytest.mark.parametrize(
@@ -41,8 +49,8 @@ TWO = Trouble(Cause.SEVERAL_SERVERS, "/go is served by /one and /two")
         ({"limit": 5.0}, State.OK, Cause.THROTTLED),
     ],
 )
-def test_what_counts(changes: dict[str, object], state: State, cause: Cause) -> None:
-    verdict = judge_calls(FINE._replace(**changes))  # type: ignore[arg-type]
+def test_what_counts(changes: dict[str, Any], state: State, cause: Cause) -> None:
+    verdict = verdict_on(**changes)
     assert (verdict.state, verdict.cause) == (state, cause)
     assert bool(verdict.text) is (verdict.cause != Cause.NONE)
 
@@ -58,8 +66,8 @@ def test_what_is_refused_most_is_named() -> None:
 @pytest.mark.parametrize("sends", [True, False])
 def test_both_sides_show_the_same(sends: bool, trouble: Trouble, state: State) -> None:
     """Nobody serves it, as the providing side knows; the callers' side waits."""
-    near = judge_calls(FINE._replace(offered=False, came=False, waits_for="server seen"))
-    far = judge_calls(CallsFacts(sends=False, topic="/go", unavailable=trouble))
+    near = verdict_on(offered=False, came=False, waits_for="server seen")
+    far = judge_calls(CallsFacts(RouteStatus(sends=False, topic="/go"), unavailable=trouble))
     own, others = (near, far) if sends else (far, near)
     both = CombinedVerdict(sends=sends, peer_name="the other")
     both.take(record_of(others), 0.0)

@@ -48,6 +48,7 @@ from rsb_bridge.wire.headers import (
     with_number,
 )
 from rsb_bridge.wire.protocol_error import ProtocolError
+from rsb_bridge.wire.records import CallsReport
 
 if TYPE_CHECKING:
     import asyncio
@@ -63,7 +64,7 @@ if TYPE_CHECKING:
     from rsb_bridge.route.route import Owner
     from rsb_bridge.transport.transport import Transport
     from rsb_bridge.wire.messages import Propose
-    from rsb_bridge.wire.records import CallsReport, LaneEntry
+    from rsb_bridge.wire.records import LaneEntry
 
 _BATCH = 32
 _OF_CALLS = (What.CALL, What.AGAIN, What.ANSWER)
@@ -260,6 +261,7 @@ class CallsRoute(Route):
         calls: what became of its calls, as this side counts them.
     """
 
+    peer_report = CallsReport
     duplex: ClassVar[bool] = True
     channel: DuplexChannel | None
 
@@ -623,8 +625,7 @@ class CallsRoute(Route):
     def facts(self) -> CallsFacts:
         """What this half knows."""
         return CallsFacts(
-            **self.standing()._asdict(),
-            breaking=self.losses.repeated,
+            self.status()._replace(breaking=self.losses.repeated),
             unavailable=self._unavailable or self._failures.trouble,
             warning=self._warning,
             offered=self.offered,

@@ -5,14 +5,15 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, NamedTuple
 
 from rsb_bridge.model.snapshot import State
-from rsb_bridge.model.verdict import FINE, LASTING, Cause, Verdict
-from rsb_bridge.route.blocking_rules import gated, no_path, rank, throttled
+from rsb_bridge.model.verdict import LASTING, Cause, Verdict
+from rsb_bridge.route.blocking_rules import worst
 from rsb_bridge.route.calls.calls_ledger import LATELY, REMEDIES
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
     from rsb_bridge.model.calls import Refused
+    from rsb_bridge.route.blocking_rules import RouteStatus
 
 
 class Trouble(NamedTuple):
@@ -28,25 +29,10 @@ class Trouble(NamedTuple):
 
 
 class CallsFacts(NamedTuple):
-    """One half's knowledge of its route.
+    """One half's knowledge of its calls.
 
     Attributes:
-        sends: whether it is the callers' half.
-        topic: the name on this side.
-        domain_id: of this side.
-        link_down: the reason why the link is down, or empty.
-        refusal: the reason why the route is refused, or empty.
-        loop: the reason why its calls would go in a circle, or empty.
-        paused: whether an operator has paused it.
-        paused_by: the operator, or empty if unknown.
-        disarmed: the reason why it is not armed although it has to be, or empty.
-        disarming: whether the other side may still act on messages from before it was disarmed.
-        can_be_armed: whether an operator may arm it; if not, `disarmed` names the step that has to come first.
-        no_path: the reason why its transport does not get through, or empty.
-        breaking: the reason why its channel breaks before anything arrives, or empty.
-        waits_for: the step that has to come before calls can cross.
-        limit: calls a second that an operator allows, or 0 for no limit.
-        limited_by: the reason for the limit, in words.
+        status: the part that does not depend on what the route carries.
         unavailable: the reason why nothing can be called, or None if this side knows of none.
         warning: the trouble that does not keep calls from crossing, or None.
         offered: whether callers can call it, as far as this half knows.
@@ -60,22 +46,7 @@ class CallsFacts(NamedTuple):
         providers: the nodes that should answer, in words.
     """
 
-    sends: bool
-    topic: str
-    domain_id: int = 0
-    link_down: str = ""
-    refusal: str = ""
-    loop: str = ""
-    paused: bool = False
-    paused_by: str = ""
-    disarmed: str = ""
-    disarming: bool = False
-    can_be_armed: bool = True
-    no_path: str = ""
-    breaking: str = ""
-    waits_for: str = ""
-    limit: float = 0.0
-    limited_by: str = "set on purpose (max_rate)"
+    status: RouteStatus
     unavailable: Trouble | None = None
     warning: Trouble | None = None
     offered: bool = False
@@ -88,17 +59,10 @@ class CallsFacts(NamedTuple):
     timeout: float = 0.0
     providers: str = ""
 
-    @property
-    def crowded_out(self) -> str:
-        """Empty: calls yield to nothing."""
-        return ""
-
 
 def judge_calls(facts: CallsFacts) -> Verdict:
-    """What counts: what keeps everything else from being known, else the worst of `_RULES`, of equals the first."""
-    if (verdict := gated(facts)) is not None:
-        return verdict
-    return min((verdict for rule in _RULES if (verdict := rule(facts)) is not None), key=rank, default=FINE)
+    """Return the verdict that counts."""
+    return worst(facts.status, (rule(facts) for rule in _RULES))[0]
 
 
 def _unavailable(facts: CallsFacts) -> Verdict | None:
@@ -137,17 +101,15 @@ def _waiting(facts: CallsFacts) -> Verdict | None:
     if facts.came and facts.offered:
         return None
     text = "not called since it was opened again" if facts.came_before else "not called yet"
-    if not facts.offered and facts.waits_for:
-        text = f"waiting: {facts.waits_for}"
+    if not facts.offered and facts.status.waits_for:
+        text = f"waiting: {facts.status.waits_for}"
     return Verdict(State.WAITING, Cause.NO_CALL, text)
 
 
 _RULES: tuple[Callable[[CallsFacts], Verdict | None], ...] = (
-    no_path,
     _unavailable,
     _unanswered,
     _refused,
     _warning,
     _waiting,
-    throttled,
 )

@@ -1,0 +1,37 @@
+"""The table of figures: each is there once, and can be read from every snapshot of its subject."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from tests.console.scripted import CALLS, LINK, route
+
+from rsb_bridge.model.figure_table import FIGURES, Of, Unit, figures
+
+SCAN = route("/scan")
+SUBJECTS = {Of.LINK: LINK, Of.ROUTE: SCAN, Of.MESSAGES: SCAN, Of.CALLS: route("/dock", calls=CALLS)}
+
+
+def test_each_figure_is_there_once() -> None:
+    names = [(each.of, each.name) for each in FIGURES]
+    assert len(set(names)) == len(names)
+
+
+def test_every_figure_can_be_read() -> None:
+    for each in FIGURES:
+        value = each.read(SUBJECTS[each.of])
+        if each.unit is not Unit.NONE:
+            assert isinstance(value, float), each.name
+
+
+def test_figures_with_one_metric_have_different_labels_and_one_help() -> None:
+    for metric in {(each.of, each.metric) for each in FIGURES if each.metric}:
+        alike = [each for each in FIGURES if (each.of, each.metric) == metric]
+        assert len({each.at for each in alike}) == len(alike)
+        assert [bool(each.help) for each in alike] == [True] + [False] * (len(alike) - 1)
+
+
+def test_a_name_without_a_line_is_what_the_snapshot_has() -> None:
+    state, peer = figures(Of.LINK, "state", "peer")
+    assert (state.metric, peer.metric) == ("state", "")
+    assert peer.read(replace(LINK, peer="here")) == "here"
