@@ -71,10 +71,10 @@ class _Output:
 
 @dataclass(slots=True)
 class _History:
-    """What one publisher of the sending side keeps.
+    """The history of one publisher of the sending side.
 
     Attributes:
-        seen_at: s, when it was last known to be there.
+        seen_at: time (s) when it was last seen.
         newest: number of its newest message that came here.
         outputs: the publishers here that have its messages.
         waiting: messages that wait for the newest output to be discovered.
@@ -97,18 +97,18 @@ class LatchedTopic:
         depth: int,
         failed: Callable[[Exception], None],
     ) -> None:
-        """Have a first publisher, so that the topic is there before its first message.
+        """Create a first publisher, so that the topic is there before its first message.
 
         Args:
             loop: the I/O loop.
             advertise: makes a publisher with a depth; may raise RosError.
             budget: of the publishers' link.
-            depth: of a history that nothing is known of yet.
-            failed: told of what went wrong later: with a message that had waited, or with a publisher.
+            depth: depth of a history before its own depth is known.
+            failed: called when a message that had waited, or a publisher, fails later.
 
         Raises:
-            RosError: there can be no publisher.
-            LatchedFullError: there may be no more.
+            RosError: the publisher cannot be created.
+            LatchedFullError: the link's latched topics keep too much.
         """
         self._loop = loop
         self._advertise = advertise
@@ -217,7 +217,7 @@ class LatchedTopic:
         return True
 
     def _output_for(self, history: _History, number: int, depth: int) -> _Output:
-        """Where the next message of a history goes, so that just the newest `depth` are kept."""
+        """Return the output for the next message of a history, so that just the newest `depth` are kept."""
         outputs = history.outputs
         if outputs and outputs[-1].depth == depth:
             return outputs[-1]

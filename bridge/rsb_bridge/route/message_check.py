@@ -40,10 +40,10 @@ _REMEDY = "send less, or set check_messages: false"
 
 
 class ExpansionBudget:
-    """How much one link's compressed messages may grow here, at once and over time.
+    """Limits on the growth of one link's compressed messages when unpacked here, at once and over time.
 
     Attributes:
-        over_time: bytes by which its compressed messages may grow here.
+        over_time: budget of bytes over time.
     """
 
     def __init__(self, now: float) -> None:
@@ -96,7 +96,7 @@ class Unpacker:
         self._decompressor = zstandard.ZstdDecompressor()
 
     def begin(self, message: Message) -> bool:
-        """Whether a message may be published at this turn of the loop; those that will not be cost no turn."""
+        """Whether a message may be unpacked at this turn of the loop; messages that will be refused cost no turn."""
         payload, _, flags = message
         if not flags & ZSTD:
             return True

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 from rsb_bridge.control.bridges import running_bridges
 from rsb_bridge.control.remote_engine import RemoteEngine
-from rsb_bridge.model.link_budget import as_report, cost_of, told
+from rsb_bridge.model.link_budget import as_report, cost_of, describe_cost
 from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.wording import Wording
 from rsb_console.command.echo import echo
@@ -385,7 +385,7 @@ def _say_cost(arguments: Namespace, topic: Topic, engine: RemoteEngine, link: st
     cost = cost_of(now, link, topic, type_name=type_name, rate=arguments.rate, size=arguments.size)
     if arguments.json:
         return done(arguments, cost=as_report(cost))
-    for line in told(cost, now.time):
+    for line in describe_cost(cost, now.time):
         print_line(line)
     return OK
 

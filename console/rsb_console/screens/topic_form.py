@@ -14,7 +14,7 @@ from textual import on, work
 from rsb_bridge.api import EngineError
 from rsb_bridge.model import transports
 from rsb_bridge.model.limits import CHANNEL, NO_PORT
-from rsb_bridge.model.link_budget import LoadSource, cost_of, told
+from rsb_bridge.model.link_budget import LoadSource, cost_of, describe_cost
 from rsb_bridge.model.qos import AUTO, PROFILES
 from rsb_bridge.model.session import CALL_TIMEOUT, DEADMAN
 from rsb_bridge.model.text import plural
@@ -287,7 +287,7 @@ class TopicScreen(FormScreen[Draft]):
         replaces = "" if self._route is None else self._route.key
         known = "" if self._route is None else self._route.type_name
         cost = cost_of(now, draft.link, draft.topic, type_name=known or self._type_of(draft), replaces=replaces)
-        return told(cost, now.time) if cost.load.source is not LoadSource.UNKNOWN else ()
+        return describe_cost(cost, now.time) if cost.load.source is not LoadSource.UNKNOWN else ()
 
     def _type_of(self, draft: Draft) -> str:
         """The type that the sending side's graph has; empty: none."""
