@@ -128,7 +128,7 @@ class PauseState:
 
     Each change has a revision above all that its side has seen. A side takes the peer's state if its revision is higher
     than its own. If the operators of both sides act at once, the revisions may be equal; then the client's state
-    counts. So both sides end up with the same change, in whatever order the news arrives.
+    counts. So both sides end up with the same change, in any order of arrival.
 
     Attributes:
         paused: whether the route is paused.

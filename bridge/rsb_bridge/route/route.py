@@ -473,13 +473,7 @@ class Route:
             loop=self.notices.loop,
             paused=self.paused,
             paused_by=self.pausing.who,
-            disarmed=""
-            if stands
-            else DISARM_TEXT[why_not]
-            if why_not
-            else DISARM_TEXT[overdue]
-            if overdue
-            else self.arming.reason,
+            disarmed=self._disarmed_text(stands, why_not or overdue),
             disarming=self.settling.under_way
             or (self.outgoing and self.arming.armed and overdue is not None and not stands),
             can_be_armed=why_not is None,

@@ -52,17 +52,17 @@ def depth_of(size: int) -> int:
 
 @dataclass(slots=True)
 class Bed:
-    """A talker, a listener, and what stands between them.
+    """A talker, a listener, and the processes between them.
 
     Attributes:
-        talker: publishes.
-        listener: subscribes.
-        between: the processes between them, in the order of the messages' way.
-        topics: the number of the topic for messages of a size; others go by the first.
-        sockets: of the control connections of `between`, where they have any.
-        started: monotonic s, when the first of `between` was started.
-        listening: s after which the receiving bridge listened.
-        first: s after which the first message was through.
+        talker: process that publishes.
+        listener: process that subscribes.
+        between: the processes between them, in the order in which messages pass.
+        topics: the number of the topic for messages of a size; other sizes use the first topic.
+        sockets: control sockets of `between`, if any.
+        started: start of the first of `between`, in seconds of the monotonic clock.
+        listening: seconds until the receiving bridge listened.
+        first: seconds until the first message was through.
     """
 
     talker: Process
@@ -75,7 +75,7 @@ class Bed:
     first: float | None = None
 
     def send(self, rate: float, seconds: float, size: int) -> Run:
-        """Send for a while, wait until no more comes, and say what came."""
+        """Send for a while, wait until no more messages come, and return the counts."""
         self.listener.ask("reset")
         before = [process.cpu() for process in self.between]
         count = max(1, int(rate * seconds))
@@ -101,7 +101,7 @@ class Bed:
         return float("inf")
 
     def wire(self, rate: float, seconds: float, size: int) -> Run:
-        """As `send`, with the bytes that the sending bridge handed to its sockets."""
+        """Do as `send`, and count the bytes that the sending bridge handed to its sockets."""
         before = sent_bytes(self.sockets[0])
         run = self.send(rate, seconds, size)
         return replace(run, wire=sent_bytes(self.sockets[0]) - before)
@@ -168,15 +168,15 @@ def bridged(
     side: Callable[[Path], Process] | None = None,
     client: Callable[[Path], Process] | None = None,
 ) -> Iterator[Bed]:
-    """Our bridge between them: two processes, encrypted.
+    """Put our bridge between a talker and a listener: two processes, encrypted.
 
     Args:
-        protocol: of all topics.
-        near: the talker's domain, and the client's.
-        far: the listener's, and the server's.
-        sizes: with a topic for each; none: one topic for all.
-        side: starts a side; None: `headless`.
-        client: starts another client; None: `side`.
+        protocol: protocol of all topics.
+        near: the domain of the talker and the client.
+        far: the domain of the listener and the server.
+        sizes: message sizes with a topic each, or empty for one topic for all.
+        side: starts a side, or None for `headless`.
+        client: starts the client's side, or None for `side`.
     """
     side = side or headless
     with tempfile.TemporaryDirectory(prefix="rsb-bench-") as name, ends(near, far, sizes=sizes) as bed:
@@ -340,6 +340,6 @@ def machine() -> str:
 
 
 def ros_problem() -> str:
-    """Why no ROS node can run here; empty: it can."""
+    """Return the reason why no ROS node can run here, or an empty string."""
     found = subprocess.run([sys.executable, "-c", "import rclpy, std_msgs.msg"], capture_output=True, check=False)
     return "" if found.returncode == 0 else BenchProblem.NO_ROS()

@@ -190,7 +190,7 @@ def _open_ended(points: Iterable[Point], size: float) -> bool:
 
 
 def _lost(point: Point) -> bool:
-    """Whether even the lowest rate was too high. Where only the time was up, nothing is known."""
+    """Whether even the lowest rate was too high. If only the time ran out, this is unknown."""
     return point.best is None and point.limit == "loss"
 
 
@@ -222,12 +222,12 @@ def _verdict(share: float, *, at_most: bool) -> Literal["carried", "barely", "no
 
 
 def in_words(judged: Sequence[Judged], over: str, *, together: bool) -> list[str]:
-    """The verdict, in sentences.
+    """Describe the verdict in sentences.
 
     Args:
         judged: the topics.
-        over: what was measured: ``this link``.
-        together: whether all of them are there at the same time.
+        over: words for the measured link: ``this link``.
+        together: whether all topics run at the same time.
     """
     if not judged:
         return [JudgingText.NOTHING()]
@@ -277,7 +277,7 @@ def _curves(points: Sequence[Point]) -> list[Curve]:
 
 
 class _Axis:
-    """Where a value stands between the ends of an axis, as a share."""
+    """An axis that maps a value to its share of the way between the ends."""
 
     def __init__(self, values: Sequence[float]) -> None:
         self.low = math.floor(math.log10(min(values)))
@@ -328,7 +328,7 @@ def in_terminal(points: Sequence[Point], width: int) -> list[str]:
 
 
 def as_svg(points: Sequence[Point], title: str) -> str:
-    """The same as an SVG document; without points, one that says so."""
+    """Draw the points as an SVG document, or a note if there are no points."""
     lines = _curves(points)
     wide, high, left, top, right, bottom = 720, 420, 90, 40, 130, 50
     parts = [

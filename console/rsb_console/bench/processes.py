@@ -22,7 +22,7 @@ _STOPS_WITHIN = 6.0
 
 
 class ChildError(BenchError):
-    """A process that measures has ended by itself; the message says which, and what it said."""
+    """A measuring process ended by itself; the message has its name and its output."""
 
 
 class Process:
@@ -39,13 +39,13 @@ class Process:
         environ: Mapping[str, str] | None = None,
         folder: Path | None = None,
     ) -> None:
-        """Start it.
+        """Start the process.
 
         Args:
-            command: what Python is to run: ``-m``, a module and its arguments.
-            log: all that it writes goes there, and it cannot be asked; None: it can.
-            environ: what differs from this process's environment.
-            folder: to be in; None: this process's.
+            command: arguments of Python: ``-m``, a module and its arguments.
+            log: file for all its output, or None to read its answers.
+            environ: changes to this process's environment.
+            folder: its working folder, or None for this process's.
         """
         environment = os.environ | {"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"} | dict(environ or {})
         self._name = " ".join(command[:3])

@@ -1,12 +1,12 @@
-"""Robots in one process, each with a bridge of its own: ``python -m rsb_console.bench.robots LOAD SESSION...``.
+"""Robots in one process, each with its own bridge: ``python -m rsb_console.bench.robots LOAD SESSION...``.
 
 LOAD is the JSON of a `Load`. The bridges are the real ones, over real sockets; their ROS is a stand-in
-(`rsb_bridge.ros.stand_in`). One whose session lets operators in is served, on the socket ``NAME.sock`` beside its file.
-The process is commanded by lines, answers with lines of JSON, and ends with its standard input:
+(`rsb_bridge.ros.stand_in`). A bridge with operators in its session is served on the socket ``NAME.sock`` in its file's
+folder. The process takes commands as lines, answers with lines of JSON, and ends with its standard input:
 
 - ``look`` answers with a `Look`.
-- ``stop NAME`` stops a robot's bridge, ``start NAME`` starts it again, ``mute NAME TOPIC`` has its node publish a topic
-  no more, ``flood NAME TOPIC SIZE`` as fast as the bridge takes it.
+- ``stop NAME`` stops a robot's bridge and ``start NAME`` starts it again. ``mute NAME TOPIC`` makes its node stop
+  publishing a topic, and ``flood NAME TOPIC SIZE`` makes it publish as fast as the bridge takes the messages.
 """
 
 from __future__ import annotations
@@ -35,10 +35,10 @@ _ATTEMPTS = (EventCode.LINK_UNREACHABLE, EventCode.LINK_REFUSED)
 
 
 class Load(msgspec.Struct, frozen=True):
-    """What each robot's node does.
+    """The traffic of each robot's node.
 
     Attributes:
-        talks: what it publishes.
+        talks: topics that it publishes.
         hears: topics that it subscribes to.
     """
 
@@ -56,16 +56,16 @@ class Load(msgspec.Struct, frozen=True):
 
 
 class Robot(msgspec.Struct):
-    """What became of one robot's bridge. Times are s since the epoch.
+    """The record of one robot's bridge. Times are s since the epoch.
 
     Attributes:
-        attempts: when an attempt to link failed.
-        refused: how many of them the server refused.
-        up: when it was linked.
-        open: when a route was opened, of all routes.
-        published: messages that its node has published.
-        received: messages that came for its node.
-        heard: topics on which any came.
+        attempts: times of failed attempts to link.
+        refused: number of attempts that the server refused.
+        up: times when it was linked.
+        open: times when a route was opened.
+        published: number of messages that its node has published.
+        received: number of messages that came for its node.
+        heard: topics with any message.
     """
 
     attempts: list[float] = []
@@ -123,7 +123,7 @@ class _Bridged:
                 self._server = None
 
     def _stop_soon(self) -> None:
-        """What ends the process of a robot that has one of its own."""
+        """End the process of a robot that has its own."""
         threading.Thread(target=self.stop, daemon=True).start()
 
     def look(self) -> Robot:

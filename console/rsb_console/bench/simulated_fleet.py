@@ -67,11 +67,11 @@ class Router:
 
 @dataclass(slots=True)
 class Way:
-    """What the links go over.
+    """The network of the links.
 
     Attributes:
-        fields: of all sessions.
-        router: that they go through; None: none.
+        fields: fields of all sessions.
+        router: router of the links, or None.
     """
 
     fields: dict[str, Any]
@@ -101,18 +101,18 @@ WAYS: dict[str, Callable[[], AbstractContextManager[Way]]] = {"tcp": tcp, "zenoh
 
 @dataclass(slots=True)
 class Fleet:
-    """A fleet that runs.
+    """A running fleet.
 
     Attributes:
-        folder: of all files.
-        names: of the robots.
-        load: of each robot.
-        session: the control side's file.
-        processes: of the robots.
+        folder: folder of all files.
+        names: names of the robots.
+        load: traffic of each robot.
+        session: the control side's session file.
+        processes: processes of the robots.
         control: the control side's process.
-        started: s since the epoch, when the robots were started.
-        router: that the links go through; None: none.
-        file: by which an operator's console reaches all engines over Zenoh; None: no operator is let in.
+        started: start of the robots, s since the epoch.
+        router: router of the links, or None.
+        file: fleet file by which an operator's console reaches all engines over Zenoh, or None without operators.
     """
 
     folder: Path
@@ -165,7 +165,7 @@ class Fleet:
         self._in[name].ask(" ".join((command, name, *words)))
 
     def look(self) -> dict[str, Robot]:
-        """What became of each robot."""
+        """Return the record of each robot."""
         for process in self.processes:
             process.tell("look")
         found: dict[str, Robot] = {}
@@ -215,17 +215,17 @@ def fleet(
     groups: Sequence[str] = (),
     operated: bool = False,
 ) -> Iterator[Fleet]:
-    """Write the sessions and keys of a fleet; what is started of it ends with this.
+    """Write the sessions and keys of a fleet; on exit, end all processes that were started.
 
     Args:
-        folder: for all files.
-        names: of the robots.
-        domain: the control side's.
-        over: what the links go over, of `WAYS`.
-        load: of each robot.
-        control: the Python command that is the control side's `rsb-console`.
-        groups: that the robots belong to, in turn; empty: none.
-        operated: each engine lets an operator in, over Zenoh.
+        folder: folder for all files.
+        names: names of the robots.
+        domain: the control side's domain.
+        over: network of the links, one of `WAYS`.
+        load: traffic of each robot.
+        control: the Python command that runs the control side's `rsb-console`.
+        groups: groups to assign to the robots in turn, or empty.
+        operated: whether each engine accepts an operator over Zenoh.
     """
     group_of = dict(zip(names, itertools.cycle(groups), strict=False)) if groups else {}
     topics = (

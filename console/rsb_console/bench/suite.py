@@ -38,17 +38,17 @@ _LOWEST = 0.5  # Hz
 
 @dataclass(frozen=True, slots=True)
 class Plan:
-    """How much is measured.
+    """The extent of a benchmark.
 
     Attributes:
         sizes: bytes of a message.
-        run: s of each run.
-        close: how exactly the highest rate is found (`CLOSE`).
-        gentle: Hz of the runs for latencies.
-        gentle_run: s of each.
-        idle: s for which is looked what an idle bridge uses; 0: not at all.
-        many: numbers of topics.
-        most: s for everything.
+        run: seconds of each run.
+        close: precision of the highest rate (`CLOSE`).
+        gentle: rate (Hz) of the runs for latencies.
+        gentle_run: seconds of each of these.
+        idle: seconds to measure an idle bridge, or 0 to skip that.
+        many: numbers of topics to open at once.
+        most: limit on the whole benchmark, in seconds.
     """
 
     sizes: tuple[int, ...]
@@ -88,10 +88,10 @@ class Suite:
         self._share_ends = self._ends_at
 
     def run(self) -> None:
-        """Measure everything; what cannot be measured is noted.
+        """Measure everything; note the parts that cannot be measured.
 
         Raises:
-            KeyboardInterrupt: of the operator; what was measured is in the report.
+            KeyboardInterrupt: the operator interrupts; the report has the results so far.
         """
         try:
             base = self._baseline()
@@ -204,11 +204,11 @@ def _of(run: Run, sent: int) -> int | None:
 
 
 class Found(NamedTuple):
-    """What a search found.
+    """The result of a search for the highest rate.
 
     Attributes:
-        best: the run at the highest rate without a loss; None: there is none.
-        limit: why there is no higher one.
+        best: run at the highest rate without loss, or None.
+        limit: reason why no higher rate was found.
     """
 
     best: Run | None
@@ -223,14 +223,14 @@ def highest_lossless(
     close: float = CLOSE,
     goes_on: Callable[[], bool] = lambda: True,
 ) -> Found:
-    """The run at the highest rate at which nothing was lost.
+    """Find the run at the highest rate without loss.
 
     Args:
         trial: sends for a while at a rate (Hz).
-        first: Hz to begin with.
-        most: Hz that may be tried at most.
-        close: when the search ends, as `CLOSE`.
-        goes_on: asked before each trial but the first; False ends the search with what was found.
+        first: first rate to try (Hz).
+        most: highest rate to try (Hz).
+        close: ratio of rates at which the search ends, as `CLOSE`.
+        goes_on: called before each trial except the first; False ends the search with its best run so far.
     """
     rate, good, bad, tried = min(first, most), None, 0.0, False
     while not (good and bad) or bad > close * good.rate:
@@ -325,7 +325,7 @@ class _LinkEnds:
         return Run(size, outcome.sent, outcome.received, outcome.rate, p50, p99, p999, sides, wire)
 
     def wire(self, *_: float) -> None:
-        """The link's own topics are in its bytes, too: where they are much, there is nothing to see."""
+        """Return no count: the link's bytes include its own topics, which may dominate."""
         return
 
     def _others(self) -> float:
@@ -364,7 +364,7 @@ def _result(engine: EngineApi, order: Order) -> Outcome:
 
 
 def ways_of(link: LinkSnapshot, transports: tuple[str, ...], directions: tuple[str, ...]) -> list[Way]:
-    """What can be measured over a link: its own transports, unless others are wanted."""
+    """Return the transports and directions to measure over a link: its own transports by default."""
     own = ("bluetooth",) if "channel" in link.peer else ("tcp", "udp")
     if link.peer.startswith("zenoh"):
         own = ("zenoh", "zenoh-drop")

@@ -1,4 +1,4 @@
-"""What the values of options may be. The messages are argparse's, which names the option before them."""
+"""Parsers for the values of options. argparse prints the option's name before their messages."""
 
 from __future__ import annotations
 

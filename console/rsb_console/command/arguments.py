@@ -226,8 +226,8 @@ class _Version(argparse.Action):
 
 _BENCH = """\
 Without NAME: two bridges between two ROS domains on this machine, over loopback.
-With the name or the file of a session that a bridge here runs: its link with the
-peer, whose operator has to give leave (bench: {} in the peer's session file).
+With the name or the session file of a bridge that runs here: its link to the peer.
+The peer's session file has to permit it (bench: {}).
 
 for example:
   rsb-console bench --quick
@@ -235,31 +235,31 @@ for example:
   rsb-console bench control --link robot1 --direction both --json
 
 exit codes:
-  0  measured; also if time, or the peer's leave, did not suffice for everything
-  1  nothing could be measured: why is said
+  0  measured, if only in part because time or the peer's limits ran out
+  1  nothing could be measured; the message has the reason
   2  wrong usage: bad arguments, or several bridges or clients to choose from
   3  no such bridge runs, or it cannot be reached
-  130, 143  interrupted; what was measured until then is printed"""
+  130, 143  interrupted; the results so far are printed"""
 
 
 def add_bench_command(command: AddCommand, complete: Complete) -> None:
-    """Add `bench`; the arguments are those of `rsb_console.command.remote_arguments.add_remote_commands`."""
+    """Add `bench`; for the arguments see `rsb_console.command.remote_arguments.add_remote_commands`."""
     parser = command("bench", lazily("bench", "bench_command"), "measure what this machine, or a link, carries", _BENCH)
     name = parser.add_argument("bridge", metavar="NAME", nargs="?", help="a running bridge, or its session file")
     complete(name, "bridges_and_files")
     place_options(parser, complete)
-    which = "on a server of several clients: which one"
+    which = "the client, on a server with several clients"
     complete(parser.add_argument("--link", default="", metavar="CLIENT", help=which), "links")
     parser.add_argument("--quick", action="store_true", help="at most a minute; else up to six")
     parser.add_argument("--seconds", type=seconds, metavar="N", help="at most N s; default: 50 with --quick, else 360")
-    parser.add_argument("--sizes", type=sizes, metavar="N,...", help="of the messages: 256,10k,1M; default: 256 to 6M")
-    which = f"of {', '.join(TRANSPORTS)}; default: all that there are"
+    parser.add_argument("--sizes", type=sizes, metavar="N,...", help="message sizes: 256,10k,1M; default: 256 to 6M")
+    which = f"any of {', '.join(TRANSPORTS)}; default: all available ones"
     parser.add_argument("--transports", type=transports, default=(), metavar="NAME,...", help=which)
     way = "to the server, from it, or both (%(default)s)"
     parser.add_argument("--direction", choices=("transmit", "receive", "both"), default="transmit", help=way)
-    numbers = "how many topics to open at once on this machine: 1,50,500; 0: skip that"
+    numbers = "how many topics to open at once on this machine: 1,50,500; 0 skips this part"
     parser.add_argument("--topics", type=topics, metavar="N,...", help=numbers)
-    own = "two ROS domains on this machine that nobody uses (92,93)"
+    own = "two unused ROS domains on this machine (92,93)"
     parser.add_argument("--domains", type=domains, metavar="A,B", help=own)
-    parser.add_argument("--plot", type=Path, metavar="FILE.svg", help="draw it, too")
+    parser.add_argument("--plot", type=Path, metavar="FILE.svg", help="draw a plot, too")
     parser.add_argument("--json", action="store_true", help="print JSON, for programs")

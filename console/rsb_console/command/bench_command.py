@@ -71,7 +71,7 @@ class Progress:
 
 
 def run(_: str, arguments: Namespace) -> int:
-    """Measure, and print what came of it. Returns the exit code."""
+    """Measure and print the results. Return the exit code."""
     here = arguments.bridge is None and arguments.control is None and arguments.fleet is None
     if problem := _plot_problem(arguments.plot) or _misplaced(arguments, here=here):
         return failed(arguments, problem, USAGE)
@@ -82,22 +82,20 @@ def run(_: str, arguments: Namespace) -> int:
 
 
 def _plot_problem(path: Path | None) -> str:
-    """Why nothing can be drawn there, which nobody wants to learn after minutes; empty: it can, or is not to be."""
+    """Return the reason why no plot can be written there, or an empty string; checked before minutes of measuring."""
     if path is None:
         return ""
     if path.suffix.lower() != ".svg":
-        return f"{path}: the plot is an SVG file: give it a name that ends in .svg"
+        return f"{path}: the plot is an SVG file; choose a name that ends in .svg"
     if path.is_dir():
         return f"{path}: this is a folder"
     return "" if path.parent.is_dir() else f"{path}: there is no such folder"
 
 
 def _misplaced(arguments: Namespace, *, here: bool) -> str:
-    """Which argument has no meaning without, or with, the name of a bridge; empty: none."""
+    """Return the problem of an argument that does not fit this kind of benchmark, or an empty string."""
     if here and arguments.link:
-        return (
-            "--link needs the name of the bridge whose link is to be measured, for example: rsb-console bench control"
-        )
+        return "--link needs the name of the bridge whose link to measure, for example: rsb-console bench control"
     if not here and (arguments.topics is not None or arguments.domains is not None):
         return "--topics and --domains are for a benchmark on one machine: leave them out, or the name of the bridge"
     return ""
@@ -199,7 +197,7 @@ def _loads_of_running_bridges() -> list[Load]:
 
 
 def _measure(place: Place, report: Report, plan: Plan) -> int:
-    """Fill the report; an operator who interrupts has what was measured so far. Returns the exit code."""
+    """Fill the report and return the exit code; after an interrupt, keep the results so far."""
     with Progress(getattr(sys.stderr, "raw", sys.stderr)) as progress:
         try:
             Suite(place, plan, report, time.monotonic, progress.show).run()

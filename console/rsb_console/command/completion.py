@@ -50,11 +50,11 @@ def run(name: str, arguments: Namespace) -> int:
 
 
 def complete(parser: ArgumentParser, commands: Collection[str]) -> None:
-    """Answer the shell that asks through the environment, and exit.
+    """Answer a shell's request for completions, made through the environment, and exit.
 
     Args:
-        parser: of the command; its actions' `completer` attributes count.
-        commands: their names. What stands in a command's place and is none is a session: it is `run` that completes.
+        parser: parser of the command; the `completer` attributes of its actions count.
+        commands: names of the commands. Any other word in a command's place is a session file, to be run by `run`.
     """
     line = os.environ.get("COMP_LINE", "")
     words = line.split()
@@ -175,7 +175,7 @@ def links(parsed_args: Namespace, **_: object) -> list[str]:
 
 
 def awaited(**_: object) -> list[str]:
-    """What one can wait for. argcomplete asks for the first word behind an option only."""
+    """Return the conditions of `wait`. argcomplete asks for the first word after an option only."""
     return ["flowing", "linked", "stopped"]
 
 
@@ -201,7 +201,7 @@ def lanes(**_: object) -> list[str]:
 
 
 def direction_or_keys(prefix: str, parsed_args: Namespace, **_: object) -> list[str]:
-    """Of a topic its direction, or keys; of anything else keys alone."""
+    """Return directions or keys for a topic, and only keys for other kinds."""
     arguments = _filled(parsed_args)
     directions = _DIRECTIONS if arguments.kind in (None, "topic") else []
     return [*directions, *keys(prefix, arguments)]
@@ -217,7 +217,7 @@ def keys(prefix: str, parsed_args: Namespace, **_: object) -> list[str]:
 
 
 def _choices(annotation: Any) -> list[str]:
-    """The values of a literal type, or of a switch; empty: they cannot be listed."""
+    """Return the values of a literal type or a switch, or an empty list for other types."""
     if annotation is bool:
         return ["true", "false"]
     if get_origin(annotation) is Literal:
@@ -230,12 +230,12 @@ _VALUES |= {"qos": [AUTO, *PROFILES], "direction": ["client", "server"], "type":
 
 
 def _filled(parsed_args: Namespace) -> Namespace:
-    """The arguments so far, with the defaults of those that have not come yet."""
+    """Return the arguments so far, with defaults for the missing ones."""
     return Namespace(**{**_DEFAULTS, **vars(parsed_args)})
 
 
 def _asked(arguments: Namespace, ask: Callable[[RemoteEngine], list[str]]) -> list[str]:
-    """What a running bridge answers; empty: there is none, or it does not answer in time."""
+    """Return the answer of a running bridge, or an empty list if none answers in time."""
     from rsb_console.command.target import attached  # noqa: PLC0415 (only for what a running bridge knows)
 
     found: list[str] = []

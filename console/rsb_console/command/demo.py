@@ -49,8 +49,8 @@ def run_demo(*, ui: bool, seconds: float | None) -> int:
     """Run the demo.
 
     Args:
-        ui: in the console; else headless.
-        seconds: s to run headless; None: until a signal.
+        ui: run in the console instead of headless.
+        seconds: s to run headless, or None to run until a signal.
 
     Returns:
         The exit code; headless, 0 only if every topic crossed.
@@ -117,9 +117,9 @@ def run_fleet_demo(robots: int, *, ui: bool, seconds: float | None) -> int:
     """Run a fleet on its screen until the operator quits; or headless, and sum it up at the end.
 
     Args:
-        robots: how many.
-        ui: on the fleet's screen; else headless.
-        seconds: s to run headless once all robots are linked; None: until a signal.
+        robots: number of robots.
+        ui: run on the fleet's screen instead of headless.
+        seconds: s to run headless once all robots are linked, or None to run until a signal.
 
     Returns:
         The exit code; headless, 0 only if each robot was linked and its topics were open.

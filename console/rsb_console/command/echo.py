@@ -71,7 +71,7 @@ def _described(engine: EngineApi, route: RouteSnapshot) -> tuple[str | None, str
 
 
 def as_text(read: ReadMessage, *, arrays: bool) -> str:
-    """A message as a YAML document, with what is known of its way as a comment."""
+    """Format a message as a YAML document, with its origin and delay as a comment."""
     peeked = read.peeked
     lines = [f"# {escape_text(peeked.type_name)}, {how_it_came(peeked)}"]
     if read.age is not None:

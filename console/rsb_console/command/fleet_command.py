@@ -64,11 +64,11 @@ def run(name: str, arguments: Namespace) -> int:
 
 
 def sources_of(arguments: Namespace) -> list[FleetSource]:
-    """What the robots are known from: the server that is named, else all servers that run here.
+    """Return the sources of the robots: the named server, or all servers that run here.
 
     Raises:
-        NoBridgeError: none does.
-        UsageError: the bridge that is named is no server, or the file of a fleet is named, too.
+        NoBridgeError: no server runs here.
+        UsageError: the named bridge is not a server, or a fleet file is given, too.
     """
     if arguments.fleet is not None:
         if arguments.bridge is not None or arguments.control is not None:
@@ -211,7 +211,7 @@ def _exec(arguments: Namespace) -> int:
 
 
 def _parsed(words: Sequence[str]) -> Namespace:
-    """A command's arguments. What is wrong with them is said as always, and ends the process."""
+    """Parse a command's arguments; a mistake is reported as usual and ends the process."""
     from rsb_console.command.arguments import parser_and_commands  # noqa: PLC0415 -- it imports this one's arguments
 
     parsed = parser_and_commands()[0].parse_args([*words])
@@ -250,10 +250,10 @@ def _plain(line: str) -> object:
 
 
 def _chosen(fleet: Fleet, arguments: Namespace) -> list[Robot]:
-    """The robots that the arguments name. Those that are only remembered are named, and left out.
+    """Return the robots that the arguments name; print and skip any that is not connected.
 
     Raises:
-        UsageError: none.
+        UsageError: the arguments name no robot.
     """
     robots = fleet.chosen(arguments.names, arguments.group, everyone=arguments.everyone)
     gone = [robot.summary for robot in fleet.robots() if robot.gone]
@@ -299,7 +299,7 @@ def _edit(arguments: Namespace) -> int:
 
 @contextlib.contextmanager
 def _interruptible(rollout: Rollout) -> Iterator[None]:
-    """Ctrl-C stops after the present robot, so that it is said what is done, and how to go back; again, at once."""
+    """Let a first Ctrl-C stop after the present robot, with a report and the way back; a second stops at once."""
 
     def stop(_: int, __: object) -> None:
         rollout.cancelled = True
@@ -349,7 +349,7 @@ def _ended(arguments: Namespace, rollout: Rollout, outcome: Outcome, steps: Sequ
     undone = False
     if stopped and outcome.changed:
         undone = arguments.undo or (
-            not arguments.yes and _agreed(f"Put back what was before on {names_of(outcome.changed)}?")
+            not arguments.yes and _agreed(f"Restore the previous settings on {names_of(outcome.changed)}?")
         )
         if undone:
             kept = rollout.undo(outcome, _silent if arguments.json else _told)
@@ -364,7 +364,7 @@ def _ended(arguments: Namespace, rollout: Rollout, outcome: Outcome, steps: Sequ
         }))  # fmt: skip
     elif undone:
         for step, why in kept:
-            print_error(f"{step.name}: not put back: {why}")
+            print_error(f"{step.name}: not restored: {why}")
     elif stopped:
         for line in way_back(rollout, outcome, str(arguments.fleet)):
             print_error(line)

@@ -41,7 +41,7 @@ _WAIT = 0.5
 _LOOK_EVERY = 1.0
 """s from one look at the engine to the next where nothing happens: no more often than it renews what is seen."""
 _STOPS_WITHIN = 4.0
-_WRITTEN_WITHIN = 0.5  # s, of the 5 in which the program ends whatever its peer and its reader do
+_WRITTEN_WITHIN = 0.5  # s, of the 5 s in which the program must end even if its peer or its reader hangs
 WAITING_LIMIT = 1 << 20
 """Bytes of lines that wait for a slow reader; a status line of 500 topics has 200 kB as JSON."""
 _TOO_SLOW = "they were not read fast enough"
@@ -63,12 +63,12 @@ def run_headless(
     """Bridge until a signal, or until this side's operator shuts the link down.
 
     Args:
-        path: the session's file: key files are relative to its folder.
-        session: what to bridge.
+        path: the session's file; key files are relative to its folder.
+        session: session to run.
         log_format: ``text`` or ``json`` (one object a line).
         on_hangup: ``continue`` goes on when the terminal goes away; ``stop`` ends cleanly.
         status_every: s between status lines.
-        control: the control socket; None: in the user's folder.
+        control: path of the control socket, or None for one in the user's folder.
 
     Returns:
         The exit code.
@@ -129,10 +129,10 @@ def bridge_until_told(
     Args:
         engine: a running one.
         signals: entered already, so that no signal is missed.
-        log_format: as `run_headless`.
-        status_every: as `run_headless`.
-        seconds: s after which it stops by itself; None: never.
-        supervisor: is told how the engine is; None: nobody is.
+        log_format: as for `run_headless`.
+        status_every: as for `run_headless`.
+        seconds: s after which it stops by itself, or None to run on.
+        supervisor: gets reports of the engine's state, or None.
     """
     format_event = json_event if log_format == "json" else text_event
     status = json_status if log_format == "json" else StatusLines().text
@@ -190,11 +190,11 @@ def _over(engine: EngineApi, snapshot: Snapshot) -> str:
 
 
 class Reloading:
-    """Has an engine reload on SIGHUP, one reload at a time, and tells systemd. The outcome is in the engine's events.
+    """Reloads an engine on SIGHUP, one reload at a time, and informs systemd. The engine logs the outcome.
 
     Args:
-        engine: reloads.
-        supervisor: is told; None: nobody is.
+        engine: engine to reload.
+        supervisor: gets a report of each reload, or None.
     """
 
     def __init__(self, engine: EngineApi, supervisor: Supervisor | None) -> None:
@@ -225,11 +225,11 @@ class Reloading:
 class Signals:
     """Catches the signals to a bridge, for as long as it is entered.
 
-    SIGHUP says that the terminal has gone. A process that never had one, as a service, gets it from whoever wants it to
-    reload.
+    SIGHUP means that the terminal has gone. A process that never had a terminal, such as a service, gets it as a
+    request to reload.
 
     Args:
-        ignore_hangup: a terminal that goes does not end the bridge.
+        ignore_hangup: keep the bridge running when its terminal goes away.
         has_terminal: whether the process has a terminal that can go.
 
     Attributes:
@@ -344,7 +344,7 @@ class LogWriter:
                     self._reason = error.strerror or str(error)
 
     def _write(self, line: bytes) -> None:
-        if self._torn:  # what comes now must not continue a line of which only the beginning was written
+        if self._torn:  # do not continue a line that was written in part
             line = b"\n" + line
         written = 0
         try:

@@ -76,9 +76,9 @@ class RemoteProblem(Wording):
     CONDITION_UNKNOWN = "--for {condition}: not one of flowing TOPIC, linked [CLIENT], stopped"
     NOT_BRIDGED = "{topic} is not bridged{hint}; `rsb-console add` adds a topic"
     NOT_BROUGHT = "no client has brought {topic} so far{hint}"
-    CLIENT_MISSING = "add {topic}: with which client? --link {links}"
+    CLIENT_MISSING = "add {topic}: several clients; choose one with --link {links}"
     RATE_WITHOUT_DRY_RUN = "add {topic}: --rate and --size are for --dry-run, which adds nothing"
-    DRY_RUN_OF_CALLS = "add {topic}: --dry-run is about topics: calls go ahead of them, and are not budgeted"
+    DRY_RUN_OF_CALLS = "add {topic}: --dry-run is for topics only; calls go first and have no budget"
     NOTHING_TO_CHANGE = "edit {topic}: nothing to change; for example: max_rate=5"
     PROVIDER_OF_A_TOPIC = (
         "add {topic}: a topic has a direction, and no provider; --service adds a service. transmit takes it from the "
@@ -100,15 +100,15 @@ class RemoteProblem(Wording):
         "add {topic}: {word!r} is no KEY=VALUE. The provider is the side whose node answers, client or server, for "
         "example: rsb-console add {topic} --kind {kind} --provider client"
     )
-    DISARMED = "{topic} is not armed any more: {reason}"
+    DISARMED = "{topic} is no longer armed: {reason}"
     NO_MORE_MESSAGES = "no more messages of {topic} within {seconds:g} s{reason}"
     NOTHING_TO_REPORT = "no bridge runs here, and you may read no history file of one"
     NOTHING_OF_BRIDGE_TO_REPORT = "no bridge named {name!r} runs here, and you may read no history file of it"
-    SEVERAL_TO_REPORT = "no bridge runs here, and there are history files of several; say which:{found}"
+    SEVERAL_TO_REPORT = "no bridge runs here, but several have history files; choose one:{found}"
 
 
 def run(name: str, arguments: Namespace) -> int:
-    """Run a command by its name. Returns the exit code."""
+    """Run a command by its name. Return the exit code."""
     return reported(COMMANDS[name], arguments)
 
 
@@ -295,13 +295,13 @@ def _condition(wanted: list[str]) -> Callable[[RemoteEngine], bool]:
 
 
 def _refuse_what_cannot_be(engine: RemoteEngine, wanted: list[str]) -> None:
-    """Refuse a name that this bridge does not know, and that nobody else can bring.
+    """Refuse a name that this bridge does not know and that no client can add.
 
     A client knows its topics from the start, and a server its clients; but a server learns a client's topics when they
     link, so there a topic may yet come.
 
     Raises:
-        UsageError: it would be waited for in vain.
+        UsageError: the wait could never end.
     """
     now = engine.snapshot()
     match wanted:
@@ -314,7 +314,7 @@ def _refuse_what_cannot_be(engine: RemoteEngine, wanted: list[str]) -> None:
 
 
 def _flows(engine: RemoteEngine, topic: str) -> bool:
-    """Whether every route of a name carries messages, however many and whoever hears them, or can be called."""
+    """Whether every route of a name carries messages, at any rate and with or without subscribers, or can be called."""
     routes = named(engine.snapshot().routes, topic)
     return bool(routes) and all(map(_carries, routes))
 
@@ -441,10 +441,10 @@ def _words(arguments: Namespace) -> list[str]:
 
 
 def _topic(values: dict[str, str], keys: list[str], engine: RemoteEngine, replaced: Topic | None) -> Topic:
-    """A topic of the values that it has already and those of the command line.
+    """Build a topic from given values and the keys of the command line.
 
     Raises:
-        UsageError: something is wrong with it.
+        UsageError: the topic is invalid.
     """
     try:
         return typed_topic(values, keys, engine.session, replaced)
@@ -541,11 +541,11 @@ def _report(arguments: Namespace) -> int:
 
 
 def _report_of(arguments: Namespace, seconds: float) -> HistoryReport:
-    """The report of the bridge that the arguments mean.
+    """Return the history report of the bridge that the arguments name.
 
     Raises:
-        NoBridgeError: none runs, and none has left files.
-        UsageError: several do, and the arguments do not say which.
+        NoBridgeError: no bridge runs or has left history files.
+        UsageError: the arguments leave several bridges to choose from.
     """
     from rsb_bridge.history import history_files  # noqa: PLC0415 (only here)
     from rsb_bridge.history.history_files import HistoryFileError  # noqa: PLC0415

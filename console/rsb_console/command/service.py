@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from argparse import Namespace
     from collections.abc import Mapping, Sequence
 
-MARK = "# Written by `rsb-console service install`; it replaces only what it has written itself."
+MARK = "# Written by `rsb-console service install`, which overwrites only its own files."
 KEPT_VARIABLES = (
     "ROS_DOMAIN_ID",
     "RMW_IMPLEMENTATION",
@@ -78,11 +78,11 @@ class Service:
     """One session as a service.
 
     Attributes:
-        session: the session file, absolute.
-        program: how rsb-console is run: its absolute path, or an interpreter and a module.
-        system: a service of the system; else of the user.
-        user: that a system service runs as.
-        setup: the absolute path of ROS's or a workspace's setup.bash; None: `program` finds ROS by itself.
+        session: absolute path of the session file.
+        program: command that runs rsb-console: its absolute path, or an interpreter and a module.
+        system: whether it is a system service rather than the user's.
+        user: user that runs a system service.
+        setup: absolute path of ROS's or a workspace's setup.bash, or None if `program` finds ROS by itself.
         environment: further variables.
     """
 
@@ -95,7 +95,7 @@ class Service:
 
     @property
     def name(self) -> str:
-        """Of the unit."""
+        """Name of the unit."""
         return unit_name(self.session)
 
     def text(self) -> str:
@@ -112,7 +112,7 @@ class Service:
         lines = [
             "[Service]",
             "Type=notify",
-            "# The bridge says that it works as long as it does; a hung one is started again.",
+            "# The bridge reports that it works; systemd restarts one that hangs.",
             "WatchdogSec=30",
             *(f"Environment={_quoted(f'{name}={value}')}" for name, value in self.environment.items()),
             f"ExecStart={' '.join(_quoted(word, command=True) for word in self._command())}",
@@ -159,7 +159,7 @@ def unit_name(session: Path) -> str:
 
 
 def _quoted(word: str, *, command: bool = False) -> str:
-    """A word as systemd reads it back (systemd.syntax(7)); in a command, `$` stands for variables, too."""
+    """Quote a word for systemd (systemd.syntax(7)); in a command, also escape `$`, which would expand variables."""
     text = word.replace("\\", "\\\\").replace('"', '\\"').replace("%", "%%")
     text = text.replace("$", "$$") if command else text
     return f'"{text}"'

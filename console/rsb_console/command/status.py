@@ -71,7 +71,7 @@ def acknowledged(now: Snapshot) -> list[str]:
 
 
 def waiting(now: Snapshot) -> list[str]:
-    """What waits for its first connection or message, each in a sentence."""
+    """Describe links and topics that wait for their first connection or message, one sentence each."""
     links = [f"link {link.name} {link_fault(link)}" for link in now.links if link.state is State.WAITING]
     return links + [rate_text(route) for route in of_links_that_are_up(now) if route_waits(route)]
 

@@ -49,23 +49,23 @@ T = TypeVar("T")
 
 
 class BridgeChoice(Wording):
-    """Reasons why a command finds no bridge, or not one alone."""
+    """Reasons why a command finds no bridge, or several."""
 
     NONE_RUNS = "no bridge runs here that you may attach to"
     NONE_OF_YOURS_RUNS = "no bridge runs here that you may attach to; some may belong to {user}: {remedy}"
     UNKNOWN = "no bridge {name!r} runs here; these do:{running}"
-    SEVERAL_OF_ONE_NAME = "several bridges of one name run here; say which:{options}"
-    SEVERAL = "several bridges run here; say which with --bridge NAME:{running}"
+    SEVERAL_OF_ONE_NAME = "several bridges with this name run here; choose one:{options}"
+    SEVERAL = "several bridges run here; choose one with --bridge NAME:{running}"
     UNUSABLE = "{name} (pid {pid}): {problem}"
 
 
 class RouteChoice(Wording):
-    """Reasons why a command finds no route, pattern or link, or not one alone."""
+    """Reasons why a command finds no route, pattern or link, or several."""
 
-    SEVERAL = "{topic} is bridged {count} times; say which: {options}"
+    SEVERAL = "{topic} is bridged {count} times; choose one: {options}"
     OF_ANOTHER_KIND = "{topic} is bridged as {actual}, and not as {wanted}"
     NOT_BRIDGED = "{topic} is not bridged{hint}"
-    SEVERAL_PATTERNS = "{topic} is followed {count} times; say which: {options}"
+    SEVERAL_PATTERNS = "{topic} is followed {count} times; choose one: {options}"
     UNKNOWN_PATTERN = "there is no pattern {topic}{hint}"
     UNKNOWN_LINK = "{bridge} has no link {name!r}, only {known}"
 
@@ -75,13 +75,13 @@ class UsageError(Exception):
 
 
 class NoBridgeError(Exception):
-    """The bridge that a command needs does not run; the message lists those that do."""
+    """The bridge that a command needs does not run; the message lists the running ones."""
 
 
 def what_to_attach(arguments: Namespace) -> Path | Attach | int:
-    """The control socket of the bridge that the arguments mean, or what attaches to it in its fleet.
+    """Return the control socket of the bridge that the arguments name, or a function that attaches to it in its fleet.
 
-    Or else the exit code, after saying why there is none.
+    If there is no such bridge, print the reason and return the exit code.
     """
     if arguments.fleet is None:
         found = reported(chosen_bridge, arguments)
@@ -212,11 +212,11 @@ def ask_history(arguments: Namespace, seconds: float) -> HistoryReport:
 
 
 def result(future: Future[T]) -> T:
-    """What a command gives.
+    """Wait for the result of a command.
 
     Raises:
-        EngineError: the bridge refuses.
-        TimeoutError: it does not answer.
+        EngineError: the bridge refuses it.
+        TimeoutError: the bridge does not answer.
     """
     return future.result(ANSWERED_WITHIN)
 

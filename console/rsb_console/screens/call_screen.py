@@ -88,11 +88,11 @@ class Request(NamedTuple):
 
 
 class Verdict(NamedTuple):
-    """What became of a call.
+    """The result of a call.
 
     Attributes:
-        text: in words.
-        look: of that.
+        text: result in words.
+        look: style of the text.
     """
 
     text: str
@@ -155,12 +155,12 @@ class CallScreen(FormScreen[Request]):
 
     @property
     def _lane(self) -> str:
-        """What is chosen: one of the route's services, or to set one parameter."""
+        """The chosen operation: one of the route's services, or setting one parameter."""
         field = self.form.fields.get("lane")
         return self._route.lanes[0] if field is None else field.value
 
     def _show_lane(self) -> None:
-        """Show the fields that it takes, with those of its request where they are known."""
+        """Show the fields of the chosen operation, and the request's fields if its type is available."""
         sets = self._lane == _SET
         for key, field in self.form.fields.items():
             field.display = key == "lane" or (key == "request") is not sets
@@ -191,7 +191,7 @@ class CallScreen(FormScreen[Request]):
             self.check()
 
     def problems(self, values: Mapping[str, str]) -> dict[str, str]:
-        """What is no name or value, or no YAML. Whether the fields fit the type is known where the bridge runs."""
+        """Return the problems of names, values and YAML. Only the bridge can check fields against the type."""
         key = "value" if self._lane == _SET else "request"
         found = {}
         if self._lane == _SET and not values["name"]:

@@ -45,11 +45,11 @@ _BETWEEN = re.compile(r"[\s,]+")
 PREFIXES = (("", "as the server's"), ("yes", "yes"), ("no", "no"))
 FIELDS = (
     Spec("name", "Name", "As in the client's own session: robot2."),
-    Spec("key_file", "Key file", "Beside the session file. Empty: a new one. A file that exists is used as it is.",
+    Spec("key_file", "Key file", "In the session's folder. Empty: a new one. An existing file is used as it is.",
          blank="a new one"),
     Spec("use_name", "Prefix", "Its topics here have its name as a prefix: /robot2/scan.", options=PREFIXES),
     Spec("allow", "Allowed", "Patterns of the topics that it may bridge, like /camera/*. Empty: all.", blank="all"),
-    Spec("deny", "Denied", "Patterns of the topics that it may not bridge; stronger than those above.", blank="none"),
+    Spec("deny", "Denied", "Patterns of the topics that it may not bridge; overrides Allowed.", blank="none"),
 )  # fmt: skip
 
 
@@ -294,11 +294,11 @@ def _grants(text: str) -> tuple[str | Grant, ...]:
 
 
 class HandoutScreen(ModalScreen[None]):
-    """What each new client needs: its session file, to be copied from here, and its key, by a safe way.
+    """The files that each new client needs: its session file to copy from here, and its key.
 
     Args:
-        title: of the dialog.
-        handed: one for each client.
+        title: title of the dialog.
+        handed: changed session file for each client.
     """
 
     BINDINGS: ClassVar = [Binding("escape,q,enter", "dismiss", show=False), Binding("y", "copy", show=False)]

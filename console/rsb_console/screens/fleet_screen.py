@@ -42,7 +42,7 @@ class FleetScreen(Screen[None]):
 
     BINDINGS = bindings(Group.FLEET, Group.VIEW, actions=FLEET_ACTIONS)
     AUTO_FOCUS = "#fleet"
-    VERTICAL_BREAKPOINTS = [(0, "-tiny"), (14, "-short")]  # noqa: RUF012 -- Textual says it is no ClassVar
+    VERTICAL_BREAKPOINTS = [(0, "-tiny"), (14, "-short")]  # noqa: RUF012 -- Textual declares it without ClassVar
 
     def __init__(
         self,
@@ -172,7 +172,7 @@ class FleetScreen(Screen[None]):
             self.table.fold()
             self._moved()
         elif robot.gone:
-            self.notify(f"{robot.summary.name} is only remembered: there is nothing to open", markup=False, timeout=4)
+            self.notify(f"{robot.summary.name} is not connected: it cannot be opened", markup=False, timeout=4)
         else:
             self._open(robot)
 
@@ -195,10 +195,10 @@ class FleetScreen(Screen[None]):
             text = f"{names} {'is a server' if len(known) == 1 else 'are servers'}: mark the robots to edit instead"
             self.notify(text, markup=False, timeout=6)
         else:
-            self.notify("these robots are only remembered: there is nothing to edit", timeout=4)
+            self.notify("these robots are not connected: they cannot be edited", timeout=4)
 
     def action_dismiss(self) -> None:  # type: ignore[override]  # Textual's closes a screen, which this one never does
-        """Forget robots that have gone: those that are marked, else the one under the cursor, or its group's."""
+        """Forget robots that have gone: the marked ones, or the one under the cursor, or its group's."""
         gone = self._gone
         self.fleet.dismiss(gone)
         names = join_first([robot.summary.name for robot in gone], _NAMED)

@@ -56,11 +56,11 @@ class FormScreen(ModalScreen[T | None]):
         yield Button("Cancel", id="no", compact=True)
 
     def problems(self, values: Mapping[str, str]) -> dict[str, str]:
-        """What is wrong, by the key of the field; another key is about the form as a whole."""
+        """Return the problems by the field's key; any other key is about the form as a whole."""
         raise NotImplementedError
 
     def result(self, values: Mapping[str, str]) -> T:
-        """What values without problems make."""
+        """Return the result of values without problems."""
         raise NotImplementedError
 
     def on_mount(self) -> None:
@@ -82,7 +82,7 @@ class FormScreen(ModalScreen[T | None]):
             self.check()
 
     def check(self) -> None:
-        """Say what is wrong with what stands there now."""
+        """Show the problems of the present values."""
         self.form.show_problems(self.problems(self.form.values))
 
     def submit(self) -> None:

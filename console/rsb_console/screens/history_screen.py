@@ -51,18 +51,18 @@ class HistoryText(Wording):
 
 
 class Row(NamedTuple):
-    """One thing that happened.
+    """One event or outage.
 
     Attributes:
-        key: names it, from one answer to the next.
+        key: identifies it from one report to the next.
         start: s since the epoch.
-        length: how long, in words; or empty.
+        length: duration in words, or empty.
         robot: the link, or empty.
-        topic: with its direction and, if it is none, what it is instead; or ``link``; or empty.
-        state: of an outage, its state; of an action, who did it.
-        look: of that.
-        text: the cause, or what was done.
-        track: whose rates belong to it; None: nobody's.
+        topic: the topic with its direction, another kind with its name, ``link``, or empty.
+        state: state of an outage, or the operator of an action.
+        look: style of the state.
+        text: cause of an outage, or an action in words.
+        track: track with the rates to show, or None.
     """
 
     key: str
@@ -77,7 +77,7 @@ class Row(NamedTuple):
 
     @property
     def plain(self) -> str:
-        """What a filter looks at."""
+        """Text that a filter searches."""
         return f"{self.robot} {self.topic} {self.state} {self.text}"
 
 
@@ -169,7 +169,7 @@ class Lines(LiveLines, can_focus=False):
 
 
 class HistoryScreen(ModalScreen[None]):
-    """What happened in the last hour, 8 hours or day: outages, what operators did, and when nobody watched."""
+    """The history of the last hour, 8 hours or day: outages, operators' actions and times without a record."""
 
     BINDINGS: ClassVar = [
         Binding("escape", "back", show=False),

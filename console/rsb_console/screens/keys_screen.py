@@ -54,15 +54,15 @@ class KeyText(Wording):
 
 
 class KeyFile(NamedTuple):
-    """What can be told of a key file.
+    """The facts about a key file.
 
     Attributes:
-        path: of the file.
-        user: whose links it is for.
-        mode: ``0600``; empty: there is no file.
-        fingerprint: empty: it cannot be read.
-        written: when it was, in words.
-        note: what an operator should know about it; empty: nothing.
+        path: path of the file.
+        user: user of the key: a client, an operator or the session.
+        mode: ``0600``, or an empty string if the file is missing.
+        fingerprint: fingerprint, or an empty string if the file cannot be read.
+        written: time of writing, in words.
+        note: advice for an operator, or an empty string.
     """
 
     path: Path
@@ -74,11 +74,11 @@ class KeyFile(NamedTuple):
 
 
 def look_at(path: Path, user: str, used_by: Sequence[str], now: float) -> KeyFile:
-    """What can be told of a key file.
+    """Read the facts about a key file.
 
     Args:
-        path: of the file.
-        user: whose links it is for.
+        path: path of the file.
+        user: user of the key.
         used_by: the fingerprints of the keys that links use.
         now: s since the epoch.
     """
@@ -96,10 +96,10 @@ def look_at(path: Path, user: str, used_by: Sequence[str], now: float) -> KeyFil
 
 
 def key_files(session: Session, base: Path) -> dict[Path, str]:
-    """Whose links each of a session's key files is for.
+    """Return the user of each of a session's key files.
 
     Args:
-        session: whose.
+        session: session with the key files.
         base: the folder that they are relative to.
     """
     found: dict[Path, str] = {}
@@ -157,7 +157,7 @@ class KeysScreen(ModalScreen[None]):
         self._made: dict[Path, str] = {}
 
     def compose(self) -> ComposeResult:
-        """The table, and what is to be known of the file under the cursor."""
+        """Compose the table and the facts about the file under the cursor."""
         generate = "" if self.console.readonly else "g generate a key   "
         keys = f"Both sides of a link need the same fingerprint.\n{generate}esc close"
         yield Dialog("Key files", self.table, self._written, self._note, keys=keys)
@@ -176,7 +176,7 @@ class KeysScreen(ModalScreen[None]):
         self.on_selectable_list_cursor_moved()
 
     def on_selectable_list_cursor_moved(self) -> None:
-        """Say what is to be known of the file."""
+        """Show the facts about the file under the cursor."""
         file = self.table.selected
         self._note.set_text(self._no_file() if file is None else file.note)
         self._written.update("" if file is None else file.written)

@@ -95,7 +95,7 @@ class LinksTable(SelectableList):
 
 
 class LinkDetail(LiveLines, can_focus=False):
-    """What has no column: why it is down, the key, the other side."""
+    """The facts without a column: the reason why it is down, the key, the other side."""
 
     def __init__(self) -> None:
         super().__init__(id="link-detail")

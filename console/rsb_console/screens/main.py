@@ -66,8 +66,8 @@ class Panes(Horizontal):
 class MainScreen(Screen[None]):
     """Topics, detail and log.
 
-    Textual looks an action's handler up on the screen, as ``action_<id>``. Those of the view are methods here; those of
-    the operations are methods of other objects, named after the actions.
+    Textual looks up an action's handler on the screen, as ``action_<id>``. Handlers of the view are methods here;
+    handlers of the operations are methods of other objects, named after the actions.
 
     Args:
         console: the app.
@@ -77,8 +77,8 @@ class MainScreen(Screen[None]):
     BINDINGS = bindings(Group.VIEW, Group.OPERATE, Group.SESSION)
     BLANK = True  # as its `Panes`
     AUTO_FOCUS = "#topics"
-    HORIZONTAL_BREAKPOINTS = [(0, "-narrow"), (110, "-wide")]  # noqa: RUF012 -- Textual says it is no ClassVar
-    VERTICAL_BREAKPOINTS = [(0, "-tiny"), (14, "-short"), (30, "-tall")]  # noqa: RUF012 -- Textual says it is no ClassVar
+    HORIZONTAL_BREAKPOINTS = [(0, "-narrow"), (110, "-wide")]  # noqa: RUF012 -- Textual declares it without ClassVar
+    VERTICAL_BREAKPOINTS = [(0, "-tiny"), (14, "-short"), (30, "-tall")]  # noqa: RUF012 -- as above
 
     def __init__(self, console: Console, operations: Mapping[Group, object]) -> None:
         super().__init__()
@@ -161,7 +161,7 @@ class MainScreen(Screen[None]):
         return self.console.key_labels(BY_ID[action])[0]
 
     def _why_empty(self, snapshot: Snapshot) -> str:
-        """Why the table has no topic, and what to press."""
+        """Return the reason why the table is empty, and the key to press."""
         if self.topics.routes:
             return EmptyTable.NO_MATCH(back=self._key("back"))
         if self.console.engine is None and self.console.readonly:
@@ -213,7 +213,7 @@ class MainScreen(Screen[None]):
         )
 
     def check_action(self, action: str, parameters: tuple[object, ...]) -> bool | None:
-        """Grey out what needs a topic while there is none; nothing that changes anything while read-only."""
+        """Grey out actions that need a topic while none is selected; hide all changes while read-only."""
         known = BY_ID.get(action)
         if known is None:
             return super().check_action(action, parameters)
@@ -263,7 +263,7 @@ class MainScreen(Screen[None]):
 
     @property
     def _list(self) -> TopicsTable | LogPane:
-        """What filter, export and the like concern: the log if it has the focus, else the topics."""
+        """The pane that filter, export and the like act on: the log if it has the focus, otherwise the topics."""
         return self.log_pane if self.log_pane.has_focus else self.topics
 
     def action_filter(self) -> None:
@@ -336,7 +336,7 @@ class MainScreen(Screen[None]):
     # -- panes --------------------------------------------------------------------------------------------------------
 
     def _mode(self, mode: str | None) -> None:
-        """Give one pane the screen; None: all of them share it."""
+        """Give one pane the whole screen, or share it among all with None."""
         for other in MODES:
             self.set_class(other == mode, other)
         {"-detail": self.detail, "-log": self.log_pane}.get(mode or "", self.topics).focus()

@@ -1,4 +1,4 @@
-"""A topic's latest message, decoded as far as its type is known."""
+"""A topic's latest message, decoded if its type is available."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ _KEYS = " esc back · space hold · y copy "
 
 
 class MessageText(Wording):
-    """Texts beside a message."""
+    """Texts of the message screen."""
 
     WAITING = "waiting for a message, {waited}"
 
@@ -92,7 +92,7 @@ class MessageScreen(ModalScreen[None]):
 
     @work
     async def _look(self) -> None:
-        """Take what comes, until the screen is closed."""
+        """Take messages until the screen is closed."""
         first = True
         while True:
             try:
@@ -164,7 +164,7 @@ class MessageScreen(ModalScreen[None]):
         yield from self._content
 
     def _state_lines(self, route: RouteSnapshot | None) -> Iterator[Line]:
-        """What keeps messages from coming, and for how long none has come."""
+        """Yield the reason why no messages come, and the time since the last one."""
         if not self._goes_on.is_set():
             yield (("HELD: space goes on", "paused"),)
             return

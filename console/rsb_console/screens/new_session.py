@@ -38,7 +38,7 @@ HANDOUT = "What the clients need"
 YES_NO = (("yes", "yes"), ("no", "no"))
 NUMBERS = ("server_port", "domain_id")
 FIELDS = (
-    Spec("role", "Role", "A client connects and says which topics cross; a server waits for clients.",
+    Spec("role", "Role", "A client connects and lists the topics; a server waits for clients.",
          options=(("client", "client (robot)"), ("server", "server (control PC)"))),
     Spec("name", "Name", "The same on both sides, like robot1."),
     Spec("server_ip", "Server", "IPv4, IPv6, host name, or Bluetooth MAC. On the server: what to bind (0.0.0.0: all)."),
@@ -48,11 +48,11 @@ FIELDS = (
          blank="$ROS_DOMAIN_ID"),
     Spec("use_name", "Prefix", "On the server, the client's topics have its name as a prefix: /robot1/scan. The "
          "same on both sides.", options=tuple(reversed(YES_NO))),
-    Spec("clients", "Clients", "The robots that the server lets in: robot1, robot2. Each gets a key of its own. Empty: "
+    Spec("clients", "Clients", "The robots that the server accepts: robot1, robot2. Each gets its own key. Empty: "
          "one client, with the server's name and key.", blank="one, of the server's name"),
-    Spec("use_encryption", "Encryption", "Without it everything crosses in the clear, and anyone may connect.",
+    Spec("use_encryption", "Encryption", "Without it all data crosses unencrypted, and anyone may connect.",
          options=YES_NO),
-    Spec("key_file", "Key file", "Beside the session file, or a path. It is made on one side and copied to the other.",
+    Spec("key_file", "Key file", "In the session's folder, or a path. Created on one side, then copied to the other.",
          edited=True),
     Spec("path", "Session file", "Where the session is saved.", edited=True),
 )  # fmt: skip
@@ -131,7 +131,7 @@ class NewSessionScreen(FormScreen[NewSession]):
         self._fields["clients"].note.set_text(about_key if fleet else "")
 
     def _about_keys(self, new: NewSession) -> str:
-        """What will become of the keys."""
+        """Describe the key files: created or existing."""
         about = ((path.name, self._about_key(path)) for path in _key_paths(new))
         if not new.session.clients:
             return next(text for _, text in about)
@@ -148,7 +148,7 @@ class NewSessionScreen(FormScreen[NewSession]):
             return ""
 
     def problems(self, values: Mapping[str, str]) -> dict[str, str]:
-        """The session file's own rules, and those of the files."""
+        """Check the session and its files."""
         new = self.result(values)
         problems: dict[str, str] = {}
         for problem in validate(new.session):
@@ -240,7 +240,7 @@ def number(text: str) -> int | str:
 
 
 def _key_paths(new: NewSession) -> list[Path]:
-    """Where the keys are, or are to be."""
+    """Return the paths of the session's keys, existing or not."""
     names = [client.key_file for client in new.session.clients] or [new.session.key_file]
     return [key_path(new.path.parent, name) for name in names if name is not None]
 

@@ -46,11 +46,11 @@ _KEY, _VALUES = 16, 26
 _CHECKED = 5
 """Most entries against which a value is checked while it is typed; the plan checks all."""
 _FIXED = ("topic", "direction", "kind")
-"""Fields whose change makes another topic of it."""
+"""Fields that identify a topic: changing one means another topic."""
 SETTLE = 10.0
-"""s that a robot has to be as well as before."""
+"""Seconds that a robot has to be as well as before."""
 _NAMED = 5
-_CAN_UNDO = "u put back what was before   esc close"
+_CAN_UNDO = "u undo the change   esc close"
 
 
 class Typed(NamedTuple):
@@ -270,7 +270,7 @@ def _value_line(value: str, label: str, _width: int) -> Line:
 
 
 class Phase(Enum):
-    """How far it is."""
+    """Phase of the rollout."""
 
     TYPING = auto()
     PLANNING = auto()
@@ -280,7 +280,7 @@ class Phase(Enum):
 
 
 _KEYS = {
-    Phase.TYPING: "↑ ↓ ⏎ pick   ⏎ on a whole change: show what it would do   esc close",
+    Phase.TYPING: "↑ ↓ ⏎ pick   ⏎ on a whole change: show its effect   esc close",
     Phase.PLANNING: "looking …   esc close",
     Phase.ASKING: "y change them, one after the other   esc back",
     Phase.RUNNING: "esc stop after this robot",
@@ -293,9 +293,9 @@ class RolloutScreen(ModalScreen[None]):
 
     Args:
         console: the app.
-        fleet: whose robots they are.
-        robots: to change.
-        settle: s that a robot has to be as well as before.
+        fleet: fleet of the robots.
+        robots: robots to change.
+        settle: seconds that a robot has to be as well as before.
     """
 
     BINDINGS: ClassVar = [
@@ -352,7 +352,7 @@ class RolloutScreen(ModalScreen[None]):
             self._change.note.set_text("; ".join(filter(None, (asked, not_reached))))
 
     def on_unmount(self) -> None:
-        """Whatever still waits for a robot ends."""
+        """End all waiting for robots."""
         self._gone.set()
         if self._rollout is not None:
             self._rollout.cancelled = True
@@ -427,7 +427,7 @@ class RolloutScreen(ModalScreen[None]):
 
     @work(exclusive=True, exit_on_error=False)
     async def action_undo(self) -> None:
-        """Put back what was before."""
+        """Undo the change on all robots that have it."""
         if self.phase is not Phase.ENDED or self._rollout is None or self.outcome is None or not self.outcome.changed:
             return
         self._enter(Phase.RUNNING)
@@ -452,7 +452,7 @@ class RolloutScreen(ModalScreen[None]):
             self._show()
 
     def action_leave(self) -> None:
-        """Close it; while robots are changed, stop after the present one; before, go back to what was typed."""
+        """Close the screen; while robots change, stop after the present one; before that, return to typing."""
         if self.phase is Phase.RUNNING:
             if self._rollout is not None:
                 self._rollout.cancelled = True

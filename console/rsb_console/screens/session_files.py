@@ -64,7 +64,7 @@ def recents_path() -> Path:
 
 
 def recent_sessions() -> list[Path]:
-    """Those that are still there, the newest first."""
+    """Return the recent session files that still exist, the newest first."""
     try:
         lines = recents_path().read_text(encoding="utf-8").splitlines()
     except (OSError, UnicodeDecodeError):
@@ -92,7 +92,7 @@ class Opened(NamedTuple):
 
 
 def is_path(text: str) -> bool:
-    """Whether what was typed is a path rather than something to look for."""
+    """Whether a typed text is a path rather than a search."""
     return "/" in text or text.endswith((".yaml", ".yml"))
 
 
@@ -101,11 +101,11 @@ def yaml_files(*folders: Path) -> list[Path]:
 
 
 def suggestions(files: list[Path], what: str) -> Iterator[Suggestion]:
-    """Files to pick from.
+    """Yield suggestions of files.
 
     Args:
-        files: which.
-        what: what they are, said of each.
+        files: files to offer.
+        what: word for their kind, shown with each.
     """
     for path in files:
         line = ((f"{path.name:<28} ", "strong"), (f"{what:<8} ", "dim"), (str(path.parent), "dim"))
@@ -113,7 +113,7 @@ def suggestions(files: list[Path], what: str) -> Iterator[Suggestion]:
 
 
 def is_file(path: Path) -> bool:
-    """Whether a file is there, as far as one sees: a path that is being typed may be too long for one, or not ours."""
+    """Whether a file is visible; a path that is being typed may be too long or inaccessible."""
     try:
         return path.is_file()
     except OSError:
@@ -121,7 +121,7 @@ def is_file(path: Path) -> bool:
 
 
 def no_suggestion(text: str) -> str:
-    """What to say where none of the files offered is what was typed: a path need not be among them."""
+    """Return the text for a typed path or name that is not among the offered files."""
     if not text:
         return FileText.NONE_HERE()
     path = typed_path(text)
@@ -153,7 +153,7 @@ class SessionsScreen(FormScreen[Opened | str]):
         self._runs, self._readonly = runs, readonly
 
     def compose_buttons(self) -> ComposeResult:
-        """The other ways, but for those that change nothing but files while read-only."""
+        """Compose the other choices; while read-only, leave out the ones that only write files."""
         yield from super().compose_buttons()
         for action, label in MORE.items():
             if not self._readonly and (self._runs or not action.startswith("save")):
@@ -179,7 +179,7 @@ class SessionsScreen(FormScreen[Opened | str]):
         return values["path"] if picked is None else picked.value
 
     def accept(self, result: Opened | str) -> None:
-        """Load it; what is wrong in it is said here, with the lines."""
+        """Load the session; show its mistakes here, with the lines."""
         path = typed_path(str(result))
         try:
             self.dismiss(Opened(load(path), path))
@@ -217,12 +217,12 @@ class SaveAsScreen(FormScreen[Path]):
 
 
 class Menu(SelectableList):
-    """What runs on this machine, the choices, then the recent sessions, and at last to quit.
+    """The menu: bridges that run on this machine, the choices, the recent sessions, and quit.
 
     Args:
         running: bridges to attach to.
-        choices: ids out of `CHOICES`.
-        recent: session files.
+        choices: ids from `CHOICES`.
+        recent: recent session files.
     """
 
     def __init__(self, running: Sequence[RunningBridge], choices: Sequence[str], recent: Sequence[Path]) -> None:
@@ -245,7 +245,7 @@ class Menu(SelectableList):
         return fit(((sign, "key"), *self._lines[self.keys[index]]), self.size.width)
 
     def on_mount(self) -> None:
-        """As high as it needs."""
+        """Set the height to the number of lines."""
         self.styles.height = self.line_count
         self.sync()
 
@@ -273,12 +273,12 @@ class WelcomeScreen(ModalScreen[str]):
         self.menu = Menu(running, WATCHING if readonly else tuple(CHOICES), self._recent)
 
     def compose(self) -> ComposeResult:
-        """What this is, and the menu."""
+        """Compose the title and the menu."""
         keys = "⏎ choose   ? every key" + ("" if self._readonly else "   esc close")
         yield Dialog("rsb-console", Static(ABOUT, classes="hint"), self.menu, keys=keys)
 
     def check_action(self, action: str, parameters: tuple[object, ...]) -> bool | None:
-        """Only what the menu lists; watching only, there is nothing behind it to go to."""
+        """Allow only the menu's actions; a read-only console has no screen behind the menu to return to."""
         if action == "dismiss":
             return parameters[0] in self.menu.keys if parameters[0] else not self._readonly
         return super().check_action(action, parameters)

@@ -54,7 +54,7 @@ class ClientFileProblem(Wording):
 class RobotFileText(Wording):
     """Advice about a robot's own session file."""
 
-    HEAD = "{name}, a client of the server {server}. Its key file belongs beside this file."
+    HEAD = "{name}, a client of the server {server}. Its key file belongs in the same folder."
     ADDRESS_GUESSED = "one address of the server; is it the one that this client reaches?"
     SAVE_AS = "save the session there as {file}"
     COPY_SECRET = "copy with `scp -p {files} USER@ROBOT:` (the key is secret: never by mail or chat)"  # noqa: S105 (a text)
@@ -65,10 +65,10 @@ class Changed(NamedTuple):
     """A changed session file of a server.
 
     Attributes:
-        file: as it is now.
-        client: whom it was about.
-        key_path: the client's key file; None: without encryption.
-        key: in that file; None: without encryption, or the file cannot be read.
+        file: the file after the change.
+        client: the client that changed.
+        key_path: the client's key file, or None without encryption.
+        key: key in that file, or None without encryption or if the file cannot be read.
     """
 
     file: SessionFile
@@ -103,23 +103,22 @@ def with_key_file(session: Session, client: Client) -> Client:
 
 
 def key_path_of(file: SessionFile, client: Client) -> Path | None:
-    """Where a client's key is; None: there is no encryption."""
+    """Return the path of a client's key, or None without encryption."""
     name = client.key_file or file.session.key_file
     return None if name is None or not file.session.use_encryption else key_path(file.path.parent, name)
 
 
 def add_client(path: Path, client: Client) -> Changed:
-    """Add a client to a server's session file, and make its key.
+    """Add a client to a server's session file, and create its key.
 
     Args:
-        path: of the file.
-        client: whom to add. Its key file is used if it exists; where it has none, a new one is made beside the session.
+        path: path of the file.
+        client: client to add. An existing key file is used; otherwise a new one is created in the session's folder.
 
     Raises:
-        ClientError: there is one of that name, another one has the key, or the key's file exists although it was not
-            asked for.
-        KeyFileError: the key cannot be made or read.
-        SessionError: the session has mistakes, or cannot be saved. No key is left then.
+        ClientError: the name is taken, another client has the key, or a file with the default name of the key exists.
+        KeyFileError: the key cannot be created or read.
+        SessionError: the session has mistakes, or cannot be saved. A new key is removed then.
     """
     file = open_server(path)
     made_here = client.key_file is None
@@ -133,7 +132,7 @@ def add_client(path: Path, client: Client) -> Changed:
         key = read_key(key_at)
     elif key_at is not None:
         key, is_new = write_key(key_at), True
-        give_owner(key_at, path)  # whoever runs the server has to read it
+        give_owner(key_at, path)  # the server's user has to read it
     try:
         _check_key_of_its_own(file, session, client, key)
         return Changed(save(session, path, file), client, key_at, key)
@@ -144,7 +143,7 @@ def add_client(path: Path, client: Client) -> Changed:
 
 
 def _check_key_of_its_own(file: SessionFile, session: Session, client: Client, key: Key | None) -> None:
-    """Refuse a key that another client has, unless the session says that it is meant."""
+    """Refuse a key that another client has, unless the session allows shared keys."""
     if key is None:
         return
     # Clients that share a key already are the server's to refuse when it starts.
@@ -203,7 +202,7 @@ def rekey_client(path: Path, name: str) -> Changed:
 
 
 def key_places(file: SessionFile, client: Client) -> list[Path]:
-    """Where the keys are that are valid for a client, the next one's last; without encryption none."""
+    """Return the paths of a client's valid keys, the next one last; empty without encryption."""
     files = key_files_by_client(file.session)[client.name] if file.session.use_encryption else ()
     return [key_path(file.path.parent, each) for each in files]
 
@@ -231,7 +230,7 @@ def free_key_file(folder: Path, name: str) -> str:
 
 
 def handed_out(file: SessionFile) -> list[Changed]:
-    """What all clients of a server need."""
+    """Return the client's entry and key for each client of a server."""
     places = [(client, key_path_of(file, client)) for client in file.session.accepted_clients]
     return [Changed(file, client, key_at, fingerprint_or_problem(key_at)[0]) for client, key_at in places]
 
@@ -299,7 +298,7 @@ def robot_file(session: Session, client: Client, address: str = "") -> str:
 
 
 def _of_client(zenoh: ZenohSettings, address: str, port: int | None) -> ZenohSettings:
-    """How a client reaches its server's Zenoh network: by the same routers, or else where the server listens."""
+    """Return a client's settings for its server's Zenoh network: the same routers, or the server's own addresses."""
     if zenoh.connect or not zenoh.listen:
         return msgspec.structs.replace(zenoh, listen=())
     protocol, _, place = zenoh.listen[0].partition("/")
@@ -318,12 +317,12 @@ def own_address() -> str:
 
 
 def copy_advice(client: Client, key_at: Path | None, robot_at: Path | None = None) -> str:
-    """Say how the key gets to the robot.
+    """Return the advice for copying the key to the robot.
 
     Args:
-        client: whose.
-        key_at: its key file; None: without encryption.
-        robot_at: the robot's session file, where it is in one already.
+        client: client with the key.
+        key_at: its key file, or None without encryption.
+        robot_at: the robot's session file if it is written already, or None.
     """
     files = " ".join(str(path) for path in (robot_at, key_at) if path is not None)
     own_file = f"{key_file_name(client.name)[:-4]}.yaml"
@@ -343,12 +342,12 @@ def fingerprint_or_problem(key_at: Path | None) -> tuple[Key | None, str]:
 
 
 def begin_rotation(path: Path, name: str) -> Changed:
-    """Make a client's next key, which is valid beside the one that it has. Gives the next key.
+    """Create a client's next key, valid together with the present one. Return the next key.
 
     Raises:
-        ClientError: there is no such client, no encryption, no key to replace, or a next key already.
-        KeyFileError: the key cannot be made.
-        SessionError: the file cannot be saved. No key is left then.
+        ClientError: no such client, no encryption, no key to replace, or a next key exists already.
+        KeyFileError: the key cannot be created.
+        SessionError: the file cannot be saved. The next key is removed then.
     """
     file = open_server(path)
     client = client_named(file.session, name)

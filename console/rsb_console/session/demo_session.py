@@ -98,7 +98,7 @@ class Demo:
     """A running demo, except for the desk's side of the bridge, which the caller runs.
 
     Attributes:
-        path: the session file of the desk's side; its key file lies beside it.
+        path: the session file of the desk's side; its key file is in the same folder.
         session: the session in that file.
         robot: the simulated robot.
         desk: the simulated desk.

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 NUMBERS = ("port", "max_rate", "expected_rate", "stale_after", "late_after", "max_age", "deadman", "timeout")
 SWITCHES = ("paused", "arm")
-"""The keys that are on or off: any text is on but those of `_OFF`."""
+"""The keys that are on or off: any text except the words of `_OFF` means on."""
 _OFF = ("", "false", "no", "off")
 _DIRECTIONS = {"server": "transmit", "client": "receive"}
 """Of requests, by the side whose node answers."""
@@ -32,12 +32,12 @@ _DIRECTIONS = {"server": "transmit", "client": "receive"}
 
 @dataclass(frozen=True, slots=True)
 class Ends:
-    """Who is who on the link that a topic is for.
+    """The two ends of a topic's link.
 
     Attributes:
         is_server: whether this side is the server.
         client: the client's name.
-        use_name: whether the server's names of its topics have the client's before them.
+        use_name: whether topic names on the server have the client's name as a prefix.
     """
 
     is_server: bool
@@ -46,16 +46,16 @@ class Ends:
 
     @classmethod
     def of(cls, now: Snapshot, client: str) -> Ends:
-        """Those of a running engine and one of its links, by the client's name."""
+        """Return the ends of a running engine's link, chosen by the client's name."""
         return cls(now.role == "server", client, any(link.use_name for link in now.links if link.name == client))
 
     def client_topic(self, topic: str, *, on_server: bool) -> str | None:
-        """A topic's name on the client; None: a topic of the server's that this client's names cannot mean."""
+        """Return a topic's name on the client, or None for a server's topic without this client's prefix."""
         return client_topic(topic, self.client) if on_server and self.use_name else topic
 
 
 def plain(key: str, text: str) -> Any:
-    """What a field's text would be in a session file. A text that is no number stays one, for the rules to refuse."""
+    """Convert a field's text as a session file would; text in place of a number stays, for the rules to refuse."""
     if key == "qos":
         return _plain_qos(text)
     if key == "excepts":
@@ -82,9 +82,9 @@ def _plain_qos(text: str) -> Any:
 
 
 def topic_of(values: Mapping[str, str]) -> Topic:
-    """The topic that a form's texts make. It may be wrong in every way that `problems_of` knows.
+    """Build a topic from a form's texts. It may have any of the problems of `problems_of`.
 
-    Of what is not a topic, a ``provider`` may stand for the direction.
+    For kinds other than topics, a ``provider`` may replace the direction.
     """
     given = {key: plain(key, text) for key, text in values.items() if text and key not in SWITCHES}
     given |= {key: True for key in SWITCHES if values.get(key, "").lower() not in _OFF}
@@ -107,12 +107,12 @@ def _text(value: object) -> str:
 
 
 def problems_of(topic: Topic, session: Session, replaced: Topic | None) -> dict[str, str]:
-    """What is wrong with a topic, and with having it beside the session's others.
+    """Return the problems of a topic, by itself and together with the session's others.
 
     Args:
         topic: as the client sees it.
-        session: what it is for. A server's has no topics to get in its way: the client answers for those.
-        replaced: one of the session's that it takes the place of.
+        session: session of the topic. A server's session has no topics to conflict: the client checks those.
+        replaced: topic of the session that it replaces, or None.
 
     Returns:
         Messages by the key of the field.
@@ -150,16 +150,16 @@ class TypedError(ValueError):
 
 
 def typed_topic(values: Mapping[str, str], keys: Sequence[str], session: Session, replaced: Topic | None) -> Topic:
-    """A topic of the values that it has already and those that are typed.
+    """Build a topic from given values and typed ones.
 
     Args:
-        values: as of `rsb_console.session.draft.values_of`.
-        keys: typed, each ``KEY=VALUE``.
-        session: what it is for.
-        replaced: one of the session's that it takes the place of.
+        values: texts as from `rsb_console.session.draft.values_of`.
+        keys: typed texts, each ``KEY=VALUE``.
+        session: session of the topic.
+        replaced: topic of the session that it replaces, or None.
 
     Raises:
-        TypedError: something is wrong with it.
+        TypedError: the topic is invalid.
     """
     kind = replaced.kind if replaced is not None else next(kind for kind in KEYS if kind == values["kind"])
     known, changed = list(KEYS[kind]), dict(values)
@@ -186,6 +186,6 @@ def _value(key: str, value: str) -> str:
 
 
 def suggestion(name: str, known: Sequence[str]) -> str:
-    """A hint at the most similar name; empty: none is similar."""
+    """Return a hint at the most similar name, or an empty string if none is similar."""
     near = difflib.get_close_matches(name, known, n=1)
     return f"; did you mean {near[0]}?" if near else ""

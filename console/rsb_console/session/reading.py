@@ -1,4 +1,4 @@
-"""A message that an operator looks at: decoded where its type is known, as lines of YAML, else as hex."""
+"""A message for an operator: as lines of YAML if its type is available, otherwise as hex."""
 
 from __future__ import annotations
 
@@ -58,14 +58,14 @@ class ArrivalText(Wording):
 
 @dataclass(frozen=True, slots=True)
 class StampAge:
-    """How old a message's ``header.stamp`` was when the message came.
+    """The age of a message's ``header.stamp`` at its arrival.
 
     Attributes:
         stamp: ns since the epoch.
-        latency: s; None: the clocks differ, or it is no latency.
-        why_none: why there is no latency.
-        clocks: whose clocks the latency is between.
-        guessed: the type is not known, and the bytes look like a stamp.
+        latency: s, or None if the clocks differ or the age is not a latency.
+        why_none: reason why `latency` is None.
+        clocks: the two clocks that the latency compares.
+        guessed: whether the stamp is a guess: the type is unavailable, and the bytes look like a stamp.
     """
 
     stamp: int
@@ -77,13 +77,13 @@ class StampAge:
 
 @dataclass(frozen=True, slots=True)
 class ReadMessage:
-    """A message, as far as it could be read.
+    """A message and its decoded content.
 
     Attributes:
         peeked: the message.
-        decoded: None: its type is not known.
-        problem: why it was not read to its end; empty: it was.
-        age: of its stamp; None: it has none.
+        decoded: its content, or None if the type is unavailable.
+        problem: reason why it was not read to its end, or an empty string.
+        age: age of its stamp, or None without a stamp.
     """
 
     peeked: PeekedMessage
@@ -93,7 +93,7 @@ class ReadMessage:
 
 
 class KnownTypes:
-    """The descriptions that a looker has; for some seconds also that there is none.
+    """A cache of type descriptions; a missing one is remembered for some seconds.
 
     Args:
         now: a clock, in s.
@@ -105,7 +105,7 @@ class KnownTypes:
         self._ask_at: dict[str, float] = {}
 
     def get(self, type_hash: str) -> tuple[str | None, str] | None:
-        """A type's description, or why there is none; None: somebody has to be asked."""
+        """Return a type's description or the reason for its lack, or None if it has to be requested."""
         if self._now() >= self._ask_at.get(type_hash, math.inf):
             return None
         return self._known.get(type_hash)
@@ -122,9 +122,9 @@ def read_message(peeked: PeekedMessage, description: str | None, why: str = "", 
 
     Args:
         peeked: the message.
-        description: the text of its type's description; None: it is not known.
-        why: why it is not.
-        limits: as of `rsb_bridge.cdr.decoder.decode`.
+        description: the text of its type's description, or None if unavailable.
+        why: reason why `description` is None.
+        limits: limits of `rsb_bridge.cdr.decoder.decode`.
     """
     decoded = None
     if description is not None:
@@ -213,19 +213,19 @@ def how_it_came(peeked: PeekedMessage) -> str:
 
 
 def message_lines(message: Message, width: int, *, arrays: bool = True) -> Iterator[Line]:
-    """A message as YAML. Text in it is escaped: it may come from anywhere.
+    """Format a message as YAML. Its text is escaped, as it is not trusted.
 
     Args:
-        message: decoded.
+        message: a decoded message.
         width: cells at which arrays and strings are wrapped.
-        arrays: show the elements of arrays; False: only their type and length.
+        arrays: show the elements of arrays rather than only their type and length.
     """
     for name, value in message.items():
         yield from _field(f"{escape_text(name)}: ", "", value, width, arrays=arrays)
 
 
 def _field(label: str, before: str, value: Value, width: int, *, arrays: bool) -> Iterator[Line]:
-    """A value behind its label; its further lines stand under it."""
+    """Yield a value after its label, with further lines below."""
     indent = " " * len(before)
     if isinstance(value, dict):
         yield ((before, ""), (label.rstrip(), "key"), ("" if value else " {}", ""))
@@ -272,7 +272,7 @@ def _items(label: str, before: str, items: Items, width: int, *, arrays: bool) -
 
 
 def _element(message: Message, indent: str, width: int, *, arrays: bool) -> Iterator[Line]:
-    """A message in an array: its first field stands behind a dash."""
+    """Yield a message in an array: its first field follows a dash."""
     before = indent + _ITEM
     for name, value in message.items():
         yield from _field(f"{escape_text(name)}: ", before, value, width, arrays=arrays)

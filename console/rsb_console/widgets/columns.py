@@ -23,7 +23,7 @@ HISTORY = 12  # s
 _STATE_WIDTH = 10  # cells
 TOTAL_FROM = 92  # cells from which on there is room for the bytes in all
 _SHORT_NAMES = {"zenoh-drop": "DROP"}
-_BESIDE_CALLS = 100  # cells from which on there is room for a topic's bytes beside what is to be known of calls
+_BESIDE_CALLS = 100  # cells; wider tables have room for both topics' bytes and figures of calls
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -32,13 +32,13 @@ class Column(Generic[R]):
 
     Attributes:
         title: its heading.
-        width: cells; 0: all that the other columns leave.
-        text: the cell of a route, or whatever else a line shows.
+        width: cells, or 0 for all remaining ones.
+        text: formats the cell of a route or another row.
         order: its sort key.
         right: whether cells are aligned to the right.
-        from_width: cells; in a narrower table the column is left out.
-        beside_calls: likewise, where the table has more than topics; None: as `from_width`.
-        only_calls: it is left out where the table has only topics.
+        from_width: cells; a narrower table leaves the column out.
+        beside_calls: the same for a table with calls, or None to use `from_width`.
+        only_calls: whether a table with only topics leaves it out.
     """
 
     title: str

@@ -44,12 +44,12 @@ class DetailText(Wording):
 
 
 def heading(route: RouteSnapshot, last: str, width: int) -> Iterator[Line]:
-    """State, arming, and why it is not fine.
+    """Yield the state, the arming and the reason of a fault.
 
     Args:
-        route: what it is about.
-        last: what came last: ``message``.
-        width: of the pane, cells.
+        route: route to describe.
+        last: word for the last arrival: ``message``.
+        width: width of the pane in cells.
     """
     look = route.state.value
     yield (
@@ -178,11 +178,11 @@ def plot(route: RouteSnapshot, title: str, unit: str, width: int) -> Iterator[Li
 
 
 def ledger(title: str, rows: Sequence[tuple[str, int, str, str]]) -> Iterator[Line]:
-    """Counts, one a line.
+    """Yield counts, one a line.
 
     Args:
-        title: above them.
-        rows: of each its name, the count, its look where it is not 0, and what stands behind it.
+        title: title above them.
+        rows: name, count, style if the count is not 0, and a remark for each line.
     """
     yield ((f" {title}", "head"),)
     name_width = max(LABEL, *(len(name) for name, _, _, _ in rows)) + 1

@@ -68,7 +68,7 @@ class Fault:
 
 
 class MoreKeys(NamedTuple):
-    """What to press to see the faults that there is no room for: those of links, and those of topics."""
+    """The keys that show the faults without room in the pane: one for links and one for topics."""
 
     links: str
     topics: str
@@ -151,11 +151,11 @@ def fault_lines(
     """Return the lines of as many whole faults as fit; the first one is cut if it is too long by itself.
 
     Args:
-        faults: the worst first.
+        faults: faults, the worst first.
         width: cells.
         most: lines.
-        keys: that show what there is no room for.
-        heights: lines that each fault takes at least, or None.
+        keys: keys that show the remaining faults.
+        heights: least number of lines for each fault, or None.
     """
     wrapped = [_wrapped(fault, width, heights.of(fault) if heights else 0) for fault in faults[:most]]
     if len(faults) <= most and sum(map(len, wrapped)) <= most:
@@ -190,7 +190,7 @@ def _how_many_more(faults: list[Fault], keys: MoreKeys) -> str:
 
 
 def faults_of(snapshot: Snapshot) -> list[Fault]:
-    """What is wrong: links, then topics, the worst first; then what waits. What a link explains is not repeated."""
+    """Return the faults of links, then of topics, the worst first, then waits; none that a link explains."""
     if not snapshot.running:
         return []
     alike: dict[tuple[str, str, str, bool], list[Fault]] = {}

@@ -80,7 +80,7 @@ def why(row: Row) -> str:
 
 
 def _since(row: Row) -> float:
-    """How long it has been so, or, if it is not there, when it was seen last, s ago."""
+    """Return the seconds in the present state or, for a missing robot, since it was last seen."""
     summary = row.robot.summary
     since = summary.since if summary.state is not RobotState.MISSING or summary.seen is None else summary.seen
     return max(0.0, row.now - since)
@@ -181,17 +181,17 @@ _EDGE = 2  # cells: the cursor, and the mark
 
 @dataclass
 class FleetView:
-    """What the operator has made of the table. It outlives the screen, which closes while a robot's console is open.
+    """The operator's settings of the table. They outlive the screen, which closes while a robot's console is open.
 
     Attributes:
-        cursor: the key under the cursor; None: it has not been moved.
+        cursor: the key under the cursor, or None before it has moved.
         pattern: the filter.
-        faults_only: show only what is wrong.
+        faults_only: show only robots with a fault.
         grouped: keep the robots of a group together.
         folded: groups of which only the heading is shown.
-        marked: keys of robots.
-        sort_column: by which it is sorted.
-        reversed: the other way round.
+        marked: keys of the marked robots.
+        sort_column: column to sort by.
+        reversed: whether the order is reversed.
     """
 
     cursor: str | None = None
@@ -248,7 +248,7 @@ class FleetTable(SelectableList):
         if self.grouped:
             for row in shown:
                 self._groups.setdefault(row.robot.summary.group, []).append(row)
-            # A group stands where it is sought, whatever happens to its robots; those of no group stand last.
+            # A group keeps its place even if the state of its robots changes; robots without a group come last.
             keys = []
             for group in sorted(self._groups, key=lambda name: (not name, name)):
                 keys.append(f"{_GROUP}{group}")
@@ -314,7 +314,7 @@ class FleetTable(SelectableList):
 
     @property
     def meant(self) -> list[Robot]:
-        """The robots that an action is about: those that are marked, else the one under the cursor, or its group's."""
+        """The robots that an action affects: the marked ones, or the one under the cursor, or its group's."""
         if self.view.marked:
             return [row.robot for row in self.rows.values() if row.robot.key in self.view.marked]
         if (group := self.selected_group) is not None:
@@ -377,7 +377,7 @@ class FleetTable(SelectableList):
 
     @property
     def line_count(self) -> int:
-        """The heading and a line a robot or a group, or the lines that say why there is none."""
+        """Number of lines: the heading and the robots and groups, or a text for an empty table."""
         return self.sticky + (len(self.keys) or len(self._empty))
 
     def is_cursor(self, index: int) -> bool:
@@ -456,7 +456,7 @@ class FleetStatus(LiveLines):
         return fit(self._lines[index], self.width)
 
     def show(self, table: FleetTable, fleet: Fleet, *, readonly: bool) -> None:
-        """Show the state of all robots, even of those that the filter hides."""
+        """Show the state of all robots, even if the filter hides some."""
         robots = [row.robot for row in table.rows.values()]
         names = ", ".join(source.name for source in fleet.sources)
         # Over Zenoh a server is a line, too: what crosses its links is counted where its clients are.
@@ -504,11 +504,11 @@ class RobotDetail(LiveLines):
         return fit(self._lines[index], self.width)
 
     def show(self, title: str, rows: Sequence[Row]) -> None:
-        """Show a robot, or those of a group with something wrong.
+        """Show a robot, or the faulty robots of a group.
 
         Args:
-            title: its name.
-            rows: the worst first.
+            title: name of the robot or the group.
+            rows: rows, the worst first.
         """
         if len(rows) == 1:
             self._lines = list(_detail(rows[0], max(20, self.size.width)))

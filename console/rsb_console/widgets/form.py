@@ -27,13 +27,13 @@ class Spec:
     """One field of a form.
 
     Attributes:
-        key: names its value.
-        label: stands before it.
+        key: key of its value.
+        label: label to its left.
         help: one or two lines, shown while the field has the focus.
-        value: at first.
-        blank: what an empty field means, shown in it.
-        options: value and label of each, for a choice; empty: text.
-        edited: the value is more often changed than replaced, as a path is.
+        value: initial value.
+        blank: meaning of an empty field, shown in it.
+        options: value and label of each choice, or empty for a text field.
+        edited: whether operators usually edit the value rather than replace it, as with a path.
     """
 
     key: str
@@ -73,10 +73,10 @@ class Field(Vertical):
     """
 
     class Changed(Message):
-        """Another value stands in a field.
+        """The value of a field changed.
 
         Attributes:
-            field: which.
+            field: the field.
         """
 
         def __init__(self, field: Field) -> None:
@@ -99,7 +99,7 @@ class Field(Vertical):
         self.note = Notice("hint note")
 
     def compose(self) -> ComposeResult:
-        """Label and control beside each other, what is to be said about the value beneath."""
+        """Compose the label and the control side by side, with notes about the value below."""
         with Horizontal():
             yield self._label
             yield self.control
@@ -233,7 +233,7 @@ class Form(VerticalScroll, can_focus=False):
 
 
 class TextField(Field):
-    """As `Field`, of several lines."""
+    """A field with several lines of text."""
 
     def __init__(self, spec: Spec) -> None:
         super().__init__(spec)

@@ -155,12 +155,12 @@ def yield_gil() -> None:
 
 
 def changed_width(old: Line, new: Line, width: int) -> int:
-    """The cells from the left edge beyond which two lines look the same; Textual draws from a pane's left edge anyway.
+    """Return how many cells from the left edge two lines differ; Textual draws from a pane's left edge anyway.
 
     Args:
-        old: what is on screen.
-        new: what is to be there.
-        width: of the pane.
+        old: the line on screen.
+        new: the new line.
+        width: width of the pane.
     """
     cells = width_of(new)
     if width_of(old) != cells:

@@ -26,12 +26,12 @@ WHOLE = 1000  # cells in which nothing is cut
 
 
 class Suggestion(NamedTuple):
-    """One thing to pick.
+    """One suggestion.
 
     Attributes:
-        key: unlike all others.
-        value: what stands in the field once it is picked.
-        line: as it is listed in so many cells.
+        key: unique key.
+        value: value for the field once it is picked.
+        line: formats its line for a width in cells.
         fills: values for other fields of the form, by their keys.
     """
 
@@ -65,7 +65,7 @@ class SuggestionList(SelectableList, can_focus=False):
 
     @property
     def line_count(self) -> int:
-        """One for each suggestion, or the lines that say why there is none."""
+        """Number of lines: one for each suggestion, or a text for an empty list."""
         return len(self.keys) or len(self._empty_lines)
 
     @property
@@ -106,10 +106,10 @@ class PickField(Field):
     ]
 
     class Picked(Field.Changed):
-        """A suggestion was picked, or a text was kept as it stands.
+        """A suggestion was picked, or a text was kept as it is.
 
         Attributes:
-            suggestion: what was picked; None: the text in the field.
+            suggestion: the picked suggestion, or None for the text in the field.
         """
 
         def __init__(self, field: Field, suggestion: Suggestion | None) -> None:
