@@ -1,6 +1,6 @@
-"""What developers measure besides our bridge: nothing, a relay, or the thesis's pipeline between talker and listener.
+"""Test beds for comparison with our bridge: nothing, a relay, or the thesis's pipeline between talker and listener.
 
-All else is `rsb_console.bench`, which `rsb-console bench` uses, too.
+The rest is in `rsb_console.bench`, which `rsb-console bench` uses, too.
 """
 
 from __future__ import annotations

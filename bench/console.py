@@ -1,4 +1,4 @@
-"""Prints what the console costs: alone with five hundred topics, and beside a bridge that carries 5,000 msg/s."""
+"""Prints the cost of the console: alone with five hundred topics, and next to a bridge that carries 5,000 msg/s."""
 
 from __future__ import annotations
 

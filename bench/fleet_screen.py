@@ -81,7 +81,7 @@ def measure(running: Fleet, seconds: float) -> None:
 
 
 def _spoken(running: Fleet, engines: int) -> tuple[float, float, float]:
-    """How long until a console knows who is there, and until each has spoken; what of a processor this took. All s."""
+    """Measure the seconds until a console lists all engines and until each has reported, and the processor time."""
     assert running.file is not None
     began, cpu, known = time.monotonic(), time.process_time(), 0.0
     source = ZenohFleet(load_fleet(running.file))

@@ -1,7 +1,7 @@
-"""Where a message's CPU time goes: ``python -m bench.profile [tcp|udp] [RATE] [SIZE]``. Needs Linux's `perf`.
+"""Profile of a message's CPU time: ``python -m bench.profile [tcp|udp] [RATE] [SIZE]``. Needs Linux's `perf`.
 
-Prints, for the relay and for each side of the bridge, µs a message by thread and by what runs there: the kernel, DDS,
-the cipher, Python itself.
+Prints, for the relay and for each side of the bridge, µs a message by thread and by code: the kernel, DDS, the cipher,
+Python itself.
 """
 
 from __future__ import annotations

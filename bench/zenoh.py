@@ -1,7 +1,7 @@
-"""Links over Zenoh beside TCP: ``python -m bench.zenoh [ROUNDS]``. CPU of both sides, what was delivered, latency.
+"""Links over Zenoh compared with TCP: ``python -m bench.zenoh [ROUNDS]``. CPU of both sides, share delivered, latency.
 
-Each round measures all ways in turn. ``router``: both sides connect to a router, a process of its own whose CPU is not
-counted; ``peer``: the client connects to the server. Ratios are of the same round.
+Each round measures all networks in turn. ``router``: both sides connect to a router, a separate process whose CPU is
+not counted; ``peer``: the client connects to the server. Ratios are of the same round.
 """
 
 from __future__ import annotations

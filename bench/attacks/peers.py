@@ -220,7 +220,7 @@ def _keep_alive(rogue: Rogue) -> None:
 
 
 def escapes(target: Target, tally: Tally) -> None:
-    """Escape sequences and forged lines in whatever the server may quote."""
+    """Send escape sequences and forged lines in all fields that the server may quote."""
     texts: list[dict[str, object]] = [
         {"message": _EVIL},
         {"message": "shutdown", "reason": _EVIL},

@@ -20,20 +20,20 @@ if TYPE_CHECKING:
 
 
 _CRASHES = 1 << 20
-"""Bytes of crash.log beyond which it is begun anew."""
+"""Size in bytes at which crash.log is started again."""
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run the command. The process is to end after it: from then on SIGINT is ignored.
+    """Run the command. Afterwards SIGINT is ignored: the process should end.
 
     Args:
-        argv: its arguments; None: the process's.
+        argv: arguments, or None for the process's own.
 
     Returns:
         The exit code.
     """
     for name in ("stdout", "stderr"):
-        if getattr(sys, name) is None:  # closed by whoever started us: what is said goes nowhere
+        if getattr(sys, name) is None:  # the parent process closed it: discard the output
             setattr(sys, name, open(os.devnull, "w", encoding="utf-8"))  # noqa: PTH123, SIM115 -- as long as the process
     sys.stderr = CleanErrors(sys.stderr)
     signal.signal(signal.SIGTERM, _terminated)  # until the command handles it, which a bridge does once it is loaded
@@ -106,7 +106,7 @@ def _with_command(argv: list[str], names: Sequence[str]) -> list[str]:
 
 
 def _unexpected(error: Exception, *, show: bool) -> int:
-    """Tell an operator in a line what happened, and keep the traceback for whoever will mend it."""
+    """Report an unexpected error in a line, and keep the traceback in crash.log."""
     import traceback
 
     if show:

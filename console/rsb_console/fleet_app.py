@@ -31,13 +31,13 @@ class FleetApp(TerminalApp["Robot"]):
     """Shows the robots of a fleet until the operator opens one, which it returns, or quits.
 
     Args:
-        fleet: started already; it outlives the app.
-        view: what the operator has made of the table so far.
-        readonly: nothing may be changed.
+        fleet: a started fleet, which outlives the app.
+        view: the operator's settings of the table so far.
+        readonly: forbid all changes.
         ascii_only: draw only ASCII.
-        theme: its name; None: the one that suits the terminal.
-        config: the user's configuration folder; None: the platform's.
-        after_quit: says whether the bridges go on when the operator quits.
+        theme: name of the theme, or None for one that suits the terminal.
+        config: the user's configuration folder, or None for the platform's.
+        after_quit: text about the bridges when the operator quits.
     """
 
     actions = FLEET_ACTIONS
@@ -91,7 +91,7 @@ class FleetApp(TerminalApp["Robot"]):
 
 
 class RobotScreen(MainScreen):
-    """The main screen of one robot of a fleet: where there is nothing to close, escape goes back to the fleet."""
+    """The main screen of one robot of a fleet: escape returns to the fleet if nothing else is open."""
 
     def action_back(self) -> None:
         """Close what is open, or drop the filters; else go back to the fleet."""

@@ -42,7 +42,7 @@ def load_keymap(path: Path) -> dict[str, str]:
     """Read the user's keys.
 
     Args:
-        path: a YAML mapping of action ids to Textual key names; need not exist.
+        path: a YAML mapping of action ids to Textual key names; may be missing.
 
     Returns:
         Action ids to comma-separated keys.

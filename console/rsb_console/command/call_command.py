@@ -94,8 +94,8 @@ def response(engine: RemoteEngine, route: RouteSnapshot, request: str, lane: str
         engine: engine of the bridge.
         route: route to call.
         request: fields of the request, as YAML.
-        lane: name of one of the route's services.
-        timeout: s, or None for the route's own timeout, which does not apply to a goal's result.
+        lane: name of the service, if the route has several.
+        timeout: s, or None for the route's own timeout, which does not limit a goal's result.
 
     Raises:
         EngineError: the bridge refuses it, or no response comes in time.

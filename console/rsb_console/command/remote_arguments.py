@@ -445,8 +445,8 @@ _NO_SERVER = """\
 _WHICH_SERVER = "only the robots of this server, by the name that `status` prints"
 _OVER_ZENOH = "a fleet file: all bridges of that fleet, over Zenoh, instead of the servers here"
 _FLEET = f"""\
-The robots are those of all servers that run here; with --fleet, all bridges of a
-fleet over Zenoh.
+It shows the robots of all servers that run here; with --fleet, all bridges of a fleet
+over Zenoh.
 
 Without --json, it opens the screen of all robots. A robot that is missing, or
 has a fault or a warning, counts as wrong; one that was never connected does not.
@@ -484,7 +484,7 @@ for example:
   rsb-console fleet edit robot1 robot2 /camera max_rate=5 compression=zstd
 
 exit codes:
-  0  done on every robot that has the topic, or there was nothing to change
+  0  done on every robot that has the topic, or no change was necessary
   1  stopped, declined, or a robot was not reached; with --dry-run: it would fail on one
 {_NO_SERVER}"""
 IN_FLEET = (

@@ -55,7 +55,7 @@ class FleetSource(Protocol):
         ...
 
     def wait(self) -> None:
-        """Wait some seconds at most until the state of each robot is known, or the reason why it is not."""
+        """Wait at most some seconds for the state of each robot, or the reason for its lack."""
         ...
 
     def stop(self) -> None:
@@ -78,7 +78,7 @@ class FleetSource(Protocol):
 
 
 class UnknownRobotError(ValueError):
-    """There is no such robot, or no such group; the message says which there are."""
+    """No robot or group has that name; the message lists the existing ones."""
 
 
 class Robot(NamedTuple):
@@ -129,10 +129,10 @@ class Fleet:
         self._lock = threading.RLock()
 
     def start(self) -> None:
-        """Begin to know robots.
+        """Start all sources.
 
         Raises:
-            EngineError: of one of the sources nothing can be known.
+            EngineError: one of the sources cannot be used.
         """
         with contextlib.ExitStack() as started:
             for source in self.sources:
@@ -152,7 +152,7 @@ class Fleet:
             source.stop()
 
     def robots(self) -> list[Robot]:
-        """All robots as they are now, the worst first; those that are equally well by name."""
+        """Return all robots in their present state, the worst first, then by name."""
         with self._lock:
             found = [robot for source in self.sources for robot in self._of(source)]
             self._remember(found)
@@ -215,16 +215,16 @@ class Fleet:
     def chosen(
         self, names: Collection[str], group: str = "", *, everyone: bool = False, gone: bool = False
     ) -> list[Robot]:
-        """The robots that are named, or in a group, by name.
+        """Return the robots that are named or in a group, sorted by name.
 
         Args:
-            names: as an operator calls them: ``robot1``, or with the source where several have one, ``control/robot1``.
-            group: all of this group; empty: none.
-            everyone: all robots.
-            gone: of those that have gone, and not of those that are known.
+            names: an operator's names: ``robot1``, or ``control/robot1`` with the source if several have one.
+            group: name of a group to include, or empty.
+            everyone: include all robots.
+            gone: choose from the robots that have gone instead of the present ones.
 
         Raises:
-            UnknownRobotError: one of them is not there, or is not clear.
+            UnknownRobotError: a robot is not there, or its name is ambiguous.
         """
         robots = sorted((robot for robot in self.robots() if robot.gone is gone), key=lambda robot: robot.order)
         found: dict[str, Robot] = {}
@@ -268,20 +268,20 @@ def _unknown(what: str, name: str, known: Sequence[str]) -> str:
 
 
 LIMIT = 1000
-"""Robots that are remembered: those that were seen last."""
+"""Most robots to remember: the latest ones."""
 _FILE_BYTES = 4 << 20
 
 
 class Remembered(msgspec.Struct, frozen=True):
-    """A robot that was there.
+    """A robot that was connected before.
 
     Attributes:
-        source: the name of the source that knew it.
-        name: the robot's.
-        seen: s since the epoch, when it was there last.
-        group: as it was then, likewise those below.
-        host: likewise.
-        version: likewise.
+        source: name of the source that reported it.
+        name: the robot's name.
+        seen: time when it was last connected, s since the epoch.
+        group: its group at that time.
+        host: its host at that time.
+        version: its version at that time.
     """
 
     source: str
@@ -297,10 +297,10 @@ def memory_path() -> Path:
 
 
 class Memory:
-    """The file of robots.
+    """The file of remembered robots.
 
     Args:
-        path: the file; None: nothing is kept.
+        path: path of the file, or None to keep nothing.
     """
 
     def __init__(self, path: Path | None) -> None:

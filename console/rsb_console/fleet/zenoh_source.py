@@ -52,7 +52,7 @@ class ZenohFleet:
         self._watches: dict[str, asyncio.Task[None]] = {}
         self._names: dict[str, str] = {}  # of rows, by address
         self._called: dict[str, str] = {}  # what the engine of a row calls itself
-        self._silent: set[str] = set()  # addresses of those that have not said yet how they are
+        self._silent: set[str] = set()  # addresses of engines whose state has not come yet
         self._may_connect = asyncio.Semaphore(_AT_ONCE)
         self._random = random.Random()  # noqa: S311 -- jitter
         self._loop = asyncio.new_event_loop()
@@ -159,7 +159,7 @@ class ZenohFleet:
             self._changed(self._presence.members[heir], comes=True)
 
     def _forget_one(self) -> None:
-        """Make room for a row: one whose engine has left goes, first those that nobody has ever heard from."""
+        """Make room for a row: drop one whose engine has left, preferably one that never reported a state."""
         gone = self._robots.keys() - self._names.values()
         name = min(gone, key=lambda name: (self._robots[name].seen is not None, self._robots[name].since))
         del self._robots[name], self._called[name]
@@ -201,8 +201,8 @@ class ZenohFleet:
         # What the engine says of times is by its clock, which nobody has set by this one: only their ages are known.
         ahead = 0.0 if summary.seen is None else summary.seen - now
         since = min(now, summary.since - ahead)
-        if name != summary.name:  # only whoever is in the network can be so called, with a key of this operator's
-            why, state = f"another engine is called {summary.name}, too: give one of them another name", RobotState.WARN
+        if name != summary.name:  # only an engine with one of this operator's keys can cause this
+            why, state = f"another engine is named {summary.name}, too: rename one of them", RobotState.WARN
             since = before.since if (before.state, before.why) == (state, why) else now
         if (battery := summary.battery) is not None:
             battery = battery._replace(time=min(now, battery.time - ahead))

@@ -84,7 +84,7 @@ def latency(seconds: float, uncertainty: float | None) -> str:
 
     Args:
         seconds: the latency.
-        uncertainty: s, of the clock offset; None: not known.
+        uncertainty: error of the clock offset in s, or None if unknown.
     """
     if seconds > 0:
         return span(seconds)
@@ -116,11 +116,11 @@ def clock(seconds: float) -> str:
 
 
 def retry(number: int, seconds: float | None) -> str:
-    """Format when a link is tried again: ``retry 4 in 3 s``, ``retry 4 now``.
+    """Format the time of a link's next attempt: ``retry 4 in 3 s``, ``retry 4 now``.
 
     Args:
-        number: of the attempt.
-        seconds: s until then, rounded up; 0: it is under way; None: none is planned, and nothing is to be said.
+        number: number of the attempt.
+        seconds: s until then, rounded up; 0 if the attempt runs now, or None if no attempt is planned.
     """
     if seconds is None:
         return ""

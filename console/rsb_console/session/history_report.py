@@ -35,7 +35,7 @@ _FORMULAS = ("=", "+", "-", "@", "\t", "\r", "\n", "\uff1d", "\uff0b", "\uff0d",
 """What a cell begins with that a spreadsheet may take for a formula; the last four are the signs in full width."""
 _SHORT_WAIT = 60.0
 """Seconds of waiting that are too few to mention."""
-# The names are those of `status --json`. A topic has the fields of a `Ledger`, other kinds those of a `CallsSnapshot`.
+# The names are as in `status --json`. A topic has the fields of `Ledger`, other kinds of `CallsSnapshot`.
 _ROUTE = (
     "topic", "link", "outgoing", "transport", "port", "type_name", "rate", "expected_rate", "bytes_per_second",
     "latency_p50", "latency_p99", "age", "cause", "reason",

@@ -110,7 +110,7 @@ class InputQueue:
             await asyncio.sleep(_LOOK_EVERY)
 
     def _has_settled(self) -> bool:
-        """Whether the app, but for the message that it handles now, has finished."""
+        """Whether the app has finished all work except the message that it handles now."""
         app = self._app
         if not app._message_queue.empty():
             return False

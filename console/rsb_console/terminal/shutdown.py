@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 
 class ShutdownReason(Enum):
-    """Why the app ended."""
+    """Reason for the app's end."""
 
     QUIT = "quit"
     TERMINATED = "terminated"
