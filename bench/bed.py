@@ -46,7 +46,7 @@ class Process(processes.Process):
 
 
 def direct(listener: str = "listen") -> AbstractContextManager[Bed]:
-    """Nothing between them: one domain."""
+    """Put nothing between talker and listener: one domain."""
     return loopback.direct(NEAR, listener=listener)
 
 
@@ -70,7 +70,7 @@ def relayed() -> Iterator[Bed]:
 
 @contextlib.contextmanager
 def thesis() -> Iterator[Bed]:
-    """The thesis's pipeline between them."""
+    """Put the thesis's pipeline between talker and listener."""
     port, key = str(free_port()), base64.urlsafe_b64encode(os.urandom(32)).decode()
     with (
         loopback.ends(NEAR, FAR) as bed,

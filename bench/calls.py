@@ -101,7 +101,6 @@ def main() -> None:
 
 
 def report(rounds: int) -> None:
-    """Measure and print."""
     before = f"load average before it {os.getloadavg()[0]:.1f}"
     print(f"\nCalls of a service, medians of {rounds} rounds; CPU of what is between, µs a call; {before}")
     near_domain = two_domains()

@@ -90,7 +90,6 @@ def main() -> None:
 
 
 def report(rounds: int) -> None:
-    """Measure and print."""
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(1))  # so that what runs is ended first
     with tempfile.TemporaryDirectory() as name:
         os.environ.pop("PYTHONDONTWRITEBYTECODE", None)

@@ -183,7 +183,6 @@ class Stage:
 
 @contextlib.contextmanager
 def attacker(name: str, target: Target) -> Iterator[bed.Process]:
-    """A process that attacks."""
     with bed.Process("-m", "bench.attacks.attacker", name, json.dumps(target)) as process:
         process.line()
         yield process
@@ -198,7 +197,6 @@ class Result(NamedTuple):
 
 
 def perform(name: str, attack: Attack, host: str) -> Result:
-    """Attack a new server."""
     with contextlib.ExitStack() as resources:
         stage = Stage(resources, attack.protocol, host)
         stage.prepare(attack.stage)

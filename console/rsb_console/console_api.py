@@ -36,7 +36,7 @@ class ConsoleShell(Protocol):
 
     @property
     def readonly(self) -> bool:
-        """Whether nothing may be changed."""
+        """Whether all changes are forbidden."""
         ...
 
     async def ask(self, dialog: Screen[T]) -> T | None:
@@ -117,9 +117,7 @@ class Console(ConsoleShell, Protocol):
     # --- the engine
 
     @property
-    def linked(self) -> bool:
-        """Whether a peer is linked."""
-        ...
+    def linked(self) -> bool: ...
 
     def snapshot(self) -> Snapshot:
         """The engine's state; an empty one without an engine."""

@@ -81,7 +81,6 @@ class Strangers:
             self.turned_away += 1
 
     def give(self, size: int) -> None:
-        """Give bytes back."""
         with self._counting:
             self._used -= size
 

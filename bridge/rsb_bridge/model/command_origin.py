@@ -68,7 +68,6 @@ def console() -> Hashable:
 
 @contextlib.contextmanager
 def on_console(which: Hashable) -> Iterator[None]:
-    """Give commands on a console."""
     token = _console.set(which)
     try:
         yield

@@ -76,8 +76,6 @@ _Kind = tuple[str, str]
 
 
 class ChangeKind(StrEnum):
-    """Kind of a fault's change."""
-
     BEGUN = "begun"
     CHANGED = "changed"
     """Its state or its cause differs from the last report."""

@@ -123,7 +123,6 @@ _BY_NAME: dict[str, type[TransportTraits]] = {
 
 
 def named(name: str) -> type[TransportTraits]:
-    """The transport of that name."""
     return _BY_NAME[name]
 
 

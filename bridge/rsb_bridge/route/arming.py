@@ -146,7 +146,6 @@ class Arming:
             self.deadman = min(filter(None, (self.deadman, deadman)), default=0.0)
 
     def opened(self, *, required: bool, deadman: float) -> None:
-        """Begin a new opening, disarmed."""
         self.required = False
         self.demand(required=required, deadman=deadman)
         self._clear(_Phase.FREE)

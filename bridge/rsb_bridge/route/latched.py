@@ -133,7 +133,6 @@ class LatchedTopic:
 
     @property
     def has_kept(self) -> bool:
-        """Whether any message is kept."""
         return any(history.newest for history in self._histories.values())
 
     def close(self) -> None:

@@ -83,7 +83,6 @@ class Lease:
 
     @property
     def is_on(self) -> bool:
-        """Whether numbers are sent."""
         return self._on
 
     def begin(self) -> None:

@@ -341,7 +341,6 @@ class LoopFilter:
 
     @property
     def holds(self) -> int:
-        """Number of held messages."""
         return len(self._held)
 
     def give_up(self) -> int:

@@ -160,7 +160,6 @@ class MessageCheck:
             self.checker = self._context.checkers.installed(type_name)
 
     def end(self) -> None:
-        """Check nothing."""
         self.checker = None
         self.type_name = ""
         self._looks_at = float("-inf")

@@ -48,9 +48,7 @@ class Peer(Protocol):
     revisions: Revisions
 
     @property
-    def profile(self) -> LinkProfile:
-        """Profile of the link's network."""
-        ...
+    def profile(self) -> LinkProfile: ...
 
     @property
     def bridges(self) -> tuple[str, ...]:
@@ -158,7 +156,6 @@ class TypeBudget:
 
     @property
     def used(self) -> int:
-        """Number of types in use."""
         return len(self._users)
 
     def take(self, key: tuple[str, str]) -> None:

@@ -169,7 +169,6 @@ class Route:
         raise NotImplementedError
 
     def _judge(self) -> Verdict:
-        """Return the verdict of this half."""
         raise NotImplementedError
 
     def snapshot(self) -> RouteSnapshot:
@@ -221,7 +220,6 @@ class Route:
 
     @property
     def local_topic(self) -> str:
-        """The name on this side."""
         return self.topic if self.outgoing else self.remote_topic
 
     @property

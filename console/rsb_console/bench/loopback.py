@@ -153,7 +153,7 @@ def topic_of(size: int) -> str:
 
 @contextlib.contextmanager
 def direct(near: int, sizes: Sequence[int] = (), listener: str = "listen") -> Iterator[Bed]:
-    """Nothing between them: one domain."""
+    """Put nothing between talker and listener: one domain."""
     with ends(near, near, listener, sizes) as bed:
         yield ready(bed)
 

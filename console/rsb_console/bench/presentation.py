@@ -266,7 +266,6 @@ class Curve(NamedTuple):
 
 
 def _curves(points: Sequence[Point]) -> list[Curve]:
-    """The lines to draw."""
     two_ways = len({each.direction for each in points}) > 1
     found: dict[str, list[tuple[float, float]]] = {}
     for each in points:

@@ -59,7 +59,7 @@ class Run:
 
     @property
     def delivered(self) -> float:
-        """Messages a second that came."""
+        """Received messages a second."""
         return self.rate * self.received / self.sent if self.sent else 0.0
 
     @property

@@ -84,8 +84,6 @@ class Look(msgspec.Struct):
 
 
 class _Bridged:
-    """A robot and its bridge."""
-
     def __init__(self, path: Path, load_: Load) -> None:
         self._path = path
         self._session = load(path)

@@ -54,7 +54,7 @@ class Router:
         self.start()
 
     def start(self) -> None:
-        """Run; returns once it listens."""
+        """Start the router, and return once it listens."""
         self.process = Process("-m", ROUTER, self.endpoint)
         if not self.process.line():
             raise BenchError(BenchProblem.NO_ROUTER())
@@ -136,7 +136,6 @@ class Fleet:
         return self.session.with_suffix(".sock")
 
     def start_control(self) -> Process:
-        """Start the control side."""
         folder = self.folder
         apart = {"XDG_RUNTIME_DIR": str(folder), "XDG_STATE_HOME": str(folder)}
         arguments = ("--no-ui", "--control", str(self.socket), str(self.session))
@@ -195,7 +194,6 @@ class Fleet:
             time.sleep(_LOOK_EVERY)
 
     def stop(self) -> None:
-        """End everything, all at once."""
         processes = [*self.processes, *filter(None, [self.control])]
         for process in processes:
             process.signal(signal.SIGTERM)

@@ -113,7 +113,6 @@ def robots(**_: object) -> list[str]:
 
 
 def groups(**_: object) -> list[str]:
-    """The groups of those robots."""
     return sorted({robot.group for robot in _remembered()} - {""})
 
 

@@ -25,8 +25,6 @@ KINDS = ("topic", "service", "action", "parameters")
 
 
 class AddCommand(Protocol):
-    """Adds a command."""
-
     def __call__(
         self, name: str, run: Callable[[argparse.Namespace], int], summary: str, more: str = ""
     ) -> argparse.ArgumentParser:

@@ -95,11 +95,9 @@ class Service:
 
     @property
     def name(self) -> str:
-        """Name of the unit."""
         return unit_name(self.session)
 
     def text(self) -> str:
-        """The unit file."""
         return "\n".join((MARK, *self._unit(), "", *self._service(), "", *self._install(), ""))
 
     def _unit(self) -> list[str]:

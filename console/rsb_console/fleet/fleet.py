@@ -106,7 +106,6 @@ class Robot(NamedTuple):
 
     @property
     def order(self) -> tuple[object, ...]:
-        """A sort key, by name."""
         return natural_order(self.summary.name), self.source.name
 
 
@@ -312,11 +311,9 @@ class Memory:
         return self._robots.get((source, name))
 
     def all(self) -> list[Remembered]:
-        """All robots."""
         return list(self._robots.values())
 
     def of(self, source: str) -> list[Remembered]:
-        """All robots of a source."""
         return [robot for robot in self._robots.values() if robot.source == source]
 
     def saw(self, robot: Remembered) -> None:
@@ -326,7 +323,6 @@ class Memory:
             del self._robots[min(self._robots, key=lambda key: self._robots[key].seen)]
 
     def forget(self, source: str, name: str) -> None:
-        """Remember a robot no more."""
         self._robots.pop((source, name), None)
 
     def save(self) -> None:

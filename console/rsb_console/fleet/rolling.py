@@ -75,7 +75,6 @@ class Step:
 
     @property
     def name(self) -> str:
-        """The robot's."""
         return self.robot.summary.name
 
     @property
@@ -269,7 +268,6 @@ class Rollout:
                 )
 
     def _summary(self, robot: Robot) -> RobotSummary:
-        """A robot as it is now."""
         found = (each.summary for each in self._fleet.robots() if each.key == robot.key)
         return next(found, robot.summary)
 
@@ -301,5 +299,4 @@ def way_back(rollout: Rollout, outcome: Outcome, file: str = "FILE") -> Iterator
 
 
 def names_of(steps: Sequence[Step]) -> str:
-    """The robots' names."""
     return ", ".join(step.name for step in steps)

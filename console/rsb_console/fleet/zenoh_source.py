@@ -125,7 +125,6 @@ class ZenohFleet:
             await self._news.wait()
 
     def _changed(self, member: Member, comes: bool) -> None:
-        """An engine has come or gone."""
         if not comes:
             name = self._names.pop(member.address, None)
             self._has_spoken(member)
@@ -174,7 +173,7 @@ class ZenohFleet:
         return free
 
     async def _watch(self, member: Member, name: str) -> None:
-        """Hear from an engine, for ever."""
+        """Read an engine's reports until cancelled."""
         assert self._presence is not None
         way = self._presence.sealed(member)
         backoff = Backoff(_FIRST_PAUSE, _LONGEST_PAUSE, self._random)

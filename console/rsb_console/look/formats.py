@@ -196,7 +196,6 @@ class PatternRow(RouteSnapshot):
 
 
 def pattern_rows(snapshot: Snapshot) -> Iterator[PatternRow]:
-    """All patterns of a snapshot."""
     for link in snapshot.links:
         for pattern in link.patterns:
             yield _row(pattern, is_client=snapshot.role == "client")

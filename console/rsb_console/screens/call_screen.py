@@ -218,7 +218,6 @@ class CallScreen(FormScreen[Request]):
 
     @property
     def _where(self) -> str:
-        """The receiver of the call."""
         nodes = join_first(self._route.subscribers, _NODES) or "the node"
         return f"to {nodes} {f'behind {self.console.peer_of(self._route)}' if self._route.outgoing else 'on this side'}"
 
@@ -229,7 +228,6 @@ class CallScreen(FormScreen[Request]):
 
     @work(group=DIALOG)
     async def accept(self, result: Request) -> None:
-        """Ask, and call."""
         if self._under_way_since is not None:
             self.notify(CallText.STILL_CALLING(), timeout=3)
         elif await self.console.ask(ConfirmScreen(result.question, result.means, result.yes)):
@@ -266,7 +264,6 @@ class CallScreen(FormScreen[Request]):
         self._draw()
 
     def action_copy(self) -> None:
-        """Copy the whole answer."""
         if self._answer:
             self.notify(copy(self.app, self._answer), timeout=3, markup=False)
 
@@ -284,7 +281,6 @@ class CallScreen(FormScreen[Request]):
             self._pane.show(self._lines(what[0], width))
 
     def _state_text(self) -> str:
-        """The current state of the route."""
         route = next((each for each in self.console.snapshot().routes if each.key == self._route.key), None)
         if route is None:
             return CallText.ROUTE_GONE(sign=FAILED)
@@ -292,7 +288,6 @@ class CallScreen(FormScreen[Request]):
         return f"{STATE_SIGN[route.state]} {STATE_WORD[route.state]}  {route.type_name}{reason}"
 
     def _progress(self) -> Line:
-        """The progress of the call."""
         if self._under_way_since is None:
             return ((CallText.NOTHING_CALLED(), "dim"),) if self._verdict is None else ()
         waited = formats.age(time.monotonic() - self._under_way_since)

@@ -98,8 +98,6 @@ class _ClientChange(Change):
 
 @dataclass(frozen=True, slots=True)
 class ClientAdded(_ClientChange):
-    """A client was added."""
-
     def undo(self, now: Snapshot, events: Sequence[Event]) -> Undo:
         name = self.listed.name
         current = None if self.console.engine is None else _client(self.console.engine.session, name)

@@ -107,7 +107,6 @@ class ConfirmScreen(ModalScreen[bool]):
         getattr(self._scrolled, f"scroll_{to}")(animate=False)
 
     def compose_message(self) -> ComposeResult:
-        """The text of the dialog."""
         yield Static(self._message, markup=False)
 
     def compose_buttons(self) -> ComposeResult:

@@ -126,7 +126,6 @@ class FleetScreen(Screen[None]):
 
     @property
     def _gone(self) -> list[Robot]:
-        """The robots that could be dismissed."""
         return [robot for robot in self.table.meant if robot.gone]
 
     def _key(self, action: str) -> str:
@@ -147,7 +146,6 @@ class FleetScreen(Screen[None]):
         self._show_keys()
 
     def on_selectable_list_cursor_moved(self, event: SelectableList.CursorMoved) -> None:
-        """Detail follows the cursor."""
         self._moved()
 
     def _moved(self) -> None:
@@ -156,11 +154,10 @@ class FleetScreen(Screen[None]):
         self._show_keys()
 
     def on_selectable_list_chosen(self, event: SelectableList.Chosen) -> None:
-        """A second click opens."""
         self.action_open_robot()
 
     def on_resize(self, event: events.Resize) -> None:
-        """Lines may be wrapped otherwise."""
+        """Wrap the lines again."""
         self.call_after_refresh(self._show_detail)
 
     # -- actions ------------------------------------------------------------------------------------------------------
@@ -231,12 +228,10 @@ class FleetScreen(Screen[None]):
         self._relist()
 
     def action_faults(self) -> None:
-        """Faults only, or all."""
         self.view.faults_only = not self.view.faults_only
         self._relist()
 
     def action_group(self) -> None:
-        """Group, or not."""
         self.view.grouped = not self.view.grouped
         self._relist()
 

@@ -27,8 +27,6 @@ KEYS_WIDTH, ID_WIDTH = 13, 15  # cells
 
 
 class KeyList(LiveLines, can_focus=True):
-    """The keys, chapter by chapter."""
-
     BINDINGS: ClassVar = [
         Binding("j", "scroll_down", show=False),
         Binding("k", "scroll_up", show=False),

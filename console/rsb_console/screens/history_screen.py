@@ -108,8 +108,6 @@ def rows_of(report: HistoryReport) -> list[Row]:
 
 
 class HistoryTable(SelectableList):
-    """One line a row."""
-
     sticky = 1
 
     def __init__(self) -> None:
@@ -162,7 +160,6 @@ class Lines(LiveLines, can_focus=False):
         return fit(self._lines[index], self.size.width)
 
     def put(self, lines: list[Line]) -> None:
-        """Show these."""
         self._lines = lines
         self.styles.height = len(lines)
         self.sync()
@@ -218,7 +215,6 @@ class HistoryScreen(ModalScreen[None]):
         self.show()
 
     def show(self) -> None:
-        """Show the newest answer."""
         report = self._report
         parts = [
             "What happened",
@@ -265,7 +261,6 @@ class HistoryScreen(ModalScreen[None]):
         self._show_detail()
 
     def action_span(self) -> None:
-        """The next span."""
         self._span = SPANS[(SPANS.index(self._span) + 1) % len(SPANS)]
         self._report = None
         self.show()

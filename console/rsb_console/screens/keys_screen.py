@@ -110,8 +110,6 @@ def key_files(session: Session, base: Path) -> dict[Path, str]:
 
 
 class KeysTable(SelectableList):
-    """One line a key file."""
-
     sticky = 1
 
     def __init__(self) -> None:

@@ -191,8 +191,6 @@ class LinkScreen(ModalScreen[None]):
 
 
 class LinksScreen(ModalScreen[None]):
-    """All links, live."""
-
     BINDINGS: ClassVar = [
         Binding("escape,q", "dismiss", show=False),
         Binding("enter", "open", show=False),
@@ -224,7 +222,6 @@ class LinksScreen(ModalScreen[None]):
         self.on_selectable_list_cursor_moved()
 
     def on_selectable_list_cursor_moved(self) -> None:
-        """The detail follows."""
         self.detail.show(self.table.selected, server=self._is_server)
 
     def action_open(self) -> None:
@@ -233,7 +230,6 @@ class LinksScreen(ModalScreen[None]):
             self.app.push_screen(LinkScreen(self.console, self.table.selected.name))
 
     def on_selectable_list_chosen(self) -> None:
-        """A second click opens."""
         self.action_open()
 
     @work

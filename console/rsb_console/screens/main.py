@@ -246,12 +246,10 @@ class MainScreen(Screen[None]):
         return self.topics.selected
 
     def on_selectable_list_cursor_moved(self, event: SelectableList.CursorMoved) -> None:
-        """Detail follows the cursor."""
         if event.pane is self.topics:
             self.show_detail()
 
     def on_selectable_list_chosen(self, event: SelectableList.Chosen) -> None:
-        """A second click opens."""
         if event.pane in {self.topics, self.log_pane}:
             self.action_detail()
 
@@ -296,7 +294,6 @@ class MainScreen(Screen[None]):
         self._list.next_match(-1)
 
     def action_faults(self) -> None:
-        """Faults only, or all."""
         self.topics.faults_only = not self.topics.faults_only
         self.topics.relist()
         self._show_title()
@@ -314,7 +311,6 @@ class MainScreen(Screen[None]):
         self.topics.reverse()
 
     def action_group(self) -> None:
-        """Group by robot, or not."""
         self.topics.grouped = not self.topics.grouped
         self.topics.relist()
         self._show_title()
@@ -354,7 +350,6 @@ class MainScreen(Screen[None]):
             self._mode("-detail")
 
     def action_message(self) -> None:
-        """Show the topic's latest message."""
         from rsb_console.screens.message_screen import MessageScreen  # noqa: PLC0415 -- keeps the start short
 
         route = self.selected

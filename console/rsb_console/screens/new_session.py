@@ -84,8 +84,6 @@ class MissingField(Wording):
 
 
 class NewSession(NamedTuple):
-    """A session and its file."""
-
     session: Session
     path: Path
 

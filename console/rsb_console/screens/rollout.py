@@ -270,8 +270,6 @@ def _value_line(value: str, label: str, _width: int) -> Line:
 
 
 class Phase(Enum):
-    """Phase of the rollout."""
-
     TYPING = auto()
     PLANNING = auto()
     ASKING = auto()
@@ -352,7 +350,6 @@ class RolloutScreen(ModalScreen[None]):
             self._change.note.set_text("; ".join(filter(None, (asked, not_reached))))
 
     def on_unmount(self) -> None:
-        """End all waiting for robots."""
         self._gone.set()
         if self._rollout is not None:
             self._rollout.cancelled = True
@@ -443,7 +440,7 @@ class RolloutScreen(ModalScreen[None]):
         self._enter(Phase.ENDED)
 
     def _tell(self, step: Step, what: str) -> None:
-        """On another thread."""
+        """Report an action; called on another thread."""
         self.app.call_later(self._told, step.robot.key, what)
 
     def _told(self, key: str, what: str) -> None:

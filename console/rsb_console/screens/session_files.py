@@ -85,8 +85,6 @@ def remember(path: Path) -> None:
 
 
 class Opened(NamedTuple):
-    """A session and its file."""
-
     session: Session
     path: Path
 
@@ -287,7 +285,6 @@ class WelcomeScreen(ModalScreen[str]):
         self.dismiss(self.menu.cursor_key)
 
     def on_selectable_list_chosen(self) -> None:
-        """A second click chooses."""
         self.action_choose()
 
     def action_select_recent(self, number: int) -> None:

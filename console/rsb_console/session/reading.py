@@ -111,7 +111,6 @@ class KnownTypes:
         return self._known.get(type_hash)
 
     def put(self, type_hash: str, description: str | None, why: str) -> tuple[str | None, str]:
-        """Keep what the engine says."""
         self._ask_at[type_hash] = math.inf if description is not None else self._now() + _ASK_AGAIN_AFTER
         self._known[type_hash] = description, why
         return description, why
@@ -337,5 +336,4 @@ def hex_lines(payload: bytes, most: int) -> Iterator[Line]:
 
 
 def plain(line: Line) -> str:
-    """A line's text."""
     return "".join(text for text, _ in line).rstrip()

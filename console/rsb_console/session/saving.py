@@ -144,8 +144,6 @@ def _is_free_for(key: Key, path: Path) -> bool:
 
 
 def _renamed(session: Session, rename: Callable[[str], str]) -> Session:
-    """Rename a session's relative key files."""
-
     def name(key_file: str | None) -> str | None:
         return key_file if key_file is None or typed_path(key_file).is_absolute() else rename(key_file)
 

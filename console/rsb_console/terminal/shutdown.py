@@ -22,8 +22,6 @@ if TYPE_CHECKING:
 
 
 class ShutdownReason(Enum):
-    """Reason for the app's end."""
-
     QUIT = "quit"
     TERMINATED = "terminated"
     HANGUP = "hangup"

@@ -61,7 +61,6 @@ class Fault:
 
     @property
     def text(self) -> str:
-        """All in one sentence."""
         robot = f"{self.robot}: " if self.robot else ""
         too = f" (also {join_first(self.others, _NAMED)})" if self.others else ""
         return f"{robot}{self.name}: {self.cause}{too}"

@@ -142,7 +142,6 @@ class Prompt(Horizontal):
         self.screen.set_focus(field)
 
     def on_input_changed(self, event: Input.Changed) -> None:
-        """Filter by the current input."""
         event.stop()
         problem = self.query_one("#problem", Static)
         try:

@@ -161,7 +161,6 @@ def layout(width: int, *, servers: bool, grouped: bool) -> tuple[tuple[Column[Ro
 
 
 def cell(column: Column[Row], row: Row, text: str) -> str:
-    """The look of a cell."""
     summary = row.robot.summary
     if column in {STATE, SIGN}:
         return ROBOT_LOOK[summary.state]
@@ -293,7 +292,6 @@ class FleetTable(SelectableList):
 
     @property
     def selected(self) -> Robot | None:
-        """The robot under the cursor."""
         row = self.rows.get(self.cursor_key or "")
         return None if row is None else row.robot
 

@@ -215,7 +215,6 @@ class Form(VerticalScroll, can_focus=False):
         return next(iter(wrong), None)
 
     def on_descendant_focus(self, event: DescendantFocus) -> None:
-        """Show the focused field's help."""
         for position, field in enumerate(self.fields.values()):
             if field.control is event.widget:
                 self.help.set_text(field.spec.help)

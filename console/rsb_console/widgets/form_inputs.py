@@ -114,7 +114,6 @@ class TextInput(TextArea):
 
     @property
     def value(self) -> str:
-        """The text."""
         return self.text
 
     @value.setter

@@ -224,7 +224,6 @@ class ScrolledLines(LiveLines, can_focus=True):
 
     @property
     def line_count(self) -> int:
-        """As many as there are."""
         return len(self._lines)
 
     def line(self, index: int) -> Line:

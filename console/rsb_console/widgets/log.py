@@ -39,7 +39,6 @@ class LogPane(SelectableList):
         """Cells of a line that no scrollbar covers."""
 
     def add(self, events: Iterable[Event]) -> None:
-        """Append `events`, oldest first."""
         events = list(events)
         if events:
             self.events.extend(events)
@@ -47,7 +46,6 @@ class LogPane(SelectableList):
 
     @property
     def follows_top(self) -> bool:
-        """At the top it follows."""
         return self.position == 0
 
     def clear(self) -> None:

@@ -172,7 +172,6 @@ class PickField(Field):
         self.post_message(self.Picked(self, self.picked))
 
     def on_selectable_list_chosen(self) -> None:
-        """A second click picks too."""
         self.post_message(self.Picked(self, self.list.current))
 
     def action_move(self, step: int) -> None:

@@ -108,7 +108,6 @@ class SelectableList(LiveLines, can_focus=True):
 
     @property
     def page(self) -> int:
-        """Items on screen."""
         return max(1, self.size.height - self.sticky)
 
     def action_move_down(self) -> None:
