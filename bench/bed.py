@@ -51,18 +51,18 @@ def direct(listener: str = "listen") -> AbstractContextManager[Bed]:
 
 
 def bridged(protocol: str, client: Callable[[Path], processes.Process] | None = None) -> AbstractContextManager[Bed]:
-    """Our bridge between them: two processes, encrypted; `client` starts another client than the headless one."""
+    """Put our bridge between talker and listener: two processes, encrypted; `client` may start another client."""
     return loopback.bridged(protocol, NEAR, FAR, side=headless, client=client)
 
 
 def headless(session: Path, log: Path | None = None) -> Process:
-    """One side of our bridge, served where this process's environment says."""
+    """Start one side of our bridge, served at the place that this process's environment names."""
     return Process("-m", "rsb_console", "run", "--no-ui", str(session), log=log)
 
 
 @contextlib.contextmanager
 def relayed() -> Iterator[Bed]:
-    """A process between them that takes raw and publishes raw: what a bridge costs without a link."""
+    """Put a relay of raw messages between talker and listener: the cost of a bridge without a link."""
     with loopback.ends(NEAR, FAR) as bed, Process("-m", "bench.relay", str(NEAR), str(FAR), TOPIC) as relay:
         bed.between.append(relay)
         yield ready(bed)

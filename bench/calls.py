@@ -141,7 +141,7 @@ def _beds(resources: contextlib.ExitStack, near_domain: int, far_domain: int) ->
 
 @contextlib.contextmanager
 def _bridged(near_domain: int, far_domain: int, services: Sequence[str]) -> Iterator[list[bed.Process]]:
-    """Our bridge: two processes, encrypted."""
+    """Run our bridge: two processes, encrypted."""
     with tempfile.TemporaryDirectory() as name, contextlib.ExitStack() as processes:
         folder = Path(name)
         (folder / "bench.key").write_bytes(base64.urlsafe_b64encode(os.urandom(32)))

@@ -138,7 +138,7 @@ def _cost(work: Callable[[], object], size: int) -> float:
 
 
 def _ghz() -> float:
-    """This processor's clock, as the kernel gives it."""
+    """Return this processor's clock rate from the kernel."""
     lines = Path("/proc/cpuinfo").read_text(encoding="ascii", errors="replace").splitlines()
     return next((float(line.split(":")[1]) / 1000 for line in lines if line.startswith("cpu MHz")), 1.0)
 

@@ -114,7 +114,7 @@ def _sum(processes: list[Process]) -> float:
 
 
 def _wire(pid: int) -> tuple[int, int]:
-    """Bytes that the TCP connections of a process have received and sent (ss(8), TCP_INFO)."""
+    """Return the bytes that the TCP connections of a process have received and sent (ss(8), TCP_INFO)."""
     lines = subprocess.run(("ss", "-HtnpiO"), capture_output=True, text=True, check=True).stdout.splitlines()
     own = [line for line in lines if f"pid={pid}," in line]
     received, sent = (

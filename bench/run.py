@@ -106,7 +106,7 @@ def _idle(between: bed.Bed) -> float:
 
 
 def _print(figures: _Figures, title: str, names: list[str], others: tuple[str, ...], digits: int) -> None:
-    """One table: a row for each figure, with what it is for each kind, and the ratios of ours to others."""
+    """Print one table: a row for each figure with a column for each kind, and the ratios of ours to others."""
     kinds = [kind for kind in BEDS if figures.get((kind, names[0]))]
     pairs = [(ours, other) for ours in ("tcp", "udp") for other in others]
     print(f"\n{title}: median (lowest to highest)")

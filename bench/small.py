@@ -168,7 +168,7 @@ def _listens(port: int) -> bool:
 
 
 def _threads(pid: int) -> dict[int, Thread]:
-    """Each thread, by its number. The kernel counts a thread's CPU time in ns (proc_pid_schedstat)."""
+    """Return the figures of each thread by its number. The kernel counts CPU time in ns (proc_pid_schedstat)."""
     found = {}
     for thread in Path(f"/proc/{pid}/task").iterdir():
         status = (thread / "status").read_text()
@@ -185,7 +185,7 @@ def _own_memory(pid: int) -> float:
 
 
 def _node() -> None:
-    """The floor: a node that does nothing."""
+    """Run a node that does nothing, for the least possible load."""
     import rclpy  # noqa: PLC0415 -- no other part of the bench may load it
 
     rclpy.init(domain_id=bed.FAR)

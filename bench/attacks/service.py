@@ -49,7 +49,7 @@ class _Samples:
         self._began: float | None = None
 
     def begin(self) -> None:
-        """It begins; or goes on, where it did not succeed."""
+        """Begin, or go on after an attempt that failed."""
         if self._began is None:
             self._began = time.monotonic()
 

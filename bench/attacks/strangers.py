@@ -112,7 +112,7 @@ def replay(target: Target, tally: Tally) -> None:
 
 
 def slow(target: Target, tally: Tally) -> None:
-    """As many connections as the server keeps, from eight hosts; each says another byte of a preamble in time."""
+    """Hold as many connections as the server keeps, from eight hosts, each with a byte of a preamble just in time."""
     said = struct.pack(">I", 4000) + b"rsb\x02\x01\x01\x06robot1" + bytes(3000)
     talking: dict[socket.socket, int] = {}
     hosts = [f"127.0.2.{number}" for number in range(1, 8)] + ["127.0.0.1"]

@@ -89,7 +89,7 @@ def _mute() -> None:
 
 
 def _with_command(argv: list[str], names: Sequence[str]) -> list[str]:
-    """The arguments with `run` put in where no command stands first."""
+    """Insert `run` if the arguments do not begin with a command."""
     from difflib import get_close_matches
     from pathlib import Path
 

@@ -56,7 +56,7 @@ class ConsoleShell(Protocol):
         ...
 
     def key_labels(self, action: Action) -> list[str]:
-        """The keys of an action, as they are written on a keyboard."""
+        """Return the keys of an action, as written on a keyboard."""
         ...
 
 
@@ -120,11 +120,11 @@ class Console(ConsoleShell, Protocol):
     def linked(self) -> bool: ...
 
     def snapshot(self) -> Snapshot:
-        """The engine's state; an empty one without an engine."""
+        """Return the engine's state, or an empty one without an engine."""
         ...
 
     def peer_of(self, route: RouteSnapshot) -> str:
-        """The name of a route's other side: a client's link has the client's own name, so there the address."""
+        """Return the name of a route's other side, or its address on a client, whose link has the client's own name."""
         ...
 
     async def command(self, future: Future[T], done: str = "") -> bool:

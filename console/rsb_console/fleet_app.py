@@ -87,7 +87,7 @@ class FleetApp(TerminalApp["Robot"]):
             self.shut_down(ShutdownReason.QUIT)
 
     def stop(self) -> None:
-        """The fleet is not this app's to stop."""
+        """Stop nothing: the fleet belongs to the caller."""
 
 
 class RobotScreen(MainScreen):
@@ -108,7 +108,7 @@ class RobotApp(ConsoleApp):
     main_screen = RobotScreen
 
     def check_action(self, action: str, parameters: tuple[object, ...]) -> bool | None:
-        """Nothing else is opened in the robot's place (Textual's): the end would end that without a question."""
+        """Forbid opening another session in the robot's place (Textual's): leaving would end it without a question."""
         return action not in _OPENS_ANOTHER and super().check_action(action, parameters)
 
     def request_quit(self) -> None:

@@ -80,7 +80,7 @@ def _refuse_shared_keys(path: Path, keymap: Mapping[str, str]) -> None:
 
 
 def split_keys(keys: str) -> Iterable[str]:
-    """The keys of a comma-separated list."""
+    """Return the keys of a comma-separated list."""
     return (key.strip() for key in keys.split(",") if key.strip())
 
 
@@ -144,10 +144,10 @@ class Preferences:
         self.bell = settings.get("bell", False)
 
     def keys(self, action: Action) -> list[str]:
-        """The keys that do `action`, by Textual's names."""
+        """Return the keys that do `action`, by Textual's names."""
         return list(split_keys(self.keymap.get(action.id, action.keys)))
 
     def key_labels(self, action: Action, *, ascii_only: bool) -> list[str]:
-        """The keys that do `action`, as they are written on a keyboard."""
+        """Return the keys that do `action`, as they are written on a keyboard."""
         signs = KEY_SIGNS if ascii_only else KEY_SIGNS | UNICODE_KEY_SIGNS
         return [signs.get(key, key.replace("ctrl+", "^")) for key in self.keys(action)]

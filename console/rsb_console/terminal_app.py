@@ -161,7 +161,7 @@ class TerminalApp(App[ReturnType]):
         self._forced_end.cancel()
 
     def terminal_gone(self) -> None:
-        """The terminal has hung up; called by the driver's thread."""
+        """Shut down because the terminal has hung up; called by the driver's thread."""
         self.shut_down_soon(ShutdownReason.HANGUP)
 
     def _fatal_error(self) -> None:

@@ -127,5 +127,5 @@ def named(name: str) -> type[TransportTraits]:
 
 
 def of_link(host: str) -> type[TransportTraits]:
-    """The transport of a link whose session has that `server_ip`."""
+    """Return the transport of a link whose session has that `server_ip`."""
     return next(traits for traits in _BY_NAME.values() if traits.carries_links_to(host))

@@ -239,7 +239,7 @@ class MessageAge:
         return self._counts.total()
 
     def tick(self, messages: int, now: float) -> None:
-        """Once a second, at `now` (s).
+        """Update the figures, once a second, at `now` (s).
 
         Args:
             messages: that came to this half so far.

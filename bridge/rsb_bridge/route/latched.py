@@ -128,7 +128,7 @@ class LatchedTopic:
         return max((output.publisher.subscriber_count for output in islice(self._outputs(), _ASKED)), default=0)
 
     def newest(self) -> dict[bytes, int]:
-        """The number of the newest message of each publisher of the sending side."""
+        """Return the number of the newest message of each publisher of the sending side."""
         return {publisher: history.newest for publisher, history in self._histories.items() if history.newest}
 
     @property
@@ -149,12 +149,12 @@ class LatchedTopic:
     # --- publishers of the sending side
 
     def opened(self) -> None:
-        """A new opening begins: the sender may not know yet who is there."""
+        """Begin a new opening; the sender may not have discovered its publishers yet."""
         for history in self._histories.values():
             history.seen_at = self._loop.time()
 
     def present(self, publishers: Collection[bytes]) -> None:
-        """The sender tells which of its publishers are there."""
+        """Take the sender's list of its present publishers."""
         now = self._loop.time()
         self._present = frozenset(publishers)
         for publisher in publishers:
@@ -162,7 +162,7 @@ class LatchedTopic:
                 self._histories[publisher].seen_at = now
 
     def tick(self) -> None:
-        """Once a second: drop the histories of publishers that are gone, and what is kept no longer."""
+        """Drop the histories of publishers that are gone, and expired outputs; called once a second."""
         now = self._loop.time()
         for publisher, history in tuple(self._histories.items()):
             if publisher in self._present:
@@ -252,7 +252,7 @@ class LatchedTopic:
             yield from history.outputs
 
     def _output(self, depth: int) -> _Output:
-        """One of that depth: the spare one, if it will do."""
+        """Return an output of that depth, the spare one if it fits."""
         spare = self._spare
         if spare is not None and spare.depth == depth:
             self._spare = None

@@ -109,7 +109,7 @@ class Unpacker:
         return self._budget.begin(growth, self._context.loop)
 
     def unpack(self, payload: bytes) -> bytes:
-        """A message's content.
+        """Return a message's content.
 
         Raises:
             zstandard.ZstdError: it is damaged, or too long.

@@ -135,7 +135,7 @@ class Peer(Protocol):
         ...
 
     def shared_port(self) -> int:
-        """The port or channel of the link itself."""
+        """Return the port or channel of the link itself."""
         ...
 
     def closed(self, route_id: int) -> None:

@@ -119,7 +119,7 @@ class Bed:
 
 
 def sent_bytes(socket: Path) -> int:
-    """Bytes that a bridge has handed to the sockets of its links.
+    """Return the bytes that a bridge has handed to the sockets of its links.
 
     Raises:
         BenchError: it does not answer.
@@ -147,7 +147,7 @@ def ends(near: int, far: int, listener: str = "listen", sizes: Sequence[int] = (
 
 
 def topic_of(size: int) -> str:
-    """The name of the topic for messages of a size. Another benchmark on the same machine has other names."""
+    """Return the name of the topic for messages of a size. Another benchmark on the same machine has other names."""
     return f"{TOPIC}_{os.getpid()}_{size}"
 
 
@@ -198,7 +198,7 @@ def bridged(
 
 
 def write_sessions(folder: Path, near: int, far: int, entries: Sequence[str]) -> int:
-    """The session files of a server in one domain and a client in the other, with these topics; gives the port."""
+    """Write the session files of a server and a client in two domains, with these topics; return the port."""
     key = folder / "bench.key"
     key.write_bytes(base64.urlsafe_b64encode(os.urandom(32)))
     key.chmod(0o600)
@@ -212,7 +212,7 @@ def write_sessions(folder: Path, near: int, far: int, entries: Sequence[str]) ->
 
 
 def headless(session: Path, log: Path | None = None) -> Process:
-    """One side of our bridge. Where it is served, kept and listed is the session's folder, not the user's."""
+    """Start one side of our bridge. Its socket and its state are in the session's folder, not the user's."""
     folder = session.parent
     apart = {"XDG_RUNTIME_DIR": str(folder), "XDG_STATE_HOME": str(folder)}
     control = ["--control", str(session.with_suffix(".sock"))]
@@ -331,7 +331,7 @@ def _attached(socket: Path) -> RemoteEngine | None:
 
 
 def machine() -> str:
-    """The processor, its cores and Python's version."""
+    """Return the processor, its cores and Python's version."""
     name = ""
     with contextlib.suppress(OSError):
         lines = Path("/proc/cpuinfo").read_text(encoding="utf-8", errors="replace").splitlines()

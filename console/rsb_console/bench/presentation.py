@@ -59,7 +59,7 @@ class JudgingText(Wording):
 
 
 def lines_of(report: Report) -> Iterator[str]:
-    """All tables, each with a line about it."""
+    """Yield all tables, each with a line about it."""
     yield f"{report.over}; {report.machine}"
     if report.points:
         yield ""
@@ -145,7 +145,7 @@ def _way(point: Point, points: Sequence[Point]) -> str:
 
 
 def _aligned(rows: Sequence[Sequence[str]]) -> Iterator[str]:
-    """The first column to the left, the others to the right."""
+    """Align the first column to the left, the others to the right."""
     columns = max(map(len, rows))
     widths = [max(len(row[at]) for row in rows if at < len(row)) for at in range(columns)]
     for row in rows:
@@ -155,7 +155,7 @@ def _aligned(rows: Sequence[Sequence[str]]) -> Iterator[str]:
 
 
 def capacity(points: Iterable[Point], size: float) -> float:
-    """The highest rate (Hz) for messages of a size, between and beyond the sizes that were measured.
+    """Return the highest rate (Hz) for messages of a size, between and beyond the sizes that were measured.
 
     Between two sizes it is on a straight line of logarithms. Smaller messages than the smallest that was measured are
     taken for as dear as that, larger ones than the largest for as dear by the byte.
@@ -177,7 +177,7 @@ def capacity(points: Iterable[Point], size: float) -> float:
 
 
 def _nearest(points: Iterable[Point], size: float) -> list[Point]:
-    """The points that say what is carried of a size: the ones below and above it, or the one at its end."""
+    """Return the measured points next to a size: the ones below and above it, or the outermost one."""
     known = sorted((each for each in points if each.best or _lost(each)), key=lambda each: each.size)
     below = [each for each in known if each.size <= size]
     above = [each for each in known if each.size >= size]
@@ -295,7 +295,7 @@ def _axes(lines: Sequence[Curve]) -> tuple[_Axis, _Axis]:
 
 
 def in_terminal(points: Sequence[Point], width: int) -> list[str]:
-    """Lines of plain characters, at most `width` wide."""
+    """Draw the points in lines of plain characters, at most `width` wide."""
     lines = _curves(points)
     if not lines:
         return []

@@ -68,7 +68,7 @@ class Process:
         self.stop()
 
     def ask(self, line: str) -> dict[str, float]:
-        """The answer to a command.
+        """Send a command and return the answer.
 
         Raises:
             ChildError: it has ended.
@@ -81,7 +81,7 @@ class Process:
         return answer
 
     def tell(self, line: str) -> None:
-        """A command that is not waited for.
+        """Send a command without waiting for an answer.
 
         Raises:
             ChildError: it has ended.
@@ -137,7 +137,7 @@ class Process:
 
 
 def free_port() -> int:
-    """A TCP port of this machine that nobody listens on now."""
+    """Return a free TCP port of this machine."""
     with socket.socket() as tcp:
         tcp.bind(("127.0.0.1", 0))
         return int(tcp.getsockname()[1])

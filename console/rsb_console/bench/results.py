@@ -202,12 +202,12 @@ class Report:
 
 
 def as_json(report: Report) -> str:
-    """A report as one line of JSON."""
+    """Format a report as one line of JSON."""
     return escape_json(msgspec.json.encode(report).decode())
 
 
 def from_json(text: str) -> Report:
-    """The inverse of `as_json`.
+    """Read a report from JSON; the inverse of `as_json`.
 
     Raises:
         msgspec.ValidationError: it is no report.
@@ -252,7 +252,7 @@ class Ends(Protocol):
         ...
 
     def most(self, size: int, /) -> float:
-        """The highest rate (Hz) that may be tried with messages of a size."""
+        """Return the highest rate (Hz) that may be tried with messages of a size."""
         ...
 
     def wire(self, rate: float, seconds: float, size: int) -> Run | None:

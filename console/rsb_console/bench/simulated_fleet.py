@@ -284,7 +284,7 @@ def listening(process: Process, session: Path) -> float:
 
 
 def _free_port() -> int:
-    """A port that neither TCP nor UDP uses."""
+    """Return a port that neither TCP nor UDP uses."""
     for port in random.sample(_PORTS, len(_PORTS)):
         with (
             socket.socket() as stream,

@@ -123,7 +123,7 @@ class Suite:
         return found
 
     def _measure(self, way: Way, base: dict[int, tuple[float, float, float]], left: Sequence[int]) -> None:
-        """One way, with as much of the time that is left as is its share."""
+        """Measure one transport and direction, within its share of the remaining time."""
         if self._time_is_up:
             return
         ways_left, sizes = left
@@ -199,7 +199,7 @@ class Suite:
 
 
 def _of(run: Run, sent: int) -> int | None:
-    """The wire bytes of a run, for as many messages as another one has sent."""
+    """Scale a run's wire bytes to the number of messages of another run."""
     return round(run.wire * sent / run.sent) if run.wire and run.sent else None
 
 
@@ -372,12 +372,12 @@ def ways_of(link: LinkSnapshot, transports: tuple[str, ...], directions: tuple[s
 
 
 def loads_of(snapshot: Snapshot, link: str = "") -> list[Load]:
-    """The topics of a bridge whose rate and size are known by now."""
+    """Return the topics of a bridge with a measured rate and size."""
     return [load for _, load in _loads(snapshot, link)]
 
 
 def loads_of_all(snapshots: Iterable[Snapshot]) -> list[Load]:
-    """The topics of several bridges. What runs between two of them is counted once."""
+    """Return the topics of several bridges; topics between two of them count once."""
     found: dict[tuple[str, ...], dict[str, list[Load]]] = {}
     for snapshot in snapshots:
         for route, load in _loads(snapshot):

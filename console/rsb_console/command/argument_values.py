@@ -99,7 +99,7 @@ def _above_0(text: str, what: str) -> float:
 
 
 def _number(text: str) -> float:
-    """A number; NaN, which no range has, if it is none."""
+    """Parse a number; invalid text becomes NaN, which is outside every range."""
     try:
         return float(text)
     except ValueError:

@@ -51,7 +51,7 @@ _DEBUG = "show a failure's traceback"
 
 
 def parser_and_commands() -> tuple[argparse.ArgumentParser, list[str]]:
-    """The parser, and the names of the commands. What it parses has the function to run as `command`."""
+    """Return the parser and the names of the commands; parsed arguments have the function to run as `command`."""
     debug = _CommandParser(add_help=False)
     debug.add_argument("--debug", action="store_true", default=argparse.SUPPRESS, help=_DEBUG)
     parser = argparse.ArgumentParser(

@@ -148,7 +148,7 @@ def _name_of_file(arguments: Namespace) -> None:
 
 
 def _linked(engine: RemoteEngine, name: str) -> LinkSnapshot:
-    """The link to measure; one that is about to come up is waited for.
+    """Return the link to measure; wait for one that is about to come up.
 
     Raises:
         UsageError: there are several, or it does not come up.
@@ -168,7 +168,7 @@ def _linked(engine: RemoteEngine, name: str) -> LinkSnapshot:
 
 
 def _chosen_link(links: Sequence[LinkSnapshot], name: str) -> LinkSnapshot:
-    """The link to measure.
+    """Return the link to measure.
 
     Raises:
         UsageError: there are several.
@@ -180,7 +180,7 @@ def _chosen_link(links: Sequence[LinkSnapshot], name: str) -> LinkSnapshot:
 
 
 def _loads_of_running_bridges() -> list[Load]:
-    """The topics of what runs here anyway, to judge by."""
+    """Return the topics of the bridges that run here, to judge."""
     from rsb_bridge.api import EngineError  # noqa: PLC0415 -- with the engine
     from rsb_bridge.control.remote_engine import RemoteEngine  # noqa: PLC0415
 

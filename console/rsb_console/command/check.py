@@ -136,7 +136,7 @@ def _grants(entries: Iterable[str | Grant]) -> str:
 
 
 def rights(session: Session) -> Iterator[str]:
-    """A table of what each peer may do on this side, and what of that moves or changes a robot."""
+    """Yield a table of each peer's rights on this side, and warnings about rights that move or change a robot."""
     found = list(listings(session))
     heads = ("may do here", "", "what", "over", "rate", CheckText.OWN_PORTS())
     rows: list[tuple[str, ...]] = [heads, *(row for listing in found for row in listing.rows)]

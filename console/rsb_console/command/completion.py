@@ -88,7 +88,7 @@ def yaml_files(prefix: str, **_: object) -> list[str]:
 
 
 def theme_names(**_: object) -> list[str]:
-    """The shipped themes, and the user's own."""
+    """Return the shipped themes, and the user's own."""
     from rsb_console.look.themes import config_path, shipped_path  # noqa: PLC0415 (needs Textual)
 
     folders = (shipped_path(), config_path() / "themes")
@@ -96,19 +96,19 @@ def theme_names(**_: object) -> list[str]:
 
 
 def bridge_names(**_: object) -> list[str]:
-    """The bridges that run on this machine."""
+    """Return the bridges that run on this machine."""
     from rsb_bridge.control.control_sockets import find_sockets  # noqa: PLC0415 (only for the commands that attach)
 
     return [path.stem for path in find_sockets(os.environ)]
 
 
 def bridges_and_files(prefix: str, **_: object) -> list[str]:
-    """The bridges that run on this machine, and session files."""
+    """Return the bridges that run on this machine, and session files."""
     return bridge_names() + yaml_files(prefix)
 
 
 def robots(**_: object) -> list[str]:
-    """The robots of fleets, as far as this user has seen them."""
+    """Return the robots of fleets that this user has seen."""
     return sorted({robot.name for robot in _remembered()})
 
 
@@ -123,12 +123,12 @@ def _remembered() -> list[Remembered]:
 
 
 def adapters(**_: object) -> list[str]:
-    """The Bluetooth adapters of this machine."""
+    """Return the Bluetooth adapters of this machine."""
     return sorted(path.name for path in _ADAPTERS.glob("hci*")) if _ADAPTERS.is_dir() else []
 
 
 def bridged(parsed_args: Namespace, **_: object) -> list[str]:
-    """The names of what is bridged, of the kinds that the command takes."""
+    """Return the bridged names of the kinds that the command takes."""
     arguments = _filled(parsed_args)
     kinds = (arguments.kind,) if arguments.kind else arguments.kinds
 
@@ -145,7 +145,7 @@ def bridged(parsed_args: Namespace, **_: object) -> list[str]:
 
 
 def far_names(parsed_args: Namespace, **_: object) -> list[str]:
-    """The names on the other side of what is bridged by the name that was typed."""
+    """Return the names on the other side for the typed name."""
     arguments = _filled(parsed_args)
 
     def names(engine: RemoteEngine) -> list[str]:
@@ -155,7 +155,7 @@ def far_names(parsed_args: Namespace, **_: object) -> list[str]:
 
 
 def available(parsed_args: Namespace, **_: object) -> list[str]:
-    """The names of what can be bridged, on either side."""
+    """Return the names that can be bridged, from both sides."""
     arguments = _filled(parsed_args)
     kind = arguments.kind or "topic"
 
@@ -169,7 +169,7 @@ def available(parsed_args: Namespace, **_: object) -> list[str]:
 
 
 def links(parsed_args: Namespace, **_: object) -> list[str]:
-    """The clients of a bridge, by name."""
+    """Return the clients of a bridge, by name."""
     return _asked(_filled(parsed_args), lambda engine: [link.name for link in engine.snapshot().links])
 
 
@@ -179,7 +179,7 @@ def awaited(**_: object) -> list[str]:
 
 
 def parameters(parsed_args: Namespace, **_: object) -> list[str]:
-    """The parameters of the node that is named."""
+    """Return the parameters of the node that is named."""
     from rsb_console.command.call_command import names_of  # noqa: PLC0415 (only here)
     from rsb_console.command.target import chosen_route  # noqa: PLC0415 (only here)
 
@@ -188,14 +188,14 @@ def parameters(parsed_args: Namespace, **_: object) -> list[str]:
 
 
 def parameter_types(**_: object) -> list[str]:
-    """The types that a parameter may have."""
+    """Return the types that a parameter may have."""
     from rsb_console.session.parameter_values import KIND_NAMES  # noqa: PLC0415 (only here)
 
     return list(KIND_NAMES)
 
 
 def lanes(**_: object) -> list[str]:
-    """The services that actions and parameters consist of."""
+    """Return the services of actions and parameters."""
     return sorted({lane.name for kind in LANES for lane in LANES[kind] if lane.name and not lane.is_topic})
 
 
@@ -207,7 +207,7 @@ def direction_or_keys(prefix: str, parsed_args: Namespace, **_: object) -> list[
 
 
 def keys(prefix: str, parsed_args: Namespace, **_: object) -> list[str]:
-    """The keys of a topic or a service; behind a key and ``=``, its values, where they can be listed."""
+    """Return the keys of a topic or a service; after a key and ``=``, its values, if they can be listed."""
     known = KEYS[_filled(parsed_args).kind or "topic"]
     key, is_pair, _value = prefix.partition("=")
     if not is_pair:

@@ -139,7 +139,7 @@ def run_fleet_demo(robots: int, *, ui: bool, seconds: float | None) -> int:
 
 @contextlib.contextmanager
 def simulated(robots: int) -> Iterator[Simulated]:
-    """A fleet whose engines have been started: over Zenoh, or over TCP where that is not installed."""
+    """Start the engines of a fleet: over Zenoh, or over TCP if Zenoh is not installed."""
     over_zenoh = importlib.util.find_spec("zenoh") is not None
     network = "a Zenoh router" if over_zenoh else "no Zenoh, which is not installed: pip install 'rsb-console[zenoh]'"
     print_line(f"starting {robots} simulated robots and a control side, with {network}")
@@ -161,7 +161,7 @@ def simulated(robots: int) -> Iterator[Simulated]:
 
 @contextlib.contextmanager
 def seen(running: Simulated) -> Iterator[Fleet]:
-    """The fleet as an operator's console sees it: over Zenoh the engines themselves, else the server's clients."""
+    """Open the fleet as an operator's console does: over Zenoh all engines, otherwise the server's clients."""
     source: FleetSource
     source = ServerFleet("control", running.socket) if running.file is None else ZenohFleet(load_fleet(running.file))
     shown = Fleet([source], Memory(None), Clock())
@@ -203,7 +203,7 @@ def _fleet_headless(running: Simulated, signals: Signals, seconds: float | None)
 
 
 def _troubled(names: Sequence[str]) -> tuple[str, str]:
-    """The robot that loses a topic, and the one that comes and goes."""
+    """Return the robot that loses a topic, and the one that comes and goes."""
     return names[min(1, len(names) - 1)], names[-1]
 
 
@@ -267,7 +267,7 @@ def _has_said(robot: Robot, since: float) -> bool:
 
 
 def _print_summary(robots: Sequence[Robot]) -> None:
-    """One line an engine: how it is, how many of its topics flow, its battery, and the worst that is not well."""
+    """Print one line for each engine: its state, its flowing topics, its battery and its worst fault."""
     for _, summary, _ in sorted(robots, key=lambda robot: robot.order):
         battery = f"{summary.battery.charge:.0%}" if summary.battery is not None else ""
         flow = f"{summary.flowing} of {summary.routes} topics flow"

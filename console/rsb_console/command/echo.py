@@ -86,7 +86,7 @@ def as_text(read: ReadMessage, *, arrays: bool) -> str:
 
 
 def as_json(route: RouteSnapshot, read: ReadMessage) -> dict[str, object]:
-    """A message as one JSON object. What JSON has no number for stands as a string: NaN, Infinity, -Infinity."""
+    """Format a message as one JSON object; NaN and infinities become strings: NaN, Infinity, -Infinity."""
     peeked, age = read.peeked, read.age
     return {
         "topic": route.topic,

@@ -94,7 +94,7 @@ def sources_of(arguments: Namespace) -> list[FleetSource]:
 
 @contextlib.contextmanager
 def _fleet(arguments: Namespace, *, wait: bool = True) -> Iterator[Fleet]:
-    """The robots that the arguments are about, as long as they are needed.
+    """Open the fleet that the arguments name, for the duration of a block.
 
     Args:
         arguments: of the command.
@@ -156,7 +156,7 @@ def _print(arguments: Namespace) -> int:
 
 
 def _report(robot: Robot) -> dict[str, object]:
-    """A robot for a program: all figures, those too that are at their defaults."""
+    """Report a robot for programs, with all figures, including defaults."""
     summary = robot.summary
     figures: dict[str, object] = msgspec.structs.asdict(summary)
     loss, battery = summary.loss, summary.battery
@@ -241,7 +241,7 @@ def _run_on(robot: Robot, command: Namespace, *, as_json: bool) -> tuple[int, li
 
 
 def _plain(line: str) -> object:
-    """A line that a command has printed for programs; what is no JSON stands as it is."""
+    """Read a line that a command printed for programs; other text stays as it is."""
     try:
         parsed: object = json.loads(line)
     except ValueError:

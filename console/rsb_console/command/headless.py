@@ -368,11 +368,11 @@ class Supervisor:
         self._status = ""
 
     def ready(self) -> None:
-        """The bridge has started, or has reloaded."""
+        """Report that the bridge has started or has reloaded."""
         self._tell("READY=1")
 
     def reloading(self, monotonic_ns: int) -> None:
-        """The session file is about to be read again; `ready` says when that is done.
+        """Report that the session file is about to be read again; `ready` follows.
 
         Args:
             monotonic_ns: now, on the clock CLOCK_MONOTONIC.
@@ -389,7 +389,7 @@ class Supervisor:
         self._status = status
 
     def stopping(self) -> None:
-        """The bridge is about to end."""
+        """Report that the bridge is about to end."""
         self._tell("STOPPING=1")
 
     def _tell(self, state: str) -> None:

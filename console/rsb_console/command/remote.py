@@ -401,7 +401,7 @@ def _edit(arguments: Namespace) -> int:
 
 
 def _direction_and_keys(arguments: Namespace) -> tuple[str, list[str]]:
-    """The direction of a topic to be added, and its keys and values, which may come in any order.
+    """Return the direction of a topic to be added, and its keys and values, given in any order.
 
     Raises:
         UsageError: the direction is missing, or is none.
@@ -420,7 +420,7 @@ def _direction_and_keys(arguments: Namespace) -> tuple[str, list[str]]:
 
 
 def _provider_and_keys(arguments: Namespace, kind: Kind) -> list[str]:
-    """The keys and values of what is no topic, with its provider.
+    """Return the keys and values of a service, an action or parameters, with the provider.
 
     Raises:
         UsageError: there is a direction instead, or no provider.

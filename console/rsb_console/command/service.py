@@ -151,7 +151,7 @@ class Service:
 
 
 def unit_name(session: Path) -> str:
-    """The name of a session's unit, after its file."""
+    """Return the name of a session's unit, after its file."""
     stem = re.sub(r"[^A-Za-z0-9:_.-]", "_", session.stem)
     return f"rsb-console-{stem}.service"
 
@@ -256,7 +256,7 @@ def _program() -> tuple[str, ...]:
 
 
 def _own_setup(environ: Mapping[str, str]) -> Path | None:
-    """The setup.bash of the distribution's ROS, if this shell has sourced it."""
+    """Return the setup.bash of the distribution's ROS, if this shell has sourced it."""
     path = Path("/opt/ros") / environ.get("ROS_DISTRO", "") / "setup.bash"
     return path if environ.get("ROS_DISTRO") and path.is_file() else None
 

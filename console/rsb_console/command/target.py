@@ -121,7 +121,7 @@ def failed(arguments: Namespace, message: str, code: int, **more: str) -> int:
 
 
 def chosen_bridge(arguments: Namespace) -> RunningBridge:
-    """The bridge that the arguments mean.
+    """Return the bridge that the arguments name.
 
     Raises:
         NoBridgeError: none does.
@@ -189,7 +189,7 @@ def attach_in_fleet(arguments: Namespace, *, read_only: bool) -> RemoteEngine:
 
 
 def fleet_file(arguments: Namespace) -> FleetFile:
-    """The file by which the arguments reach a fleet.
+    """Return the fleet file that the arguments name.
 
     Raises:
         UsageError: it has mistakes.
@@ -229,7 +229,7 @@ def done(arguments: Namespace, **results: object) -> int:
 
 
 def chosen_route(engine: RemoteEngine, arguments: Namespace) -> RouteSnapshot:
-    """The route that the arguments mean: by its name on this side, else on the client.
+    """Return the route that the arguments name: by its name on this side, otherwise on the client.
 
     Raises:
         UsageError: none or several do.
@@ -273,7 +273,7 @@ def other_side(engine: RemoteEngine, route: RouteSnapshot) -> str:
 
 
 def chosen(engine: RemoteEngine, arguments: Namespace) -> RouteSnapshot | PatternSnapshot:
-    """The route that the arguments mean, or the pattern.
+    """Return the route or the pattern that the arguments name.
 
     Raises:
         UsageError: none or several do.
@@ -366,7 +366,7 @@ def _patterns_meant(engine: RemoteEngine, arguments: Namespace) -> list[PatternS
 
 
 def _which(route: RouteSnapshot, others: Sequence[RouteSnapshot]) -> str:
-    """The options that tell a route from others of its name."""
+    """Return the options that tell a route from others of its name."""
     kinds = [each.spec.kind for each in others]
     if kinds.count(route.spec.kind) == 1:
         return f"--kind {route.spec.kind}"
@@ -381,7 +381,7 @@ def _either(kinds: Iterable[Kind]) -> str:
 
 
 def named(routes: Iterable[RouteSnapshot], topic: str) -> list[RouteSnapshot]:
-    """The routes of a topic, by its name on the bridge's own side; if none is called so, by the client's."""
+    """Return the routes of a topic, by its name on the bridge's own side, otherwise by the client's name for it."""
     found = list(routes)
     return [each for each in found if each.topic == topic] or [each for each in found if each.spec.topic == topic]
 

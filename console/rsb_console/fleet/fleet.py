@@ -63,11 +63,11 @@ class FleetSource(Protocol):
         ...
 
     def robots(self) -> list[RobotSummary]:
-        """The robots as they are now, those too that are not there."""
+        """Return the robots in their present state, including missing ones."""
         ...
 
     def open(self, robot: str, *, read_only: bool) -> RemoteEngine:
-        """An engine that shows and changes only what is of one robot; the caller stops it.
+        """Open an engine that shows and changes only one robot; the caller stops it.
 
         It takes some seconds at most.
 
@@ -165,7 +165,7 @@ class Fleet:
         return [Robot(source, summary, gone=number >= len(present)) for number, summary in enumerate(told)]
 
     def _with_memory(self, source: FleetSource, summary: RobotSummary) -> RobotSummary:
-        """A robot that waits for its first connection is missing, if it was there before its server began."""
+        """Mark a robot that waits for its first connection as missing if it was there before its server began."""
         if summary.state is RobotState.WAITING and not summary.links:
             return summary  # it is there, and has not said yet how it is
         if summary.seen is not None or (before := self._memory.get(source.name, summary.name)) is None:
@@ -307,7 +307,7 @@ class Memory:
         self._robots = {(robot.source, robot.name): robot for robot in _read(path)}
 
     def get(self, source: str, name: str) -> Remembered | None:
-        """A robot, if it was there."""
+        """Return a remembered robot, or None."""
         return self._robots.get((source, name))
 
     def all(self) -> list[Remembered]:
@@ -334,7 +334,7 @@ class Memory:
 
 
 def _read(path: Path | None) -> list[Remembered]:
-    """The contents of a file, or nothing if it is damaged or too large."""
+    """Return the contents of a file, or nothing if it is damaged or too large."""
     if path is None:
         return []
     try:

@@ -289,7 +289,7 @@ def report(rollout: Rollout, outcome: Outcome) -> Iterator[str]:
 
 
 def way_back(rollout: Rollout, outcome: Outcome, file: str = "FILE") -> Iterator[str]:
-    """The commands that restore the previous settings; `file` is the fleet file, for robots over Zenoh."""
+    """Yield the commands that restore the previous settings; `file` is the fleet file, for robots over Zenoh."""
     over = f" --fleet {file}" if any(step.robot.source.kind == "fleet" for step in outcome.changed) else ""
     by_keys: dict[str, list[str]] = {}
     for step in outcome.changed:

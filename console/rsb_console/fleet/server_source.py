@@ -49,7 +49,7 @@ class ServerFleet:
         self._engine.start()
 
     def wait(self) -> None:
-        """The server knows all of them."""
+        """Return at once: the server knows all robots."""
 
     def stop(self) -> None:
         self._engine.stop()
@@ -116,7 +116,7 @@ class RobotEngine(RemoteEngine):
         return super().retry(link or self._robot)
 
     def history(self, seconds: float) -> Future[HistoryReport]:
-        """The events of the robot and of the server as a whole."""
+        """Return the events of the robot and of the server as a whole."""
         own: Future[HistoryReport] = Future()
 
         def take(asked: Future[HistoryReport]) -> None:

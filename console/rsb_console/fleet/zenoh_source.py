@@ -164,7 +164,7 @@ class ZenohFleet:
         del self._robots[name], self._called[name]
 
     def _free_name(self, name: str) -> str:
-        """A name for a row: an engine that has the name of another one is shown, too."""
+        """Return a unique name for a row; two engines of one name are both shown."""
         taken, number = set(self._names.values()), 1
         free = name
         while free in taken:

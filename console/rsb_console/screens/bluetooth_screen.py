@@ -49,7 +49,7 @@ class Machines(SelectableList):
         return None if self.cursor_key is None else self._machines[self.cursor_key]
 
     def line(self, index: int) -> Line:
-        """The heading, or one of the machines."""
+        """Return the heading or the line of a machine."""
         if index < self.sticky:
             return ((f"   {'MAC':<18} {'':<8} {'STATE':<18} NAME", "head"),)
         one = self._machines[self.keys[index - self.sticky]]

@@ -125,7 +125,7 @@ class CallScreen(FormScreen[Request]):
         super().__init__(f"Call {route.topic} by hand", [_field(spec) for spec in _specs(route)], "Call…")
 
     def compose(self) -> ComposeResult:
-        """The form, and below it the answer."""
+        """Compose the form, and the answer below it."""
         with Vertical(classes="dialog -call") as dialog:
             dialog.border_title = self._title
             yield self._state
@@ -328,7 +328,7 @@ def _field(spec: Spec) -> Field:
 
 
 def answer_lines(answer: str, width: int) -> Iterator[Line]:
-    """An answer as lines that fit, with a note where it is cut.
+    """Format an answer as lines that fit, with a note if it is cut.
 
     Args:
         answer: as YAML.
@@ -347,7 +347,7 @@ def answer_lines(answer: str, width: int) -> Iterator[Line]:
 
 
 def _beginning(request: str) -> str:
-    """A request as the question shows it."""
+    """Shorten a request for the question."""
     lines = request[:_ASKED_CHARACTERS].splitlines()[:_ASKED_LINES]
     shown = "\n".join(lines)
     more = len(request.rstrip()) - len(shown)

@@ -169,7 +169,7 @@ def _client_in(path: Path, name: str) -> Client | None:
 
 
 def words(text: str) -> tuple[str, ...]:
-    """The words of a field, with blanks or commas between them."""
+    """Return the words of a field, with blanks or commas between them."""
     return tuple(word for word in _BETWEEN.split(text) if word)
 
 
@@ -223,7 +223,7 @@ async def remove_client(console: Console, name: str) -> None:
 
 
 def _saved_path(console: Console) -> Path | None:
-    """The file of the server's session. Notify the operator if the session has no file."""
+    """Return the file of the server's session. Notify the operator if the session has no file."""
     if console.path is None or console.temporary:
         console.notify("save the session first (w): its file lists the clients", severity="warning", timeout=8)
         return None
@@ -249,7 +249,7 @@ class AddClientScreen(FormScreen[Client]):
         self._session, self._base = session, base
 
     def problems(self, values: Mapping[str, str]) -> dict[str, str]:
-        """The session file's own rules for the client."""
+        """Check the client by the session file's rules."""
         for key in ("allow", "deny"):
             try:
                 typed_grants(values[key])
@@ -284,7 +284,7 @@ class AddClientScreen(FormScreen[Client]):
 
 
 def _grants(text: str) -> tuple[str | Grant, ...]:
-    """The grants in a field, or nothing while it has a mistake."""
+    """Return the grants in a field, or nothing while it has a mistake."""
     try:
         return typed_grants(text)
     except GrantError:

@@ -132,7 +132,7 @@ class FleetScreen(Screen[None]):
         return self.console.key_labels(BY_ID[action])[0]
 
     def check_action(self, action: str, parameters: tuple[object, ...]) -> bool | None:
-        """Only what can be done now (Textual's)."""
+        """Allow the actions that are possible now (Textual's)."""
         if action == "dismiss" and not self._gone:
             return False
         if action in ("open_robot", "mark", "edit_marked") and self.table.cursor_key is None:

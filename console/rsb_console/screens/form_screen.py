@@ -42,7 +42,7 @@ class FormScreen(ModalScreen[T | None]):
         self._title, self._yes = title, yes
 
     def compose(self) -> ComposeResult:
-        """The form, what is wrong with it as a whole, help, and the buttons."""
+        """Compose the form, its problem as a whole, the help and the buttons."""
         with Vertical(classes="dialog -wide") as dialog:
             dialog.border_title = self._title
             yield self.form

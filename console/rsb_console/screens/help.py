@@ -97,7 +97,7 @@ class LabelsKeys(Protocol):
     actions: Sequence[Action]
 
     def key_labels(self, action: Action) -> list[str]:
-        """The keys of an action, as they are written on a keyboard."""
+        """Return the keys of an action, as written on a keyboard."""
         ...
 
 

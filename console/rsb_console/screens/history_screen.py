@@ -82,7 +82,7 @@ class Row(NamedTuple):
 
 
 def rows_of(report: HistoryReport) -> list[Row]:
-    """All that happened, the newest first. What only went with its link has no row of its own."""
+    """Return the events and outages, newest first. An outage that only followed its link's has no row of its own."""
     tracks = {each.subject: each for each in report.tracks}
     rows = [
         Row(
@@ -303,13 +303,13 @@ class HistoryScreen(ModalScreen[None]):
 
 
 def _state_words(state: str) -> str:
-    """The sign and the word of a state; a newer bridge may have another one."""
+    """Return the sign and the word of a state; a newer bridge may send an unknown one."""
     known = next((each for each in State if each == state), None)
     return state.upper() if known is None else f"{STATE_SIGN[known]} {STATE_WORD[known]}"
 
 
 def _detail(row: Row, width: int, span: float) -> Iterator[Line]:
-    """The whole text, and the rate over the span."""
+    """Yield the whole text, and the rate over the span."""
     whole = textwrap.wrap(row.text, max(20, width - _LABEL)) or [""]
     for number, line in enumerate(whole[:_DETAIL_LINES]):
         yield ((f"{'' if number else ('why' if row.length else 'what'):<{_LABEL}}", "dim"), (line, ""))
@@ -325,6 +325,6 @@ def _detail(row: Row, width: int, span: float) -> Iterator[Line]:
 
 
 def _moment(moment: float, now: float) -> str:
-    """The time of day; with the day, if it was another one."""
+    """Format the time of day, with the day if it is not today."""
     then = time.localtime(moment)
     return time.strftime("%H:%M:%S" if then.tm_yday == time.localtime(now).tm_yday else "%a %H:%M:%S", then)

@@ -126,7 +126,7 @@ class KeysTable(SelectableList):
         return None if self.cursor_key is None else self._files[self.cursor_key]
 
     def line(self, index: int) -> Line:
-        """The heading, or one of the files."""
+        """Return the heading or the line of a file."""
         if index < self.sticky:
             return ((f"   {'FILE':<{NAME_WIDTH}} {'MODE':<5} {'FINGERPRINT':<20} FOR", "head"),)
         file = self._files[self.keys[index - self.sticky]]

@@ -70,7 +70,7 @@ class LinksTable(SelectableList):
         return None if self.cursor_key is None else self._links.get(self.cursor_key)
 
     def line(self, index: int) -> Line:
-        """The heading, or one of the links."""
+        """Return the heading or the line of a link."""
         assert self._now is not None or index < self.sticky
         if index < self.sticky or self._now is None:
             return ((HEADING, "head"),)
@@ -206,7 +206,7 @@ class LinksScreen(ModalScreen[None]):
         self.table, self.detail = LinksTable(), LinkDetail()
 
     def compose(self) -> ComposeResult:
-        """The table, and more about the link under the cursor."""
+        """Compose the table and the detail of the link under the cursor."""
         clients = CLIENT_KEYS if self._is_server else ""
         keys = "" if self.console.readonly else f"{clients}r try again now   i acknowledge   "
         yield Dialog("Links", self.table, self.detail, keys=f"⏎ detail   {keys}esc close")

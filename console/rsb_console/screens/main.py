@@ -254,7 +254,7 @@ class MainScreen(Screen[None]):
             self.action_detail()
 
     def on_resize(self, event: events.Resize) -> None:
-        """The detail may have come into view."""
+        """Fill the detail, which may have come into view."""
         self.call_after_refresh(self.show_detail)
 
     # -- view actions -------------------------------------------------------------------------------------------------
@@ -428,7 +428,7 @@ class EventScreen(ModalScreen[None]):
         self._event = event
 
     def compose(self) -> ComposeResult:
-        """The text, and below it what it concerns."""
+        """Compose the text, and below it the link and the topic."""
         event = self._event
         concerns = [word for word in (event.code, event.link, event.topic) if word]
         yield Dialog(

@@ -198,7 +198,7 @@ class MessageScreen(ModalScreen[None]):
 
 
 def content_lines(read: ReadMessage, width: int) -> list[Line]:
-    """The message itself, as YAML or as hex, and why it is not all of it.
+    """Format the message as YAML or hex, with a note if it is incomplete.
 
     Args:
         read: the message.

@@ -106,7 +106,7 @@ class NewSessionScreen(FormScreen[NewSession]):
         super().__init__("New session", list(self._fields.values()), "Create")
 
     def compose_buttons(self) -> ComposeResult:
-        """One more: a server by Bluetooth."""
+        """Add a button for a server over Bluetooth."""
         yield Button("Bluetooth…", id="bluetooth", compact=True)
         yield from super().compose_buttons()
 
@@ -173,7 +173,7 @@ class NewSessionScreen(FormScreen[NewSession]):
         return problems
 
     def result(self, values: Mapping[str, str]) -> NewSession:
-        """The session; not to be used while there are problems."""
+        """Return the session; valid only without problems."""
         name = values["name"]
         encrypted = values["use_encryption"] == "yes"
         names = words(values.get("clients", "")) if values["role"] == "server" else ()
@@ -233,7 +233,7 @@ def _at(key: str, problem: str) -> dict[str, str]:
 
 
 def number(text: str) -> int | str:
-    """A field's text as a session file has it. A text that is no number stays one, for the validation to refuse."""
+    """Convert a field's text as a session file does; text in place of a number stays, for the validation to refuse."""
     return int(text) if text.isdecimal() else text
 
 
@@ -278,7 +278,7 @@ class ImportScreen(FormScreen[Opened]):
 
     @on(Field.Changed)
     def _name_as_the_file(self, event: Field.Changed) -> None:
-        """The file's name is a name to begin with, unless the operator has given one."""
+        """Suggest the file's name as the session's name unless the operator has typed one."""
         name = self.form.fields["name"]
         path = typed_path(self._bringup.value)
         if event.field is self._bringup and not name.touched and is_file(path):

@@ -131,7 +131,7 @@ class ChangeField(PickField):
         return Typed.of(self.control.value)
 
     def filter_text(self) -> str:
-        """The word that narrows the list."""
+        """Return the word that narrows the list."""
         typed = self.typed
         if not typed.topic:
             return super().filter_text()
@@ -150,7 +150,7 @@ class ChangeField(PickField):
         self.offer()
 
     def mistake(self) -> str:
-        """The first mistake in the typed values, or an empty string."""
+        """Return the first mistake in the typed values, or an empty string."""
         if (change := change_of(self.value)) is None:
             return ""
         topic, keys = change

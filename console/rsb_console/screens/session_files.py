@@ -172,7 +172,7 @@ class SessionsScreen(FormScreen[Opened | str]):
         return {} if self.result(values) else {"path": FileText.MISSING()}
 
     def result(self, values: Mapping[str, str]) -> str:
-        """The path, picked or typed; `accept` makes a session of it."""
+        """Return the picked or typed path; `accept` loads its session."""
         picked = self._field.picked
         return values["path"] if picked is None else picked.value
 

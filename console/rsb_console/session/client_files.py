@@ -91,12 +91,12 @@ def open_server(path: Path) -> SessionFile:
 
 
 def key_file_name(name: str) -> str:
-    """The file for a client's key, unless it is given another."""
+    """Return the default name of a client's key file."""
     return f"{_NOT_IN_FILE_NAMES.sub('_', name)}.key"
 
 
 def with_key_file(session: Session, client: Client) -> Client:
-    """A client with the name of a key file of its own, if it needs one and has none."""
+    """Add the name of a key file to a client that needs one and has none."""
     if client.key_file is not None or not session.use_encryption:
         return client
     return msgspec.structs.replace(client, key_file=key_file_name(client.name))
@@ -220,7 +220,7 @@ def check_own_next_key(of_session: str | None, of_client: str | None, name: str)
 
 
 def free_key_file(folder: Path, name: str) -> str:
-    """The name of a key file that does not exist yet."""
+    """Return the name of a key file that does not exist yet."""
     own = key_file_name(name)
     others = (f"{own.removesuffix('.key')}-{number}.key" for number in count(2))
     return next(each for each in chain((own,), others) if not (folder / each).exists())
@@ -307,7 +307,7 @@ def _of_client(zenoh: ZenohSettings, address: str, port: int | None) -> ZenohSet
 
 
 def own_address() -> str:
-    """This machine's address on the way to other networks; its host name, where there is no such way."""
+    """Return this machine's address towards other networks, or its host name without such a network."""
     for address, family in _FAR_AWAY:
         with suppress(OSError), socket.socket(family, socket.SOCK_DGRAM) as probe:
             probe.connect((address, 9))  # sends nothing
@@ -332,7 +332,7 @@ def copy_advice(client: Client, key_at: Path | None, robot_at: Path | None = Non
 
 
 def fingerprint_or_problem(key_at: Path | None) -> tuple[Key | None, str]:
-    """The key in a file, or what is wrong with that file."""
+    """Return the key in a file, or the file's problem."""
     if key_at is None:
         return None, "not encrypted"
     try:

@@ -164,7 +164,7 @@ def _bridge_process(path: Path) -> Iterator[None]:
 
 
 def own_domain(before: int = 0) -> int:
-    """The first of two ROS domains for a demo of this process.
+    """Return the first of two ROS domains for a demo of this process.
 
     Args:
         before: how many demos this process has started before.
@@ -193,7 +193,7 @@ def need_ros() -> None:
 
 
 def _free_port() -> int:
-    """A port that neither TCP nor UDP uses."""
+    """Return a port that neither TCP nor UDP uses."""
     while True:
         with socket.socket() as tcp, socket.socket(type=socket.SOCK_DGRAM) as udp:
             tcp.bind((_HOST, 0))

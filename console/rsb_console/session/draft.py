@@ -94,7 +94,7 @@ def topic_of(values: Mapping[str, str]) -> Topic:
 
 
 def values_of(topic: Topic) -> dict[str, str]:
-    """A topic as a form's texts; what is at its default is empty."""
+    """Convert a topic to a form's texts; defaults are empty."""
     return {key: _text(value) for key, value in msgspec.to_builtins(topic).items()}
 
 

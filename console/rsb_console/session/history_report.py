@@ -63,7 +63,7 @@ class ReportText(Wording):
 
 
 def parse_span(text: str) -> float:
-    """A span of time as people write it: ``8h``, ``30m``, ``90s``.
+    """Parse a span of time: ``8h``, ``30m``, ``90s``.
 
     Returns:
         s.
@@ -81,7 +81,7 @@ def parse_span(text: str) -> float:
 
 
 def length(seconds: float) -> str:
-    """A duration in the two largest units: ``12 s``, ``3 min 40 s``, ``7 h 52 min``."""
+    """Format a duration in the two largest units: ``12 s``, ``3 min 40 s``, ``7 h 52 min``."""
     whole = round(seconds)
     if whole < 60:
         return f"{whole} s" if whole or not seconds else "under 1 s"
@@ -92,7 +92,7 @@ def length(seconds: float) -> str:
 
 
 def percent(ratio: float | None) -> str:
-    """A part of the time. It is 100 % only if nothing is missing; a dash where it was neither up nor out."""
+    """Format a part of the time: 100 % only if nothing is missing, a dash if it was neither up nor out."""
     if ratio is None:
         return "—"
     if ratio >= 1:
@@ -134,7 +134,7 @@ def how_long(outage: Outage) -> str:
 
 
 def why(report: HistoryReport, outage: Outage) -> str:
-    """The cause, and what else was out for it."""
+    """Return the cause of an outage, and the topics and services that it took down."""
     also = followers(report, outage)
     cause = outage.cause or "no cause known"
     return ReportText.CAUSE_WITH_FOLLOWERS(cause=cause, followers=also) if also else cause
@@ -160,7 +160,7 @@ def did(event: Event) -> str:
 
 
 def text_report(report: HistoryReport) -> Iterator[str]:
-    """Lines for the shift's hand-over: totals first, then outages by robot and topic, then what operators did."""
+    """Return lines for a hand-over: totals, then outages by robot and topic, then operators' actions."""
     yield f"{report.name} ({report.role}): the last {length(report.span)}, {_from_to(report)}"
     yield from _totals(report)
     yield ""
@@ -227,7 +227,7 @@ def _by_kind(kinds: Iterable[str]) -> list[tuple[str, int]]:
 
 
 def _counted(kind: str, count: int) -> str:
-    """``3 topics``, ``parameters of 1 node``."""
+    """Format a count: ``3 topics``, ``parameters of 1 node``."""
     return (
         f"parameters of {count} {plural(count, 'node')}" if kind == "parameters" else f"{count} {plural(count, kind)}"
     )
@@ -264,7 +264,7 @@ def _count(report: HistoryReport, track: Track) -> str:
 
 
 def _by_topic(outages: Sequence[Outage]) -> list[tuple[str, list[Outage]]]:
-    """By topic and kind, the link itself first."""
+    """Return a sort key: the link itself first, then by topic and kind."""
     grouped: dict[tuple[str, str, bool], list[Outage]] = {}
     for outage in outages:
         grouped.setdefault((outage.topic, outage.kind, outage.outgoing), []).append(outage)
@@ -278,7 +278,7 @@ def _from_to(report: HistoryReport) -> str:
 
 
 def _moment(report: HistoryReport, moment: float) -> str:
-    """The time of day; with the day of the week, if it is not that of the report's end."""
+    """Format the time of day, with the day of the week if it is not the day of the report's end."""
     then, end = time.localtime(moment), time.localtime(report.time)
     return time.strftime("%H:%M:%S" if then.tm_yday == end.tm_yday else "%a %H:%M:%S", then)
 
@@ -287,7 +287,7 @@ def _moment(report: HistoryReport, moment: float) -> str:
 
 
 def json_report(report: HistoryReport) -> str:
-    """All of it as one object."""
+    """Convert the report to one object."""
     tracks = [{**asdict(track), "up_ratio": track.up_ratio} for track in report.tracks]
     return escape_json(json.dumps({**asdict(report), "start": report.start, "tracks": tracks}, ensure_ascii=False))
 
@@ -317,7 +317,7 @@ def csv_report(report: HistoryReport) -> str:
 
 
 def cell(value: object) -> object:
-    """A value for a spreadsheet, which must not take text from elsewhere for a formula, without control characters."""
+    """Escape a value for a spreadsheet: no formula in foreign text, and no control characters."""
     if not isinstance(value, str):
         return value
     text = one_line(value)

@@ -152,7 +152,7 @@ def _plain(node: yaml.Node) -> Any:
 
 
 def _integer(text: str) -> int:
-    """An integer of 64 bits.
+    """Parse an integer of 64 bits.
 
     Raises:
         OverflowError: it is none, and would be another number as a double.

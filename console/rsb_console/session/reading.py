@@ -143,7 +143,7 @@ def read_message(peeked: PeekedMessage, description: str | None, why: str = "", 
 
 
 def _stamp(message: Message) -> int | None:
-    """The stamp of a message's header, or its own, in ns."""
+    """Return the stamp of a message's header, or its own, in ns."""
     header: Value = message.get("header", message)
     stamp = header.get("stamp") if isinstance(header, dict) else None
     if not isinstance(stamp, dict):
@@ -155,7 +155,7 @@ def _stamp(message: Message) -> int | None:
 
 
 def _guessed_stamp(peeked: PeekedMessage) -> int | None:
-    """The stamp that a message of an unknown type begins with, if it looks like one: a time of today, and a frame."""
+    """Guess the stamp of a message of an unknown type, if it begins with a time of today and a frame."""
     order = {b"\x00\x00": ">", b"\x00\x01": "<"}.get(peeked.payload[:2])
     if order is None or len(peeked.payload) < HEADER_LENGTH + 12:
         return None
@@ -193,7 +193,7 @@ def _age(peeked: PeekedMessage, stamp: int, *, guessed: bool = False) -> StampAg
 
 
 def age_text(age: StampAge) -> str:
-    """The age of a stamp in words."""
+    """Return the age of a stamp in words."""
     name = StampText.GUESSED() if age.guessed else "header.stamp"
     if age.latency is None:
         return f"{name}: {age.why_none}"
@@ -297,7 +297,7 @@ def _chunks(text: str, room: int) -> list[str]:
 
 
 def scalar(value: Value) -> str:
-    """One value, as YAML has it."""
+    """Format one value as YAML."""
     if isinstance(value, bool):
         return "true" if value else "false"
     if isinstance(value, float):
@@ -306,7 +306,7 @@ def scalar(value: Value) -> str:
 
 
 def number_text(value: float) -> str:
-    """A floating-point number with as few digits as tell it from its neighbours; of a 32-bit one, among those."""
+    """Format a floating-point number with the fewest digits that identify it, among 32-bit ones if it is one."""
     if math.isnan(value):
         return ".nan"
     if math.isinf(value):
@@ -325,7 +325,7 @@ def _as_32_bits(value: float) -> float:
 
 
 def hex_lines(payload: bytes, most: int) -> Iterator[Line]:
-    """The first `most` bytes, sixteen a line, with what of them is ASCII."""
+    """Yield the first `most` bytes, sixteen a line, with their ASCII characters."""
     for at in range(0, min(most, len(payload)), _BYTES_IN_LINE):
         row = payload[at : at + _BYTES_IN_LINE]
         characters = "".join(chr(byte) if 0x20 <= byte < 0x7F else "." for byte in row)

@@ -57,7 +57,7 @@ def _parts(session: Session) -> dict[tuple[str, ...], object]:
 
 
 def difference(before: str, after: str) -> list[str]:
-    """The lines of a unified diff of two texts, without file names."""
+    """Return the lines of a unified diff of two texts, without file names."""
     lines = difflib.unified_diff(before.splitlines(), after.splitlines(), lineterm="", n=2)
     return list(lines)[2:]
 

@@ -87,7 +87,7 @@ class InputQueue:
             self._task = asyncio.create_task(self._deliver())
 
     def waits_for(self, dialog: Screen[Any]) -> None:
-        """The current worker waits for the answer of `dialog`."""
+        """Note that the current worker waits for the answer of `dialog`."""
         self._dialogs[get_current_worker()] = dialog
 
     async def _deliver(self) -> None:
@@ -124,7 +124,7 @@ class InputQueue:
         )
 
     def _opening(self) -> Iterator[Worker[Any]]:
-        """The workers that may open a dialog before they do anything else that concerns input."""
+        """Yield the workers that may open a dialog before they do anything else that concerns input."""
         shown = self._app.screen_stack
         return (
             worker

@@ -192,7 +192,7 @@ def _identity(snapshot: Snapshot, view: View) -> list[tuple[int, tuple[str, str]
 
 
 def link_state(snapshot: Snapshot, cause: str) -> list[tuple[str, str]]:
-    """The state of the link, or how many of a server's links are up, and whether they are encrypted."""
+    """Return the state of the link, or how many of a server's links are up, and whether they are encrypted."""
     if not snapshot.running:
         return [(f"   ✗ STOPPED{f': {cause}' if cause else ''}", "down")]
     if not snapshot.links:
@@ -284,7 +284,7 @@ class KeyBar(LiveLines):
         return tuple(piece for _, pieces in self._fitting() for piece in pieces)
 
     def _fitting(self) -> list[tuple[KeyEntry, Line]]:
-        """The entries that there is room for, as they are drawn: with label and counts if all of them fit so."""
+        """Return the entries that fit, with labels and counts if all fit that way."""
         whole = [(entry, _pieces(entry, entry.label)) for entry in self._entries]
         if sum(width_of(pieces) for _, pieces in whole) <= self.width:
             return whole

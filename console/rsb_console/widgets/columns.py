@@ -86,7 +86,7 @@ def is_armed(route: RouteSnapshot) -> bool:
 
 
 def via(route: RouteSnapshot) -> str:
-    """The way of a topic, or of requests, and what carries it."""
+    """Return the direction of a topic or of requests, and the transport."""
     way = OUT if route.outgoing else IN
     if isinstance(route, PatternRow):
         return f"{way} match"
@@ -105,7 +105,7 @@ def _rate(route: RouteSnapshot) -> str:
 
 
 def present_rate(route: RouteSnapshot) -> float:
-    """A topic's rate in Hz. One that has stopped has 0: the measured mean still covers seconds in which it flowed."""
+    """Return a topic's rate in Hz, 0 after it has stopped: the mean still covers seconds in which it flowed."""
     return 0.0 if route.state in {State.STALE, State.STOPPED} else route.rate
 
 
@@ -117,7 +117,7 @@ def carries(route: RouteSnapshot) -> bool:
 
 
 def _way(route: RouteSnapshot) -> float | None:
-    """The time on the way, s: a message's, or a call's there and back."""
+    """Return the time in transit (s): a message's, or a call's there and back."""
     return route.latency_p50 if route.calls is None else route.calls.way_p50
 
 
@@ -194,7 +194,7 @@ STATE, SIGN, TOPIC, PEER, HISTORY_COLUMN = (
 def layout(
     width: int, *, peers: bool, grouped: bool = False, calls: bool = False
 ) -> tuple[tuple[Column[RouteSnapshot], int], ...]:
-    """The columns that fit, each with its width in cells.
+    """Return the columns that fit, each with its width in cells.
 
     Args:
         width: of the table, cells.

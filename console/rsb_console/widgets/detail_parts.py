@@ -75,7 +75,7 @@ def acknowledged_by(record: Acknowledgement) -> str:
 
 
 def _until(arming: ArmingSnapshot) -> str:
-    """The conditions that disarm it."""
+    """Return the conditions that disarm it."""
     if not arming.deadman:
         return "until it is disarmed, the link drops or that console ends"
     return f"until no key is pressed on that console for {arming.deadman:g} s"
@@ -89,7 +89,7 @@ def carrier_of(route: RouteSnapshot) -> str:
 
 
 def crossing(route: RouteSnapshot, way: str, width: int) -> Iterator[Line]:
-    """The type, where it goes, what carries it, its name there, and the pattern that it matches.
+    """Yield the type, the direction, the transport, the name on the other side and the pattern.
 
     Args:
         route: what it is about.
@@ -107,14 +107,14 @@ def crossing(route: RouteSnapshot, way: str, width: int) -> Iterator[Line]:
 
 
 def _type(route: RouteSnapshot) -> str:
-    """The type, as far as the bridge knows it. Types of parameters are ROS's own."""
+    """Return the type, if the bridge knows it. Parameters have ROS's own types."""
     if route.type_name or route.spec.type != AUTO:
         return route.type_name or f"{route.spec.type} (as configured)"
     return DetailText.ALL_PARAMETERS() if route.spec.kind == "parameters" else DetailText.UNKNOWN_TYPE()
 
 
 def stages(route: RouteSnapshot, question: str, nothing: str, width: int) -> Iterator[Line]:
-    """The stages: those passed on one line, the first that fails with its reason, and the others on one line.
+    """Yield the stages: those passed on one line, the first that fails with its reason, and the others on one line.
 
     Args:
         route: whose they are.
@@ -149,13 +149,13 @@ def _listed(sign: str, look: str, of_route: Sequence[Stage], width: int) -> Iter
 
 
 def wrapped(text: str, width: int, look: str) -> Iterator[Line]:
-    """A text over as many lines as it takes."""
+    """Wrap a text over as many lines as it takes."""
     for line in textwrap.wrap(text, max(10, width - 3)):
         yield ((f"   {line}", look),)
 
 
 def plot(route: RouteSnapshot, title: str, unit: str, width: int) -> Iterator[Line]:
-    """The rate now, and a curve of the last seconds.
+    """Yield the present rate and a curve of the last seconds.
 
     Args:
         route: whose rate.
@@ -195,24 +195,24 @@ def ledger(title: str, rows: Sequence[tuple[str, int, str, str]]) -> Iterator[Li
 
 
 def share(part: int, whole: int) -> str:
-    """A part in percent, or an empty string if the whole is 0."""
+    """Format a part in percent, or return an empty string if the whole is 0."""
     return f"  {100 * part / whole:.1f} %" if whole > 0 else ""
 
 
 def throughput(route: RouteSnapshot, width: int) -> Iterator[Line]:
-    """The bytes now, and in all."""
+    """Format the present byte rate and the total."""
     total = f"{formats.thousands(route.bytes_total)} in all"
     yield from figure("bytes", [f"{formats.byte_rate(route.bytes_per_second)},", total], width)
 
 
 def nodes(name: str, of_route: Sequence[str], width: int) -> Iterator[Line]:
-    """The known nodes at one end of the route."""
+    """Yield the known nodes at one end of the route."""
     if of_route:
         yield from figure(name, [f"{node}," for node in of_route[:-1]] + [of_route[-1]], width)
 
 
 def figure(name: str, pieces: Sequence[str], width: int) -> Iterator[Line]:
-    """A named figure, wrapped to the pane's width. A piece that fits on a line is not broken."""
+    """Yield a named figure, wrapped to the pane's width without breaking pieces that fit on a line."""
     room = max(10, width - LABEL - 2)
     text = " ".join(pieces)
     if len(text) <= room:  # the usual case, at every refresh
@@ -224,5 +224,5 @@ def figure(name: str, pieces: Sequence[str], width: int) -> Iterator[Line]:
 
 
 def labelled(name: str, text: str) -> Line:
-    """A named figure on one line."""
+    """Format a named figure on one line."""
     return ((f" {name:<{LABEL}} ", "dim"), (text, ""))

@@ -202,7 +202,7 @@ def faults_of(snapshot: Snapshot) -> list[Fault]:
 
 
 def _link_faults(snapshot: Snapshot) -> Iterator[Fault]:
-    """The header shows a single link that waits."""
+    """Return the faults of links, without a single waiting link, which the header shows."""
     single = len(snapshot.links) == 1
     for link in sorted(snapshot.links, key=lambda link: (link.state.rank, link.name)):
         if link.acknowledged is not None:

@@ -126,7 +126,7 @@ class Prompt(Horizontal):
         self._before = ""
 
     def compose(self) -> ComposeResult:
-        """The slash, the input, and room for what is wrong."""
+        """Compose the slash, the input, and room for its problem."""
         yield Static(" /", id="sign")
         yield Input(id="pattern", placeholder=f"terms that match, !terms that do not; {self._columns}")
         yield Static("", id="problem", classes="problem")

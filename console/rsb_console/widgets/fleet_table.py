@@ -87,7 +87,7 @@ def _since(row: Row) -> float:
 
 
 def percent(share: float) -> str:
-    """A share of 1 in at most four characters: ``12%``, ``0.3%``, ``0``."""
+    """Format a share of 1 in at most four characters: ``12%``, ``0.3%``, ``0``."""
     return "0" if share == 0 else f"{share:.1%}" if share < 0.00995 else f"{share:.0%}"
 
 
@@ -145,7 +145,7 @@ DIM = frozenset({NAME, SERVER, GROUP})
 
 @cache
 def layout(width: int, *, servers: bool, grouped: bool) -> tuple[tuple[Column[Row], int], ...]:
-    """The columns that fit, each with its width in cells.
+    """Return the columns that fit, each with its width in cells.
 
     Args:
         width: cells.

@@ -39,7 +39,7 @@ class InputGuard:
         self._until = 0.0
 
     def end(self) -> None:
-        """The result is shown."""
+        """Stop guarding, as the result is shown."""
         self._until = time.monotonic()
 
     def covers(self, event: Message) -> bool:

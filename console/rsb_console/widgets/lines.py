@@ -30,7 +30,7 @@ LOOKS = (
 
 
 def look_class(look: str) -> str:
-    """The CSS component class of a look."""
+    """Return the CSS component class of a look."""
     return f"line--{look}"
 
 
@@ -69,7 +69,7 @@ class LiveLines(ScrollView):
         return False
 
     def index_at(self, y: int) -> int:
-        """The line at screen row `y` of this pane."""
+        """Return the line at screen row `y` of this pane."""
         return y if y < self.sticky else y + self._top
 
     def sync(self) -> None:
@@ -177,7 +177,7 @@ def width_of(line: Line) -> int:
 
 
 def fit(line: Line, width: int) -> Line:
-    """`line` cut to `width` cells, with an ellipsis where something is missing."""
+    """Cut `line` to `width` cells, with an ellipsis in place of the missing part."""
     if width_of(line) <= width:
         return line
     kept: list[tuple[str, str]] = []
@@ -192,7 +192,7 @@ def fit(line: Line, width: int) -> Line:
 
 
 def fit_middle(text: str, width: int) -> str:
-    """`text` cut to `width` cells in its middle: names that begin alike often differ at their ends."""
+    """Cut `text` to `width` cells in its middle: names that begin alike often differ at their ends."""
     if cell_len(text) <= width:
         return text
     tail = clip(text[::-1], (width - 1) // 2)[::-1]
@@ -200,7 +200,7 @@ def fit_middle(text: str, width: int) -> str:
 
 
 def clip(text: str, width: int) -> str:
-    """The start of `text` that fits into `width` cells."""
+    """Return the start of `text` that fits into `width` cells."""
     if text.isascii():
         return text[: max(0, width)]
     while cell_len(text) > max(0, width):

@@ -147,7 +147,7 @@ class PickField(Field):
         self.list.show(self._suggestions, Pattern.or_plain(self.filter_text()), self._empty(self.value))
 
     def filter_text(self) -> str:
-        """The text that narrows the list of suggestions."""
+        """Return the text that narrows the list of suggestions."""
         return self.value
 
     @property

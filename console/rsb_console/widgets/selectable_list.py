@@ -143,10 +143,10 @@ class SelectableList(LiveLines, can_focus=True):
             self.move_to(position)
 
     def heading_clicked(self, x: int) -> None:
-        """The heading was clicked, `x` cells from its left edge."""
+        """Handle a click on the heading, `x` cells from its left edge."""
 
     def on_focus(self) -> None:
-        """The cursor's line looks different in the focused pane."""
+        """Redraw the cursor's line, which looks different in the focused pane."""
         self._refresh_cursor()
 
     def on_blur(self) -> None:
