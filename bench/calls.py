@@ -41,7 +41,7 @@ class Load(NamedTuple):
 
     Attributes:
         what: for people.
-        how: of `CallNode.call`.
+        how: argument of `CallNode.call`.
     """
 
     what: str

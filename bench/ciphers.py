@@ -32,7 +32,7 @@ class Core(NamedTuple):
     """A core without instructions for AES.
 
     Attributes:
-        name: of the core, and a computer that has it.
+        name: name of the core, and a computer that has it.
         ghz: its clock.
         aes: cycles a byte of AES-256-GCM: github.com/lelegard/aesbench, RESULTS.md, OpenSSL 3.0.
         chacha: of ChaCha20-Poly1305: OpenSSL, chacha-armv8.pl and poly1305-armv8.pl, the sum of both; of the

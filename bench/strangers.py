@@ -58,7 +58,7 @@ class Flood(NamedTuple):
         rate: connections, datagrams or first samples a second.
         size: bytes of each.
         many: whether they come from many addresses.
-        seconds: how long.
+        seconds: duration.
     """
 
     transport: str
@@ -95,7 +95,7 @@ class Row(NamedTuple):
     """The effect of a flood.
 
     Attributes:
-        sent: how many connections, datagrams or samples there were.
+        sent: number of connections, datagrams or samples.
         before: memory (MB) before the flood.
         peak: the most during it.
         after: some seconds after it.

@@ -53,9 +53,9 @@ class Row(NamedTuple):
     """One phase of an attack.
 
     Attributes:
-        delivered: of the robot's messages, from 0 to 1.
+        delivered: share of the robot's messages that arrived, from 0 to 1.
         slowest: the 99th percentile of their latency, ms.
-        answered: of the calls of the robot's nodes, from 0 to 1, each with its own answer.
+        answered: share of the robot's nodes' calls that got their own answer, from 0 to 1.
         call: the 99th percentile of the time until an answer, ms.
     """
 

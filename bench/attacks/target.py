@@ -45,10 +45,10 @@ class Attack(NamedTuple):
     Attributes:
         run: goes on until its process is ended.
         what: it does, for a reader of the table.
-        at_least: how much of it must have been done by the end, or the figures say nothing.
-        protocol: of the legitimate topic that is measured.
-        seconds: how long the attack is watched.
-        stage: what else it needs in the server's domain.
+        at_least: least amount to be done by the end; with less, the figures are meaningless.
+        protocol: protocol of the legitimate topic that is measured.
+        seconds: duration of the attack.
+        stage: further nodes that it needs in the server's domain.
     """
 
     run: Callable[[Target, Tally], None]

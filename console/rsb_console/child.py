@@ -24,7 +24,7 @@ class ChildProcess(subprocess.Popen[str]):
 
     Args:
         module: its name.
-        arguments: of the module.
+        arguments: arguments of the module.
         options: for `subprocess.Popen`.
     """
 

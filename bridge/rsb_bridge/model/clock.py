@@ -38,7 +38,7 @@ class StampClock:
 
     Attributes:
         shift: ns, this clock minus the wall clock.
-        steps: how often the wall clock was seen to be set.
+        steps: number of times that the wall clock was set.
     """
 
     def __init__(self, clock: Clock) -> None:

@@ -105,7 +105,7 @@ class Arming:
         console: that operator's console on this side, or None if it was armed on the other side or is not armed.
         why: the cause why it is not armed.
         reason: the same as a text.
-        lease: of the link, or None before the first opening: nothing passes without it.
+        lease: lease of the link, or None before the first opening: nothing passes without it.
     """
 
     __slots__ = (

@@ -102,7 +102,7 @@ class LatchedTopic:
         Args:
             loop: the I/O loop.
             advertise: makes a publisher with a depth; may raise RosError.
-            budget: of the publishers' link.
+            budget: budget of the publishers' link.
             depth: depth of a history before its own depth is known.
             failed: called when a message that had waited, or a publisher, fails later.
 
@@ -180,8 +180,8 @@ class LatchedTopic:
         """Publish a message, now or as soon as its publisher is discovered by those who have discovered the others.
 
         Args:
-            header: whose it is.
-            content: of the message.
+            header: publisher, number and depth of the message.
+            content: content of the message.
             still_wanted: asked right before it is published if it had to wait, or None if it is wanted in any case.
 
         Returns:

@@ -86,7 +86,7 @@ class Unpacker:
     """Unpacks the compressed messages of one route.
 
     Args:
-        budget: of its link.
+        budget: budget of its link.
         context: has the clock and the I/O loop.
     """
 
@@ -137,11 +137,11 @@ class MessageCheck:
 
     Args:
         context: has the session, and the checkers.
-        budget: of the link, for lengths that are read.
+        budget: budget of the link for lengths to read.
 
     Attributes:
-        checker: of the type, or None if messages are not checked.
-        type_name: that messages are checked against, or an empty string.
+        checker: checker of the type, or None if messages are not checked.
+        type_name: name of the type to check against, or an empty string.
     """
 
     def __init__(self, context: Context, budget: TokenBucket) -> None:

@@ -86,7 +86,7 @@ class Route:
     """A route's half on this side. Lives across reconnects; `id` is that of the present opening.
 
     Attributes:
-        key: names it in commands.
+        key: its name in commands.
         spec: the topic's entry, as the client sees it.
         topic: its name on the sending side; for calls, here and below, the callers' side.
         remote_topic: its name on the receiving side.

@@ -259,8 +259,8 @@ class Loopback:
     """Two domains of this machine.
 
     Args:
-        transports: to measure.
-        domains: which; nobody else should be in them.
+        transports: transports to measure.
+        domains: two ROS domains, free of other nodes.
     """
 
     def __init__(self, transports: tuple[str, ...], domains: tuple[int, int]) -> None:

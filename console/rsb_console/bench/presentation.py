@@ -161,7 +161,7 @@ def capacity(points: Iterable[Point], size: float) -> float:
     taken for as dear as that, larger ones than the largest for as dear by the byte.
 
     Args:
-        points: of one transport and direction.
+        points: points of one transport and direction.
         size: bytes.
     """
     near = _nearest(points, size)

@@ -74,7 +74,7 @@ class Point:
 
     Attributes:
         transport: ``tcp``, ``udp`` or ``bluetooth``; in developers' comparisons, any name.
-        direction: as the client sees it.
+        direction: direction as the client sees it.
         size: bytes of payload.
         gentle: the run at a low rate, for the latency.
         base: latency (p50, p99, p99.9 in ms) without a bridge, or None if it was not measured.

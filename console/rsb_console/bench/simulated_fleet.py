@@ -45,7 +45,7 @@ class Router:
     """A Zenoh router in a process of its own, which may be killed and started again.
 
     Attributes:
-        endpoint: where it listens.
+        endpoint: endpoint that it listens on.
         process: the one that runs, or ran last.
     """
 
@@ -179,7 +179,7 @@ class Fleet:
         """Wait until something is true of each robot.
 
         Raises:
-            BenchError: of some it is not, in time.
+            BenchError: it is not true of every robot in time.
         """
         deadline = time.monotonic() + within
         while True:

@@ -69,8 +69,8 @@ class Suite:
     """Measures in one place.
 
     Args:
-        place: where.
-        plan: how much.
+        place: place of the benchmark.
+        plan: extent of the benchmark.
         report: filled meanwhile.
         clock: s, monotonic.
         say: told what is being done.
@@ -276,7 +276,7 @@ class OverLink:
     Args:
         engine: attached.
         link: its name.
-        ways: what is measured.
+        ways: transports and directions to measure.
     """
 
     def __init__(self, engine: EngineApi, link: str, ways: list[Way]) -> None:

@@ -246,7 +246,7 @@ def _heard(shown: Fleet, engines: int, as_they_are: Callable[[], bool]) -> list[
 
     Args:
         shown: the fleet.
-        engines: how many there are.
+        engines: number of engines.
         as_they_are: whether something is meant to be wrong, or nobody waits for it to become well.
     """
     asked = time.time()

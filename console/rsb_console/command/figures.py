@@ -42,7 +42,7 @@ class Figures:
         route: its newest snapshot.
         time: s since the epoch, of that snapshot.
         seconds: s over which the figures are taken.
-        messages: that this bridge gave to the link's queue, or published.
+        messages: number of messages that this bridge gave to the link's queue, or published.
         size: bytes of their payload.
         offered: messages that the sending bridge took from ROS, as far as this side knows.
         delivered: messages that the receiving bridge published, as far as this side knows.
@@ -81,7 +81,7 @@ class Window:
     """The last snapshots of one topic.
 
     Args:
-        seconds: how far back they go.
+        seconds: span of the figures.
     """
 
     def __init__(self, seconds: int) -> None:

@@ -97,7 +97,7 @@ def _fleet(arguments: Namespace, *, wait: bool = True) -> Iterator[Fleet]:
     """Open the fleet that the arguments name, for the duration of a block.
 
     Args:
-        arguments: of the command.
+        arguments: arguments of the command.
         wait: until the robots have said how they are.
     """
     fleet = Fleet(sources_of(arguments), Memory(memory_path()), Clock())

@@ -175,7 +175,7 @@ def attach_in_fleet(arguments: Namespace, *, read_only: bool) -> RemoteEngine:
     """Attach to a bridge of the fleet that the arguments name.
 
     Raises:
-        EngineError: that cannot be done.
+        EngineError: the attachment fails.
         UsageError: the file that says how has mistakes.
     """
     from rsb_bridge.control.zenoh_fleet import FleetWay  # noqa: PLC0415 -- not needed elsewhere
@@ -320,7 +320,7 @@ def done_with_all(
     """Report a command on all routes of a name, if there are several.
 
     Args:
-        arguments: of the command.
+        arguments: arguments of the command.
         found: the routes.
         what: the command's effect, in words.
         one: whether to report a single route, too.

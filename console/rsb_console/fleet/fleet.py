@@ -34,8 +34,8 @@ class FleetSource(Protocol):
     """Knows some robots, no two of the same name. All but `start`, `wait` and `open` answer at once.
 
     Attributes:
-        kind: what it is, in a word: ``server`` or ``fleet``.
-        name: what an operator calls it: ``control``, the server's name. No other source has it.
+        kind: kind of the source: ``server`` or ``fleet``.
+        name: unique name for operators: ``control``, the server's name.
     """
 
     kind: str
@@ -50,7 +50,7 @@ class FleetSource(Protocol):
         """Begin to know robots.
 
         Raises:
-            EngineError: that cannot be done.
+            EngineError: the source cannot be used.
         """
         ...
 
@@ -72,7 +72,7 @@ class FleetSource(Protocol):
         It takes some seconds at most.
 
         Raises:
-            EngineError: that cannot be done.
+            EngineError: the engine cannot be opened.
         """
         ...
 
@@ -85,7 +85,7 @@ class Robot(NamedTuple):
     """A robot of a fleet.
 
     Attributes:
-        source: that knows it.
+        source: source that reports it.
         summary: the robot itself.
         gone: the source knows it no more; it is only remembered.
     """
@@ -113,8 +113,8 @@ class Fleet:
     """The robots of some sources. `robots`, `chosen` and `dismiss` may be called from any thread.
 
     Args:
-        sources: of different names.
-        memory: of robots that were there.
+        sources: sources with different names.
+        memory: memory of robots that were connected before.
         clock: the wall clock.
     """
 

@@ -30,7 +30,7 @@ class Bridged(NamedTuple):
     Attributes:
         robot: its name.
         route: the topic's.
-        session: of the robot's bridge.
+        session: session of the robot's bridge.
     """
 
     robot: str
@@ -120,8 +120,8 @@ class Rollout:
 
     Args:
         fleet: started.
-        robots: of it.
-        topic: as the robots call it.
+        robots: robots of the fleet.
+        topic: the topic's name on the robots.
         keys: ``KEY=VALUE`` each.
         settle: s that a robot has to be as well as before.
         now: a clock, s.

@@ -25,7 +25,7 @@ class ServerFleet:
     """Fulfils `rsb_console.fleet.fleet.FleetSource`: one robot for each client of a server.
 
     Args:
-        name: of the server.
+        name: name of the server.
         path: its control socket.
     """
 
@@ -74,7 +74,7 @@ class RobotEngine(RemoteEngine):
     """A server's engine as far as it concerns one of its clients: the others are neither seen nor changed.
 
     Args:
-        path: of the server's control socket.
+        path: path of the server's control socket.
         robot: the client's name.
         read_only: have the bridge refuse what would change anything.
     """

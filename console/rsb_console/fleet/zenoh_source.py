@@ -39,7 +39,7 @@ class ZenohFleet:
     """Fulfils `rsb_console.fleet.fleet.FleetSource`: one robot for each engine that announces itself.
 
     Args:
-        file: names the fleet, and the operator.
+        file: fleet file with the fleet and the operator.
     """
 
     kind = "fleet"

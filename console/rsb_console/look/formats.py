@@ -131,7 +131,7 @@ def next_attempt(link: LinkSnapshot, now: float | None = None) -> str:
     """Format the time until a link is tried again, or until its client asks again.
 
     Args:
-        link: that link.
+        link: the link.
         now: s, so that the seconds change together with `age_since`, or None.
     """
     seconds = link.retry_in
@@ -189,7 +189,7 @@ class PatternRow(RouteSnapshot):
     """A pattern in a list of routes.
 
     Attributes:
-        routes: that it has made.
+        routes: routes that it has made.
     """
 
     routes: int = 0

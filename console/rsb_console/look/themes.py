@@ -52,7 +52,7 @@ class Themes:
     """The themes that were read, and what is wrong with the others.
 
     Attributes:
-        found: by name.
+        found: themes by name.
         problems: one line per file that is no theme.
     """
 

@@ -71,10 +71,10 @@ class Request(NamedTuple):
     """A call that is to be made.
 
     Attributes:
-        lane: which of the route's services.
+        lane: name of one of the route's services.
         text: the request's fields, as YAML.
-        question: what the operator is asked.
-        means: what that does.
+        question: question to the operator.
+        means: consequences of a yes.
         yes: the label of the button that does it.
         sets: it sets one parameter.
     """
@@ -104,7 +104,7 @@ class CallScreen(FormScreen[Request]):
 
     Args:
         console: the app.
-        route: what is called, as it was when this was opened.
+        route: route to call, as it was when this was opened.
     """
 
     AUTO_FOCUS = ".field TextArea, .field Input, .field Choice"
@@ -331,7 +331,7 @@ def answer_lines(answer: str, width: int) -> Iterator[Line]:
     """Format an answer as lines that fit, with a note if it is cut.
 
     Args:
-        answer: as YAML.
+        answer: answer as YAML.
         width: cells.
     """
     pieces = (

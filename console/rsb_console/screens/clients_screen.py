@@ -66,7 +66,7 @@ class _ClientChange(Change):
 
     Attributes:
         console: the app.
-        path: of the session file.
+        path: path of the session file.
         listed: the client as the file has, or had, it.
         running: the client as the bridge has, or had, it.
     """

@@ -42,9 +42,9 @@ class Dialog(Vertical):
     """A dialog's widgets, with a title on the frame, and the keys as its last line.
 
     Args:
-        title: of the dialog.
-        widgets: from the top.
-        keys: what to press; the last line.
+        title: title of the dialog.
+        widgets: widgets from the top.
+        keys: keys to press, shown in the last line.
         shape: a further CSS class: ``-wide`` or ``-history``.
     """
 
@@ -102,7 +102,7 @@ class ConfirmScreen(ModalScreen[bool]):
         """Show other lines of the message.
 
         Args:
-            to: as Textual's ``scroll_...`` methods have it.
+            to: direction, as in Textual's ``scroll_...`` methods.
         """
         getattr(self._scrolled, f"scroll_{to}")(animate=False)
 
@@ -131,7 +131,7 @@ class UndoScreen(ConfirmScreen):
     """Yes or No. The focus is on No if the undo removes something, or lets messages cross that do not cross now.
 
     Args:
-        undo: with its effect in words.
+        undo: the change to undo, with its effect in words.
     """
 
     SHAPE = "-wide"
@@ -194,7 +194,7 @@ class RestartScreen(ModalScreen[None]):
     """Restarts as soon as it is shown; may be left at any time, the restart goes on.
 
     Args:
-        engine: what to restart.
+        engine: engine to restart.
     """
 
     BINDINGS: ClassVar = [Binding("escape,q", "dismiss", show=False)]

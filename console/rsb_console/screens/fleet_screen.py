@@ -34,8 +34,8 @@ class FleetScreen(Screen[None]):
 
     Args:
         console: the app.
-        fleet: whose robots.
-        view: what the operator has made of the table, here or on a screen before.
+        fleet: fleet of the robots.
+        view: the operator's settings of the table, from here or a screen before.
         open_robot: opens the console on one.
         change_rate: refreshes faster or slower by so many steps.
     """

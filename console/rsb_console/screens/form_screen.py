@@ -28,8 +28,8 @@ class FormScreen(ModalScreen[T | None]):
     A subclass says what is wrong with the values (`problems`) and what they make (`result`).
 
     Args:
-        title: of the dialog.
-        fields: from the top.
+        title: title of the dialog.
+        fields: fields from the top.
         yes: the label of the button that accepts.
     """
 

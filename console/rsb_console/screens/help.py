@@ -57,8 +57,8 @@ class HelpScreen(ModalScreen[None]):
     """Every key; any of escape, q, ? and enter leaves.
 
     Args:
-        console: whose keys they are.
-        actions: what they do.
+        console: the app with the keys.
+        actions: actions to describe.
     """
 
     BINDINGS: ClassVar = [Binding("escape,q,question_mark,enter", "dismiss", show=False)]

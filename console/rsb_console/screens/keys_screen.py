@@ -204,7 +204,7 @@ class GenerateScreen(FormScreen[Path]):
 
     Args:
         console: asks before a key is replaced.
-        path: to begin with.
+        path: first text of the field.
     """
 
     def __init__(self, console: Console, path: Path) -> None:

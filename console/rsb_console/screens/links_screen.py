@@ -159,7 +159,7 @@ class LinkScreen(ModalScreen[None]):
     """One link, with its topics, live.
 
     Args:
-        console: whose link it is.
+        console: the app with the link.
         name: the link's.
     """
 

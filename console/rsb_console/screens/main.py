@@ -418,7 +418,7 @@ class EventScreen(ModalScreen[None]):
     """All that an event says, over as many lines as it takes.
 
     Args:
-        event: which.
+        event: event to show.
     """
 
     BINDINGS: ClassVar = [Binding("escape,q,enter", "dismiss", show=False)]

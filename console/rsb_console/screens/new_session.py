@@ -95,7 +95,7 @@ class NewSessionScreen(FormScreen[NewSession]):
         console: asks and tells.
         may_run: whether the operator agrees to run the session of a file instead of the present one; if not, the form
             stays.
-        server_ip: to begin with.
+        server_ip: first text of the field.
     """
 
     def __init__(self, console: Console, may_run: Callable[[Path], Awaitable[bool]], server_ip: str = "") -> None:

@@ -74,7 +74,7 @@ async def save_asking(console: Console, session: Session, path: Path, *, opened:
     Args:
         console: asks and tells.
         session: its key files are relative to the folder of `path`.
-        path: of the file; left alone if it holds the same session already.
+        path: path of the file, left alone if it holds the same session already.
         opened: the file that the session came from: its comments and layout are kept.
 
     Returns:
@@ -121,7 +121,7 @@ class DiffLines(LiveLines, can_focus=False):
     """The lines of a diff, coloured; a long one goes on in the next line.
 
     Args:
-        lines: of the diff.
+        lines: lines of the diff.
     """
 
     def __init__(self, lines: Sequence[str]) -> None:
@@ -180,7 +180,7 @@ class ChangedScreen(ModalScreen[ChangedAnswer]):
     """Says that a session's file was changed on disk, and asks what to do; escape does nothing.
 
     Args:
-        path: of the file.
+        path: path of the file.
     """
 
     BINDINGS: ClassVar = [

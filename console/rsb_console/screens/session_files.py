@@ -132,7 +132,7 @@ class SessionsScreen(FormScreen[Opened | str]):
     """Open a session, or go on to another way to get one: then gives the action's id.
 
     Args:
-        path: to begin with.
+        path: first text of the field.
         runs: a session runs, and can be saved.
         readonly: nothing may be changed.
     """
@@ -195,7 +195,7 @@ class SaveAsScreen(FormScreen[Path]):
     """Name a file to save to.
 
     Args:
-        path: to begin with.
+        path: first text of the field.
     """
 
     def __init__(self, path: Path) -> None:

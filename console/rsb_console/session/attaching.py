@@ -38,7 +38,7 @@ def attach(where: Path | Way, *, read_only: bool) -> RemoteEngine:
     """Attach to a bridge by its control socket, or by another way; may take some seconds.
 
     Raises:
-        EngineError: that cannot be done.
+        EngineError: the attachment fails.
     """
     engine = RemoteEngine(where, read_only=read_only)
     engine.start()

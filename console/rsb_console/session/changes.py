@@ -49,7 +49,7 @@ class Undo(NamedTuple):
     """One undo.
 
     Attributes:
-        title: of the question.
+        title: title of the question.
         lines: the effect of the undo.
         yes: the label of its button.
         careful: whether the question's focus begins on No.
@@ -120,7 +120,7 @@ class Added(Change):
     """A topic was added.
 
     Attributes:
-        key: of its route.
+        key: key of its route.
         spec: the topic as the client sees it.
     """
 
@@ -153,7 +153,7 @@ class Edited(Change):
     """A topic was edited.
 
     Attributes:
-        key: of its route, after the edit.
+        key: key of its route after the edit.
         old: the topic before.
         new: the topic after.
         pattern: the pattern that had made its route, or empty.
@@ -186,7 +186,7 @@ class Removed(Change):
     """A topic was removed.
 
     Attributes:
-        key: of its route.
+        key: key of its route.
         spec: the topic as the client sees it.
         pattern: the pattern that had made its route, or empty.
         patterns: the link's patterns before, by their keys: a removal makes an exception in every matching pattern.
@@ -245,7 +245,7 @@ class Paused(Change):
     """A topic was paused or resumed.
 
     Attributes:
-        key: of its route.
+        key: key of its route.
         paused: whether it was paused.
         mixed: whether a pattern's topics were partly paused before.
     """

@@ -252,7 +252,7 @@ def check_address(name: str, address: str) -> None:
 
     Args:
         name: the client's.
-        address: of the server, as the client reaches it, or empty.
+        address: the server's address as the client reaches it, or empty.
 
     Raises:
         ClientError: no client can connect to that address.

@@ -167,7 +167,7 @@ def own_domain(before: int = 0) -> int:
     """Return the first of two ROS domains for a demo of this process.
 
     Args:
-        before: how many demos this process has started before.
+        before: number of demos that this process has started before.
     """
     return _FIRST_DOMAIN + 2 * ((os.getpid() + before) % _DOMAIN_PAIRS)
 

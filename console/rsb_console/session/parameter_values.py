@@ -18,8 +18,8 @@ class Kind(NamedTuple):
 
     Attributes:
         number: rcl_interfaces/msg/ParameterType.
-        name: as `ros2 param describe` and ``--type`` call it.
-        words: of one, in a sentence.
+        name: name in `ros2 param describe` and ``--type``.
+        words: words for a value, in a sentence.
     """
 
     number: int

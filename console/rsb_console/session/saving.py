@@ -91,7 +91,7 @@ def moved(session: Session, old: Path, new: Path) -> Session:
     """Make a session's key files relative to another folder.
 
     Args:
-        session: names its key files relative to `old`.
+        session: session whose key files are relative to `old`.
         old: a folder.
         new: the folder of its new file.
     """

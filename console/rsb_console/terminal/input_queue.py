@@ -40,8 +40,8 @@ class InputQueue:
     dialog. A worker that waits for an open dialog's answer holds nothing back: the input is for that dialog.
 
     Args:
-        app: whose input it is.
-        groups: of the workers that may open a dialog, besides `DIALOG`.
+        app: app that gets the input.
+        groups: groups of the workers that may open a dialog, besides `DIALOG`.
     """
 
     def __init__(self, app: App[Any], groups: Collection[str]) -> None:

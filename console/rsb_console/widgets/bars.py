@@ -122,8 +122,8 @@ def state_counts(
 
     Args:
         things: topics, or links.
-        states: to count, in this order.
-        words: name each state.
+        states: states to count, in this order.
+        words: name of each state.
     """
     counts = faults.state_counts(things)
     return tuple(

@@ -197,7 +197,7 @@ def layout(
     """Return the columns that fit, each with its width in cells.
 
     Args:
-        width: of the table, cells.
+        width: width of the table in cells.
         peers: whether there are several peers, so that the table needs a column for them.
         grouped: whether that column comes first, however narrow the table is.
         calls: whether the table has more than topics.

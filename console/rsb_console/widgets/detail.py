@@ -87,7 +87,7 @@ def detail_lines(route: RouteSnapshot, peer: str, width: int) -> Iterator[Line]:
     Args:
         route: the topic's route.
         peer: the other side's name or address.
-        width: of the pane, cells.
+        width: width of the pane in cells.
     """
     if isinstance(route, PatternRow):
         return _pattern_lines(route, width)
@@ -167,10 +167,10 @@ def call_lines(route: RouteSnapshot, calls: CallsSnapshot, peer: str, width: int
     """Lay out the details of what has calls.
 
     Args:
-        route: what it is about.
+        route: route to describe.
         calls: its calls.
         peer: the other side's name or address.
-        width: of the pane, cells.
+        width: width of the pane in cells.
     """
     yield from parts.heading(route, "call", width)
     yield from parts.crossing(route, f"{f'{OUT} answered by' if route.outgoing else f'{IN} called by'} {peer}", width)

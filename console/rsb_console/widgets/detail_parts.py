@@ -92,9 +92,9 @@ def crossing(route: RouteSnapshot, way: str, width: int) -> Iterator[Line]:
     """Yield the type, the direction, the transport, the name on the other side and the pattern.
 
     Args:
-        route: what it is about.
-        way: from or to whom.
-        width: of the pane, cells.
+        route: route to describe.
+        way: direction and peer in words.
+        width: width of the pane in cells.
     """
     yield ((f" {_type(route)}", "strong" if route.type_name else "dim"),)
     carrier = carrier_of(route)
@@ -117,10 +117,10 @@ def stages(route: RouteSnapshot, question: str, nothing: str, width: int) -> Ite
     """Yield the stages: those passed on one line, the first that fails with its reason, and the others on one line.
 
     Args:
-        route: whose they are.
-        question: that they answer where it does not work.
-        nothing: what is so where all have passed, and it does not work any more.
-        width: of the pane, cells.
+        route: route with the stages.
+        question: question that they answer if it does not work.
+        nothing: text for a route that passed all stages but no longer works.
+        width: width of the pane in cells.
     """
     of_route = route.stages
     waiting = [index for index, stage in enumerate(of_route) if not stage.done]
@@ -158,10 +158,10 @@ def plot(route: RouteSnapshot, title: str, unit: str, width: int) -> Iterator[Li
     """Yield the present rate and a curve of the last seconds.
 
     Args:
-        route: whose rate.
-        title: of it.
-        unit: of it.
-        width: of the pane, cells.
+        route: route with the rate.
+        title: title of the curve.
+        unit: unit of the rate.
+        width: width of the pane in cells.
     """
     cells = max(1, min(width - 2, 60))
     shown = route.history[-2 * cells :]

@@ -35,13 +35,13 @@ class Fault:
     """One fault of a link or a topic.
 
     Attributes:
-        sign: of its state.
-        look: of that sign.
-        robot: whose topic it is, where there are several robots; or empty.
+        sign: sign of its state.
+        look: style of the sign.
+        robot: robot of the topic if there are several robots, or empty.
         name: the link's, or the topic's.
         cause: in words.
         of_link: whether it is a link's.
-        others: names of others with the same cause, apart from names and durations.
+        others: names of others with the same cause, ignoring names and durations.
         measured: whether the cause has figures that change all the time, so that no other fault shares it for long.
     """
 
@@ -100,7 +100,7 @@ class FaultLines(LiveLines):
         Args:
             faults: the worst first.
             most: lines that fit.
-            keys: that show the others.
+            keys: keys that show the others.
             now: s, the time of the snapshot.
         """
         self._faults, self._most, self._keys, self._now = faults, most, keys, now

@@ -36,8 +36,8 @@ class _Term(NamedTuple):
     """One term of a filter.
 
     Attributes:
-        column: to search, or an empty string for all columns.
-        regex: to search for.
+        column: column to search, or an empty string for all columns.
+        regex: expression to search for.
         excludes: whether it must not match.
     """
 
@@ -54,7 +54,7 @@ class Pattern:
     otherwise all. A term without text, such as a single ``!``, is ignored.
 
     Attributes:
-        text: as typed, without the slash.
+        text: typed text without the slash.
     """
 
     text: str

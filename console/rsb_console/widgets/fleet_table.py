@@ -207,7 +207,7 @@ class FleetTable(SelectableList):
     """One line a robot, and one for each group. The cursor stays on its robot when the order changes.
 
     Args:
-        view: what the operator has made of it.
+        view: the operator's settings of the table.
     """
 
     sticky = 1
@@ -228,7 +228,7 @@ class FleetTable(SelectableList):
         """Show the robots as they are now.
 
         Args:
-            fleet: of them.
+            fleet: fleet of the robots.
             now: s since the epoch.
         """
         self.rows = {robot.key: Row(robot, fleet.rates(robot), now) for robot in fleet.robots()}

@@ -65,9 +65,9 @@ class Field(Vertical):
     """A label, an input or a choice, and its problem.
 
     Attributes:
-        spec: what it is.
-        problem: what is wrong with the value.
-        note: what else is to be known of it.
+        spec: definition of the field.
+        problem: problem of the value.
+        note: further note about the value.
         touched: the operator has typed or chosen here; mistakes are shown only then.
         position: in the form, from the top.
     """
@@ -156,7 +156,7 @@ class Form(VerticalScroll, can_focus=False):
     """Fields, one below the other. Arrows and tab move between them, enter submits.
 
     Args:
-        fields: from the top.
+        fields: fields from the top.
     """
 
     BINDINGS: ClassVar = [

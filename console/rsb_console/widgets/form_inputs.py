@@ -58,7 +58,7 @@ class FieldInput(Input):
 
     Args:
         value: at first.
-        blank: what an empty one means.
+        blank: meaning of an empty field.
         edited: the focus comes to its end; else what is typed then replaces it.
     """
 

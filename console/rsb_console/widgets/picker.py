@@ -94,7 +94,7 @@ class PickField(Field):
     operator has gone into the list.
 
     Args:
-        spec: what it is.
+        spec: definition of the field.
         is_literal: whether a text is a value rather than something to look for.
     """
 
@@ -136,7 +136,7 @@ class PickField(Field):
 
         Args:
             suggestions: in the order of the list.
-            empty: what to say where nothing matches the text that it is given.
+            empty: returns the text for an input without a match.
         """
         self._suggestions, self._empty = suggestions, empty
         self._relist()
