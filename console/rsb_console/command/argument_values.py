@@ -51,7 +51,7 @@ def above_0(text: str) -> float:
 
 
 def timeout(text: str) -> float:
-    """Parse how long to wait; 0 only looks.
+    """Parse a timeout; 0 means a single check.
 
     Args:
         text: in s.
@@ -141,7 +141,7 @@ def transports(text: str) -> tuple[str, ...]:
 
 
 def topics(text: str) -> tuple[int, ...]:
-    """Parse numbers of topics; ``0`` is none.
+    """Parse numbers of topics; ``0`` means no measurement.
 
     Raises:
         argparse.ArgumentTypeError: one is none.

@@ -191,7 +191,7 @@ def _import_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 class _CommandParser(argparse.ArgumentParser):
-    """Takes options before, between and behind all else, and shows its own usage when it refuses something."""
+    """Takes options in any place, and shows its own usage when it refuses something."""
 
     _intermixes = False
 

@@ -1,4 +1,4 @@
-"""The command ``bench``: what this machine, or the link of a running bridge, carries."""
+"""The command ``bench``: measures this machine, or the link of a running bridge."""
 
 from __future__ import annotations
 

@@ -59,7 +59,7 @@ def _channels(found: Scan, address: str) -> Iterator[str]:
 
 
 def _ranges(numbers: Iterable[int]) -> str:
-    """Numbers as ``1-4, 7``; none as ``none``."""
+    """Format numbers as ``1-4, 7``, or ``none``."""
     runs: list[list[int]] = []
     for number in numbers:
         if runs and number == runs[-1][-1] + 1:

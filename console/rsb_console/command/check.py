@@ -1,4 +1,4 @@
-"""The command ``check``: what a session would do, and what an operator should mend first."""
+"""The command ``check``: describes a session, and lists the problems to fix first."""
 
 from __future__ import annotations
 
@@ -236,7 +236,7 @@ def _details(topic: Topic, compression: Compression) -> Iterator[str]:
 
 
 def check_session(arguments: Namespace) -> int:
-    """Print what a session would do, and what an operator should mend first; a missing key has its own exit code."""
+    """Print a session's effects and the problems to fix first; a missing key has its own exit code."""
     path: Path = arguments.session
     try:
         session = load(path)
@@ -258,7 +258,7 @@ def check_session(arguments: Namespace) -> int:
 
 
 def print_mistakes(error: SessionError) -> int:
-    """Say what is wrong with a session file: with the file as a whole, or in its lines."""
+    """Print the mistakes of a session file, as a whole or by line."""
     in_lines = any(problem.line for problem in error.problems)
     print_error(CheckText.MISTAKES(problems=error) if in_lines else str(error))
     return USAGE

@@ -1,4 +1,4 @@
-"""Completion in a shell: what it offers on TAB beyond commands and options, also what only a running bridge knows."""
+"""Completion in a shell: the words that it offers on TAB, some of them from a running bridge."""
 
 from __future__ import annotations
 
@@ -29,20 +29,20 @@ if TYPE_CHECKING:
     from rsb_console.fleet.fleet import Remembered
 
 _PATHS = ("PATH", "FILE", "FILE.svg")
-"""The metavars of arguments that are paths, and still texts."""
+"""The metavars of path arguments that stay plain texts."""
 _ADAPTERS = Path("/sys/class/bluetooth")
 _WAITS = 1.0
-"""s for a bridge to answer. If anything goes wrong, nothing is offered: a shell has no place for a message then."""
+"""Seconds for a bridge to answer. On any error nothing is offered: a shell has no place for a message then."""
 _DIRECTIONS = ["transmit", "receive"]
 _DEFAULTS: dict[str, Any] = {
     "bridge": None, "control": None, "link": "", "kind": None, "kinds": tuple(KEYS), "direction": None,
 }  # fmt: skip
 _NOT_TYPED = ("direction", *NAME_KEYS.values())
-"""Keys that `add` and `edit` have arguments of their own for."""
+"""Keys that have their own arguments in `add` and `edit`."""
 
 
 def run(name: str, arguments: Namespace) -> int:
-    """Print what a shell sources to complete the command. Returns the exit code."""
+    """Print the script that a shell sources to complete the command. Return the exit code."""
     assert name == "script"
     for line in argcomplete.shellcode(["rsb-console"], shell=arguments.shell).strip("\n").splitlines():
         print_lines(line)
@@ -72,7 +72,7 @@ def _files_where_a_path_is_due(prefix: str, action: Action, **_: object) -> list
 
 
 def yaml_files(prefix: str, **_: object) -> list[str]:
-    """YAML files that a path which has been begun may become, and folders on the way to more."""
+    """Return the YAML files that complete a path, and folders to look further."""
     begun = prefix.rpartition("/")
     folder = typed_path(begun[0] + begun[1])
     try:

@@ -80,7 +80,7 @@ def run_console(
 
 
 def run_app(app: TerminalApp[T], *, mouse: bool) -> T | None:
-    """Run an app in the terminal; gives what it returns. `TerminalApp.shutdown_reason` says why it has ended."""
+    """Run an app in the terminal and return its result. `TerminalApp.shutdown_reason` has the reason for its end."""
     shut_down_on_signals(app.shut_down_soon)
     returned = None
     try:

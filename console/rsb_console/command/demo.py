@@ -36,9 +36,9 @@ if TYPE_CHECKING:
 GROUPS = ("hall", "yard")
 _OPEN_WITHIN, _SEEN_WITHIN, _WELL_WITHIN = 60.0, 10.0, 60.0
 _AFTER = 5.0
-"""s until the first trouble."""
+"""Seconds until the first trouble."""
 _AWAY, _THERE = 10.0, 20.0
-"""s for which the robot that comes and goes is away, and there."""
+"""Seconds for which the robot that comes and goes is away, and then present."""
 _LOOK_EVERY = 0.2
 _FAULTY = "/scan"
 _AFTER_QUIT = "All simulated robots end."
@@ -219,7 +219,7 @@ def _say(running: Simulated) -> None:
 
 
 def trouble(running: Simulated, over: Callable[[], bool]) -> bool:
-    """Have something to see until it is over. Returns whether there was time for any."""
+    """Cause troubles to show until the time is over. Return whether there was time for any."""
     faulty, restless = _troubled(running.names)
     began, troubled = time.monotonic(), False
     due = [(began + _AFTER, faulty, ("mute", _FAULTY)), (began + _THERE, restless, ("stop",))]

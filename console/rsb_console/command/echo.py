@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from rsb_console.session.reading import ReadMessage
 
 _WIDTH = 1 << 20
-"""Cells: lines are not wrapped, for `grep` and the like."""
+"""Width in cells, large enough that lines are never wrapped, for `grep` and similar tools."""
 _ITEMS = 128  # as `ros2 topic echo`
 _ALL = 1 << 20  # elements, and values: a message comes with as many bytes at most
 _HEX = 512  # bytes
@@ -32,7 +32,7 @@ _NEVER = float("inf")
 
 
 def echo(engine: EngineApi, route: RouteSnapshot, arguments: Namespace) -> bool:
-    """Print messages of a route until there were as many as are wanted; whether there were.
+    """Print messages of a route up to the wanted number; return whether enough came.
 
     Raises:
         EngineError: the bridge has ended, or does not bridge the topic any more.

@@ -27,11 +27,11 @@ if TYPE_CHECKING:
 _EVERY = 1.0
 _LOOK_EVERY = 0.05
 _SHORTEST = 0.9
-"""The least s over which figures are taken; a snapshot may be a little early."""
+"""Least time in seconds for figures; a snapshot may be a little early."""
 _LEDGER_FROM = 1.9
-"""The least s for the ledger's rates: the other side reports its counts once a second."""
+"""Least time in seconds for the ledger's rates: the other side reports its counts once a second."""
 _RENEWED_WITHIN = 10.0
-"""s within which a working bridge has a newer snapshot."""
+"""Seconds within which a working bridge has a newer snapshot."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -144,7 +144,7 @@ class FiguresCommand:
 
 
 def print_figures(command: FiguresCommand, arguments: Namespace) -> int:
-    """Print figures once a second, as often or as long as the arguments say. Returns the exit code.
+    """Print figures once a second for the count or time in the arguments. Return the exit code.
 
     Raises:
         UsageError: the arguments fit no topic, or several.

@@ -229,7 +229,7 @@ def _parsed(words: Sequence[str]) -> Namespace:
 
 
 def _run_on(robot: Robot, command: Namespace, *, as_json: bool) -> tuple[int, list[str]]:
-    """Run a command on a robot. Gives its exit code, and the lines that it has printed."""
+    """Run a command on a robot; return its exit code and its printed lines."""
     command.attach = partial(robot.source.open, robot.summary.name)
     command.json = command.json or as_json
     printed = io.TextIOWrapper(io.BytesIO(), encoding="utf-8", newline="\n")
@@ -326,7 +326,7 @@ def _silent(_: Step, __: str) -> None:
 
 
 def _agreed(question: str) -> bool:
-    """Whether an operator says yes.
+    """Whether an operator answers yes.
 
     Raises:
         UsageError: nobody is there to ask.
@@ -339,7 +339,7 @@ def _agreed(question: str) -> bool:
 
 
 def _ended(arguments: Namespace, rollout: Rollout, outcome: Outcome, steps: Sequence[Step]) -> int:
-    """Say how far it has come, and go back if that is wanted. Returns the exit code."""
+    """Report the outcome, and undo the change if the operator wants it. Return the exit code."""
     stopped = outcome.failed is not None or bool(outcome.left)
     unreached = [step for step in steps if not step.reached]
     lines = list(report(rollout, outcome)) if stopped else []

@@ -37,9 +37,9 @@ if TYPE_CHECKING:
 
 STATUS_EVERY = 5.0
 _WAIT = 0.5
-"""s after which a signal is noticed, at the latest."""
+"""Seconds after which a signal is noticed, at the latest."""
 _LOOK_EVERY = 1.0
-"""s from one look at the engine to the next where nothing happens: no more often than it renews what is seen."""
+"""Seconds between checks of an idle engine: no more often than it renews its snapshot."""
 _STOPS_WITHIN = 4.0
 _WRITTEN_WITHIN = 0.5  # s, of the 5 s in which the program must end even if its peer or its reader hangs
 WAITING_LIMIT = 1 << 20
@@ -175,7 +175,7 @@ def bridge_until_told(
 
 
 def _has_terminal() -> bool:
-    """Whether the process has a controlling terminal (tty(4)): what it reads and writes may be something else."""
+    """Whether the process has a controlling terminal (tty(4)), even if its input and output are redirected."""
     try:
         os.close(os.open("/dev/tty", os.O_RDWR | os.O_NOCTTY))
     except OSError:
@@ -263,7 +263,7 @@ class Signals:
         return self._ignore_hangup or signal.getsignal(signal.SIGHUP) is signal.SIG_IGN  # nohup(1) has it ignored
 
     def takes_reload(self) -> bool:
-        """Whether a reload was asked for since this was called last."""
+        """Whether a reload was requested since the last call."""
         wanted, self._reload = self._reload, False
         return wanted
 
@@ -317,7 +317,7 @@ class LogWriter:
             self._changed.notify()
 
     def close(self, timeout: float) -> None:
-        """Wait until all lines are written, for `timeout` s at the most."""
+        """Wait until all lines are written, for at most `timeout` seconds."""
         with self._changed:
             self._closing = True
             self._changed.notify()
@@ -380,7 +380,7 @@ class Supervisor:
         self._tell(f"RELOADING=1\nMONOTONIC_USEC={monotonic_ns // 1000}")
 
     def show(self, now: Snapshot) -> None:
-        """Tell how the bridge is. It works as long as its snapshots are renewed, which its I/O thread does."""
+        """Report the bridge's state. It works as long as its I/O thread renews its snapshots."""
         if now.time == self._alive_at:
             return
         self._alive_at = now.time

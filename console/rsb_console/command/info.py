@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from rsb_console.command.figures import Figures
 
 _MEASURED = 3.0
-"""s over which the delivered rate is taken; the other side reports its counts once a second."""
+"""Seconds over which the delivered rate is measured; the other side reports its counts once a second."""
 
 
 def print_info(arguments: Namespace) -> int:

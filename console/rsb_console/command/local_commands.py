@@ -112,7 +112,7 @@ def attach(arguments: Namespace) -> int:
 
 
 def keygen(arguments: Namespace) -> int:
-    """Make a key file, and print the fingerprint; never the key."""
+    """Create a key file and print its fingerprint, never the key."""
     path: Path = arguments.path
     try:
         key = write_key(path, force=arguments.force)

@@ -261,7 +261,7 @@ def _stop(arguments: Namespace) -> int:
 
 
 def _wait(arguments: Namespace) -> int:
-    """Wait, and say how it went. Returns the exit code."""
+    """Wait, and print the result. Return the exit code."""
     holds = _condition(arguments.wanted)
     began = time.monotonic()
     deadline = float("inf") if arguments.timeout is None else began + arguments.timeout

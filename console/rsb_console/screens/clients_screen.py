@@ -223,7 +223,7 @@ async def remove_client(console: Console, name: str) -> None:
 
 
 def _saved_path(console: Console) -> Path | None:
-    """Return the file of the server's session. Notify the operator if the session has no file."""
+    """Return the file of the server's session, or notify the operator if it has no file."""
     if console.path is None or console.temporary:
         console.notify("save the session first (w): its file lists the clients", severity="warning", timeout=8)
         return None
@@ -231,7 +231,7 @@ def _saved_path(console: Console) -> Path | None:
 
 
 def _remember(console: Console, changed: Changed, *, is_known: bool) -> None:
-    """Go on with the changed file; with changes of somebody else's in it, a save is still to tell of those."""
+    """Continue with the changed file; if others changed it, too, the next save still reports that."""
     if is_known:
         console.saved_to(changed.file.session, changed.file.path)
 

@@ -91,7 +91,7 @@ class ConfirmScreen(ModalScreen[bool]):
             yield self._keys
 
     def on_resize(self, event: events.Resize) -> None:
-        """Give the message what room the rest leaves."""
+        """Give the message the remaining room."""
         self._scrolled.styles.max_height = max(1, event.size.height - _AROUND)
         self.call_after_refresh(self._show_keys)
 
@@ -160,7 +160,7 @@ class Steps(LiveLines, can_focus=False):
 
     @property
     def line_count(self) -> int:
-        """One a step, and how it ended."""
+        """One line for each step, and the outcome."""
         return len(self._steps) + (self._end is not None)
 
     def line(self, index: int) -> Line:
@@ -191,7 +191,7 @@ class Steps(LiveLines, can_focus=False):
 
 
 class RestartScreen(ModalScreen[None]):
-    """Restarts as soon as it is shown; may be left at any time, the restart goes on.
+    """Restarts an engine at once; closing the dialog does not stop the restart.
 
     Args:
         engine: engine to restart.

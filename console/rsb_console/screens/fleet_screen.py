@@ -1,4 +1,4 @@
-"""The fleet's screen: one line a robot, those with something wrong first."""
+"""The fleet's screen: one line for each robot, faulty ones first."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ class FleetScreen(Screen[None]):
     # -- what is shown ------------------------------------------------------------------------------------------------
 
     def show(self) -> None:
-        """Show the robots as they are now."""
+        """Show the present state of the robots."""
         self.table.show(self.fleet, time.time())
         self.table.explain(self._why_empty())
         self.status.show(self.table, self.fleet, readonly=self.console.readonly)
@@ -100,7 +100,7 @@ class FleetScreen(Screen[None]):
         self.table.entitle(f" {' ▸ '.join(parts)} ")
 
     def _show_keys(self) -> None:
-        """Show the keys that do something now, if those have changed."""
+        """Show the keys that are possible now, if they have changed."""
         here, marked, gone = self.app.screen is self, len(self.view.marked), bool(self._gone)
         depends_on = (here, marked, gone, self.table.selected_group, self.table.cursor_key is None)
         if depends_on == self._keys_shown_for:
@@ -219,7 +219,7 @@ class FleetScreen(Screen[None]):
         self._moved()
 
     def action_back(self) -> None:
-        """Drop the filters; else the marks."""
+        """Drop the filters, or the marks if there are no filters."""
         view = self.view
         if view.pattern is not None or view.faults_only:
             view.pattern, view.faults_only = None, False
@@ -259,7 +259,7 @@ class FleetScreen(Screen[None]):
         self._change_rate(-1)
 
     def action_copy(self) -> None:
-        """Copy the robot's name and why it is as it is."""
+        """Copy the robot's name and the reason of its state."""
         if (robot := self.table.selected) is not None:
             summary = robot.summary
             text = f"{summary.name} {summary.state.upper()}{f': {summary.why}' if summary.why else ''}"

@@ -106,7 +106,7 @@ class FormScreen(ModalScreen[T | None]):
         return self.dismiss(result)
 
     def on_button_pressed(self, event: Button.Pressed) -> None:
-        """Not to be overridden: Textual calls the handler of every class, not only of the last."""
+        """Handle a button; not to be overridden, as Textual calls the handler of every class."""
         self.press(event.button.id or "")
 
     def press(self, button: str) -> None:

@@ -42,7 +42,7 @@ class KeyList(LiveLines, can_focus=True):
 
     @property
     def line_count(self) -> int:
-        """One a key, and the headings."""
+        """One line for each key, and the headings."""
         return len(self._lines)
 
     def line(self, index: int) -> Line:

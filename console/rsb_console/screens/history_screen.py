@@ -1,4 +1,4 @@
-"""The time line: what happened in the last hours."""
+"""The time line of the last hours."""
 
 from __future__ import annotations
 
@@ -190,7 +190,7 @@ class HistoryScreen(ModalScreen[None]):
         self._problem = ""
 
     def compose(self) -> ComposeResult:
-        """Totals, the table, and more about the row under the cursor."""
+        """Compose the totals, the table, and the detail of the row under the cursor."""
         widgets = self.summary, self.table, self.detail, self.prompt
         yield Dialog("What happened", *widgets, keys=HELP, shape="-history")
 
@@ -202,7 +202,7 @@ class HistoryScreen(ModalScreen[None]):
         self.run_worker(self._fetch(), exclusive=True, group="history")
 
     async def _fetch(self) -> None:
-        """Ask the engine, which may be in another process."""
+        """Request the report from the engine, which may run in another process."""
         engine = self.console.engine
         if engine is None:
             self._problem = "no session runs"
@@ -289,7 +289,7 @@ class HistoryScreen(ModalScreen[None]):
             self.dismiss()
 
     def action_export(self) -> None:
-        """Write it to files in the working folder, as text and as CSV."""
+        """Write the history to files in the working folder, as text and CSV."""
         from rsb_console.session.history_report import export_history  # noqa: PLC0415 -- seldom needed
 
         if self._report is None:

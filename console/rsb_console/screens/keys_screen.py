@@ -200,7 +200,7 @@ class KeysScreen(ModalScreen[None]):
 
 
 class GenerateScreen(FormScreen[Path]):
-    """Make a key; gives its file.
+    """A form that creates a key and returns its file.
 
     Args:
         console: asks before a key is replaced.
@@ -222,7 +222,7 @@ class GenerateScreen(FormScreen[Path]):
 
     @work(group=DIALOG)
     async def accept(self, result: Path) -> None:
-        """Write it; never over another without a yes."""
+        """Write the key; overwrite another only after a yes."""
         exists = result.exists()  # noqa: ASYNC240 -- one stat
         if exists:
             message = KeyText.REPLACE_MEANS()

@@ -1,4 +1,4 @@
-"""The links: on a server one row a robot, on a client the one it has."""
+"""The links: one row for each robot on a server, a single row on a client."""
 
 from __future__ import annotations
 
@@ -105,7 +105,7 @@ class LinkDetail(LiveLines, can_focus=False):
 
     @property
     def line_count(self) -> int:
-        """As many as there are to say."""
+        """Number of lines of the detail."""
         return len(self._lines)
 
     def line(self, index: int) -> Line:
@@ -178,7 +178,7 @@ class LinkScreen(ModalScreen[None]):
         self.show()
 
     def show(self) -> None:
-        """Show the link as it is now; a link that is gone closes its screen."""
+        """Show the present state of the link; close the screen if the link is gone."""
         now = self.console.snapshot()
         link = next((link for link in now.links if link.name == self._name), None)
         if link is None:
@@ -216,7 +216,7 @@ class LinksScreen(ModalScreen[None]):
         self.show()
 
     def show(self) -> None:
-        """Show the links as they are now."""
+        """Show the present state of the links."""
         self.table.show(self.console.snapshot())
         self.table.styles.height = min(self.table.line_count, 12)
         self.on_selectable_list_cursor_moved()
@@ -242,7 +242,7 @@ class LinksScreen(ModalScreen[None]):
 
     @work
     async def action_acknowledge(self) -> None:
-        """Acknowledge the fault of the link under the cursor, or take that back."""
+        """Acknowledge the fault of the link under the cursor, or undo that."""
         link, engine = self.table.selected, self.console.engine
         if link is not None and engine is not None and not self.console.readonly:
             await self.console.command(engine.acknowledge("", link.acknowledged is None, link=link.name))
@@ -252,7 +252,7 @@ class LinksScreen(ModalScreen[None]):
         return self.console.snapshot().role == "server"
 
     def check_action(self, action: str, parameters: tuple[object, ...]) -> bool | None:
-        """Disable what only a server has, and what changes something while read-only (Textual's)."""
+        """Disable actions of servers on a client, and all changes while read-only (Textual's)."""
         if action in ("add_client", "remove_client"):
             return self._is_server and not self.console.readonly
         return super().check_action(action, parameters)

@@ -1,4 +1,4 @@
-"""The main screen: topics, detail and log. What changes the bridge is in `rsb_console.operations`."""
+"""The main screen: topics, detail and log. Changes of the bridge are in `rsb_console.operations`."""
 
 from __future__ import annotations
 
@@ -119,7 +119,7 @@ class MainScreen(Screen[None]):
     # -- what is shown ------------------------------------------------------------------------------------------------
 
     def show(self, snapshot: Snapshot, new_events: Sequence[Event]) -> None:
-        """Show the engine's state; while frozen only the lines at the top move on."""
+        """Show the engine's state; while frozen, update only the lines at the top."""
         self.status.show(snapshot, self._view(snapshot))
         self._topic_counts = state_counts(snapshot.routes, FAULTS)
         self._link_counts = (*state_counts(snapshot.links, FAULTS), *warning_count(snapshot.links))
@@ -137,7 +137,7 @@ class MainScreen(Screen[None]):
         self.show_keys()
 
     def reset(self) -> None:
-        """Another session begins: forget the old one's log."""
+        """Begin another session: forget the old one's log."""
         self._held = []
         self._frozen_since = None
         self.log_pane.clear()
@@ -183,7 +183,7 @@ class MainScreen(Screen[None]):
             self.detail.show(route, "" if route is None else self.console.peer_of(route))
 
     def show_keys(self) -> None:
-        """Show the keys that do something now, if those have changed."""
+        """Show the keys that are possible now, if they have changed."""
         counts = {"faults": self._topic_counts, "links": self._link_counts}
         route = self.selected
         can = () if route is None else (route.arming is not None, is_armed(route), route.lanes)
@@ -228,7 +228,7 @@ class MainScreen(Screen[None]):
         return self.app.check_action(action, parameters)
 
     def on_key(self, event: events.Key) -> None:
-        """Say why a key that would change something does nothing."""
+        """Explain why a key for a change does nothing."""
         if self.console.readonly and any(a.changes and event.key in self.console.preferences.keys(a) for a in ACTIONS):
             self.notify(MainText.READ_ONLY(), timeout=2)
 
@@ -316,7 +316,7 @@ class MainScreen(Screen[None]):
         self._show_title()
 
     def action_freeze(self) -> None:
-        """Hold the picture, or let it go on."""
+        """Freeze the screen, or continue."""
         self._frozen_since = time.time() if self._frozen_since is None else None
         self.console.pull()
 
@@ -339,7 +339,7 @@ class MainScreen(Screen[None]):
         self.call_after_refresh(self.show_detail)
 
     def action_detail(self) -> None:
-        """Open a log line, or a topic's details: the pane gets the focus, or on a narrow screen all of it."""
+        """Open a log line or a topic's details: focus the pane, or give it the whole of a narrow screen."""
         if self.log_pane.has_focus and self.log_pane.selected is not None:
             self.app.push_screen(EventScreen(self.log_pane.selected))
         elif self.detail.has_focus:
@@ -364,14 +364,14 @@ class MainScreen(Screen[None]):
             self.notify(text(topic=route.topic, key=self._key("call")), markup=False, timeout=4)
 
     def action_zoom(self) -> None:
-        """Give the focused pane the screen, or take it back."""
+        """Maximize the focused pane, or restore the layout."""
         if any(self.has_class(mode) for mode in MODES):
             self._mode(None)
         else:
             self._mode("-log" if self.log_pane.has_focus else "-detail" if self.detail.has_focus else "-table")
 
     def action_log(self) -> None:
-        """Focus the log, opened where it has no room; then back."""
+        """Focus the log, maximized if it has no room, or go back."""
         if self.log_pane.has_focus:
             self._mode(None)
         elif self.log_pane.display:
@@ -380,7 +380,7 @@ class MainScreen(Screen[None]):
             self._mode("-log")
 
     def action_back(self) -> None:
-        """Close what is open; else drop the filters."""
+        """Close the open pane, or drop the filters."""
         if any(self.has_class(mode) for mode in MODES):
             self._mode(None)
         elif not self.topics.has_focus:
@@ -402,7 +402,7 @@ class MainScreen(Screen[None]):
             self.notify(copy(self.app, text), timeout=3, markup=False)
 
     def action_export(self) -> None:
-        """Write what the focused list shows to a file in the working folder."""
+        """Export the focused list to a file in the working folder."""
         from rsb_console.session.history_report import export_log, export_topics  # noqa: PLC0415 -- seldom needed
 
         log = self._list is self.log_pane
@@ -415,7 +415,7 @@ class MainScreen(Screen[None]):
 
 
 class EventScreen(ModalScreen[None]):
-    """All that an event says, over as many lines as it takes.
+    """The whole text of an event.
 
     Args:
         event: event to show.

@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 
 _ITEMS = 64
 _STEPS = 20_000
-"""Values that are decoded at most: about 100 ms, in a thread of its own."""
+"""Most values to decode: about 100 ms in its own thread."""
 _HEX = 1024  # bytes
 _MOST_LINES = 2_000
 _TRIED_AGAIN_AFTER = 1.0  # s
@@ -181,7 +181,7 @@ class MessageScreen(ModalScreen[None]):
     # -- keys ---------------------------------------------------------------------------------------------------------
 
     def action_hold(self) -> None:
-        """Keep the message that is shown, or go on."""
+        """Hold the shown message, or continue."""
         if self._goes_on.is_set():
             self._goes_on.clear()
         else:
@@ -191,7 +191,7 @@ class MessageScreen(ModalScreen[None]):
 
     @work(exclusive=True, group="copy")
     async def action_copy(self) -> None:
-        """Copy the whole message, as far as it is decoded."""
+        """Copy the decoded part of the message."""
         if self._read is not None and self._read.decoded is not None:
             text = await asyncio.to_thread(_whole_text, self._read.decoded)
             self.notify(copy(self.app, text), timeout=3, markup=False)

@@ -89,7 +89,7 @@ class NewSession(NamedTuple):
 
 
 class NewSessionScreen(FormScreen[NewSession]):
-    """Write a session file. Gives it when it is written, and its key is there.
+    """A form that writes a session file and its key, and returns the file.
 
     Args:
         console: asks and tells.
@@ -111,7 +111,7 @@ class NewSessionScreen(FormScreen[NewSession]):
         yield from super().compose_buttons()
 
     def check(self) -> None:
-        """Fill in what follows from the rest, then look for problems."""
+        """Fill in derived values, then check for problems."""
         values = self.form.values
         name = values["name"]
         encrypted = values["use_encryption"] == "yes"
@@ -192,7 +192,7 @@ class NewSessionScreen(FormScreen[NewSession]):
 
     @work(group=DIALOG)
     async def accept(self, result: NewSession) -> None:
-        """Write the file, and make the keys that there are not; ask before a file is overwritten."""
+        """Write the file and create missing keys; ask before a file is overwritten."""
         if not await save_asking(self.console, result.session, result.path):
             return
         for path in _key_paths(result):
@@ -255,7 +255,7 @@ def _key_problem(path: Path) -> str:
 
 
 class ImportScreen(FormScreen[Opened]):
-    """Import and save; gives the session if it is to be run.
+    """A form that imports and saves a session, and returns it if it should run.
 
     Args:
         console: asks and tells.
@@ -305,7 +305,7 @@ class ImportScreen(FormScreen[Opened]):
         return problems
 
     def _import(self, values: Mapping[str, str]) -> dict[str, str]:
-        """Make the session; what is wrong in the file is about the file, the rest about its field."""
+        """Make the session; show mistakes of the file at the file's field, others at their own."""
         encrypted = values["use_encryption"] == "yes"
         try:
             self._made, self._notes = import_bringup(
@@ -333,7 +333,7 @@ class ImportScreen(FormScreen[Opened]):
 
     @work(group=DIALOG)
     async def accept(self, result: Opened) -> None:
-        """Save it, say what is different now, and ask whether to run it."""
+        """Save the session, show the differences, and ask whether to run it."""
         if await save_asking(self.console, result.session, result.path):
             summary = "\n".join(
                 ["What differs from the thesis's bridge:", *self._notes] if self._notes else ["All was imported."]

@@ -287,7 +287,7 @@ _KEYS = {
 
 
 class RolloutScreen(ModalScreen[None]):
-    """Asks for a change, shows it, and makes it after a yes.
+    """Asks for a change, shows its effect, and applies it after a yes.
 
     Args:
         console: the app.
@@ -329,7 +329,7 @@ class RolloutScreen(ModalScreen[None]):
         )
 
     def on_mount(self) -> None:
-        """Ask the robots for their topics."""
+        """Request the robots' topics."""
         self._change.offer()
         self._ask()
 
@@ -461,7 +461,7 @@ class RolloutScreen(ModalScreen[None]):
             self.dismiss()
 
     def check_action(self, action: str, parameters: tuple[object, ...]) -> bool | None:
-        """Leave the letters to the input while somebody types (Textual's)."""
+        """Leave letters to the input while the operator types (Textual's)."""
         if action == "apply":
             return self.phase is Phase.ASKING
         if action == "undo":

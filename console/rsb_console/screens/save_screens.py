@@ -1,4 +1,4 @@
-"""Saving a session from the console: asks before it overwrites a file, and tells how it went."""
+"""Saving a session from the console, with questions before files are overwritten."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ class SaveText(Wording):
 
 
 async def save_elsewhere(console: Console, session: Session, path: Path, opened: SessionFile | None) -> bool:
-    """Save the session that runs to a file that may lie in another folder.
+    """Save the running session to a file, perhaps in another folder.
 
     Args:
         console: console that runs the session. If the session is temporary, its keys are copied to the new file's
@@ -69,7 +69,7 @@ async def save_elsewhere(console: Console, session: Session, path: Path, opened:
 
 
 async def save_asking(console: Console, session: Session, path: Path, *, opened: SessionFile | None = None) -> bool:
-    """Write a session file; ask before one is changed or replaced, and tell the operator how it went.
+    """Write a session file; ask before one is changed or replaced, and notify the operator of the outcome.
 
     Args:
         console: asks and tells.
@@ -177,7 +177,7 @@ ChangedAnswer = Literal["reload", "overwrite", "save_as", ""]
 
 
 class ChangedScreen(ModalScreen[ChangedAnswer]):
-    """Says that a session's file was changed on disk, and asks what to do; escape does nothing.
+    """Offers the choices after a session's file was changed on disk; escape does nothing.
 
     Args:
         path: path of the file.

@@ -129,7 +129,7 @@ def no_suggestion(text: str) -> str:
 
 
 class SessionsScreen(FormScreen[Opened | str]):
-    """Open a session, or go on to another way to get one: then gives the action's id.
+    """Open a session, or choose another action, whose id it then returns.
 
     Args:
         path: first text of the field.
@@ -249,7 +249,7 @@ class Menu(SelectableList):
 
 
 class WelcomeScreen(ModalScreen[str]):
-    """Gives one of `CHOICES`, or the path of a running bridge's control socket, or of a recent session.
+    """Returns one of `CHOICES`, or the path of a running bridge's control socket or of a recent session.
 
     Args:
         running: bridges on this machine.
@@ -288,7 +288,7 @@ class WelcomeScreen(ModalScreen[str]):
         self.action_choose()
 
     def action_select_recent(self, number: int) -> None:
-        """Put the cursor on a recent session. Enter starts it, as one key must not start a bridge."""
+        """Put the cursor on a recent session. Enter starts it, as a single key must not start a bridge."""
         if number <= len(self._recent):
             self.menu.move_to(self.menu.keys.index(str(self._recent[number - 1])))
         else:
