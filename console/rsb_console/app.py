@@ -49,7 +49,7 @@ T = TypeVar("T")
 REFRESH_RATES = (0.5, 1.0, 2.0, 4.0, 10.0)  # Hz
 LOCAL_RATE, SSH_RATE = 4.0, 2.0
 RINGS_EVERY = 10.0
-"""s between two rings, at least."""
+"""Least seconds between two rings."""
 
 
 class ConsoleApp(TerminalApp[None]):
@@ -124,7 +124,7 @@ class ConsoleApp(TerminalApp[None]):
         return self.main
 
     def on_ready(self) -> None:
-        """Tell what is wrong with the preferences, and start the session, after the first picture."""
+        """Report problems of the preferences and start the session, after the first picture."""
         self.tell_problems()
         self._pulling = self.set_interval(1 / self.refresh_rate, self.pull)
         if self._attach_to is not None:
@@ -316,7 +316,7 @@ class ConsoleApp(TerminalApp[None]):
             self.shut_down(ShutdownReason.QUIT)
 
     async def on_event(self, event: events.Event) -> None:
-        """Note that the operator is there (Textual's)."""
+        """Note that the operator is active (Textual's)."""
         self.deadman.saw(event)
         await super().on_event(event)
 

@@ -77,14 +77,14 @@ def _run(argv: list[str]) -> int:
 
 
 def _is_full(error: Exception) -> bool:
-    """Whether it says that standard output, and no file that has a name, is written to a disk that is full."""
+    """Whether the error means that standard output is redirected to a full disk; no named file is involved."""
     from rsb_bridge.model.shortage import SHORTAGES
 
     return isinstance(error, OSError) and error.errno in SHORTAGES and error.filename is None
 
 
 def _mute() -> None:
-    """Have what is still to be written to standard output go nowhere."""
+    """Discard the rest of standard output."""
     os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 

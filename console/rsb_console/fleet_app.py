@@ -94,7 +94,7 @@ class RobotScreen(MainScreen):
     """The main screen of one robot of a fleet: escape returns to the fleet if nothing else is open."""
 
     def action_back(self) -> None:
-        """Close what is open, or drop the filters; else go back to the fleet."""
+        """Close the open pane or drop the filters; otherwise go back to the fleet."""
         nothing_open = not any(self.has_class(mode) for mode in MODES) and self.topics.has_focus
         if nothing_open and self.topics.pattern is None and not self.topics.faults_only:
             self.console.request_quit()
@@ -103,7 +103,7 @@ class RobotScreen(MainScreen):
 
 
 class RobotApp(ConsoleApp):
-    """The console on one robot. It ends without a question: nothing else does, and the fleet comes back."""
+    """The console on one robot. It ends without a question, as nothing is lost and the fleet's screen returns."""
 
     main_screen = RobotScreen
 

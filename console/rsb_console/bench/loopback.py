@@ -1,4 +1,4 @@
-"""Two bridges between two ROS domains of this machine, and all between the talker and the listener."""
+"""Two bridges between two ROS domains of this machine, with a talker and a listener."""
 
 from __future__ import annotations
 
@@ -33,10 +33,10 @@ TRAFFIC = "rsb_bridge.ros.traffic"
 _TYPE = "std_msgs/msg/String"
 _DEPTH = 2000
 _HISTORY = 64 << 20
-"""Bytes that a publisher or a subscription keeps at most."""
+"""Most bytes that a publisher or a subscription keeps."""
 _LEAST_DEPTH = 4
 _QUIET = 0.7
-"""s without a message after which no more is waited for."""
+"""Seconds without a message after which the wait ends."""
 _LOOK_EVERY = 0.05
 _READY_WITHIN = 20.0
 _ANSWERS_WITHIN = 5.0
@@ -46,7 +46,7 @@ _STATE_EVERY = 0.1
 
 
 def depth_of(size: int) -> int:
-    """How many messages of a size are kept."""
+    """Return the number of messages of a size to keep."""
     return max(_LEAST_DEPTH, min(_DEPTH, _HISTORY // max(1, size)))
 
 
@@ -88,7 +88,7 @@ class Bed:
         return Run(size, count, int(report["count"]), reached, p50, p99, p999, sides)
 
     def _settle(self, count: int, quiet: float) -> None:
-        """Wait until all have come, or none has for some s."""
+        """Wait until all messages have come, or no message has come for some seconds."""
         come, grown = self.listener.ask("count")["count"], time.monotonic()
         while come < count and time.monotonic() - grown < quiet:
             time.sleep(_LOOK_EVERY)
@@ -229,7 +229,7 @@ def headless(session: Path, log: Path | None = None) -> Process:
 
 
 def listening(server: Process, port: int) -> float:
-    """Wait until a port is listened on; monotonic s then. The kernel is asked: a connection would be the server's."""
+    """Wait until a port is listened on, and return the time. Ask the kernel: a connection would disturb the server."""
     deadline, wanted = time.monotonic() + _READY_WITHIN, f":{port:04X}"
     while time.monotonic() < deadline and server.running:
         rows = [row.split() for row in Path("/proc/net/tcp").read_text().splitlines()[1:]]
@@ -301,7 +301,7 @@ class Loopback:
 
 
 def _all_carry(bridge: Process, socket: Path, count: int, began: float) -> float:
-    """Wait until so many topics of a bridge carry messages; s since it was started."""
+    """Wait until so many topics of a bridge carry messages; return the seconds since its start."""
     deadline = began + _OPENED_WITHIN
     engine: RemoteEngine | None = None
     try:

@@ -1,4 +1,4 @@
-"""The results of a benchmark for people: tables, a plot of the highest rates, and what a link can carry."""
+"""The results of a benchmark for people: tables, a plot of the highest rates, and a verdict on topics."""
 
 from __future__ import annotations
 
@@ -35,18 +35,18 @@ USUAL = (
     Load("a point cloud", 1_200_000, 10),
     Load("a raw camera image of 1920 × 1080", 6_220_800, 30),
 )
-"""What robots usually send; for a benchmark that knows of no session."""
+"""Usual topics of robots, for a benchmark without a session."""
 _NAMED = 8
 _MARKS = "*o+x#@"
 _COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9")
-"""Okabe and Ito's, which people who see fewer colours tell apart."""
+"""Colours of Okabe and Ito, which colour-blind people can tell apart."""
 _HEIGHT = 14
 _LEFT = 11
 _NARROWEST = 40
 
 
 class JudgingText(Wording):
-    """Sentences on whether a link carries a session's topics."""
+    """Verdicts on whether a link carries a session's topics."""
 
     NOTHING = "Nothing to judge: no topic has a rate and a size yet, or too little was measured."
     CARRIES_ALL = "{over} carries {carried}."
@@ -185,7 +185,7 @@ def _nearest(points: Iterable[Point], size: float) -> list[Point]:
 
 
 def _open_ended(points: Iterable[Point], size: float) -> bool:
-    """Whether more may be carried of a size than was tried."""
+    """Whether the link may carry more messages of a size than were tried."""
     return any(each.limit in ("time", "leave") for each in _nearest(points, size))
 
 
@@ -195,7 +195,7 @@ def _lost(point: Point) -> bool:
 
 
 def judge(loads: Iterable[Load], points: Sequence[Point]) -> list[Judged]:
-    """Whether each topic alone is carried: by its own transport, else by the best that was measured."""
+    """Judge each topic alone: by its own transport, otherwise by the best measured one."""
     return [judged for load in loads if (judged := _judge(load, points)) is not None]
 
 

@@ -1,4 +1,4 @@
-"""Child processes that are measured, or that measure: none of them outlives this one."""
+"""Child processes that are measured, or that measure; they end with this process."""
 
 from __future__ import annotations
 
@@ -122,7 +122,7 @@ class Process:
         return self._child.poll() is None
 
     def stop(self) -> None:
-        """End it, by force if it takes long."""
+        """End the process, by force if it takes long."""
         self._child.terminate()
         try:
             self._child.wait(_STOPS_WITHIN)

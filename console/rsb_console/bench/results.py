@@ -49,7 +49,7 @@ class Run:
 
     @property
     def cpu(self) -> float:
-        """Processor time (s) of what is between, all of it."""
+        """Processor time (s) of both bridges together."""
         return sum(self.sides)
 
     @property
@@ -236,11 +236,11 @@ class BenchError(Exception):
 
 
 class StoppedError(Exception):
-    """A benchmark that the peer, or its permission, has ended; the message says how. Results so far are kept."""
+    """The peer, or its limits, ended a benchmark; the message has the reason. Results so far are kept."""
 
 
 class Ends(Protocol):
-    """The two ends of one way for messages."""
+    """The two ends between which messages are measured."""
 
     def send(self, rate: float, seconds: float, size: int) -> Run:
         """Send messages for a while, wait until no more come, and return the counts.
@@ -289,7 +289,7 @@ class Place(Protocol):
         ...
 
     def open(self, way: Way, sizes: list[int]) -> AbstractContextManager[Ends]:
-        """Set one up.
+        """Set up the ends for one transport and direction.
 
         Raises:
             BenchError: it cannot be done.

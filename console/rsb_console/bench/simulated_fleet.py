@@ -32,17 +32,17 @@ ROBOTS, ROUTER = "rsb_console.bench.robots", "rsb_console.bench.router"
 USUAL = Load((Talk("/pose", 10.0, 200), Talk("/status", 1.0, 200), Talk("/scan", 5.0, 2500)), ("/goal",))
 WITH_BATTERY = Load((*USUAL.talks, Talk("/battery_state", 1.0, 0, BATTERY_STATE)), USUAL.hears)
 MOST_IN_ONE = 50
-"""Robots of one process."""
+"""Most robots in one process."""
 _OPERATOR, _OPERATOR_KEY = "operator", "operator.key"
 _HOST = "127.0.0.1"
 _PORTS = range(20_000, 32_000)
-"""None that the kernel gives to a client, who would then sit on the server's port, or connect to itself."""
+"""Ports outside the kernel's range for clients, as a client could otherwise take the server's port."""
 _LOOK_EVERY = 0.25
 _READY_WITHIN = 60.0
 
 
 class Router:
-    """A Zenoh router in a process of its own, which may be killed and started again.
+    """A Zenoh router in a separate process, which may be killed and started again.
 
     Attributes:
         endpoint: endpoint that it listens on.
@@ -60,7 +60,7 @@ class Router:
             raise BenchError(BenchProblem.NO_ROUTER())
 
     def kill(self) -> None:
-        """End it as a power cut does."""
+        """End it abruptly, like a power cut."""
         self.process.signal(signal.SIGKILL)
         self.process.stop()
 
@@ -96,7 +96,7 @@ def zenoh() -> Iterator[Way]:
 
 
 WAYS: dict[str, Callable[[], AbstractContextManager[Way]]] = {"tcp": tcp, "zenoh": zenoh}
-"""What the links go over, by name: each runs what that takes."""
+"""Networks of the links by name; each starts the processes that it needs."""
 
 
 @dataclass(slots=True)
@@ -143,7 +143,7 @@ class Fleet:
         return self.control
 
     def kill_control(self) -> float:
-        """Kill it; s since the epoch then."""
+        """Kill the control side; return the time, s since the epoch."""
         assert self.control is not None
         self.control.signal(signal.SIGKILL)
         killed = time.time()
@@ -151,7 +151,7 @@ class Fleet:
         return killed
 
     def start_robots(self, names: Sequence[str], most: int = MOST_IN_ONE) -> None:
-        """Start robots, so many in a process at most."""
+        """Start robots, at most so many in a process."""
         load = msgspec.json.encode(self.load).decode()
         for first in range(0, len(names), most):
             some = names[first : first + most]
@@ -160,7 +160,7 @@ class Fleet:
             self._in |= dict.fromkeys(some, process)
 
     def tell(self, name: str, command: str, *words: str) -> None:
-        """Have a robot do something (`bench.robots`)."""
+        """Send a command to a robot (`bench.robots`)."""
         self._in[name].ask(" ".join((command, name, *words)))
 
     def look(self) -> dict[str, Robot]:
@@ -264,14 +264,14 @@ def fleet(
 
 
 def _operators_file(folder: Path, network: ZenohSettings) -> Path:
-    """Write what an operator's console reaches a fleet by; JSON is YAML."""
+    """Write the fleet file of an operator's console; JSON is valid YAML."""
     path = folder / "fleet.yaml"
     path.write_bytes(msgspec.json.encode({"zenoh": network, "operator": _OPERATOR, "key_file": _OPERATOR_KEY}))
     return path
 
 
 def listening(process: Process, session: Path) -> float:
-    """Wait until the control side's server listens; s since the epoch then."""
+    """Wait until the control side's server listens; return the time, s since the epoch."""
     if port := session_file.load(session).server_port:
         monotonic = loopback.listening(process, port)
         return time.time() - (time.monotonic() - monotonic)

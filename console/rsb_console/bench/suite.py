@@ -22,16 +22,16 @@ if TYPE_CHECKING:
     from rsb_console.bench.results import Ends, Limit, Place, Report
 
 _FIRST_BYTES = 50e6
-"""Bytes a second with which a search begins."""
+"""First rate of a search, in bytes a second."""
 _FIRST_RATE = 5000.0
 _GENTLE_BYTES = 20e6
 _LEAST_MESSAGES = 5
 _TOO_FAST = 1.5
 _SLOWER_BY = 0.5
 TRIES = 2
-"""At each rate: one loss may be another program's."""
+"""Trials at each rate, as another program may cause one loss."""
 CLOSE = 1.1
-"""How close the lowest rate that is too high comes to the highest that is not."""
+"""Ratio of the lowest rate with loss to the highest without, at which a search ends."""
 _KEEPS_UP = 0.95
 _LOWEST = 0.5  # Hz
 
@@ -66,7 +66,7 @@ QUICK = Plan((256, 10_000, 1_000_000), run=0.3, close=1.3, gentle_run=1.0, idle=
 
 
 class Suite:
-    """Measures in one place.
+    """The measurements in one place.
 
     Args:
         place: place of the benchmark.
@@ -267,7 +267,7 @@ def _next(good: float, bad: float) -> float:
 _ANSWERED_WITHIN = 60.0
 _ENDED_WITHIN = 5.0
 _ALONE = 0.01
-"""The part of the benchmark's bytes up to which others do not count."""
+"""Share of the benchmark's bytes up to which other topics' bytes are ignored."""
 
 
 class OverLink:
@@ -301,7 +301,7 @@ class OverLink:
         return None
 
     def close(self) -> None:
-        """Remove the topics; where the bridge does not answer, it does so itself in a while."""
+        """Remove the topics; a bridge that does not answer removes them itself later."""
         with contextlib.suppress(EngineError, TimeoutError):
             self._engine.bench(Order("end", self._link)).result(_ENDED_WITHIN)
 

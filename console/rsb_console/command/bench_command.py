@@ -42,7 +42,7 @@ _LOOK_EVERY = 0.1
 
 
 class Progress:
-    """Shown on a terminal only; elsewhere nothing is written.
+    """The progress of a benchmark, written to terminals only.
 
     Args:
         stream: standard error, as a rule.
@@ -133,7 +133,7 @@ def _over_link(arguments: Namespace) -> int:
 
 
 def _name_of_file(arguments: Namespace) -> None:
-    """Take a session file for the name of its bridge.
+    """Replace a session file among the arguments by the name of its bridge.
 
     Raises:
         UsageError: it is no session file.
@@ -226,7 +226,7 @@ def _plan(arguments: Namespace) -> Plan:
 def _finish(
     report: Report, loads: Sequence[Load], over: str, arguments: Namespace, code: int, *, together: bool
 ) -> int:
-    """Judge, print and draw. Returns the exit code."""
+    """Judge, print and draw. Return the exit code."""
     if not (report.points or arguments.json or report.ended == "interrupted"):
         return failed(arguments, "; ".join(report.notes) or "nothing could be measured", code)
     report.judged = judge(loads, report.points)

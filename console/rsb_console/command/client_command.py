@@ -78,7 +78,7 @@ class ClientEffect(Wording):
 
 
 def run(name: str, arguments: Namespace) -> int:
-    """Run `client NAME`. Returns the exit code."""
+    """Run `client NAME`. Return the exit code."""
     try:
         return reported(COMMANDS[name], arguments)
     except (ClientError, SessionError, KeyFileError) as error:

@@ -109,7 +109,7 @@ def _serve(
 
 
 def _finish(app: ConsoleApp, on_hangup: str) -> int:
-    """Stop the engine, or bridge on without the app. Returns the exit code."""
+    """Stop the engine, or bridge on without the app. Return the exit code."""
     crashed = app.shutdown_reason is ShutdownReason.CRASH
     hung_up = app.shutdown_reason is ShutdownReason.HANGUP
     code = _exit_code(app)

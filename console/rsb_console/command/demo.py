@@ -96,7 +96,7 @@ def _headless(demo: Demo, signals: Signals, seconds: float | None) -> int:
 
 
 def _print_counts(demo: Demo) -> int:
-    """Print how many messages each end published and received. Returns the exit code."""
+    """Print how many messages each end published and received. Return the exit code."""
     print_line(f"{'topic':<12} {'published':>10} {'received':>10}")
     failed = []
     for sender, receiver in ((demo.robot, demo.desk), (demo.desk, demo.robot)):

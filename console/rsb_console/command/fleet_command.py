@@ -59,7 +59,7 @@ class FleetProblem(Wording):
 
 
 def run(name: str, arguments: Namespace) -> int:
-    """Run one of the commands. Returns the exit code."""
+    """Run one of the commands. Return the exit code."""
     return reported(_COMMANDS[name], arguments)
 
 

@@ -355,7 +355,7 @@ class LogWriter:
 
 
 class Supervisor:
-    """Tells systemd; without systemd, nobody.
+    """Reports the bridge's state to systemd, if it runs under systemd.
 
     Args:
         environ: has the address that systemd listens on.

@@ -26,7 +26,7 @@ _MEASURED = 3.0
 
 
 def print_info(arguments: Namespace) -> int:
-    """Print the details of the route that the arguments name. Returns the exit code."""
+    """Print the details of the route that the arguments name. Return the exit code."""
     with attached(arguments, read_only=True) as engine:
         route = chosen_route(engine, arguments)
         now = engine.snapshot()

@@ -353,7 +353,7 @@ def _not_bridged(now: Snapshot, topic: str) -> str:
 
 
 def _add(arguments: Namespace) -> int:
-    """Bridge one more. Returns the exit code."""
+    """Bridge one more topic or service. Return the exit code."""
     kind: Kind = arguments.kind or "topic"
     values = {"topic": arguments.topic, "kind": kind}
     if kind == "topic":
@@ -374,7 +374,7 @@ def _add(arguments: Namespace) -> int:
 
 
 def _say_cost(arguments: Namespace, topic: Topic, engine: RemoteEngine, link: str) -> int:
-    """Say what a topic would cost. Returns the exit code."""
+    """Print the cost of a topic. Return the exit code."""
     if topic.kind != "topic":
         raise UsageError(RemoteProblem.DRY_RUN_OF_CALLS(topic=topic.topic))
     now = engine.snapshot()
@@ -391,7 +391,7 @@ def _say_cost(arguments: Namespace, topic: Topic, engine: RemoteEngine, link: st
 
 
 def _edit(arguments: Namespace) -> int:
-    """Change one that is bridged. Returns the exit code."""
+    """Change a bridged topic or service. Return the exit code."""
     with attached(arguments) as engine:
         route = chosen(engine, arguments)
         if not arguments.keys:
@@ -456,13 +456,13 @@ def _topic(values: dict[str, str], keys: list[str], engine: RemoteEngine, replac
 
 
 class _Keys:
-    """Lines on standard input; once that has ended, none come any more."""
+    """Reads lines from standard input, until its end."""
 
     def __init__(self) -> None:
         self._ended = False
 
     def wait(self, seconds: float) -> bool:
-        """Wait so many s, or until there is a line; whether there was one."""
+        """Wait for a line, for at most some seconds; return whether a line came."""
         ready, _, _ = select.select([] if self._ended else [sys.stdin.fileno()], [], [], seconds)
         if not ready:
             return False
@@ -471,7 +471,7 @@ class _Keys:
 
 
 def _arm(arguments: Namespace) -> int:
-    """Arm a topic until this ends, however it does: the bridge disarms it then. Returns the exit code."""
+    """Arm a topic until this process ends in any way; then the bridge disarms it. Return the exit code."""
     with attached(arguments) as engine:
         route = chosen_route(engine, arguments)
         result(engine.arming.arm(route.key))
@@ -491,7 +491,7 @@ def _say_armed(arguments: Namespace, route: RouteSnapshot) -> None:
 
 
 def _hold(engine: RemoteEngine, key: str) -> tuple[str, str]:
-    """Keep a topic armed; return, once it is not, why, in words and as a cause."""
+    """Keep a topic armed; once it is disarmed, return the reason in words and as a cause."""
     keys = _Keys()
     while True:
         result(engine.arming.keep(pressed=keys.wait(_TOLD_EVERY)))
@@ -507,7 +507,7 @@ def _hold(engine: RemoteEngine, key: str) -> tuple[str, str]:
 
 
 def _disarm(arguments: Namespace) -> int:
-    """Disarm all routes of a name. Returns the exit code."""
+    """Disarm all routes of a name. Return the exit code."""
     with attached(arguments) as engine:
         routes = all_chosen(engine, arguments)
         carried_out([engine.arming.disarm(route.key) for route in routes])

@@ -196,7 +196,7 @@ def add_remote_commands(
 
 
 def _add_looking(remote: Callable[..., argparse.ArgumentParser], complete: Complete) -> None:
-    """Add the commands that print what happens, until they are interrupted."""
+    """Add the commands that print messages, events or figures until an interrupt."""
     events = remote("events", "print what a running bridge has reported")
     events.add_argument("--follow", action="store_true", help="go on with what it reports from now on")
     report = remote("report", "print what happened in the last hours, even of a bridge that has ended")

@@ -1,4 +1,4 @@
-"""`rsb-console service`: writes, shows and removes the systemd unit of a session, and says what to run then."""
+"""`rsb-console service`: writes, shows and removes the systemd unit of a session, and prints the next commands."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ KEPT_VARIABLES = (
     "FASTRTPS_DEFAULT_PROFILES_FILE",
     "CYCLONEDDS_URI",
 )
-"""What ROS takes from the environment; a service has none of the shell's."""
+"""Variables that ROS reads from the environment; a service does not have the shell's."""
 CONFINED = (
     "CapabilityBoundingSet=",
     "ProtectSystem=strict",
@@ -168,7 +168,7 @@ def _plain(text: str) -> str:
 
 
 def run(arguments: Namespace) -> int:
-    """Do what the arguments say. Returns the exit code."""
+    """Run `service`. Return the exit code."""
     return {"install": _install, "show": _show, "uninstall": _uninstall}[arguments.what](arguments)
 
 

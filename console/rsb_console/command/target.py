@@ -109,7 +109,7 @@ def reported(work: Callable[[Namespace], T], arguments: Namespace) -> T | int:
 
 
 def failed(arguments: Namespace, message: str, code: int, **more: str) -> int:
-    """Say why it is not done; `more` is for programs. Returns the exit code."""
+    """Print the reason of a failure; `more` is for programs. Return the exit code."""
     if getattr(arguments, "json", False):
         print_line(json_line({"ok": False, "error": message} | more))
     else:
@@ -222,7 +222,7 @@ def result(future: Future[T]) -> T:
 
 
 def done(arguments: Namespace, **results: object) -> int:
-    """Tell a program that it is done; a person sees that by the exit code."""
+    """Report success to programs; people see it by the exit code."""
     if arguments.json:
         print_line(json_line({"ok": True, **results}))
     return OK
@@ -242,7 +242,7 @@ def chosen_route(engine: RemoteEngine, arguments: Namespace) -> RouteSnapshot:
 
 
 def _routes_meant(engine: RemoteEngine, arguments: Namespace) -> list[RouteSnapshot]:
-    """Return the routes that the arguments mean, of all links, at least one.
+    """Return the routes that the arguments name, on all links, at least one.
 
     Raises:
         UsageError: none does.
@@ -298,7 +298,7 @@ def all_chosen(engine: RemoteEngine, arguments: Namespace) -> Sequence[RouteSnap
 
 
 def carried_out(commands: Iterable[Future[None]]) -> None:
-    """Wait for commands that were all given already.
+    """Wait for the results of several commands.
 
     Raises:
         EngineError: one of them is refused.
@@ -344,7 +344,7 @@ def done_with_all(
 
 
 def _patterns_meant(engine: RemoteEngine, arguments: Namespace) -> list[PatternSnapshot]:
-    """Return the patterns that the arguments mean, at least one.
+    """Return the patterns that the arguments name, at least one.
 
     Raises:
         UsageError: none does.

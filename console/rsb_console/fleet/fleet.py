@@ -1,4 +1,4 @@
-"""The robots of all sources, those too that have gone, remembered across restarts."""
+"""The robots of all sources, including robots that have gone, remembered across restarts."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ _SAMPLED_EVERY = 5.0
 
 
 class FleetSource(Protocol):
-    """Knows some robots, no two of the same name. All but `start`, `wait` and `open` answer at once.
+    """A source of robots with unique names. All methods except `start`, `wait` and `open` return at once.
 
     Attributes:
         kind: kind of the source: ``server`` or ``fleet``.
@@ -47,7 +47,7 @@ class FleetSource(Protocol):
         ...
 
     def start(self) -> None:
-        """Begin to know robots.
+        """Connect to the source.
 
         Raises:
             EngineError: the source cannot be used.
@@ -59,7 +59,7 @@ class FleetSource(Protocol):
         ...
 
     def stop(self) -> None:
-        """End it; `robots` gives what it gave last."""
+        """Stop the source; `robots` keeps its last result."""
         ...
 
     def robots(self) -> list[RobotSummary]:
@@ -96,7 +96,7 @@ class Robot(NamedTuple):
 
     @property
     def key(self) -> str:
-        """Tells it from all others, also of other sources."""
+        """Unique key among the robots of all sources."""
         return f"{self.source.name}/{self.summary.name}"
 
     @property
@@ -140,7 +140,7 @@ class Fleet:
             started.pop_all()
 
     def wait(self) -> None:
-        """Wait until the robots have said how they are; some seconds at most."""
+        """Wait until the robots have reported their states, for some seconds at most."""
         for source in self.sources:
             source.wait()
 
@@ -326,7 +326,7 @@ class Memory:
         self._robots.pop((source, name), None)
 
     def save(self) -> None:
-        """Write the file; where that cannot be done, the next console knows less."""
+        """Write the file; ignore errors, as only the next console's memory depends on it."""
         if self._path is not None:
             with contextlib.suppress(OSError):
                 self._path.parent.mkdir(parents=True, exist_ok=True)

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 ANSWERED_WITHIN = 60.0
 PATIENCE = 30.0
-"""s beyond the time to settle that a robot has to get as well as before."""
+"""Seconds beyond the time to settle in which a robot has to become as well as before."""
 _LOOK_EVERY = 0.5
 
 
@@ -39,7 +39,7 @@ class Bridged(NamedTuple):
 
 
 def bridged_by(robot: Robot) -> list[Bridged]:
-    """Ask a robot for its topics, services, actions and parameters. It may take some seconds.
+    """Read a robot's topics, services, actions and parameters. This may take some seconds.
 
     Raises:
         EngineError: it does not answer.
@@ -143,7 +143,7 @@ class Rollout:
         self._fleet, self._robots = fleet, robots
         self._settle, self._now, self._sleep = settle, now, sleep
         self.cancelled = False
-        """To be set on another thread: no further robot is begun."""
+        """Whether to begin no further robot; set on another thread."""
 
     def plan(self) -> list[Step]:
         """Ask each robot for the effect of the change, without changing it. Cancelling asks no further robot."""
@@ -240,7 +240,7 @@ class Rollout:
             engine.stop()
 
     def _worse(self, step: Step, before: RobotSummary) -> str:
-        """Wait until a robot has been as well as before for long enough; else why it is not."""
+        """Wait until a robot has been as well as before for long enough; return the problem if it has not."""
         assert step.old is not None
         assert step.new is not None
         held = (step.new.paused, step.new.arm) != (step.old.paused, step.old.arm)

@@ -1,4 +1,4 @@
-"""The engines of a fleet over Zenoh, seen through the summaries that each of them gives to an operator."""
+"""The engines of a fleet over Zenoh, through the summaries that each engine sends to an operator."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 _ENDED_WITHIN = 5.0
 _FIRST_HEARD_WITHIN = 5.0
-"""s that `ZenohFleet.wait` waits for the first word of each engine."""
+"""Seconds that `ZenohFleet.wait` waits for the first report of each engine."""
 MOST = 2000
 """Engines that are watched, and rows; anybody in the network may announce any number of engines."""
 _LEFT = "it has left the Zenoh network"
@@ -148,7 +148,7 @@ class ZenohFleet:
             self._watches[member.address] = self._loop.create_task(self._watch(member, name))
 
     def _hand_on(self, name: str) -> None:
-        """Give the row of an engine that has left to another one of its name, which needs no number any more."""
+        """Give the row of an engine that left to another one of the same name, which then needs no number."""
         assert self._presence is not None
         heir = next((address for address, row in self._names.items() if self._called[row] == name), None)
         if heir is not None:
@@ -220,4 +220,4 @@ class ZenohFleet:
 
 
 def _ignore(_: Member, __: bool) -> None:
-    """Take no notice of an engine that comes or goes."""
+    """Ignore engines that come or go."""

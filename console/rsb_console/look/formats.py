@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 KIND_NOUN: dict[Kind, str] = {"topic": "topic", "service": "service", "action": "action", "parameters": "parameters"}
 KIND_SHORT: dict[Kind, str] = {"topic": "msg", "service": "srv", "action": "act", "parameters": "par"}
-"""What fits into a narrow column: the first three are ROS's own names for the types."""
+"""Kinds as they fit into a narrow column; the first three are ROS's own names for the types."""
 
 
 def thousands(count: int) -> str:
@@ -180,7 +180,7 @@ def counted_kinds(kinds: Iterable[Kind]) -> str:
 
 
 def unanswered(calls: CallsSnapshot) -> int:
-    """How many calls will have no answer."""
+    """Return the number of calls that will get no reply."""
     return calls.expired + calls.lost + sum(calls.refused.values())
 
 

@@ -49,7 +49,7 @@ class ThemeProblem(Wording):
 
 @dataclass(frozen=True, slots=True)
 class Themes:
-    """The themes that were read, and what is wrong with the others.
+    """The themes that were read, and the mistakes of the others.
 
     Attributes:
         found: themes by name.

@@ -39,13 +39,13 @@ if TYPE_CHECKING:
     from rsb_console.widgets.lines import Line
 
 _SET, _SET_LANE = "set", "set_parameters"
-"""Among what can be called: one parameter, by its name and value, and the service that does it."""
+"""The choice that sets one parameter by name and value, and the service behind it."""
 _MOST_LINES = 2_000
 _NODES = 3
 _ASKED_LINES, _ASKED_CHARACTERS = 200, 4 << 10
-"""Limits of the part of a request that the question shows: as much as a person can read."""
+"""Limits of the part of a request that the question shows, as much as a person can read."""
 _CHECKED = 4 << 10
-"""Characters of a request that are checked while it is typed: a longer one takes too long for that."""
+"""Longest request (characters) to check while it is typed; a longer one takes too long."""
 _KEYS = "F9 call   tab next   y copy the answer   esc close"
 
 
@@ -270,7 +270,7 @@ class CallScreen(FormScreen[Request]):
     # -- the picture --------------------------------------------------------------------------------------------------
 
     def _draw(self) -> None:
-        """Draw what differs from what is shown: to lay out a long answer takes a while."""
+        """Draw only the changes: laying out a long answer takes a while."""
         if not self._pane.is_attached:
             return
         self._state.set_text(self._state_text())

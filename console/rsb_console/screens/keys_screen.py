@@ -139,7 +139,7 @@ class KeysTable(SelectableList):
 
 
 class KeysScreen(ModalScreen[None]):
-    """Look at the key files; `g` makes a key."""
+    """The session's key files; `g` creates a key."""
 
     BINDINGS: ClassVar = [
         Binding("escape,q", "dismiss", show=False),

@@ -47,7 +47,7 @@ class LinkText(Wording):
 
 
 class LinksTable(SelectableList):
-    """One line a link, the worst first."""
+    """One line for each link, the worst first."""
 
     sticky = 1
 

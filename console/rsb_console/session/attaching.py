@@ -35,7 +35,7 @@ class Attached(NamedTuple):
 
 
 def attach(where: Path | Way, *, read_only: bool) -> RemoteEngine:
-    """Attach to a bridge by its control socket, or by another way; may take some seconds.
+    """Attach to a bridge by its control socket or another connection; may take some seconds.
 
     Raises:
         EngineError: the attachment fails.

@@ -42,7 +42,7 @@ _BY_OPERATORS = frozenset(
 
 
 class CannotUndoError(Exception):
-    """A change cannot be taken back; the message says why, and what to do instead."""
+    """A change cannot be undone; the message has the reason and the remedy."""
 
 
 class Undo(NamedTuple):
@@ -278,7 +278,7 @@ _DISARMED = "It stays disarmed until you arm it (A)."
 
 
 class Changes:
-    """The changes of this console that can be taken back, the last one first."""
+    """The changes of this console that can be undone, the last one first."""
 
     def __init__(self) -> None:
         self._changes: deque[Change] = deque(maxlen=STEPS)

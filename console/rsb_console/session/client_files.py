@@ -171,7 +171,7 @@ def remove_client(path: Path, name: str) -> Changed:
 
 
 def rekey_client(path: Path, name: str) -> Changed:
-    """Make a new key for a client of a server's session file, the only one that is valid then.
+    """Create a new key for a client of a server's session file; all its earlier keys become invalid.
 
     A client that shared a key gets one of its own. A next key that it had is given up.
 
@@ -208,13 +208,13 @@ def key_places(file: SessionFile, client: Client) -> list[Path]:
 
 
 def check_encrypted(file: SessionFile) -> None:
-    """Raise a ClientError where there are no keys."""
+    """Raise a ClientError if the session has no keys."""
     if not file.session.use_encryption:
         raise ClientError(ClientFileProblem.NO_ENCRYPTION(path=file.path))
 
 
 def check_own_next_key(of_session: str | None, of_client: str | None, name: str) -> None:
-    """Raise a ClientError where a client's next key is every client's, and giving it up would concern them."""
+    """Raise a ClientError if all clients share the next key, so that giving it up would affect all."""
     if of_session is not None and of_client is None:
         raise ClientError(ClientFileProblem.NEXT_KEY_OF_SERVER(name=name, file=of_session))
 
@@ -372,7 +372,7 @@ def begin_rotation(path: Path, name: str) -> Changed:
 
 
 def finish_rotation(path: Path, name: str) -> Changed:
-    """Give up a client's old key: the next one takes its place, in its file. Gives that one.
+    """Replace a client's old key by the next one, in the same file. Return that key.
 
     The old key's file is replaced first. If this ends before the session is saved, both files hold the new key, and it
     can be done again.

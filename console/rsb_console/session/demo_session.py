@@ -45,7 +45,7 @@ _TOPICS = (
 
 @dataclass(slots=True)
 class SimulatedPart:
-    """The robot or the desk, a process of its own, which ends when its standard input is closed.
+    """The robot or the desk, a separate process that ends when its standard input is closed.
 
     It runs in a process group of its own, so that a Ctrl-C in the terminal does not reach it.
 
@@ -173,7 +173,7 @@ def own_domain(before: int = 0) -> int:
 
 
 def need_ros() -> None:
-    """Refuse to go on where the demo's ROS packages are missing.
+    """Raise an error if the demo's ROS packages are missing.
 
     Raises:
         EngineError: they are; it says what to do.

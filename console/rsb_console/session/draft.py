@@ -27,7 +27,7 @@ SWITCHES = ("paused", "arm")
 """The keys that are on or off: any text except the words of `_OFF` means on."""
 _OFF = ("", "false", "no", "off")
 _DIRECTIONS = {"server": "transmit", "client": "receive"}
-"""Of requests, by the side whose node answers."""
+"""Direction of requests, by the side whose node answers."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -138,7 +138,7 @@ def problems_of(topic: Topic, session: Session, replaced: Topic | None) -> dict[
 
 
 class TypedProblem(Wording):
-    """Reasons why ``KEY=VALUE`` makes no topic."""
+    """Reasons why ``KEY=VALUE`` words make no topic."""
 
     NOT_A_PAIR = "{text}: not KEY=VALUE, as in max_rate=5"
     UNKNOWN_KEY = "{text}: unknown key{hint} (keys: {keys})"

@@ -1,4 +1,4 @@
-"""The columns of the table of topics, and which of them a table of some width has."""
+"""The columns of the table of topics, and the choice of columns that fit a width."""
 
 from __future__ import annotations
 
@@ -81,7 +81,7 @@ def _sign(route: RouteSnapshot) -> str:
 
 
 def is_armed(route: RouteSnapshot) -> bool:
-    """Whether a topic that has to be armed is armed."""
+    """Whether a topic requires arming and is armed."""
     return route.arming is not None and route.arming.armed
 
 

@@ -40,7 +40,7 @@ class DetailPane(LiveLines, can_focus=True):
 
     @property
     def line_count(self) -> int:
-        """How many lines the topic's details take."""
+        """Number of lines of the topic's details."""
         return len(self._lines)
 
     def line(self, index: int) -> Line:
@@ -82,7 +82,7 @@ class DetailPane(LiveLines, can_focus=True):
 
 
 def detail_lines(route: RouteSnapshot, peer: str, width: int) -> Iterator[Line]:
-    """Lay out the details of a topic, or of what has calls.
+    """Lay out the details of a topic, a service, an action or parameters.
 
     Args:
         route: the topic's route.
@@ -164,7 +164,7 @@ def _figures(route: RouteSnapshot, width: int) -> Iterator[Line]:
 
 
 def call_lines(route: RouteSnapshot, calls: CallsSnapshot, peer: str, width: int) -> Iterator[Line]:
-    """Lay out the details of what has calls.
+    """Lay out the details of a service, an action or parameters.
 
     Args:
         route: route to describe.

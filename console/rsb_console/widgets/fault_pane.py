@@ -25,7 +25,7 @@ _OWN_NAME = "\0"
 _DURATION = re.compile(r"\b\d+ (?:s|min|h)\b")
 """Durations, which differ a little between topics that failed together."""
 _KEEPS_HEIGHT = 10.0
-"""s for which a fault keeps its number of lines, as a figure with one more digit may wrap differently."""
+"""Seconds for which a fault keeps its number of lines, as a figure with one more digit may wrap differently."""
 _SHOWN_WHILE_WAITING = (Cause.TYPE_UNKNOWN, Cause.SIMILAR_NAME)
 """Causes for which a waiting topic is shown here. One that merely has no publisher yet is not."""
 
@@ -74,7 +74,7 @@ class MoreKeys(NamedTuple):
 
 
 class FaultLines(LiveLines):
-    """The faults, the worst first, each in whole sentences; and how many more there are than fit."""
+    """The faults, the worst first, each in whole sentences, and the number of faults that do not fit."""
 
     can_focus = False
 
@@ -182,7 +182,7 @@ def _cut(line: Line, width: int) -> Line:
 
 
 def _how_many_more(faults: list[Fault], keys: MoreKeys) -> str:
-    """How many faults there is no room for, and what to press to see them."""
+    """Return the line with the number of faults that do not fit, and the keys that show them."""
     press = [keys.links] * any(fault.of_link for fault in faults)
     press += [keys.topics] * any(not fault.of_link for fault in faults)
     return f"and {sum(1 + len(fault.others) for fault in faults)} more: press {' or '.join(press)}"
@@ -244,7 +244,7 @@ def _reason(route: RouteSnapshot) -> str:
 
 
 def link_fault(link: LinkSnapshot, *, server: bool) -> str:
-    """Format what is wrong with a link; on a server, who should be there and is not."""
+    """Format the fault of a link; on a server, name the missing client."""
     since = formats.time_of_day(link.since)[:5]
     if link.state is State.OK:
         return link.warning

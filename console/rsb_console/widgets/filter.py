@@ -101,7 +101,7 @@ def _term(typed: str) -> _Term | None:
 
 
 class Prompt(Horizontal):
-    """``/`` and an input. What is typed filters at once; enter keeps it, escape takes it back.
+    """``/`` and an input. Typing filters at once; enter keeps the filter, escape restores the previous one.
 
     Args:
         columns: those by whose name one may look, as a hint.
@@ -117,7 +117,7 @@ class Prompt(Horizontal):
             self.pattern = pattern
 
     class Closed(Message):
-        """The operator is done with it."""
+        """The operator has left the prompt."""
 
     def __init__(self, columns: str = "state: kind: robot: type: via: why:") -> None:
         super().__init__(id="prompt")
@@ -132,7 +132,7 @@ class Prompt(Horizontal):
         yield Static("", id="problem", classes="problem")
 
     def open(self, text: str) -> None:
-        """Ask for a filter, beginning with `text`. The focus moves at once: what is typed next is meant for it."""
+        """Ask for a filter, beginning with `text`. The focus moves at once, so that no key is lost."""
         self._before = text
         self.display = True
         field = self.query_one(Input)

@@ -43,7 +43,7 @@ ROBOT_LOOK = {
     RobotState.WAITING: "waiting",
     RobotState.OK: "ok",
 }
-"""As of the states of topics that are as bad."""
+"""Styles of robots' states, as for topics' states of the same severity."""
 LOW_BATTERY = 0.2
 HIGH_LOSS = 0.05
 
@@ -204,7 +204,7 @@ class FleetView:
 
 
 class FleetTable(SelectableList):
-    """One line a robot, and one for each group. The cursor stays on its robot when the order changes.
+    """One line for each robot and each group. The cursor stays on its robot when the order changes.
 
     Args:
         view: the operator's settings of the table.
@@ -225,7 +225,7 @@ class FleetTable(SelectableList):
     # -- what is listed -----------------------------------------------------------------------------------------------
 
     def show(self, fleet: Fleet, now: float) -> None:
-        """Show the robots as they are now.
+        """Show the present state of the robots.
 
         Args:
             fleet: fleet of the robots.
@@ -320,7 +320,7 @@ class FleetTable(SelectableList):
         return [] if self.selected is None else [self.selected]
 
     def mark(self) -> None:
-        """Mark what is under the cursor, or take the mark away; of a group, of all that are shown."""
+        """Mark or unmark the robot under the cursor, or all shown robots of a group."""
         if (group := self.selected_group) is not None:
             keys = {row.robot.key for row in self._groups.get(group, ())}
         else:
@@ -428,7 +428,7 @@ def _cell(column: Column[Row], row: Row, width: int) -> tuple[str, str]:
 
 
 def state_counts(robots: Iterable[Robot]) -> Line:
-    """How many are in each state, the worst first."""
+    """Return the number of robots in each state, the worst first."""
     counts = Counter(robot.summary.state for robot in robots)
     return tuple(
         (f"  {counts[state]} {ROBOT_SIGN[state]} {ROBOT_WORD[state]}", ROBOT_LOOK[state])

@@ -108,7 +108,7 @@ class Field(Vertical):
 
     @property
     def _focus_sort_key(self) -> tuple[int, int]:
-        """The order in which tab comes to it (Textual's).
+        """Its place in the order of the tab key (Textual's).
 
         Textual orders widgets by their place on the screen. A field that has just appeared has none yet and would come
         before all others, so that fast typing would go to it.
@@ -116,7 +116,7 @@ class Field(Vertical):
         return self.position, 0
 
     def describe(self, spec: Spec) -> None:
-        """Take another label, help and options, of the same key; the value stays, unless it is no option any more."""
+        """Take another label, help and options for the same key; the value stays if it is still an option."""
         self.spec = spec
         self._label.update(spec.label)
         if isinstance(self.control, Choice):
@@ -186,7 +186,7 @@ class Form(VerticalScroll, can_focus=False):
         return {key: field.value for key, field in self.fields.items() if field.styles.display != "none"}
 
     def show_problems(self, problems: Mapping[str, str]) -> None:
-        """Show what is wrong now: with a field beneath it, else beneath the form.
+        """Show the problems, a field's below the field, others below the form.
 
         Args:
             problems: messages by the field's key; another key is about the form as a whole.

@@ -57,7 +57,7 @@ class LiveLines(ScrollView):
 
     @property
     def line_count(self) -> int:
-        """How many lines there are, the sticky ones included."""
+        """Number of lines, including the sticky ones."""
         raise NotImplementedError
 
     def line(self, index: int) -> Line:
@@ -73,7 +73,7 @@ class LiveLines(ScrollView):
         return y if y < self.sticky else y + self._top
 
     def sync(self) -> None:
-        """Redraw what differs from what is on screen."""
+        """Redraw the lines that differ from the screen."""
         yield_gil()
         self.measure_lines()
         self._measure()
@@ -86,7 +86,7 @@ class LiveLines(ScrollView):
                 self.refresh(Region(0, y, changed_width(old, new, width), 1))
 
     def measure_lines(self) -> None:
-        """Make the scrollable height that of all lines."""
+        """Set the scrollable height to that of all lines."""
         size = Size(0, self.line_count)
         if size != self.virtual_size:
             self.virtual_size = size
@@ -106,7 +106,7 @@ class LiveLines(ScrollView):
         return super().refresh(*regions, repaint=repaint, layout=layout, recompose=recompose)
 
     def notify_style_update(self) -> None:
-        """Forget how the looks look (Textual's)."""
+        """Forget the cached styles (Textual's)."""
         self._looks.clear()
         super().notify_style_update()
 
@@ -209,7 +209,7 @@ def clip(text: str, width: int) -> str:
 
 
 class ScrolledLines(LiveLines, can_focus=True):
-    """Some lines that are replaced as a whole."""
+    """Lines that are replaced as a whole."""
 
     BINDINGS: ClassVar = [
         Binding("j", "scroll_down", show=False),

@@ -98,7 +98,7 @@ class LogPane(SelectableList):
         return list(self._shown.values())[::-1]
 
     def on_blur(self) -> None:
-        """Back to the newest; not for the filter's prompt, nor when the terminal's window loses the focus."""
+        """Return to the newest line, except for the filter's prompt or when the terminal's window loses the focus."""
         super().on_blur()
         if isinstance(self.screen.focused, LiveLines):
             self.move_to(0)

@@ -59,7 +59,7 @@ class SelectableList(LiveLines, can_focus=True):
 
     @property
     def line_count(self) -> int:
-        """The heading and one line an item."""
+        """Number of lines: the heading and one for each item."""
         return self.sticky + len(self.keys)
 
     def is_cursor(self, index: int) -> bool:
