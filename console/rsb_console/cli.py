@@ -70,7 +70,7 @@ def _run(argv: list[str]) -> int:
         if _is_full(error):
             _mute()
             why = getattr(error, "strerror", error)
-            print_error(f"standard output: {why}: free space where it goes. What the command has done stays done")
+            print_error(f"standard output: {why}: free space on its disk. The command's changes stay in effect")
             return FAILURE
         return _unexpected(error, show="debug" in arguments)
     return code

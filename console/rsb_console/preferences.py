@@ -29,9 +29,9 @@ class PreferenceProblem(Wording):
     """Mistakes in the user's settings."""
 
     NO_KEYMAP = "{path}: must map action ids to keys, like 'pause: P'"
-    UNKNOWN_ACTIONS = "{path}: no action is called {actions}; the help (?) lists them"
-    SHARED_KEY = "{path}: {key!r} is for both {one} and {other}; give one another key"
-    UNKNOWN_THEME = "no theme is called {theme!r}; there are {themes}"
+    UNKNOWN_ACTIONS = "{path}: no action is named {actions}; the help (?) lists them"
+    SHARED_KEY = "{path}: {key!r} is the key of both {one} and {other}; change one of them"
+    UNKNOWN_THEME = "no theme is named {theme!r}; choose one of {themes}"
 
 
 class KeymapError(ValueError):

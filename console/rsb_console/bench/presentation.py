@@ -19,8 +19,8 @@ if TYPE_CHECKING:
 
 _LIMITS = {
     "loss": "",
-    "sender": " (the sender makes no more)",
-    "leave": " (no more is allowed)",
+    "sender": " (the sender's limit)",
+    "leave": " (the peer's limit)",
     "time": " (time was up)",
 }
 _NONE = "-"
@@ -48,14 +48,16 @@ _NARROWEST = 40
 class JudgingText(Wording):
     """Verdicts on whether a link carries a session's topics."""
 
-    NOTHING = "Nothing to judge: no topic has a rate and a size yet, or too little was measured."
+    NOTHING = "No verdict: no topic has a rate and a size yet, or too little was measured."
     CARRIES_ALL = "{over} carries {carried}."
     CARRIES_SOME = "{over} carries {carried}, not {others}."
     CARRIES_NONE = "{over} does not carry {others}."
-    BARELY = "Only just: {topics}; anything else there costs messages."
-    UNKNOWN = "Too little was tried to say whether {over} carries {topics}."
-    TOGETHER_MOST = "Together they take {percent:.0f} % of it, nearly all there is: limit the largest (max_rate)."
-    TOGETHER_TOO_MUCH = "Together they take {percent:.0f} % of it, more than there is: limit the largest (max_rate)."
+    BARELY = "Only just: {topics}; any further load costs messages."
+    UNKNOWN = "Too few rates were tried to judge whether {over} carries {topics}."
+    TOGETHER_MOST = "Together they take {percent:.0f} % of it, nearly all its capacity: limit the largest (max_rate)."
+    TOGETHER_TOO_MUCH = (
+        "Together they take {percent:.0f} % of it, more than its capacity: limit the largest (max_rate)."
+    )
 
 
 def lines_of(report: Report) -> Iterator[str]:
@@ -103,7 +105,7 @@ def _rates(points: Sequence[Point]) -> Iterator[str]:
 
 def _latencies(points: Sequence[Point]) -> Iterator[str]:
     added = any(each.base for each in points)
-    what = "what the bridge adds to it, next to no bridge" if added else "from this end of the link to the other"
+    what = "added by the bridge, compared with no bridge" if added else "from this end of the link to the other"
     yield f"Latency at a low rate, ms; {what}"
     rows: list[tuple[str, ...]] = [
         ("", "size", "p50", "p99", "p99.9", *(("added p50", "p99", "p99.9") if added else ()))

@@ -221,7 +221,7 @@ class BenchProblem(Wording):
     NO_ANSWER = "a bridge on this machine does not answer: {problem}"
     SILENT = "the bridge has not answered for {seconds:.0f} s"
     NO_SERVER = "the server of the benchmark does not start"
-    NOTHING_ARRIVES = "nothing gets through: is ROS set up, and are both domains free of what filters it?"
+    NOTHING_ARRIVES = "no message gets through: check the ROS set-up, and that nothing filters the two domains"
     NOT_OPEN = "{count} topics are not open within {seconds:.0f} s"
     NO_ROS = "no ROS here: source its setup file, or install rsb-console[ros]"
     NO_ROUTER = "the Zenoh router does not start: pip install 'rsb-console[zenoh]'"

@@ -41,7 +41,7 @@ exit codes, of every command:
 
 
 _COMPLETION = """\
-once for all, where the files of the package are not in the shell's own folders:
+once, if the package's files are not in the shell's own folders:
   echo 'eval "$(rsb-console completion bash)"' >> ~/.bashrc
   echo 'eval "$(rsb-console completion zsh)"' >> ~/.zshrc       # after compinit
   echo 'rsb-console completion fish | source' >> ~/.config/fish/config.fish"""
@@ -79,15 +79,15 @@ def parser_and_commands() -> tuple[argparse.ArgumentParser, list[str]]:
         return added
 
     _run_arguments(command("run", local_commands.run, "bridge a session, with or without the console"))
-    check = command("check", check_session, "say what a session would do, and what is wrong with it")
+    check = command("check", check_session, "describe a session and its mistakes")
     _complete(check.add_argument("session", type=Path, metavar="SESSION", help="session file"), "yaml_files")
-    keygen = command("keygen", local_commands.keygen, "make a key for both sides of a link")
+    keygen = command("keygen", local_commands.keygen, "create a key for both sides of a link")
     keygen.add_argument(
         "path", type=Path, metavar="PATH", nargs="?", default=Path(DEFAULT_KEY_FILE), help="default: %(default)s"
     )
     keygen.add_argument("--force", action="store_true", help="replace an existing key file")
     _import_arguments(
-        command("import", local_commands.import_thesis, "make a session file from the thesis's bringup.yaml")
+        command("import", local_commands.import_thesis, "convert the thesis's bringup.yaml to a session file")
     )
     scan = command("bt-scan", local_commands.bt_scan, "list Bluetooth adapters and their busy RFCOMM channels")
     only = scan.add_argument("--adapter", metavar="NAME", help="only this one: hci0, or its MAC")
@@ -104,7 +104,7 @@ def parser_and_commands() -> tuple[argparse.ArgumentParser, list[str]]:
     add_client_commands(command, _complete)
     add_bench_command(command, _complete)
     add_fleet_commands(command, _complete, _console_options)
-    summary = "print what a shell sources to complete this command"
+    summary = "print the completion script for a shell"
     script = command("completion", lazily("script", "completion"), summary, _COMPLETION)
     script.add_argument("shell", metavar="SHELL", choices=("bash", "zsh", "fish"), help="bash, zsh or fish")
     _complete(subparsers, "yaml_files")
@@ -154,7 +154,7 @@ def _run_arguments(parser: argparse.ArgumentParser) -> None:
 def _service_arguments(parser: argparse.ArgumentParser) -> None:
     actions = parser.add_subparsers(metavar="ACTION", required=True, dest="what")
     for name, summary in (
-        ("install", "write the session's unit, and say what to run next"),
+        ("install", "write the session's unit and print the next commands"),
         ("show", "print the session's unit"),
         ("uninstall", "remove the session's unit"),
     ):
@@ -162,7 +162,7 @@ def _service_arguments(parser: argparse.ArgumentParser) -> None:
         _complete(action.add_argument("session", type=Path, metavar="SESSION", help="session file"), "yaml_files")
         action.add_argument("--system", action="store_true", help="a service of the system, not of this user")
         if name != "show":
-            action.add_argument("--force", action="store_true", help="also if the unit there is another one")
+            action.add_argument("--force", action="store_true", help="overwrite or remove a foreign unit, too")
         if name != "uninstall":
             action.add_argument("--setup", type=Path, metavar="PATH", help="setup.bash of a workspace, sourced first")
 
@@ -185,7 +185,7 @@ def _import_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--port", type=int, help="of the server, as in its launch file")
     parser.add_argument("--domain-id", type=int, metavar="N", help="default: $ROS_DOMAIN_ID at run time")
     parser.add_argument("--use-name", action="store_true", help="prefix the client's topics on the server")
-    parser.add_argument("--no-encryption", action="store_true", help="everything crosses in the clear")
+    parser.add_argument("--no-encryption", action="store_true", help="all data crosses unencrypted")
     parser.add_argument("-o", "--output", type=Path, metavar="SESSION", help="default: standard output")
     parser.add_argument("--force", action="store_true", help="replace an existing session file")
 

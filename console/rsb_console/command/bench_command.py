@@ -107,7 +107,7 @@ def _on_this_machine(arguments: Namespace) -> int:
     near, far = arguments.domains or _DOMAINS
     transports = arguments.transports or ("tcp", "udp")
     if others := [name for name in transports if name not in ("tcp", "udp")]:
-        message = f"{others[0]} is measured over a link only: name the session whose link that is"
+        message = f"{others[0]} can be measured only over a link: name that link's session"
         return failed(arguments, message, USAGE)
     if arguments.direction != "transmit":
         return failed(arguments, "on one machine both directions are the same: leave --direction out", USAGE)
@@ -175,7 +175,7 @@ def _chosen_link(links: Sequence[LinkSnapshot], name: str) -> LinkSnapshot:
     """
     found = [link for link in links if name in ("", link.name)]
     if len(found) != 1:
-        raise UsageError(f"with which client? --link {' or --link '.join(link.name for link in links)}")
+        raise UsageError(f"several clients; choose one: --link {' or --link '.join(link.name for link in links)}")
     return found[0]
 
 
@@ -256,9 +256,7 @@ def _finish(
 
 def _ending(report: Report) -> list[str]:
     if report.ended == "interrupted":
-        return [
-            "interrupted: these are the figures until then" if report.points else "interrupted: nothing was measured"
-        ]
+        return ["interrupted: these are the figures so far" if report.points else "interrupted: nothing was measured"]
     if report.ended == "time":
-        return ["the time was up before everything was measured: --seconds gives more"]
+        return ["the time ended before everything was measured: raise --seconds"]
     return []

@@ -98,7 +98,7 @@ def summary(session: Session, places: Mapping[SourceKey, str] | None = None) -> 
     if session.role == "server" and not session.clients:
         yield f"  accepts {session.name}: everything"
     for source in filter(lambda each: each.arm, demands.sources):
-        yield f"  has to be armed on all its routes: {_demanded(source, places or {})}"
+        yield f"  requires arming on all its routes: {_demanded(source, places or {})}"
 
 
 def _demands_on(

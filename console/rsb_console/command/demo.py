@@ -213,7 +213,7 @@ def _say(running: Simulated) -> None:
     look = f"fleet --fleet {running.file}" if running.file else f"fleet --control {running.socket}"
     print_line(f"{count} simulated robots are linked; their ROS is a stand-in, in {count} graphs")
     print_line(f"{faulty} stops publishing {_FAULTY} after {_AFTER:.0f} s; {restless} comes and goes")
-    print_line(f"to look at them: rsb-console {look}")
+    print_line(f"to watch them: rsb-console {look}")
     print_line(HOW_TO_END)
     sys.stdout.flush()
 

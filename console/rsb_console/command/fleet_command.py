@@ -39,23 +39,23 @@ _LOOK_EVERY = 0.5
 class FleetProblem(Wording):
     """Reasons why a command for robots is refused."""
 
-    ROBOTS_MISSING = "which robots? Give their names, --group GROUP, or --all"
-    TWO_KINDS_OF_FLEET = "--fleet is about bridges over Zenoh, --bridge and --control about a server here: give one"
+    ROBOTS_MISSING = "no robots given: name them, or use --group GROUP or --all"
+    TWO_KINDS_OF_FLEET = "--fleet means bridges over Zenoh, --bridge and --control a server here: give one"
     CLIENT_HAS_NO_ROBOTS = "{name} is a client: it has no robots. Its server has"
-    NO_SERVER = "no server runs here that you may attach to; `rsb-console status` names what does"
+    NO_SERVER = "no server runs here that you may attach to; `rsb-console status` lists the bridges"
     NO_ENGINE = "no engine has announced itself in the fleet {fleet!r}"
     COMMAND_MISSING = "no command: rsb-console fleet exec NAME ... -- COMMAND ..., as in -- pause /camera"
-    COMMAND_UNKNOWN = "{command}: no command that runs for a robot; these do: {known}"
+    COMMAND_UNKNOWN = "{command} cannot run for a robot; these can: {known}"
     EVENTS_ENDLESS = "events --follow does not end: follow one robot's server at a time"
     ECHO_ENDLESS = "echo does not end: give --once, or --count N"
     FIGURES_ENDLESS = "{command} does not end by itself: give --count N or --for N"
     WAITS_ENDLESS = "{command} may wait for ever: give --timeout N"
     ROBOT_AFTER_DASHES = "name the robots before --, and no bridge or link after it"
     TOPIC_OR_CHANGE_MISSING = (
-        "which topic, and what to change? For example: rsb-console fleet edit robot1 /camera max_rate=5"
+        "the topic or the change is missing, for example: rsb-console fleet edit robot1 /camera max_rate=5"
     )
     JSON_CANNOT_ASK = "--json does not ask: give --yes, or --dry-run"
-    NOBODY_TO_ASK = "nobody is there to ask: give --yes, or --dry-run"
+    NOBODY_TO_ASK = "no operator can answer: give --yes, or --dry-run"
 
 
 def run(name: str, arguments: Namespace) -> int:

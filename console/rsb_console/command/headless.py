@@ -44,7 +44,7 @@ _STOPS_WITHIN = 4.0
 _WRITTEN_WITHIN = 0.5  # s, of the 5 s in which the program must end even if its peer or its reader hangs
 WAITING_LIMIT = 1 << 20
 """Bytes of lines that wait for a slow reader; a status line of 500 topics has 200 kB as JSON."""
-_TOO_SLOW = "they were not read fast enough"
+TOO_SLOW = "standard output was read too slowly"
 
 
 class HeadlessText(Wording):
@@ -313,7 +313,7 @@ class LogWriter:
             while self._waiting_bytes > WAITING_LIMIT and len(self._waiting) > 1:
                 self._waiting_bytes -= len(self._waiting.popleft())
                 self._lost += 1
-                self._reason = _TOO_SLOW
+                self._reason = TOO_SLOW
             self._changed.notify()
 
     def close(self, timeout: float) -> None:

@@ -239,7 +239,7 @@ def _reload(arguments: Namespace) -> int:
         is_done = not (reloaded.left or reloaded.failed)
         print_line(json_line({"ok": is_done, "dry_run": arguments.dry_run, **asdict(reloaded)}))
     else:
-        for line in reloaded.changed or ["nothing that can change in place differs"]:
+        for line in reloaded.changed or ["no difference that can be applied in place"]:
             print_line(line)
         for line in (*reloaded.left, *reloaded.failed):
             print_error(line)

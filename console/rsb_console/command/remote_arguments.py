@@ -72,11 +72,11 @@ exit codes:
 {NO_BRIDGE}
   130, 143  it was armed until Ctrl-C, until SIGTERM"""
 _EXIT_ECHO = f"""\
-Messages are decoded where one of the sides knows the type.
+Messages are decoded if one of the sides has the type.
 
 exit codes:
   0  the messages are printed
-  1  they have not come within the time
+  1  the messages did not come in time
 {NO_BRIDGE}"""
 _EXIT_FIGURES = f"""\
 The bridge's own figures, {{where}}.
@@ -152,31 +152,33 @@ def add_remote_commands(
     console_options(remote("attach", "open the console on a bridge that runs already"))
     remote("status", "show how a running bridge, its links and its topics are", _EXIT_STATUS)
     topics = remote("topics", "list the topics and services of a running bridge")
-    topics.add_argument("--available", action="store_true", help="list what can be bridged, on either side, instead")
+    topics.add_argument(
+        "--available", action="store_true", help="list the names that can be bridged, on both sides, instead"
+    )
     add = remote("add", "bridge one more topic, service, action or node's parameters", _ADD, about_topic=True)
-    name = "its name, as the screen of the bridge shows it, or as the client does"
+    name = "its name on this bridge's side, or on the client"
     complete(add.add_argument("topic", metavar="NAME", help=name), "available")
-    _kind(add, "what it is; default: topic")
+    _kind(add, "kind of the name; default: topic")
     for kind in KINDS[1:]:
         add.add_argument(f"--{kind}", dest="kind", action="store_const", const=kind, help=f"short for --kind {kind}")
-    add.add_argument("--provider", choices=("client", "server"), help="of a service: the side whose node answers")
-    way = "of a topic: to the server, or from the server, as the client sees it"
+    add.add_argument("--provider", choices=("client", "server"), help="for a service: the side whose node answers")
+    way = "for a topic: to or from the server, as the client sees it"
     direction = add.add_argument("direction", metavar="transmit|receive", nargs="?", help=way)
     complete(direction, "direction_or_keys")
     _cost_options(add)
     _topic_keys(add, complete)
-    which = "on a server of several clients: the one to bridge"
+    which = "the client to bridge with, on a server with several clients"
     complete(add.add_argument("--link", default="", metavar="CLIENT", help=which), "links")
     edit = remote("edit", "change a topic or service that is bridged", about_topic=True)
     route_arguments(edit, complete)
     _topic_keys(edit, complete)
-    _drop_arm(edit, "with arm=false: also end the demand that the name be armed")
+    _drop_arm(edit, "with arm=false: also drop the demand that the name requires arming")
     remove = remote("remove", "stop bridging a topic or service, on both sides", about_topic=True)
     route_arguments(remove, complete)
-    _drop_arm(remove, "also end the demand that the name be armed; without this it is kept")
+    _drop_arm(remove, "also drop the demand that the name requires arming; otherwise it stays")
     for name, summary in (
         ("pause", "stop carrying a topic's messages or a service's calls, on both sides; all routes of the name"),
-        ("resume", "carry what is paused again; all routes of the name"),
+        ("resume", "resume a paused topic or service; all routes of the name"),
     ):
         route_arguments(remote(name, summary, about_topic=True), complete)
     _ack_arguments(remote("ack", "acknowledge a fault, until it changes", _EXIT_ACK, about_topic=True), complete)
@@ -197,9 +199,9 @@ def add_remote_commands(
 
 def _add_looking(remote: Callable[..., argparse.ArgumentParser], complete: Complete) -> None:
     """Add the commands that print messages, events or figures until an interrupt."""
-    events = remote("events", "print what a running bridge has reported")
-    events.add_argument("--follow", action="store_true", help="go on with what it reports from now on")
-    report = remote("report", "print what happened in the last hours, even of a bridge that has ended")
+    events = remote("events", "print the events of a running bridge")
+    events.add_argument("--follow", action="store_true", help="continue with new events")
+    report = remote("report", "print the history of the last hours, even of a bridge that has ended")
     report.add_argument("--last", default="8h", metavar="SPAN", help="8h, 30m, ...; at most 24h (%(default)s)")
     report.add_argument("--csv", action="store_true", help="print CSV, for a spreadsheet")
     wait = remote("wait", "wait until topics flow, a link is up, or the bridge has stopped", _WAIT, about_topic=True)
@@ -220,7 +222,7 @@ def _drop_arm(parser: argparse.ArgumentParser, about: str) -> None:
 
 def _ack_arguments(ack: argparse.ArgumentParser, complete: Complete) -> None:
     route_arguments(ack, complete, metavar="TOPIC|LINK")
-    ack.add_argument("--undo", action="store_true", help="take the acknowledgement back")
+    ack.add_argument("--undo", action="store_true", help="undo the acknowledgement")
 
 
 def _wait_arguments(wait: argparse.ArgumentParser, complete: Complete) -> None:

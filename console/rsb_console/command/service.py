@@ -65,11 +65,11 @@ class ServiceText(Wording):
     """Reports of `rsb-console service`."""
 
     OTHER_UNIT = (
-        "{path}: exists already, and is another unit; --force replaces it. This one: rsb-console service show {session}"
+        "{path}: another unit exists; --force replaces it. To print this one: rsb-console service show {session}"
     )
     NO_UNIT = "{path}: there is no such unit"
     ENABLED = "{name} is enabled; first run: {control} disable --now {name}"
-    FOREIGN_UNIT = "{path}: `service install` has not written this; --force removes it"
+    FOREIGN_UNIT = "{path}: not written by `service install`; --force removes it"
     NOT_REMOVED = "{path}: cannot be removed: {reason}"
 
 
@@ -118,7 +118,7 @@ class Service:
             "ExecReload=/bin/kill -HUP $MAINPID",
             "Restart=on-failure",
             "RestartSec=2",
-            "# Neither a session file with mistakes nor a session that runs already gets better by itself.",
+            "# A restart helps neither a session file with mistakes nor a session that runs already.",
             "RestartPreventExitStatus=2 4",
             "TimeoutStopSec=10",
             "LimitNOFILE=65536",

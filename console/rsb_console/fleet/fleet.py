@@ -237,12 +237,12 @@ class Fleet:
             meant = [robot for robot in robots if name in (robot.summary.name, robot.key)]
             if not meant:
                 if not gone and any(robot.gone and name in (robot.summary.name, robot.key) for robot in self.robots()):
-                    raise UnknownRobotError(f"{name} is not there: it is only remembered")
+                    raise UnknownRobotError(f"{name} is not connected now")
                 what = "robot that has gone" if gone else "robot"
                 raise UnknownRobotError(_unknown(what, name, [robot.summary.name for robot in robots]))
             if len(meant) > 1:
                 keys = ", ".join(robot.key for robot in meant)
-                raise UnknownRobotError(f"several robots are called {name}; say which: {keys}")
+                raise UnknownRobotError(f"several robots are named {name}; choose one: {keys}")
             found[meant[0].key] = meant[0]
         return sorted(found.values(), key=lambda robot: robot.order)
 
@@ -252,7 +252,7 @@ def _gone(robot: Remembered) -> RobotSummary:
         name=robot.name,
         group=robot.group,
         state=RobotState.MISSING,
-        why=f"it is no robot of {robot.source} any more",
+        why=f"it is no longer a robot of {robot.source}",
         since=robot.seen,
         seen=robot.seen,
         host=robot.host,
@@ -262,8 +262,8 @@ def _gone(robot: Remembered) -> RobotSummary:
 
 def _unknown(what: str, name: str, known: Sequence[str]) -> str:
     if near := difflib.get_close_matches(name, known, n=1):
-        return f"no {what} is called {name}; did you mean {near[0]}?"
-    return f"no {what} is called {name}; there are {join_first(known, 10) or 'none'}"
+        return f"no {what} is named {name}; did you mean {near[0]}?"
+    return f"no {what} is named {name}; there are {join_first(known, 10) or 'none'}"
 
 
 LIMIT = 1000

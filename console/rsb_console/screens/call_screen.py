@@ -52,19 +52,19 @@ _KEYS = "F9 call   tab next   y copy the answer   esc close"
 class CallText(Wording):
     """Texts of the form."""
 
-    NOTHING_CALLED = "nothing has been called yet"
+    NOTHING_CALLED = "no call yet"
     WAITING = "{sign} waiting for the answer, {waited}"
-    WAITING_UNTIL = "{sign} waiting for the answer, {waited}; given up after {limit:g} s"
+    WAITING_UNTIL = "{sign} waiting for the answer, {waited}; gives up after {limit:g} s"
     NAME_MISSING = "missing: name the parameter, as `ros2 param list` does"
-    NO_MAPPING = "not a mapping of fields: write data: true, say, with a line for each field"
+    NO_MAPPING = "not a mapping of fields: write one line for each field, such as data: true"
     VALUE_SENT = "Its new value is sent {where}:"
     REQUEST_SENT = "It is sent once, {where}:"
     ALL_DEFAULTS = "(the default of every field)"
     ANSWERED = "{sign} answered after {took}"
     VALUE_SET = "{sign} answered after {took}: the node has set it"
     VALUE_REFUSED = "{sign} answered after {took}: the node refuses it: {why}"
-    STILL_CALLING = "the call before this one is not answered yet"
-    ROUTE_GONE = "{sign} it is not bridged any more"
+    STILL_CALLING = "the previous call is not answered yet"
+    ROUTE_GONE = "{sign} it is no longer bridged"
 
 
 class Request(NamedTuple):
@@ -308,9 +308,7 @@ class CallScreen(FormScreen[Request]):
 def _specs(route: RouteSnapshot) -> Iterator[Spec]:
     if len(route.lanes) > 1:
         sets = [(_SET, "set one parameter")] if _SET_LANE in route.lanes else []
-        yield Spec(
-            "lane", "What", "Which of its services to call.", options=(*sets, *((lane, lane) for lane in route.lanes))
-        )
+        yield Spec("lane", "What", "The service to call.", options=(*sets, *((lane, lane) for lane in route.lanes)))
     if _SET_LANE in route.lanes:
         yield Spec("name", "Parameter", "Its name, as the node has it: controller_frequency.")
         kinds = "5 is an integer, 5.0 a double, true a bool, [1, 2] an array; anything else is text."
@@ -318,7 +316,7 @@ def _specs(route: RouteSnapshot) -> Iterator[Spec]:
     yield Spec(
         "request",
         "Request",
-        "Its fields as YAML, one a line. What you leave out has its default.",
+        "Its fields as YAML, one a line. Missing fields get their defaults.",
         blank="empty: every field has its default",
     )
 

@@ -202,7 +202,7 @@ async def remove_client(console: Console, name: str) -> None:
     if path is None or console.engine is None:
         return
     message = (
-        "Its link is closed at once, and it is let in no more. The other clients stay linked. "
+        "Its link is closed at once, and it can no longer connect. The other clients stay linked. "
         "Its key file stays; the client's own files are not touched."
     )
     if not await console.ask(ConfirmScreen(f"Remove the client {name}?", message, "Remove")):

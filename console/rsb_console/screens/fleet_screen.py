@@ -81,8 +81,8 @@ class FleetScreen(Screen[None]):
         if self.table.rows:
             return f"No robot matches. {self._key('back')} shows all of them."
         if all(source.kind == "server" for source in self.fleet.sources):
-            return "No robots yet: on the server, `rsb-console client add NAME` lets one in."
-        return "No robots yet: no bridge with `zenoh` and this fleet's name in its session has announced itself."
+            return "No robots yet: add one on the server with `rsb-console client add NAME`."
+        return "No robots yet: no bridge announces itself; set `zenoh` and this fleet's name in a session."
 
     def _show_detail(self) -> None:
         self.detail.show(*self.table.described)

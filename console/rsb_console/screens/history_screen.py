@@ -46,7 +46,7 @@ class HistoryText(Wording):
     """Texts of the history."""
 
     BY_TOPIC = "by robot and topic"
-    NOT_KNOWN = "not known at present: {error}"
+    NOT_KNOWN = "not available now: {error}"
     GAP = "the bridge did not run, or the machine slept"
 
 
@@ -249,9 +249,9 @@ class HistoryScreen(ModalScreen[None]):
             yield ((f"{more}: rsb-console report {report.name}", "dim"),)
         if report.outages_left_out:
             more = formats.counted(report.outages_left_out, "more outage")
-            yield ((f"at least {more}, for which there was no room", "dim"),)
+            yield ((f"at least {more}, dropped for lack of room", "dim"),)
         if not rows:
-            yield (("nothing that matches" if self.pattern else "nothing else happened", "dim"),)
+            yield (("no match" if self.pattern else "nothing else happened", "dim"),)
 
     def _show_detail(self) -> None:
         row = self.table.selected

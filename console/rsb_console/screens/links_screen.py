@@ -42,7 +42,7 @@ CLIENT_KEYS = "a add a client   d remove it   "
 class LinkText(Wording):
     """Texts of the details of a link."""
 
-    NEXT_KEY_USED = "in use: the old one can be given up"
+    NEXT_KEY_USED = "in use: the old key can be dropped"
     NEXT_KEY_UNUSED = "valid too; not in use yet"
 
 

@@ -41,7 +41,7 @@ FIELDS = (
     Spec("role", "Role", "A client connects and lists the topics; a server waits for clients.",
          options=(("client", "client (robot)"), ("server", "server (control PC)"))),
     Spec("name", "Name", "The same on both sides, like robot1."),
-    Spec("server_ip", "Server", "IPv4, IPv6, host name, or Bluetooth MAC. On the server: what to bind (0.0.0.0: all)."),
+    Spec("server_ip", "Server", "IPv4, IPv6, host name or Bluetooth MAC. On the server: which to bind (0.0.0.0: all)."),
     Spec("server_port", "Port", f"TCP and UDP port, or RFCOMM channel ({CHANNEL}): the same on both sides.",
          str(DEFAULT_PORT)),
     Spec("domain_id", "Domain", f"ROS domain of this side, {SAFE_DOMAIN}. Empty: $ROS_DOMAIN_ID, else 0.",
@@ -156,7 +156,7 @@ class NewSessionScreen(FormScreen[NewSession]):
             problems.setdefault(location, problem.message)
         names = [client.name for client in new.session.clients]
         if len(set(names)) < len(names):
-            problems["clients"] = f"{next(each for each in names if names.count(each) > 1)} is there twice"
+            problems["clients"] = f"{next(each for each in names if names.count(each) > 1)} occurs twice"
         if not values["name"]:
             problems["name"] = MissingField.NAME()
         if not values["server_ip"]:

@@ -122,7 +122,7 @@ class ChangeField(PickField):
         elif typed.key:
             self.suggest(list(self._values(typed)), lambda _: self._about(typed))
         else:
-            empty = f"no key is called {typed.last}" if self._entries(typed) else self._no_topic(typed)
+            empty = f"no key is named {typed.last}" if self._entries(typed) else self._no_topic(typed)
             self.suggest(list(self._keys(typed)), lambda _: empty)
 
     @property
@@ -224,7 +224,7 @@ class ChangeField(PickField):
         if not entries:
             return self._no_topic(typed)
         if not (field := KEYS[entries[0].route.spec.kind].get(typed.key, "")):
-            return f"no key is called {typed.key}"
+            return f"no key is named {typed.key}"
         spec = self._specs(entries).get(field)
         return f"{'' if spec is None else spec.help} Now: {_now(entries, field, spec)}.".strip()
 
@@ -382,7 +382,7 @@ class RolloutScreen(ModalScreen[None]):
             self._change.put(event.suggestion)
             return
         if (change := change_of(self._change.value)) is None:
-            self._say("a topic and what to change, for example: /camera max_rate=5")
+            self._say("a topic and a change, for example: /camera max_rate=5")
             return
         self._say("")
         self._rollout = Rollout(self._fleet, self._robots, *change, self._settle, now=time.monotonic, sleep=self._sleep)
@@ -393,7 +393,7 @@ class RolloutScreen(ModalScreen[None]):
 
     def _sleep(self, seconds: float) -> None:
         if self._gone.wait(seconds):
-            raise EngineError("nobody waits for the robot any more")
+            raise EngineError("the wait for the robot was cancelled")
 
     @work(exclusive=True, exit_on_error=False)
     async def _plan(self, rollout: Rollout) -> None:
@@ -435,7 +435,7 @@ class RolloutScreen(ModalScreen[None]):
             key = step.robot.key
             self._marks[key] = "failed" if key in not_back else "done"
         self._put_back = {step.robot.key for step in self.outcome.changed} - not_back
-        self._below = [f"{step.name}: not put back: {why}" for step, why in failed] or [f"put back on {names}"]
+        self._below = [f"{step.name}: not restored: {why}" for step, why in failed] or [f"restored on {names}"]
         self.outcome = None
         self._enter(Phase.ENDED)
 

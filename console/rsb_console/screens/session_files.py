@@ -35,7 +35,7 @@ LIMIT = 20
 MORE = {"new_session": "New…", "import_session": "Import…", "save": "Save", "save_as": "Save as…"}
 ABOUT = """\
 Bridges ROS 2 topics between domains and networks over encrypted sockets,
-and shows what flows and what doesn't."""
+and shows which of them flow."""
 
 
 class FileText(Wording):
@@ -50,7 +50,7 @@ class FileText(Wording):
 
 CHOICES = {
     "demo": ("d", "Demo", "a simulated robot, bridged on this machine"),
-    "new_session": ("n", "New session", "a form that writes the session file and the key"),
+    "new_session": ("n", "New session", "a form that creates the session file and the key"),
     "sessions": ("o", "Open a session", "a recent one, or any file"),
     "import_session": ("i", "Import", "a bringup.yaml of the thesis's ros2_socket_bridge"),
     "quit": ("q", "Quit", ""),

@@ -177,7 +177,7 @@ class Edited(Change):
         if self.new.arm and self.old.arm is self.new.arm:
             lines.append(_DISARMED)
         if self.pattern:
-            lines.append(f"It stays an entry of its own: the pattern {self.pattern} does not take it back.")
+            lines.append(f"It stays an entry of its own: the pattern {self.pattern} does not bridge it again.")
         return Undo(f"Undo the edit of {self.topic}?", tuple(lines), "Undo", bool(warnings), act)
 
 

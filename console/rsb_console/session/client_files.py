@@ -55,7 +55,7 @@ class RobotFileText(Wording):
     """Advice about a robot's own session file."""
 
     HEAD = "{name}, a client of the server {server}. Its key file belongs in the same folder."
-    ADDRESS_GUESSED = "one address of the server; is it the one that this client reaches?"
+    ADDRESS_GUESSED = "one of the server's addresses; check that this client can reach it"
     SAVE_AS = "save the session there as {file}"
     COPY_SECRET = "copy with `scp -p {files} USER@ROBOT:` (the key is secret: never by mail or chat)"  # noqa: S105 (a text)
     COPY = "copy with `scp {files} USER@ROBOT:`"

@@ -69,7 +69,7 @@ class ValueText(Wording):
     """Texts about a parameter's value."""
 
     NO_INTEGER = "{value} is no integer of {bits} bits; a double has a point, a text quotation marks"
-    NO_REASON = "it does not say why"
+    NO_REASON = "it gives no reason"
 
 
 class ParameterRequest(NamedTuple):

@@ -530,7 +530,7 @@ def _in_a_line(row: Row) -> Line:
 def _detail(row: Row, width: int) -> Iterator[Line]:
     summary = row.robot.summary
     sign = (f" {ROBOT_SIGN[summary.state]} {ROBOT_WORD[summary.state]} ", ROBOT_LOOK[summary.state])
-    why = summary.why or ("it has not been here yet" if summary.seen is None else "nothing is wrong")
+    why = summary.why or ("never connected" if summary.seen is None else "nothing is wrong")
     since = f"for {formats.clock(row.now - summary.since)}: " if summary.since else ""
     wrapped = textwrap.wrap(f"{since}{why}", max(10, width - len(sign[0]) - 1), max_lines=2, placeholder=" …")
     for number, text in enumerate(wrapped or [""]):
@@ -553,5 +553,5 @@ def _detail(row: Row, width: int) -> Iterator[Line]:
     if summary.battery is not None:
         figures.append(f"battery {summary.battery.charge:.0%}, {formats.age(row.now - summary.battery.time)} ago")
     if row.robot.gone:
-        figures = ["it is only remembered: dismiss it, or wait for it"]
+        figures = ["not connected now: dismiss it, or wait for it"]
     yield ((f" {' · '.join(figures)}", "dim"),)
