@@ -4,7 +4,7 @@ LOAD is the JSON of a `Load`. The bridges are the real ones, over real sockets; 
 (`rsb_bridge.ros.stand_in`). A bridge with operators in its session is served on the socket ``NAME.sock`` in its file's
 folder. The process takes commands as lines, answers with lines of JSON, and ends with its standard input:
 
-- ``look`` answers with a `Look`.
+- ``look`` answers with a `RobotRecords`.
 - ``stop NAME`` stops a robot's bridge and ``start NAME`` starts it again. ``mute NAME TOPIC`` makes its node stop
   publishing a topic, and ``flood NAME TOPIC SIZE`` makes it publish as fast as the bridge takes the messages.
 """
@@ -77,7 +77,7 @@ class Robot(msgspec.Struct):
     heard: int = 0
 
 
-class Look(msgspec.Struct):
+class RobotRecords(msgspec.Struct):
     """The robots of a process, by name."""
 
     robots: dict[str, Robot]
@@ -158,7 +158,7 @@ def main(arguments: Sequence[str]) -> None:
     # The robots vanish with the process, as if all were switched off: their threads are daemons.
 
 
-def _carry_out(words: Sequence[str], robots: dict[str, _Bridged], metronome: Metronome) -> Look:
+def _carry_out(words: Sequence[str], robots: dict[str, _Bridged], metronome: Metronome) -> RobotRecords:
     match words:
         case ["start", name]:
             robots[name].start()
@@ -169,8 +169,8 @@ def _carry_out(words: Sequence[str], robots: dict[str, _Bridged], metronome: Met
         case ["flood", name, topic, size]:
             metronome.flood(robots[name].ros, Talk(topic, 0.0, int(size)))
         case _:
-            return Look({name: robot.look() for name, robot in robots.items()})
-    return Look({})
+            return RobotRecords({name: robot.look() for name, robot in robots.items()})
+    return RobotRecords({})
 
 
 if __name__ == "__main__":

@@ -21,7 +21,7 @@ from rsb_bridge.ros.stand_in import Talk
 from rsb_console.bench import loopback
 from rsb_console.bench.processes import Process
 from rsb_console.bench.results import BenchError, BenchProblem
-from rsb_console.bench.robots import Load, Look, Robot
+from rsb_console.bench.robots import Load, Robot, RobotRecords
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
@@ -172,7 +172,7 @@ class Fleet:
             answer = process.line()
             if not answer:
                 raise BenchError(BenchProblem.ROBOTS_ENDED())
-            found |= msgspec.json.decode(answer, type=Look).robots
+            found |= msgspec.json.decode(answer, type=RobotRecords).robots
         return found
 
     def wait(self, done: Callable[[Robot], bool], within: float) -> dict[str, Robot]:
