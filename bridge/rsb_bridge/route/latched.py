@@ -103,7 +103,7 @@ class LatchedTopic:
             loop: the I/O loop.
             advertise: makes a publisher with a depth; may raise RosError.
             budget: budget of the publishers' link.
-            depth: depth of a history before its own depth is known.
+            depth: initial depth of a history, until its own has been found.
             failed: called when a message that had waited, or a publisher, fails later.
 
         Raises:

@@ -87,7 +87,7 @@ def _lines(route: RouteSnapshot, link: LinkSnapshot | None, other: str, figures:
     cause = f" ({route.cause})" if route.cause else ""
     yield f"State: {route.state.upper()}{cause} since {clock(route.since)}{f': {route.reason}' if route.reason else ''}"
     if route.arming is not None and route.arming.demanded_by:
-        yield f"Requires arming:  {', '.join(route.arming.demanded_by)}"
+        yield f"Requires arming: {', '.join(route.arming.demanded_by)}"
     if route.arming is not None and route.arming.armed:
         left = "" if route.arming.left is None else f", {route.arming.left:.0f} s left without a key"
         yield f"ARMED by: {route.arming.by}{left}"

@@ -71,7 +71,7 @@ class Request(NamedTuple):
     """A call that is to be made.
 
     Attributes:
-        lane: name of one of the route's services.
+        lane: name of the service, if the route has several.
         text: the request's fields, as YAML.
         question: question to the operator.
         means: consequences of a yes.
