@@ -84,7 +84,7 @@ class Costs(NamedTuple):
         return max(self.threads, key=lambda tid: self.threads[tid])
 
     def without(self, thread: str) -> float:
-        """All threads but one."""
+        """Return the costs of all threads except one."""
         return sum(used for tid, used in self.threads.items() if tid != thread)
 
 

@@ -44,7 +44,7 @@ def main(rounds: int = ROUNDS) -> None:
 
 
 class Figures(NamedTuple):
-    """What came through: messages a second, messages lost, latencies in ms."""
+    """Received messages a second, lost messages, and latencies in ms."""
 
     delivered: float
     lost: float

@@ -1,6 +1,6 @@
-"""What developers measure besides our bridge: nothing, a relay, or the thesis's pipeline between talker and listener.
+"""Test beds for comparison with our bridge: nothing, a relay, or the thesis's pipeline between talker and listener.
 
-All else is `rsb_console.bench`, which `rsb-console bench` uses, too.
+The rest is in `rsb_console.bench`, which `rsb-console bench` uses, too.
 """
 
 from __future__ import annotations
@@ -46,23 +46,23 @@ class Process(processes.Process):
 
 
 def direct(listener: str = "listen") -> AbstractContextManager[Bed]:
-    """Nothing between them: one domain."""
+    """Put nothing between talker and listener: one domain."""
     return loopback.direct(NEAR, listener=listener)
 
 
 def bridged(protocol: str, client: Callable[[Path], processes.Process] | None = None) -> AbstractContextManager[Bed]:
-    """Our bridge between them: two processes, encrypted; `client` starts another client than the headless one."""
+    """Put our bridge between talker and listener: two processes, encrypted; `client` may start another client."""
     return loopback.bridged(protocol, NEAR, FAR, side=headless, client=client)
 
 
 def headless(session: Path, log: Path | None = None) -> Process:
-    """One side of our bridge, served where this process's environment says."""
+    """Start one side of our bridge, served at the place that this process's environment names."""
     return Process("-m", "rsb_console", "run", "--no-ui", str(session), log=log)
 
 
 @contextlib.contextmanager
 def relayed() -> Iterator[Bed]:
-    """A process between them that takes raw and publishes raw: what a bridge costs without a link."""
+    """Put a relay of raw messages between talker and listener: the cost of a bridge without a link."""
     with loopback.ends(NEAR, FAR) as bed, Process("-m", "bench.relay", str(NEAR), str(FAR), TOPIC) as relay:
         bed.between.append(relay)
         yield ready(bed)
@@ -70,7 +70,7 @@ def relayed() -> Iterator[Bed]:
 
 @contextlib.contextmanager
 def thesis() -> Iterator[Bed]:
-    """The thesis's pipeline between them."""
+    """Put the thesis's pipeline between talker and listener."""
     port, key = str(free_port()), base64.urlsafe_b64encode(os.urandom(32)).decode()
     with (
         loopback.ends(NEAR, FAR) as bed,

@@ -1,6 +1,6 @@
 """Big messages, by TCP and through a relay, in turns: ``python -m bench.big [ROUNDS]``.
 
-Prints the medians of CPU and of page faults a message of all that is between talker and listener, and what came.
+Prints the medians of CPU and page faults a message between talker and listener, and the share of messages received.
 """
 
 from __future__ import annotations

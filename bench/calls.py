@@ -1,11 +1,11 @@
-"""Prints what a bridged service adds to a call, next to no bridge and to a bare proxy: ``python -m bench.calls``.
+"""Prints the time that a bridge adds to a call, compared with no bridge and a bare proxy: ``python -m bench.calls``.
 
 A typed rclpy client calls a typed rclpy server: in one domain, from one domain to another through one process that
-hands raw requests and responses on, and through our two processes. All stand at once and take turns, round by round;
-the figures are the medians of the rounds, so that what else the machine does falls on all alike. A second table has 200
-services of ten nodes: s from their start until a client sees them all, and what it has of calling them.
+hands raw requests and responses on, and through our two processes. All run at once and take turns, round by round; the
+figures are the medians of the rounds, so that other load on the machine affects all equally. A second table has 200
+services of ten nodes: s from their start until a client sees them all, and the figures of calls to them.
 
-``python -m bench.calls ROUNDS`` lets each have so many turns. It is part of ``make bench``.
+``python -m bench.calls ROUNDS`` gives each that many turns. It is part of ``make bench``.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ class Load(NamedTuple):
 
     Attributes:
         what: for people.
-        how: of `CallNode.call`.
+        how: argument of `CallNode.call`.
     """
 
     what: str
@@ -101,7 +101,6 @@ def main() -> None:
 
 
 def report(rounds: int) -> None:
-    """Measure and print."""
     before = f"load average before it {os.getloadavg()[0]:.1f}"
     print(f"\nCalls of a service, medians of {rounds} rounds; CPU of what is between, µs a call; {before}")
     near_domain = two_domains()
@@ -142,7 +141,7 @@ def _beds(resources: contextlib.ExitStack, near_domain: int, far_domain: int) ->
 
 @contextlib.contextmanager
 def _bridged(near_domain: int, far_domain: int, services: Sequence[str]) -> Iterator[list[bed.Process]]:
-    """Our bridge: two processes, encrypted."""
+    """Run our bridge: two processes, encrypted."""
     with tempfile.TemporaryDirectory() as name, contextlib.ExitStack() as processes:
         folder = Path(name)
         (folder / "bench.key").write_bytes(base64.urlsafe_b64encode(os.urandom(32)))
@@ -155,7 +154,7 @@ def _bridged(near_domain: int, far_domain: int, services: Sequence[str]) -> Iter
 
 
 def _many(kind: str, near_domain: int, far_domain: int) -> Many:
-    """What a client has of 200 services that start while everything else runs."""
+    """Measure a client of 200 services that start while everything else runs."""
     names = [f"/many_{kind}_{node}_{number}" for node in range(NODES) for number in range(EACH)]
     with contextlib.ExitStack() as resources:
         server_domain = near_domain if kind == "direct" else far_domain
@@ -197,9 +196,7 @@ def _print(runs: dict[tuple[str, str], Run]) -> None:
 
 def _print_many(runs: dict[str, Many]) -> None:
     count = NODES * EACH
-    print(
-        f"\n{count} services of {NODES} nodes; {_TURN} calls of each at once, and one call after another of one of them"
-    )
+    print(f"\n{count} services of {NODES} nodes; {_TURN} calls of each at once, then calls of a single service in turn")
     _row("", "", "seen, s", "answered, s", "p50, ms", "p99, ms")
     for kind, run in runs.items():
         _row("", kind, *(f"{each:.2f}" for each in run))

@@ -45,9 +45,9 @@ class Case(NamedTuple):
     """Messages of one type.
 
     Attributes:
-        name: of the row.
+        name: name of the row.
         payload: one message.
-        checker: of the type.
+        checker: checker of the type.
     """
 
     name: str

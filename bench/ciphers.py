@@ -1,8 +1,8 @@
-"""Prints what encryption and compression cost a byte, here and on small computers: ``python -m bench.ciphers``.
+"""Prints the cost of encryption and compression a byte, here and on small computers: ``python -m bench.ciphers``.
 
-Measured here: each cipher with this processor's instructions for AES, and in a child process whose OpenSSL is told that
-there are none (OPENSSL_ia32cap, x86 only; that takes wide vectors away, too). Other computers' figures are estimates,
-from what others have published of their cores; what is not published is scaled from here (`Core.slower`).
+Measured here: each cipher with this processor's instructions for AES, and in a child process whose OpenSSL does not use
+them (OPENSSL_ia32cap, x86 only; that takes wide vectors away, too). Other computers' figures are estimates from
+published figures of their cores; unpublished ones are scaled from this computer's (`Core.slower`).
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ class Core(NamedTuple):
     """A core without instructions for AES.
 
     Attributes:
-        name: of the core, and a computer that has it.
+        name: name of the core, and a computer that has it.
         ghz: its clock.
         aes: cycles a byte of AES-256-GCM: github.com/lelegard/aesbench, RESULTS.md, OpenSSL 3.0.
         chacha: of ChaCha20-Poly1305: OpenSSL, chacha-armv8.pl and poly1305-armv8.pl, the sum of both; of the
@@ -98,7 +98,7 @@ def _sealing(cipher: type[AESGCM | ChaCha20Poly1305], size: int) -> float:
 
 
 class Packing(NamedTuple):
-    """What zstd makes of a message: its bytes, the share that is left, and ns a byte to pack and to unpack it."""
+    """The effect of zstd on a message: its bytes, the remaining share, and ns a byte to pack and to unpack it."""
 
     size: int
     share: float
@@ -114,7 +114,7 @@ def _zstd(content: bytes) -> Packing:
 
 
 def _contents() -> dict[str, bytes]:
-    """Of messages: an occupancy grid with few obstacles, and a laser scan's floats with noise."""
+    """Return messages' contents: an occupancy grid with few obstacles, and a laser scan's floats with noise."""
     noise = random.Random(1)
     grid = bytes(noise.choices((0, 100, 255), (90, 3, 7))[0] for _ in range(384 * 384))
     ranges = memoryview(bytearray(4 * 720)).cast("f")
@@ -138,7 +138,7 @@ def _cost(work: Callable[[], object], size: int) -> float:
 
 
 def _ghz() -> float:
-    """This processor's clock, as the kernel gives it."""
+    """Return this processor's clock rate from the kernel."""
     lines = Path("/proc/cpuinfo").read_text(encoding="ascii", errors="replace").splitlines()
     return next((float(line.split(":")[1]) / 1000 for line in lines if line.startswith("cpu MHz")), 1.0)
 

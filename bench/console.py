@@ -1,4 +1,4 @@
-"""Prints what the console costs: alone with five hundred topics, and beside a bridge that carries 5,000 msg/s."""
+"""Prints the cost of the console: alone with five hundred topics, and next to a bridge that carries 5,000 msg/s."""
 
 from __future__ import annotations
 
@@ -37,12 +37,10 @@ class Watched(bed.Process):
 
     @property
     def written(self) -> int:
-        """Bytes so far."""
         return len(self.terminal.output)
 
     @property
     def pid(self) -> int:
-        """Its process."""
         return self.terminal.pid
 
     def until(self, condition: Callable[[], bool], seconds: float = 20.0) -> float:
@@ -55,7 +53,6 @@ class Watched(bed.Process):
         return time.perf_counter() - began
 
     def stop(self) -> None:
-        """End it."""
         self._stopping.set()
         self._reader.join()
         self.terminal.__exit__()

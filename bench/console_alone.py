@@ -24,7 +24,7 @@ class MovingEngine(ScriptedEngine):
     """Rates, ages and latencies change from one snapshot to the next, histories every second."""
 
     def snapshot(self) -> Snapshot:
-        """The next moment."""
+        """Return the snapshot of the next moment."""
         elapsed = time.monotonic() - self.began
         routes = tuple(self._moved(each, int(elapsed)) for each in self.now.routes)
         self.now = replace(self.now, time=NOW + elapsed, routes=routes)

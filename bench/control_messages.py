@@ -77,13 +77,10 @@ class _Longest:
 
     @classmethod
     def reset(cls) -> None:
-        """Reset the figures."""
         cls.most = cls.in_all = 0.0
 
 
 def messages(route: int) -> Iterator[tuple[str, bytes]]:
-    """Each message with its name."""
-
     def message(kind: str, **fields: Any) -> bytes:
         return msgspec.msgpack.encode({"message": kind, **fields})
 
@@ -114,7 +111,6 @@ def messages(route: int) -> Iterator[tuple[str, bytes]]:
 
 
 def main() -> None:
-    """Print the table."""
     repeats = int(sys.argv[1]) if len(sys.argv) > 1 else 3
     _Longest.watch()
     with tempfile.TemporaryDirectory() as name:

@@ -42,12 +42,12 @@ _BIN = 0.1
 
 @dataclass(frozen=True, slots=True)
 class Plan:
-    """How long is measured, s.
+    """Durations of the measurement, in s.
 
     Attributes:
-        settles: after everything is open.
-        watched: of each measurement.
-        down: between the death of the control side and its new start.
+        settles: wait after everything is open.
+        watched: duration of each measurement.
+        down: time between the death of the control side and its next start.
     """
 
     settles: float = 8.0
@@ -70,14 +70,14 @@ class Delays:
 
 @dataclass(frozen=True, slots=True)
 class Steady:
-    """While messages flow.
+    """Figures while messages flow.
 
     Attributes:
         control: processor s per s of the control side; `robots` of all robots together.
         rate: messages a second that the robots published.
         p50, p99: ms from one robot's node to a node on the control side.
-        heard: of that robot's messages, part of those that it should have published in the time.
-        lost: messages of all robots but the one that may flood, by cause, as the control side counts them.
+        heard: received share of the messages that the robot should have published in the time.
+        lost: messages of all robots except the flooding one, by cause, as the control side counts them.
     """
 
     control: float
@@ -91,22 +91,22 @@ class Steady:
 
 @dataclass(slots=True)
 class Figures:
-    """One fleet's.
+    """The figures of one fleet.
 
     Attributes:
-        count: of robots.
-        routes: of all.
-        linked, flowing: since the robots' processes were started.
-        steady: with the usual load.
+        count: number of robots.
+        routes: number of all routes.
+        linked, flowing: s since the robots' processes were started.
+        steady: figures with the usual load.
         resident, proportional: MB of the control side; `robot` MB of a robot's side.
-        again, again_flowing: since the control side listened again.
-        routed: until all were linked again since the Zenoh router ran again; None: there is none.
-        attempts: to link, by bins of 100 ms from the death of the control side.
-        refused: of them, by the control side.
+        again, again_flowing: s since the control side listened again.
+        routed: s from the Zenoh router's next start until all were linked again, or None without a router.
+        attempts: attempts to link, in bins of 100 ms from the death of the control side.
+        refused: number of attempts that the control side refused.
         dropped: links that were made again more than once.
-        flooded: while one robot sends as fast as it can.
+        flooded: figures while one robot sends as fast as it can.
         flood: messages a second that it published.
-        told: what the control side's log says of that, by code; and its worst topic's reason.
+        told: states of the flooding robot's topics on the control side.
     """
 
     count: int
@@ -282,7 +282,7 @@ def _lost(running: Fleet, names: Sequence[str]) -> Counter[str]:
 
 
 def _told(running: Fleet, name: str) -> list[str]:
-    """What the control side's operator sees of a robot: its topics' states."""
+    """Return the states of a robot's topics as the control side's operator sees them."""
     seen = _snapshot(running)
     return [
         f"{route.topic} {route.state.value} {route.rate:.0f} Hz {route.reason} {dict(route.ledger.dropped)}"

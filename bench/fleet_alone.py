@@ -53,7 +53,7 @@ class MovingSource:
         raise NotImplementedError
 
     def robots(self) -> list[RobotSummary]:
-        """The next moment."""
+        """Return the robots of the next moment."""
         now = time.time()
         for at, robot in enumerate(self._robots):
             if random.random() < CHANGING:

@@ -81,7 +81,7 @@ def measure(running: Fleet, seconds: float) -> None:
 
 
 def _spoken(running: Fleet, engines: int) -> tuple[float, float, float]:
-    """How long until a console knows who is there, and until each has spoken; what of a processor this took. All s."""
+    """Measure the seconds until a console lists all engines and until each has reported, and the processor time."""
     assert running.file is not None
     began, cpu, known = time.monotonic(), time.process_time(), 0.0
     source = ZenohFleet(load_fleet(running.file))
@@ -114,7 +114,7 @@ def _sum(processes: list[Process]) -> float:
 
 
 def _wire(pid: int) -> tuple[int, int]:
-    """Bytes that the TCP connections of a process have received and sent (ss(8), TCP_INFO)."""
+    """Return the bytes that the TCP connections of a process have received and sent (ss(8), TCP_INFO)."""
     lines = subprocess.run(("ss", "-HtnpiO"), capture_output=True, text=True, check=True).stdout.splitlines()
     own = [line for line in lines if f"pid={pid}," in line]
     received, sent = (

@@ -117,7 +117,6 @@ class Hour:
 
 
 def main() -> None:
-    """Print the table."""
     for (round_trip, loss), limit in itertools.product(LINKS, LIMITS):
         with patch.object(lease, "GIVEN_UP_AFTER", limit):
             udp, tcp = (Hour(round_trip, loss, datagrams=datagrams).live() for datagrams in (True, False))

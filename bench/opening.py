@@ -88,7 +88,7 @@ def _measure(ros: str, protocol: str, direction: str, names: Sequence[str]) -> N
 def _sides(
     ros: str, protocol: str, direction: str, names: Sequence[str], folder: str
 ) -> Iterator[tuple[bed.Process, bed.Process]]:
-    """The side that sends, which knows all publishers, and the other side."""
+    """Return the side that sends, which knows all publishers, and the other side."""
     key = Path(folder) / "bench.key"
     key.write_bytes(base64.urlsafe_b64encode(os.urandom(32)))
     key.chmod(0o600)
@@ -155,7 +155,7 @@ def _opened(engine: Engine, topics: int) -> dict[str, float]:
 
 
 def _lateness(engine: Engine) -> list[float]:
-    """The longest time that a timer of the engine's loop was late by, s; the list's one entry goes on changing."""
+    """Track the longest delay (s) of a timer of the engine's loop in the one entry of the returned list."""
     assert engine._bridge is not None
     loop, late = engine._bridge.context.loop, [0.0]
 

@@ -1,7 +1,7 @@
-"""Where a message's CPU time goes: ``python -m bench.profile [tcp|udp] [RATE] [SIZE]``. Needs Linux's `perf`.
+"""Profile of a message's CPU time: ``python -m bench.profile [tcp|udp] [RATE] [SIZE]``. Needs Linux's `perf`.
 
-Prints, for the relay and for each side of the bridge, µs a message by thread and by what runs there: the kernel, DDS,
-the cipher, Python itself.
+Prints, for the relay and for each side of the bridge, µs a message by thread and by code: the kernel, DDS, the cipher,
+Python itself.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ def main() -> None:
 
 
 def _named(session: Path) -> bed.Process:
-    """A side whose threads the kernel knows by name."""
+    """Return a side whose threads the kernel knows by name."""
     log = session.with_suffix(".log")
     return bed.Process("-m", "bench.named_threads", "run", "--no-ui", str(session), log=log)
 
@@ -76,7 +76,7 @@ def _show(making: AbstractContextManager[bed.Bed], names: tuple[str, ...], rate:
 
 
 def _shares(file: Path) -> Mapping[str, Mapping[str, float]]:
-    """The shares of a process's time, by thread and part."""
+    """Return the shares of a process's time, by thread and part."""
     command = ["perf", "report", "-q", "-i", str(file), "--stdio", "-g", "none", "--sort", "comm,dso", "-t", "\t"]
     report = subprocess.run(command, capture_output=True, text=True, check=True).stdout
     shares: defaultdict[str, defaultdict[str, float]] = defaultdict(lambda: defaultdict(float))

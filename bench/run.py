@@ -1,7 +1,7 @@
-"""Prints the bridge's figures next to those of no bridge, a relay, and the thesis's pipeline: ``make bench``.
+"""Prints the bridge's figures next to the figures of no bridge, a relay, and the thesis's pipeline: ``make bench``.
 
-Each round measures all of them in turn, so that what else the machine does hits all alike. Figures are medians of the
-rounds with the lowest and the highest; ratios are of one round each. Machines differ; the ratios hold.
+Each round measures all of them in turn, so that other load on the machine affects all equally. Figures are medians of
+the rounds with the lowest and the highest; ratios are of one round each. Machines differ; the ratios hold.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ FIRST_RATE = 5_000
 SECONDS, LATENCY_SECONDS, IDLE_SECONDS = 2.0, 10.0, 5.0
 ROUNDS = 3
 
-# What stands between talker and listener. "rclpy" and "drained" are no bridge: a raw subscription on rclpy's executor,
+# Between talker and listener. "rclpy" and "drained" have no bridge: a raw subscription on rclpy's executor,
 # and one on a drain loop like the bridge's own.
 BEDS = {
     "rclpy": lambda: bed.direct("spin"),
@@ -63,7 +63,7 @@ def main() -> None:
         ("relay", "thesis"),
         0,
     )
-    _print(figures, "Of these, what came, %", [f"{each} came" for each in at], (), 1)
+    _print(figures, "Share of these received, %", [f"{each} came" for each in at], (), 1)
     _print(figures, "Latency at 100 Hz, 2,500 B, ms", ["p50", "p99", "p99.9"], ("drained", "relay"), 2)
     _print(figures, "Memory, MB a side; idle, % of a core a side", ["memory", "idle"], (), 2)
     opening.report(opening.TOPICS)
@@ -106,7 +106,7 @@ def _idle(between: bed.Bed) -> float:
 
 
 def _print(figures: _Figures, title: str, names: list[str], others: tuple[str, ...], digits: int) -> None:
-    """One table: a row for each figure, with what it is for each kind, and the ratios of ours to others."""
+    """Print one table: a row for each figure with a column for each kind, and the ratios of ours to others."""
     kinds = [kind for kind in BEDS if figures.get((kind, names[0]))]
     pairs = [(ours, other) for ours in ("tcp", "udp") for other in others]
     print(f"\n{title}: median (lowest to highest)")

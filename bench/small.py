@@ -1,11 +1,11 @@
-"""Prints what one side of a bridge takes of a small computer: ``python -m bench.small [rounds]``, 40 s a round.
+"""Prints the load of one side of a bridge on a small computer: ``python -m bench.small [rounds]``, 40 s a round.
 
 Memory, the time from the start of the process until it listens or is linked, and, while it is linked and idle, the CPU
-time and how often each thread wakes. Two headless sides between two domains carry four topics, whose publishers and
-subscribers are there and silent. Beside them stands the floor: a node of rclpy's that does nothing at all.
+time and the wake-ups of each thread. Two headless sides between two domains carry four topics with silent publishers
+and subscribers. For comparison, a node of rclpy that does nothing at all shows the least possible load.
 
-Python's bytecode is kept in a folder of the run's own and written by a start that does not count, as it is where
-the program is installed.
+The run has its own folder for Python's bytecode, filled by a first start that does not count, as in an installed
+program.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ ROUNDS = 3
 TOPICS = 4
 _WITHIN = 30.0
 _SETTLES = 12.0
-"""s after the start until which what comes once has been."""
+"""Seconds after the start in which one-time work ends."""
 _IDLE = 20.0
 _LOOK_EVERY = 0.002
 _LISTENS = "0A"  # as in proc_net(5)
@@ -45,15 +45,15 @@ _SIDES = ("server", "client")
 
 @dataclass(frozen=True, slots=True)
 class Taken:
-    """What a process took.
+    """The load of one process.
 
     Attributes:
         start: s until it listened, was linked, or had joined its domain.
         work: CPU time in s until then, which a busy machine changes less.
-        resident: memory in MB, with what it shares with other processes (RSS).
-        own: memory in MB that nobody else has (USS).
-        cpu: of a core, in %, of each thread, by its name.
-        wakes: how often a second each thread slept and woke, likewise.
+        resident: memory in MB, including shared memory (RSS).
+        own: memory in MB that it does not share (USS).
+        cpu: % of a core, by the thread's name.
+        wakes: wake-ups a second, by the thread's name.
     """
 
     start: float
@@ -90,7 +90,6 @@ def main() -> None:
 
 
 def report(rounds: int) -> None:
-    """Measure and print."""
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(1))  # so that what runs is ended first
     with tempfile.TemporaryDirectory() as name:
         os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
@@ -169,7 +168,7 @@ def _listens(port: int) -> bool:
 
 
 def _threads(pid: int) -> dict[int, Thread]:
-    """Each thread, by its number. The kernel counts a thread's CPU time in ns (proc_pid_schedstat)."""
+    """Return the figures of each thread by its number. The kernel counts CPU time in ns (proc_pid_schedstat)."""
     found = {}
     for thread in Path(f"/proc/{pid}/task").iterdir():
         status = (thread / "status").read_text()
@@ -186,7 +185,7 @@ def _own_memory(pid: int) -> float:
 
 
 def _node() -> None:
-    """The floor: a node that does nothing."""
+    """Run a node that does nothing, for the least possible load."""
     import rclpy  # noqa: PLC0415 -- no other part of the bench may load it
 
     rclpy.init(domain_id=bed.FAR)

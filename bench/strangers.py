@@ -58,7 +58,7 @@ class Flood(NamedTuple):
         rate: connections, datagrams or first samples a second.
         size: bytes of each.
         many: whether they come from many addresses.
-        seconds: how long.
+        seconds: duration.
     """
 
     transport: str
@@ -95,7 +95,7 @@ class Row(NamedTuple):
     """The effect of a flood.
 
     Attributes:
-        sent: how many connections, datagrams or samples there were.
+        sent: number of connections, datagrams or samples.
         before: memory (MB) before the flood.
         peak: the most during it.
         after: some seconds after it.
@@ -142,7 +142,7 @@ class Stage:
 
     @contextlib.contextmanager
     def robot(self) -> Iterator[float | None]:
-        """The robot's process; gives the s until its first message, or None if none came in time."""
+        """Run the robot's process; return the seconds until its first message, or None if no message came in time."""
         began = time.monotonic()
         with loopback.headless(self._folder / "client.yaml"):
             self._bed.listener.ask("reset")
@@ -228,7 +228,7 @@ def _paced(hz: float) -> Iterator[int]:
 
 
 def _address(flood: Flood) -> str:
-    """An address of this machine to send from."""
+    """Return an address of this machine to send from."""
     if not flood.many:
         return "127.0.0.1"
     return f"127.{random.randrange(1, 255)}.{random.randrange(255)}.{random.randrange(1, 255)}"
@@ -318,7 +318,7 @@ def _flood(text: str) -> None:
 
 
 def table(floods: Iterable[Flood]) -> Iterator[tuple[str, Row]]:
-    """The rows of the table, each with what it is made of."""
+    """Return the rows of the table with their figures."""
     for flood in floods:
         row = measure(flood)
         linked = "never" if row.linked is None else f"{row.linked:.1f}"

@@ -1,6 +1,6 @@
-"""UDP's figures alone: ``python -m bench.udp [RATE:SIZE ...]``. CPU of both sides, what was delivered, added latency.
+"""UDP's figures alone: ``python -m bench.udp [RATE:SIZE ...]``. CPU of both sides, share delivered, added latency.
 
-What the kernel had no room for in a socket's receive buffer is counted, too: nothing else should use UDP meanwhile.
+Datagrams without room in a socket's receive buffer are counted, too: no other program should use UDP meanwhile.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ def main() -> None:
 
 
 def _no_room() -> int:
-    """Datagrams that the kernel has dropped for want of room in a receive buffer, all sockets of IPv4."""
+    """Count the datagrams that the kernel dropped because a receive buffer was full, for all IPv4 sockets."""
     names, values = (
         line.split() for line in Path("/proc/net/snmp").read_text().splitlines() if line.startswith("Udp:")
     )

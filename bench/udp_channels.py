@@ -1,7 +1,7 @@
 """Two UDP channels without ROS, in two processes: ``python -m bench.udp_channels [--buffer BYTES] [RATE:SIZE ...]``.
 
-Prints what was delivered, the CPU of each side, and the time from a message's turn to its arrival. ``--buffer`` has the
-receiver ask for a kernel buffer of so many bytes, as if its kernel allowed no more.
+Prints the share delivered, the CPU of each side, and the time from a message's turn to its arrival. With ``--buffer``
+the receiver requests a kernel buffer of that many bytes, as if its kernel allowed no more.
 """
 
 from __future__ import annotations
@@ -114,7 +114,7 @@ async def _send(port: int, rate: int, size: int) -> tuple[float, int]:
 
 
 async def _receive(buffer: int) -> None:
-    """Receive until a line is read, and say what came."""
+    """Receive until a line is read, and print the counts."""
     if buffer:
         vars(udp)["RECEIVE_BUFFER"] = buffer  # it asks the kernel for no more
     loop, keys, route, over = asyncio.get_running_loop(), _keys("server"), Route(outgoing=False), asyncio.Event()

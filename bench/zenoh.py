@@ -1,7 +1,7 @@
-"""Links over Zenoh beside TCP: ``python -m bench.zenoh [ROUNDS]``. CPU of both sides, what was delivered, latency.
+"""Links over Zenoh compared with TCP: ``python -m bench.zenoh [ROUNDS]``. CPU of both sides, share delivered, latency.
 
-Each round measures all ways in turn. ``router``: both sides connect to a router, a process of its own whose CPU is not
-counted; ``peer``: the client connects to the server. Ratios are of the same round.
+Each round measures all networks in turn. ``router``: both sides connect to a router, a separate process whose CPU is
+not counted; ``peer``: the client connects to the server. Ratios are of the same round.
 """
 
 from __future__ import annotations
@@ -62,7 +62,7 @@ def main() -> None:
 
 @contextlib.contextmanager
 def _over_zenoh(protocol: str, *, routed: bool) -> Iterator[Bed]:
-    """Our bridge over Zenoh; the port that its server would bind is the router's, or the server's own."""
+    """Put our bridge over Zenoh between them; the server's port is the router's or its own."""
     with contextlib.ExitStack() as running:
 
         def side(session: Path) -> Process:
@@ -82,7 +82,7 @@ def _over_zenoh(protocol: str, *, routed: bool) -> Iterator[Bed]:
 
 @contextlib.contextmanager
 def router(endpoint: str) -> Iterator[None]:
-    """A Zenoh router, a process of its own that listens at this endpoint."""
+    """Run a Zenoh router as a separate process that listens at this endpoint."""
     config = {
         "mode": "router",
         "listen": {"endpoints": [endpoint]},

@@ -1,1 +1,1 @@
-"""What each attack does to legitimate service: ``python -m bench.attacks [NAME ...]``, some minutes for all."""
+"""Effects of attacks on legitimate service: ``python -m bench.attacks [NAME ...]``, some minutes for all."""

@@ -26,7 +26,7 @@ _PUBLISHED, _READ = 996, 100
 
 
 def perform() -> tuple[list[str], list[str]]:
-    """Attack a headless client, and print its rows; what was seen, and what the attacker failed to do."""
+    """Attack a headless client and print its rows; return the observations and the attacker's failures."""
     with contextlib.ExitStack() as resources:
         folder = Path(resources.enter_context(tempfile.TemporaryDirectory()))
         key, port, log = write_key(folder / "robot1.key").secret, free_port(), folder / "client.log"

@@ -77,7 +77,7 @@ def _again_and_again(target: Target, tally: Tally, attack: Callable[[Rogue], Non
 
 
 def _linked(target: Target) -> Rogue:
-    """A link on which services are offered: that takes a bridge that says who it is."""
+    """Link as a bridge that announces itself, since only such a link offers services."""
     rogue = Rogue(target.port, target.key, "rogue", host=target.host)
     rogue.say(Neighbours(("rsb_rogue_00000000",)))
     return rogue

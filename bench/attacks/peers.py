@@ -171,7 +171,7 @@ def ports(target: Target, tally: Tally) -> None:
 
 
 def routes(target: Target, tally: Tally) -> None:
-    """As many routes with streams as the server takes, kept open."""
+    """Open as many routes with streams as the server takes, and keep them open."""
     with _rogue(target) as rogue:
         try:
             for number in range(5000):
@@ -201,7 +201,7 @@ def types(target: Target, tally: Tally) -> None:
 
 
 def volatile(target: Target, tally: Tally) -> None:
-    """A deep volatile history for a subscriber that is stopped."""
+    """Fill a deep volatile history for a stopped subscriber."""
     with _rogue(target) as rogue:
         stream, writer = rogue.stream(rogue.route(HOARD, "tcp", Qos(depth=100_000), _STRING))
         _drained(rogue)
@@ -220,7 +220,7 @@ def _keep_alive(rogue: Rogue) -> None:
 
 
 def escapes(target: Target, tally: Tally) -> None:
-    """Escape sequences and forged lines in whatever the server may quote."""
+    """Send escape sequences and forged lines in all fields that the server may quote."""
     texts: list[dict[str, object]] = [
         {"message": _EVIL},
         {"message": "shutdown", "reason": _EVIL},

@@ -24,14 +24,14 @@ CLIENTS = ("second", *(f"pinging{number}" for number in range(PINGING)))
 
 
 class Service(NamedTuple):
-    """What clients had from one moment to another, in ms.
+    """The service to clients in a span of time; times in ms.
 
     Attributes:
-        link: the longest time until another client was linked; more than that if `linked` is false.
-        linked: whether it ever was.
-        p50: the median round trip of a link's control connection.
-        p99: likewise.
-        lost: links that ended.
+        link: the longest time until another client was linked; a lower bound if `linked` is false.
+        linked: whether another client was linked at all.
+        p50: median round trip of a link's control connection.
+        p99: 99th percentile of that round trip.
+        lost: number of links that ended.
     """
 
     link: float
@@ -42,14 +42,14 @@ class Service(NamedTuple):
 
 
 class _Samples:
-    """Times that something took, by when it ended."""
+    """Durations of an operation, with the time when each ended."""
 
     def __init__(self) -> None:
         self._taken: list[tuple[float, float]] = []
         self._began: float | None = None
 
     def begin(self) -> None:
-        """It begins; or goes on, where it did not succeed."""
+        """Begin, or go on after an attempt that failed."""
         if self._began is None:
             self._began = time.monotonic()
 
@@ -60,7 +60,7 @@ class _Samples:
         self._began = None
 
     def since(self, moment: float) -> tuple[list[float], float]:
-        """In ms, those that have ended since then; and how long the one that has not is under way."""
+        """Return the durations in ms that ended since then, and the present one's so far."""
         began = self._began
         pending = time.monotonic() - began if began is not None else 0.0
         return [1000 * took for ended, took in tuple(self._taken) if ended >= moment], 1000 * pending
@@ -100,7 +100,7 @@ class Clients:
     def _client(self, name: str) -> Rogue:
         host, port = self._address
         made = Rogue(port, self._keys[name], name, host=host, timeout=_GIVEN_UP_AFTER)
-        made.wait_for(Neighbours)  # the server says it to those who are linked
+        made.wait_for(Neighbours)  # the server sends it to linked clients
         return made
 
     def _link_again_and_again(self) -> None:

@@ -36,7 +36,7 @@ HZ, SIZE = 50, 1000
 SERVICE = "/bench_service"
 CALLS_HZ = 20
 _ANSWERED_WITHIN = 3.0
-"""s for those that are under way at the end of a phase."""
+"""Seconds for calls that are pending at the end of a phase."""
 _MEETS_WITHIN = 15.0
 
 
@@ -53,9 +53,9 @@ class Row(NamedTuple):
     """One phase of an attack.
 
     Attributes:
-        delivered: of the robot's messages, from 0 to 1.
+        delivered: share of the robot's messages that arrived, from 0 to 1.
         slowest: the 99th percentile of their latency, ms.
-        answered: of the calls of the robot's nodes, from 0 to 1, each with its own answer.
+        answered: share of the robot's nodes' calls that got their own answer, from 0 to 1.
         call: the 99th percentile of the time until an answer, ms.
     """
 
@@ -96,8 +96,8 @@ class Stage:
     """One server with a robot that sends, and further clients.
 
     Attributes:
-        target: what an attacker is told.
-        log: what the server has written.
+        target: the target as an attacker sees it.
+        log: output of the server.
     """
 
     def __init__(self, resources: contextlib.ExitStack, protocol: str, host: str = "127.0.0.1") -> None:
@@ -137,7 +137,7 @@ class Stage:
         return self._resources.enter_context(bed.Process("-m", "rsb_bridge.ros.traffic", part, str(domain), topic))
 
     def watch(self, seconds: float) -> Row:
-        """What everybody has for so long."""
+        """Measure the service to everybody for some seconds."""
         began, watch = time.monotonic(), Watch(self._server, self.log)
         self._callers.begin(SERVICE, int(CALLS_HZ * seconds), rate=CALLS_HZ, at_once=CALLS_HZ * 60)
         run = self._bed.send(HZ, seconds, SIZE)
@@ -153,7 +153,7 @@ class Stage:
         return self._server.running
 
     def prepare(self, what: str) -> None:
-        """What else an attack needs in the server's domain."""
+        """Start further nodes that an attack needs in the server's domain."""
         domain = self.target.domain
         if what == "flow":
             self._ros("talk", domain, FLOW).tell("send 1000 100000 4000")
@@ -183,14 +183,13 @@ class Stage:
 
 @contextlib.contextmanager
 def attacker(name: str, target: Target) -> Iterator[bed.Process]:
-    """A process that attacks."""
     with bed.Process("-m", "bench.attacks.attacker", name, json.dumps(target)) as process:
         process.line()
         yield process
 
 
 class Result(NamedTuple):
-    """One attack: rows by phase, what the attacker says that it did, and what else was seen."""
+    """The result of one attack: rows by phase, the attacker's counts, and further observations."""
 
     rows: dict[str, Row]
     tally: dict[str, float]
@@ -198,7 +197,6 @@ class Result(NamedTuple):
 
 
 def perform(name: str, attack: Attack, host: str) -> Result:
-    """Attack a new server."""
     with contextlib.ExitStack() as resources:
         stage = Stage(resources, attack.protocol, host)
         stage.prepare(attack.stage)
@@ -219,7 +217,7 @@ def perform(name: str, attack: Attack, host: str) -> Result:
 
 
 def seen_in(log: Path) -> list[str]:
-    """What a terminal would not take well, and what an operator would be deceived by."""
+    """Return remarks about log lines that harm a terminal or deceive an operator."""
     lines = log.read_bytes().decode(errors="replace").split("\n")
     raw = sum(1 for line in lines for c in line if unicodedata.category(c) in {"Cc", "Cf"})
     forged = sum(1 for line in lines if line.startswith("2026-01-01"))
@@ -232,7 +230,7 @@ def seen_in(log: Path) -> list[str]:
 
 
 def domains() -> tuple[int, int]:
-    """Two ROS domains that nobody else on this machine has."""
+    """Return two ROS domains that no other process on this machine uses."""
     global _first  # noqa: PLW0603 - this process's, as long as it lives
     if _first is None:
         _first = two_domains()

@@ -92,7 +92,7 @@ def _rubbish(number: int) -> bytes:
 
 
 def replay(target: Target, tally: Tally) -> None:
-    """First messages that never reached the server when they were recorded, and those that did; 1 MiB behind each."""
+    """Replay recorded first messages, some of which reached the server before, each followed by 1 MiB."""
     kept: deque[socket.socket] = deque()
     recorded = b""
     for number in paced(40):
@@ -112,7 +112,7 @@ def replay(target: Target, tally: Tally) -> None:
 
 
 def slow(target: Target, tally: Tally) -> None:
-    """As many connections as the server keeps, from eight hosts; each says another byte of a preamble in time."""
+    """Hold as many connections as the server keeps, from eight hosts, each with a byte of a preamble just in time."""
     said = struct.pack(">I", 4000) + b"rsb\x02\x01\x01\x06robot1" + bytes(3000)
     talking: dict[socket.socket, int] = {}
     hosts = [f"127.0.2.{number}" for number in range(1, 8)] + ["127.0.0.1"]
@@ -147,7 +147,7 @@ def resets(target: Target, tally: Tally) -> None:
 
 
 def forged_datagrams(target: Target, tally: Tally) -> None:
-    """Whoever sees a link's datagrams knows its id and its routes."""
+    """Forge datagrams with a link's id and routes, which any observer of its datagrams knows."""
     with (
         Rogue(target.port, target.key, "rogue", host=target.host) as victim,
         socket.socket(type=socket.SOCK_DGRAM) as udp,
@@ -189,7 +189,7 @@ class _Victim:
         return self.rogue.probes.write(probe.pack(), 0, 0, 1400)[0]
 
     def answer(self, datagram: bytes) -> bytes | None:
-        """The pong that the server wants; None: it was no challenge."""
+        """Return the pong that the server expects, or None if the datagram is no challenge."""
         message = self._reader.receive(datagram, time.monotonic())
         asked = Probe.unpack(message[0]) if message is not None else None
         return self.probe(Probe(pong=True, opaque=asked.opaque)) if asked is not None and not asked.pong else None

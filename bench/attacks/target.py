@@ -1,4 +1,4 @@
-"""What an attacker knows of its target, and what it counts of what it does."""
+"""An attacker's knowledge of its target, and the counts of its actions."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ class Target(NamedTuple):
     """A server, and the attacker's own key for it.
 
     Attributes:
-        host: of the server.
-        port: likewise.
+        host: host of the server.
+        port: port of the server.
         domain: the server's ROS domain.
-        secret: the key of the client ``rogue``, in hexadecimal digits; strangers have it too, and use it only where
-            they stand for somebody who recorded that client.
+        secret: the key of the client ``rogue``, in hexadecimal digits; strangers have it too, but use it only to act as
+            somebody who recorded that client.
     """
 
     host: str
@@ -45,10 +45,10 @@ class Attack(NamedTuple):
     Attributes:
         run: goes on until its process is ended.
         what: it does, for a reader of the table.
-        at_least: how much of it must have been done by the end, or the figures say nothing.
-        protocol: of the legitimate topic that is measured.
-        seconds: how long the attack is watched.
-        stage: what else it needs in the server's domain.
+        at_least: least amount to be done by the end; with less, the figures are meaningless.
+        protocol: protocol of the legitimate topic that is measured.
+        seconds: duration of the attack.
+        stage: further nodes that it needs in the server's domain.
     """
 
     run: Callable[[Target, Tally], None]

@@ -49,23 +49,23 @@ T = TypeVar("T")
 REFRESH_RATES = (0.5, 1.0, 2.0, 4.0, 10.0)  # Hz
 LOCAL_RATE, SSH_RATE = 4.0, 2.0
 RINGS_EVERY = 10.0
-"""s between two rings, at least."""
+"""Least seconds between two rings."""
 
 
 class ConsoleApp(TerminalApp[None]):
     """Fulfils `rsb_console.console_api.Console`: owns the engine, the user's preferences, and the main screen.
 
     Args:
-        session: to run; None: none yet.
-        path: the session's file; None: it is in no file.
-        readonly: nothing may be changed.
+        session: session to run, or None.
+        path: the session's file, or None without a file.
+        readonly: forbid all changes.
         ascii_only: draw only ASCII.
-        theme: its name; None: the one that suits the terminal.
-        config: the user's configuration folder; None: the platform's.
+        theme: name of the theme, or None for one that suits the terminal.
+        config: the user's configuration folder, or None for the platform's.
         make_engine: makes an engine from a session and the folder of its key files.
-        serve: serves an engine on a control socket, or finds the bridge that runs its session already; None: neither.
-        attach_to: the control socket of a bridge to begin with, instead of a session, or what attaches to one, and may
-            take some seconds; None: none.
+        serve: serves an engine on a control socket, or finds the bridge that already runs its session; or None.
+        attach_to: control socket of a bridge to begin with instead of a session, or a function that attaches to one and
+            may take some seconds, or None.
         temporary: the session's file is deleted when the session ends.
         resources: closed when that session ends, or None.
     """
@@ -124,7 +124,7 @@ class ConsoleApp(TerminalApp[None]):
         return self.main
 
     def on_ready(self) -> None:
-        """Tell what is wrong with the preferences, and start the session, after the first picture."""
+        """Report problems of the preferences and start the session, after the first picture."""
         self.tell_problems()
         self._pulling = self.set_interval(1 / self.refresh_rate, self.pull)
         if self._attach_to is not None:
@@ -316,7 +316,7 @@ class ConsoleApp(TerminalApp[None]):
             self.shut_down(ShutdownReason.QUIT)
 
     async def on_event(self, event: events.Event) -> None:
-        """Note that the operator is there (Textual's)."""
+        """Note that the operator is active (Textual's)."""
         self.deadman.saw(event)
         await super().on_event(event)
 

@@ -16,7 +16,7 @@ import weakref
 from typing import Any
 
 _ENDS_WITHIN = 8.0
-"""s from the parent's end until a child that still runs is killed."""
+"""Seconds from the parent's end until a child that still runs is killed."""
 
 
 class ChildProcess(subprocess.Popen[str]):
@@ -24,7 +24,7 @@ class ChildProcess(subprocess.Popen[str]):
 
     Args:
         module: its name.
-        arguments: of the module.
+        arguments: arguments of the module.
         options: for `subprocess.Popen`.
     """
 

@@ -20,20 +20,20 @@ if TYPE_CHECKING:
 
 
 _CRASHES = 1 << 20
-"""Bytes of crash.log beyond which it is begun anew."""
+"""Size in bytes at which crash.log is started again."""
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run the command. The process is to end after it: from then on SIGINT is ignored.
+    """Run the command. Afterwards SIGINT is ignored: the process should end.
 
     Args:
-        argv: its arguments; None: the process's.
+        argv: arguments, or None for the process's own.
 
     Returns:
         The exit code.
     """
     for name in ("stdout", "stderr"):
-        if getattr(sys, name) is None:  # closed by whoever started us: what is said goes nowhere
+        if getattr(sys, name) is None:  # the parent process closed it: discard the output
             setattr(sys, name, open(os.devnull, "w", encoding="utf-8"))  # noqa: PTH123, SIM115 -- as long as the process
     sys.stderr = CleanErrors(sys.stderr)
     signal.signal(signal.SIGTERM, _terminated)  # until the command handles it, which a bridge does once it is loaded
@@ -70,26 +70,26 @@ def _run(argv: list[str]) -> int:
         if _is_full(error):
             _mute()
             why = getattr(error, "strerror", error)
-            print_error(f"standard output: {why}: free space where it goes. What the command has done stays done")
+            print_error(f"standard output: {why}: free space on its disk. The command's changes stay in effect")
             return FAILURE
         return _unexpected(error, show="debug" in arguments)
     return code
 
 
 def _is_full(error: Exception) -> bool:
-    """Whether it says that standard output, and no file that has a name, is written to a disk that is full."""
+    """Whether the error means that standard output is redirected to a full disk; no named file is involved."""
     from rsb_bridge.model.shortage import SHORTAGES
 
     return isinstance(error, OSError) and error.errno in SHORTAGES and error.filename is None
 
 
 def _mute() -> None:
-    """Have what is still to be written to standard output go nowhere."""
+    """Discard the rest of standard output."""
     os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def _with_command(argv: list[str], names: Sequence[str]) -> list[str]:
-    """The arguments with `run` put in where no command stands first."""
+    """Insert `run` if the arguments do not begin with a command."""
     from difflib import get_close_matches
     from pathlib import Path
 
@@ -106,7 +106,7 @@ def _with_command(argv: list[str], names: Sequence[str]) -> list[str]:
 
 
 def _unexpected(error: Exception, *, show: bool) -> int:
-    """Tell an operator in a line what happened, and keep the traceback for whoever will mend it."""
+    """Report an unexpected error in a line, and keep the traceback in crash.log."""
     import traceback
 
     if show:

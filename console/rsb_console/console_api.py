@@ -36,7 +36,7 @@ class ConsoleShell(Protocol):
 
     @property
     def readonly(self) -> bool:
-        """Whether nothing may be changed."""
+        """Whether all changes are forbidden."""
         ...
 
     async def ask(self, dialog: Screen[T]) -> T | None:
@@ -56,7 +56,7 @@ class ConsoleShell(Protocol):
         ...
 
     def key_labels(self, action: Action) -> list[str]:
-        """The keys of an action, as they are written on a keyboard."""
+        """Return the keys of an action, as written on a keyboard."""
         ...
 
 
@@ -64,14 +64,14 @@ class Console(ConsoleShell, Protocol):
     """One engine under one session, shown by one app.
 
     Attributes:
-        engine: the engine that runs or ran last; None: there was none yet.
+        engine: the engine that runs or ran last, or None before the first.
         base: the folder that the session's key files are relative to.
-        path: the session file; None: the session is in no file.
-        saved: the session as the file has it; None: it is in no file.
-        file: that file as it was opened, with its comments; None: the session is in no file, or it has changed.
-        temporary: the session's file is deleted when the session ends, as the demo's is.
-        attached_to: the bridge of another process that is shown; empty: the engine is the console's own.
-        note: what the console is doing with the session (``starting``); empty: nothing.
+        path: the session file, or None without a file.
+        saved: the session in the file, or None without a file.
+        file: that file as it was opened, with its comments, or None without a file or after changes to it.
+        temporary: whether the session's file is deleted when the session ends, like the demo's.
+        attached_to: name of the attached bridge of another process, or empty if the engine is the console's own.
+        note: the console's present work on the session (``starting``), or empty.
         refresh_rate: Hz.
         changes: this console's changes to the engine that can be undone.
     """
@@ -95,10 +95,10 @@ class Console(ConsoleShell, Protocol):
         """Stop the engine, and start one for another session.
 
         Args:
-            session: to run.
-            path: its file; None: it is in no file.
+            session: session to run.
+            path: its file, or None without a file.
             resources: closed when the session ends.
-            temporary: the file is among those resources, so that saving to it keeps nothing.
+            temporary: whether the file is one of those resources, so that saving to it keeps nothing.
         """
         ...
 
@@ -117,24 +117,22 @@ class Console(ConsoleShell, Protocol):
     # --- the engine
 
     @property
-    def linked(self) -> bool:
-        """Whether a peer is linked."""
-        ...
+    def linked(self) -> bool: ...
 
     def snapshot(self) -> Snapshot:
-        """The engine's state; an empty one without an engine."""
+        """Return the engine's state, or an empty one without an engine."""
         ...
 
     def peer_of(self, route: RouteSnapshot) -> str:
-        """The name of a route's other side: a client's link has the client's own name, so there the address."""
+        """Return the name of a route's other side, or its address on a client, whose link has the client's own name."""
         ...
 
     async def command(self, future: Future[T], done: str = "") -> bool:
-        """Wait for a command to the engine, and tell the operator if it failed.
+        """Wait for a command to the engine, and notify the operator if it failed.
 
         Args:
-            future: from the engine.
-            done: what to tell on success; empty: nothing, because the log does.
+            future: future from the engine.
+            done: text to show on success, or empty because the log has one.
 
         Returns:
             Whether it succeeded.

@@ -31,13 +31,13 @@ class FleetApp(TerminalApp["Robot"]):
     """Shows the robots of a fleet until the operator opens one, which it returns, or quits.
 
     Args:
-        fleet: started already; it outlives the app.
-        view: what the operator has made of the table so far.
-        readonly: nothing may be changed.
+        fleet: a started fleet, which outlives the app.
+        view: the operator's settings of the table so far.
+        readonly: forbid all changes.
         ascii_only: draw only ASCII.
-        theme: its name; None: the one that suits the terminal.
-        config: the user's configuration folder; None: the platform's.
-        after_quit: says whether the bridges go on when the operator quits.
+        theme: name of the theme, or None for one that suits the terminal.
+        config: the user's configuration folder, or None for the platform's.
+        after_quit: text about the bridges when the operator quits.
     """
 
     actions = FLEET_ACTIONS
@@ -87,14 +87,14 @@ class FleetApp(TerminalApp["Robot"]):
             self.shut_down(ShutdownReason.QUIT)
 
     def stop(self) -> None:
-        """The fleet is not this app's to stop."""
+        """Stop nothing: the fleet belongs to the caller."""
 
 
 class RobotScreen(MainScreen):
-    """The main screen of one robot of a fleet: where there is nothing to close, escape goes back to the fleet."""
+    """The main screen of one robot of a fleet: escape returns to the fleet if nothing else is open."""
 
     def action_back(self) -> None:
-        """Close what is open, or drop the filters; else go back to the fleet."""
+        """Close the open pane or drop the filters; otherwise go back to the fleet."""
         nothing_open = not any(self.has_class(mode) for mode in MODES) and self.topics.has_focus
         if nothing_open and self.topics.pattern is None and not self.topics.faults_only:
             self.console.request_quit()
@@ -103,12 +103,12 @@ class RobotScreen(MainScreen):
 
 
 class RobotApp(ConsoleApp):
-    """The console on one robot. It ends without a question: nothing else does, and the fleet comes back."""
+    """The console on one robot. It ends without a question, as nothing is lost and the fleet's screen returns."""
 
     main_screen = RobotScreen
 
     def check_action(self, action: str, parameters: tuple[object, ...]) -> bool | None:
-        """Nothing else is opened in the robot's place (Textual's): the end would end that without a question."""
+        """Forbid opening another session in the robot's place (Textual's): leaving would end it without a question."""
         return action not in _OPENS_ANOTHER and super().check_action(action, parameters)
 
     def request_quit(self) -> None:

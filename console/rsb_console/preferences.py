@@ -29,9 +29,9 @@ class PreferenceProblem(Wording):
     """Mistakes in the user's settings."""
 
     NO_KEYMAP = "{path}: must map action ids to keys, like 'pause: P'"
-    UNKNOWN_ACTIONS = "{path}: no action is called {actions}; the help (?) lists them"
-    SHARED_KEY = "{path}: {key!r} is for both {one} and {other}; give one another key"
-    UNKNOWN_THEME = "no theme is called {theme!r}; there are {themes}"
+    UNKNOWN_ACTIONS = "{path}: no action is named {actions}; the help (?) lists them"
+    SHARED_KEY = "{path}: {key!r} is the key of both {one} and {other}; change one of them"
+    UNKNOWN_THEME = "no theme is named {theme!r}; choose one of {themes}"
 
 
 class KeymapError(ValueError):
@@ -42,7 +42,7 @@ def load_keymap(path: Path) -> dict[str, str]:
     """Read the user's keys.
 
     Args:
-        path: a YAML mapping of action ids to Textual key names; need not exist.
+        path: a YAML mapping of action ids to Textual key names; may be missing.
 
     Returns:
         Action ids to comma-separated keys.
@@ -80,7 +80,7 @@ def _refuse_shared_keys(path: Path, keymap: Mapping[str, str]) -> None:
 
 
 def split_keys(keys: str) -> Iterable[str]:
-    """The keys of a comma-separated list."""
+    """Return the keys of a comma-separated list."""
     return (key.strip() for key in keys.split(",") if key.strip())
 
 
@@ -92,7 +92,7 @@ class Preferences:
         theme: the name of a theme, or None for one that suits the terminal.
 
     Attributes:
-        themes: by name.
+        themes: themes by name.
         theme: the name of the one to begin with.
         keymap: action ids to the user's keys.
         bell: whether the terminal's bell for new faults is on at the start.
@@ -144,10 +144,10 @@ class Preferences:
         self.bell = settings.get("bell", False)
 
     def keys(self, action: Action) -> list[str]:
-        """The keys that do `action`, by Textual's names."""
+        """Return the keys that do `action`, by Textual's names."""
         return list(split_keys(self.keymap.get(action.id, action.keys)))
 
     def key_labels(self, action: Action, *, ascii_only: bool) -> list[str]:
-        """The keys that do `action`, as they are written on a keyboard."""
+        """Return the keys that do `action`, as they are written on a keyboard."""
         signs = KEY_SIGNS if ascii_only else KEY_SIGNS | UNICODE_KEY_SIGNS
         return [signs.get(key, key.replace("ctrl+", "^")) for key in self.keys(action)]

@@ -1,4 +1,4 @@
-"""What every app in a terminal has: themes, keys, help, the order of input, and an end that restores the terminal."""
+"""The common part of all terminal apps: themes, keys, help, order of input, and an end that restores the terminal."""
 
 from __future__ import annotations
 
@@ -30,10 +30,10 @@ class TerminalApp(App[ReturnType]):
     """Fulfils `rsb_console.console_api.ConsoleShell`.
 
     Args:
-        readonly: nothing may be changed.
+        readonly: forbid all changes.
         ascii_only: draw only ASCII.
-        theme: its name; None: the one that suits the terminal.
-        config: the user's configuration folder; None: the platform's.
+        theme: name of the theme, or None for one that suits the terminal.
+        config: the user's configuration folder, or None for the platform's.
         dialogs: groups of the workers that may open a dialog.
     """
 
@@ -76,7 +76,7 @@ class TerminalApp(App[ReturnType]):
     # --- start
 
     def get_theme_variable_defaults(self) -> dict[str, str]:
-        """The style sheet's variables that a theme need not define (Textual's)."""
+        """Return the style sheet's variables that a theme may leave out (for Textual)."""
         return themes.VARIABLES
 
     def get_line_filters(self) -> Sequence[LineFilter]:
@@ -151,17 +151,17 @@ class TerminalApp(App[ReturnType]):
         self.exit()
 
     def shut_down_soon(self, reason: ShutdownReason) -> None:
-        """As `shut_down`, from a signal handler or another thread; ends the process if the app hangs."""
+        """Call `shut_down` from a signal handler or another thread; end the process if the app hangs."""
         if not self.is_headless:
             self._forced_end.begin()
         self.call_later(self.shut_down, reason)
 
     def has_ended(self) -> None:
-        """The app has ended by itself, so the process need not be ended."""
+        """Note that the app has ended by itself, so the process is not killed."""
         self._forced_end.cancel()
 
     def terminal_gone(self) -> None:
-        """The terminal has hung up; called by the driver's thread."""
+        """Shut down because the terminal has hung up; called by the driver's thread."""
         self.shut_down_soon(ShutdownReason.HANGUP)
 
     def _fatal_error(self) -> None:

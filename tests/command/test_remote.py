@@ -34,7 +34,7 @@ from rsb_bridge.model.snapshot import (
 from rsb_console.command.arguments import parser_and_commands
 from rsb_console.command.headless import HeadlessText
 from rsb_console.command.remote import COMMANDS, RemoteProblem
-from rsb_console.command.target import BridgeChoice
+from rsb_console.command.target import BridgeChoice, RouteChoice
 from rsb_console.session.draft import TypedProblem
 
 if TYPE_CHECKING:
@@ -292,9 +292,9 @@ def test_reload_says_what_has_changed_and_what_has_not(ran: Any, engine: Scripte
 def test_a_topic_that_goes_both_ways_has_to_be_named_with_its_direction(ran: Any, engine: ScriptedEngine) -> None:
     back = route("/scan", key="back")
     engine.now = replace(engine.now, routes=(SCAN, back))
-    which = "say which: --link robot1 --direction transmit; --link robot1 --direction receive"
+    options = "--link robot1 --direction transmit; --link robot1 --direction receive"
     for command in (("remove", "/scan"), ("edit", "/scan", "max_rate=5"), ("arm", "/scan")):
-        assert which in ran(*command).err
+        assert says(ran(*command).err, RouteChoice.SEVERAL, topic="/scan", count=2, options=options)
     assert engine.commands == []
     assert ran("pause", "/scan", "--direction", "receive").code == 0
     assert engine.commands == [("pause", "back", True)]
@@ -331,7 +331,8 @@ def test_what_stops_a_name_stops_all_its_routes(
 def test_options_that_tell_routes_of_a_name_apart_differ_and_work(ran: Any, engine: ScriptedEngine) -> None:
     routes = (SCAN, replace(SCAN, key="there", remote_topic="/elsewhere"), route("/scan", key="back"))
     engine.now = replace(engine.now, routes=routes)
-    said = ran("remove", "/scan").err.partition("say which: ")[2].strip().split("; ")
+    start, end = RouteChoice.SEVERAL(topic="/scan", count=3, options="|").split("|")
+    said = ran("remove", "/scan").err.partition(start)[2].strip().removesuffix(end).split("; ")
     assert len(set(said)) == len(routes)
     for options in said:
         assert ran("remove", "/scan", *options.split()).code == 0

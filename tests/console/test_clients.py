@@ -175,7 +175,7 @@ def test_a_fleets_server_is_made_with_its_keys(folder: Path) -> None:
     async def steps(pilot: Pilot[None]) -> None:
         await new_server(pilot)
         await fill(pilot, name="pc", server_ip="10.0.0.20", clients="robot1, robot2 robot2")
-        await shown(pilot, "robot2 is there twice")
+        await shown(pilot, "robot2 occurs twice")
         await fill(pilot, clients="robot1, robot2")
         await shown(pilot, "robot1.key exists, fingerprint")
         await shown(pilot, "robot2.key will be created")

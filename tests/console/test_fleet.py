@@ -495,7 +495,7 @@ def test_a_change_that_makes_it_worse_is_put_back(monkeypatch: pytest.MonkeyPatc
         await bed.shown("not begun: robot2")
         await bed.shown("rsb-console fleet edit robot1 /camera max_rate=30")
         await bed.press("u")
-        await bed.shown("put back on robot1")
+        await bed.shown("restored on robot1")
         assert [each[2].max_rate for each in bed.source.engines["robot1"].commands] == [5.0, 30.0]  # type: ignore[attr-defined]
 
     bed.run(steps)

@@ -6,7 +6,7 @@ import threading
 
 from tests.support.waiting import eventually
 
-from rsb_console.command.headless import WAITING_LIMIT, LogWriter
+from rsb_console.command.headless import TOO_SLOW, WAITING_LIMIT, LogWriter
 
 
 def lost_line(lost: int, reason: str) -> str:
@@ -36,7 +36,7 @@ def test_a_reader_that_comes_late_gets_the_newest_and_how_many_are_missing() -> 
     lines = content.decode().splitlines()[1:]
     (said,) = [line for line in lines if "lost" in line]
     numbers = [int(line) for line in lines if line != said]
-    assert said == f"{count - len(numbers)} lost: they were not read fast enough"
+    assert said == f"{count - len(numbers)} lost: {TOO_SLOW}"
     assert numbers[-1] == count - 1
     assert numbers[lines.index(said) :] == list(range(count - len(numbers[lines.index(said) :]), count))
     assert WAITING_LIMIT - 2000 < len(numbers[lines.index(said) :]) * 1000 <= WAITING_LIMIT

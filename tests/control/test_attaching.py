@@ -266,7 +266,7 @@ def test_another_version_is_told_who_is_older(machine: Machine, monkeypatch: pyt
 
 @pytest.mark.parametrize(
     "sent",
-    [b"GET / HTTP/1.1\r\n\r\n", protocol.encode(protocol.Look()), b"\xff" * 100_000, b"\x00\x00\x00\x01\xc1"],
+    [b"GET / HTTP/1.1\r\n\r\n", protocol.encode(protocol.PollState()), b"\xff" * 100_000, b"\x00\x00\x00\x01\xc1"],
     ids=["http", "no hello", "too large", "no message"],
 )
 def test_what_is_no_console_is_cut_off(machine: Machine, sent: bytes) -> None:
@@ -293,7 +293,7 @@ class Stalled:
     def __init__(self, machine: Machine) -> None:
         self.connection = control_sockets.connect(machine.folder / "robot1.sock", 60.0)
         self.connection.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
-        for message in (protocol.Hello(protocol.VERSION, "0.1.0"), protocol.Look(), protocol.Follow(0)):
+        for message in (protocol.Hello(protocol.VERSION, "0.1.0"), protocol.PollState(), protocol.Follow(0)):
             self.connection.sendall(protocol.encode(message))
 
 

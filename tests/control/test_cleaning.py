@@ -197,7 +197,7 @@ def test_a_rogue_operator_asks_for_what_never_was_and_looks_all_the_time(machine
     with Stranger(robot.port, "bob", BOB) as rogue:
         rogue.attach()
         for _ in range(1000):
-            rogue.say(protocol.Look())
+            rogue.say(protocol.PollState())
         for after in (-(2**63), 2**63 - 1, -1, 0):
             rogue.say(protocol.Follow(after))
         heard: list[object] = []

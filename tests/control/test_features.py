@@ -175,7 +175,7 @@ class Greeted:
     def __init__(self, machine: Machine, hello: bytes) -> None:
         self.heard = b""
         with control_sockets.connect(machine.folder / "robot1.sock", 60.0) as connection:
-            connection.sendall(hello + protocol.encode(protocol.Look()))
+            connection.sendall(hello + protocol.encode(protocol.PollState()))
             frames, self.messages = protocol.frames_to_console(), list[Any]()
             while not any(isinstance(each, State) for each in self.messages):
                 data = connection.recv(1 << 16)

@@ -17,7 +17,7 @@ from tests.wire.links import make_client
 
 from rsb_bridge.config.keys import Key
 from rsb_bridge.control import attached_console, protocol, sealed
-from rsb_bridge.control.protocol import CONSOLES, Failed, Hello, Look, Refused, Request, encode
+from rsb_bridge.control.protocol import CONSOLES, Failed, Hello, PollState, Refused, Request, encode
 from rsb_bridge.model.benchmark import Order
 from rsb_bridge.model.budgets import CONNECTION, Strangers
 from rsb_bridge.model.codes import EventCode
@@ -232,7 +232,7 @@ def test_an_operator_who_takes_nothing_is_given_up(machine: Machine, monkeypatch
         anna.console.receive_data(bytes(stream.waits))
         stream.waits.clear()
         serving.data_received(anna.console.data_to_send())
-        for message in (Hello(1, "0.1.0"), Look()):
+        for message in (Hello(1, "0.1.0"), PollState()):
             serving.data_received(anna.console.send(encode(message)))
 
     with anna:

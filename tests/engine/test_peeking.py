@@ -175,7 +175,7 @@ def test_nobody_waits_for_ever_nor_in_numbers(bridge: Bridge, monkeypatch: pytes
     _, client = bridge.both(Topic("/chat", "transmit"))
     route_key = key(client, "/chat")
     waiting = [client.peek(route_key) for _ in range(peeking.LOOKERS)]
-    with pytest.raises(EngineError, match="32 look at messages here already"):
+    with pytest.raises(EngineError, match=str(peeking.LOOKERS)):
         client.peek(route_key).result(10)
     for future in waiting:
         future.cancel()

@@ -22,8 +22,8 @@ from rsb_bridge.model.session import Armed as ArmedEntry
 from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.verdict import Cause
-from rsb_bridge.route.arming import CONSOLE_SILENT_AFTER, PEER_GRACE, SAID, Disarmed
 from rsb_bridge.route.blocking_rules import blocked
+from rsb_bridge.route.arming import CONSOLE_SILENT_AFTER, DISARM_TEXT, PEER_GRACE, Disarmed
 from rsb_bridge.route.lease import LASTS, SLOW
 from rsb_bridge.transport.streams import CLOSED_BY_PEER
 from rsb_bridge.wire.messages import Arm, Armed, Close, Describe, Disarm, Lease, Pause, Propose, Provide
@@ -193,7 +193,7 @@ def test_it_disarms_when_no_key_is_pressed_in_time(at: int, pair: Pair, loop: Vi
     loop.jump(1.0)
     assert passes(side) == [False]  # not a moment later, tick or not
     assert route(side).snapshot().cause == (Cause.DISARMING if route(side).outgoing else Cause.DISARMED)
-    assert route(side).snapshot().reason.startswith(SAID[Disarmed.DEADMAN])
+    assert route(side).snapshot().reason.startswith(DISARM_TEXT[Disarmed.DEADMAN])
     let_time_pass(pair, loop, 0.0)
     hear_all(pair)
     assert passes(*pair) == [False, False]
@@ -478,7 +478,7 @@ def test_what_cannot_be_armed_says_why(
 def test_a_peer_that_knows_no_lease_cannot_be_armed_nor_arm(pair: Pair, loop: VirtualLoop) -> None:
     robot, pc = pair
     pc.features = robot.features = (calls.FEATURE,)
-    with pytest.raises(LinkError, match=SAID[Disarmed.PEER_TOO_OLD]):
+    with pytest.raises(LinkError, match=DISARM_TEXT[Disarmed.PEER_TOO_OLD]):
         arm(pc, loop).result()
     robot.table.handle(Arm(route(robot).id, "an older console"))
     assert pc.inbox.popleft() == Disarm(route(robot).closed_ids[-1], Disarmed.PEER_TOO_OLD)
@@ -515,7 +515,7 @@ def test_what_cannot_be_armed_says_so_before_anybody_tries(pair: Pair) -> None:
     assert route(pc).status().can_be_armed
     pc.features = (calls.FEATURE,)
     status = route(pc).status()
-    assert (status.can_be_armed, status.disarmed) == (False, SAID[Disarmed.PEER_TOO_OLD])
+    assert (status.can_be_armed, status.disarmed) == (False, DISARM_TEXT[Disarmed.PEER_TOO_OLD])
     verdict = blocked(status)
     assert verdict is not None
     assert (verdict.state, verdict.cause, verdict.text) == (State.DISARMED, Cause.DISARMED, status.disarmed)
@@ -530,7 +530,7 @@ def test_a_link_whose_round_trip_is_too_long_cannot_be_armed(pair: Pair, loop: V
             side.hear()
     hear_all(pair)
     turn(loop)
-    assert SAID[Disarmed.LINK_SLOW] in str(task.exception())
+    assert DISARM_TEXT[Disarmed.LINK_SLOW] in str(task.exception())
     assert why(pc) == why(robot) == Disarmed.LINK_SLOW
     assert stands(*pair) == [False, False]
 

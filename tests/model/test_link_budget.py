@@ -19,8 +19,8 @@ from rsb_bridge.model.link_budget import (
     amount,
     as_report,
     cost_of,
+    describe_cost,
     load_of,
-    told,
 )
 from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import RouteSnapshot, Snapshot, State
@@ -51,7 +51,7 @@ def test_it_fits() -> None:
     assert cost.load.bytes_per_second == pytest.approx(50.0 * (700.0 + PER_MESSAGE))
     assert (cost.over, cost.sufferers, cost.load.source) == (0.0, (), LoadSource.GIVEN)
     assert cost.gets == cost.load.bytes_per_second
-    assert len(told(cost, NOW)) == 1
+    assert len(describe_cost(cost, NOW)) == 1
 
 
 def test_who_suffers() -> None:
@@ -64,7 +64,7 @@ def test_who_suffers() -> None:
     assert [(each.topic, each.thinned) for each in cost.sufferers] == [("/camera", True)]
     assert cost.gets == pytest.approx(cost.load.bytes_per_second)
     assert cost.over > 300_000
-    first, second = told(cost, NOW)
+    first, second = describe_cost(cost, NOW)
     assert "3 min" in first
     assert "/camera" in second
 
@@ -74,7 +74,7 @@ def test_all_of_one_priority() -> None:
     cost = cost_of(now, "robot1", Topic("/points", "transmit"), rate=5.0, size=100_000.0)
     assert [(each.topic, each.thinned) for each in cost.sufferers] == [("/camera", False)]
     assert cost.gets < cost.load.bytes_per_second
-    assert len(told(cost, NOW)) == 2
+    assert len(describe_cost(cost, NOW)) == 2
 
 
 def test_a_lower_one_yields_itself() -> None:
@@ -99,7 +99,7 @@ def test_what_it_replaces_does_not_count() -> None:
 def test_nothing_is_known_of_the_link() -> None:
     cost = cost_of(snapshot(), "robot1", Topic("/scan", "transmit", type=_SCAN))
     assert (cost.capacity, cost.over, cost.sufferers) == (None, 0.0, ())
-    assert len(told(cost, NOW)) == 1
+    assert len(describe_cost(cost, NOW)) == 1
 
 
 def test_more_than_was_ever_seen() -> None:
@@ -107,7 +107,7 @@ def test_more_than_was_ever_seen() -> None:
     cost = cost_of(now, "robot1", Topic("/image", "transmit", type=_IMAGE))
     assert cost.over > 0
     assert as_report(cost)["capacity_source"] == "seen"
-    assert len(told(cost, NOW)) == 2
+    assert len(describe_cost(cost, NOW)) == 2
 
 
 def test_what_a_topic_brings() -> None:
@@ -124,7 +124,7 @@ def test_what_a_topic_brings() -> None:
     assert load_of(now, Topic("/image", "transmit", type=_IMAGE, expected_rate=7.0)).rate == 7.0
     unknown = cost_of(now, "robot1", Topic("/x", "transmit", type="my_msgs/msg/X"))
     assert unknown.load.source is LoadSource.UNKNOWN
-    assert len(told(unknown, NOW)) == 1
+    assert len(describe_cost(unknown, NOW)) == 1
 
 
 def test_what_is_measured_gives_way_once_it_is_old() -> None:
@@ -158,7 +158,7 @@ def test_what_crosses_now_has_been_seen_and_more_may_be_carried() -> None:
     assert cost.capacity is not None
     assert cost.capacity.bytes_per_second == cost.used
     assert cost.over == pytest.approx(cost.load.bytes_per_second)
-    _, second = told(cost, NOW)
+    _, second = describe_cost(cost, NOW)
     assert says(second, CostText.PERHAPS_TOO_MUCH, amount=amount(cost.over))
     assert "/camera" in second
 
@@ -166,8 +166,8 @@ def test_what_crosses_now_has_been_seen_and_more_may_be_carried() -> None:
 def test_a_topic_that_is_thinned_brings_more_than_crosses() -> None:
     now = snapshot(sent("/camera", "low", 2.0, 60_000, cause=Cause.THINNED), carries=1e6)
     thinned, given = (cost_of(now, "robot1", Topic("/camera", "transmit"), rate=rate) for rate in (None, 30.0))
-    assert says(told(thinned, NOW)[0], CostText.THINNED_NOW)
-    assert not says(told(given, NOW)[0], CostText.THINNED_NOW)
+    assert says(describe_cost(thinned, NOW)[0], CostText.THINNED_NOW)
+    assert not says(describe_cost(given, NOW)[0], CostText.THINNED_NOW)
 
 
 @pytest.mark.parametrize("state", [State.DISARMED, State.PAUSED, State.WAITING])

@@ -131,7 +131,7 @@ class Route:
         sources = self.table.sources if self.table.closes_loop else self.table.to_describe()
         if sources and sources != self.described:
             self.described = sources
-            self.table.told()
+            self.table.described()
             self.control.append(self.described)
 
 

@@ -16,8 +16,8 @@ from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.verdict import EXPIRES, FINE, Cause, Verdict, about, worse
 from rsb_bridge.ros.ros_interface import Endpoint
 from rsb_bridge.route.age import Expired, expired_verdict
-from rsb_bridge.route.arming import SAID, Disarmed
 from rsb_bridge.route.blocking_rules import RouteStatus
+from rsb_bridge.route.arming import DISARM_TEXT, Disarmed
 from rsb_bridge.route.combined_verdict import CombinedVerdict, lasting, record_of
 from rsb_bridge.route.lateness import QUEUE, WAY, Late, late_verdict
 from rsb_bridge.route.lease import Standstill
@@ -506,13 +506,13 @@ def test_what_recovers_begins_no_new_fault(facts: dict[str, Any]) -> None:
     assert "%" not in verdict.text
 
 
-_WHY_DISARMED = [*SAID.values(), *(each.value for each in Standstill)]
+_WHY_DISARMED = [*DISARM_TEXT.values(), *(each.value for each in Standstill)]
 
 
 @pytest.mark.parametrize("why", _WHY_DISARMED)
 @pytest.mark.parametrize("state", [State.DISARMED, State.DISARMING])
 def test_a_disarmed_topic_has_its_text_on_one_line(why: str, state: State) -> None:
-    can_be_armed = why not in (SAID[Disarmed.PEER_TOO_OLD], SAID[Disarmed.LINK_SLOW])
+    can_be_armed = why not in (DISARM_TEXT[Disarmed.PEER_TOO_OLD], DISARM_TEXT[Disarmed.LINK_SLOW])
     disarming = state is State.DISARMING
     if disarming and not can_be_armed:
         return

@@ -56,7 +56,7 @@ class Connection(Protocol):
         ...
 
     @property
-    def only_looks(self) -> str:
+    def read_only_reason(self) -> str:
         """The reason this operator may change nothing, or an empty string."""
         ...
 
@@ -135,7 +135,7 @@ class Console:
         self._watching = False
         self._summary = b""
         self._summed_at = float("-inf")
-        self._may_not = ""
+        self._denied_reason = ""
         self._refused: tuple[type, ...] = CHANGING
         self._operator = ""
         self._welcomed = False
@@ -193,7 +193,7 @@ class Console:
             self._greet(message)
         elif not self._welcomed:
             raise ProtocolError("no hello")
-        elif isinstance(message, protocol.Look):
+        elif isinstance(message, protocol.PollState):
             if not self._looking:
                 self._looking = True
                 self._looked_at = self._loop.time()
@@ -216,14 +216,14 @@ class Console:
             return
         self._welcomed = True
         self._operator = self._connection.operator
-        only_looks = self._connection.only_looks
-        self._may_not = only_looks or (RequestRefused.ATTACHED_READ_ONLY() if hello.read_only else "")
-        self._refused = (*CHANGING, Bench) if only_looks else CHANGING  # a measurement takes what a link carries
+        read_only_reason = self._connection.read_only_reason
+        self._denied_reason = read_only_reason or (RequestRefused.ATTACHED_READ_ONLY() if hello.read_only else "")
+        self._refused = (*CHANGING, Bench) if read_only_reason else CHANGING  # a measurement takes what a link carries
         self._features = known_features(hello.features)
         self._sender = Sender(self._features)
         if info.file is not None and self._hides_fields:
             info = msgspec.structs.replace(info, file=None)  # the console would save it without the hidden fields
-        self.send(protocol.Welcome(info, bool(self._may_not), FEATURES))
+        self.send(protocol.Welcome(info, bool(self._denied_reason), FEATURES))
 
     @property
     def _hides_fields(self) -> bool:
@@ -232,8 +232,8 @@ class Console:
         return without_unknown(session, self._features) is not session
 
     def _request(self, request: protocol.Request) -> None:
-        if self._may_not and isinstance(request.command, self._refused):
-            self.send(protocol.Failed(request.id, RequestRefused.READ_ONLY(reason=self._may_not)))
+        if self._denied_reason and isinstance(request.command, self._refused):
+            self.send(protocol.Failed(request.id, RequestRefused.READ_ONLY(reason=self._denied_reason)))
         elif self._requests >= protocol.REQUESTS_WAITING:
             self.send(protocol.Failed(request.id, RequestRefused.TOO_MANY_WAITING(count=protocol.REQUESTS_WAITING)))
         else:

@@ -366,7 +366,7 @@ class Request(_Message, frozen=True, tag="request"):
     undo: bool = False
 
 
-class Look(_Message, frozen=True, tag="look"):
+class PollState(_Message, frozen=True, tag="look"):
     """Asks for the state as soon as it differs from the one sent last; answered once."""
 
 
@@ -384,7 +384,7 @@ class Watch(_Message, frozen=True, tag="watch"):
     """Asks for a `Summary` now and whenever it is another, for as long as the connection lasts."""
 
 
-ToBridge: TypeAlias = Hello | Request | Look | Follow | Watch
+ToBridge: TypeAlias = Hello | Request | PollState | Follow | Watch
 
 
 # --- from a bridge

@@ -410,7 +410,7 @@ class RemoteEngine(EngineApi):
         self._look_is_due = False
         if self._connection is not None and self._asked_at is None:
             self._asked_at = time.monotonic()
-            self._send(protocol.Look())
+            self._send(protocol.PollState())
 
     # --- requests
 

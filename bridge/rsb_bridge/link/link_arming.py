@@ -12,7 +12,7 @@ from rsb_bridge.model.budgets import TokenBucket
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.demands import NO_DEMAND, PEER_DEMANDS, Demands, Source, default_max_age, smallest_max_age
 from rsb_bridge.model.snapshot import Level
-from rsb_bridge.route.arming import SAID, Disarmed
+from rsb_bridge.route.arming import DISARM_TEXT, Disarmed
 from rsb_bridge.route.lease import BEAT, Lease, Standstill
 from rsb_bridge.wire import messages as wire
 from rsb_bridge.wire.headers import LEASE_FEATURE
@@ -251,7 +251,7 @@ class LinkArming:
         if not arming.required:
             return "neither session demands arming"
         if not self.lease.supported:
-            return SAID[Disarmed.PEER_TOO_OLD]
+            return DISARM_TEXT[Disarmed.PEER_TOO_OLD]
         if route.paused:
             return "it is paused; resume it first"
         if arming.held:
@@ -377,7 +377,7 @@ class LinkArming:
 
     def _not_armed(self, route: Route, why: Disarmed, who: str) -> None:
         """Record an attempt of the other side's operator, which the budget of armings bounds."""
-        route.log(Level.WARNING, EventCode.ROUTE_DISARMED, f"not armed: {SAID[why]} ({who})", cause=why)
+        route.log(Level.WARNING, EventCode.ROUTE_DISARMED, f"not armed: {DISARM_TEXT[why]} ({who})", cause=why)
 
     def _armed_by(self, route: Route, who: str, *, from_peer: bool = False) -> None:
         self._record(EventCode.OPERATOR_ARMED, route, who, "disarmed", "armed", from_peer=from_peer)

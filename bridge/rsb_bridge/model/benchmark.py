@@ -1,4 +1,4 @@
-"""Measuring a link with topics that no node has: their names, what may be asked for, and what comes of it."""
+"""Measuring a link with topics that no node has: their names, the orders and the results."""
 
 from __future__ import annotations
 
@@ -7,19 +7,19 @@ from typing import Literal
 import msgspec
 
 FEATURE = "bench"
-"""What a side that can be measured names among its features."""
+"""Feature that a side announces if its links can be measured."""
 TYPE = "rsb_bridge/msg/Bench"
 TYPE_HASH = "RIHS01_" + "0" * 64
 _PART = "rsb_bench"
 
 
 class Leave(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True):
-    """What a peer that measures the link may cause, in any hour.
+    """Limits on the load that a measuring peer may cause in any hour.
 
     Attributes:
-        seconds: s in which it sends, or has this side send.
+        seconds: seconds of sending, by the peer or by this side on its order.
         max_rate: messages a second.
-        megabytes: of payload.
+        megabytes: megabytes of payload.
     """
 
     seconds: float = 300.0
@@ -28,17 +28,17 @@ class Leave(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defaul
 
 
 class Order(msgspec.Struct, frozen=True, omit_defaults=True):
-    """What a benchmark asks of a bridge.
+    """An order of a benchmark to a bridge.
 
     Attributes:
-        what: ``run`` sends messages over a link; ``measure`` only looks what the bridge's process has used so far;
+        what: ``run`` sends messages over a link; ``measure`` only reads the usage of the bridge's process so far;
             ``end`` removes the topics of the link.
-        link: which; empty: a client's, or a server's only one.
-        transport: that carries the messages; empty: the link's.
+        link: name of the link, or an empty string for a client's, or a server's only one.
+        transport: transport that carries the messages, or an empty string for the link's.
         direction: ``transmit`` goes from client to server.
         size: bytes of each message, at least `LEAST_SIZE`.
         rate: Hz.
-        count: of messages.
+        count: number of messages.
     """
 
     what: Literal["run", "measure", "end"] = "run"
@@ -53,20 +53,20 @@ class Order(msgspec.Struct, frozen=True, omit_defaults=True):
 LEAST_SIZE = 16
 MOST_SIZE = 16 << 20
 MOST_SECONDS = 30.0
-"""s of one run."""
+"""Longest run, in seconds."""
 REFUSED, STOPPED = "refused by the other side", "stopped by the other side"
 ENDED_BY_PEER = (REFUSED, STOPPED)
-"""What the message begins with where the peer, or the leave that it gives, ends a benchmark."""
+"""Beginnings of the message if the peer ends a benchmark, or refuses it by its limits."""
 
 
 class Usage(msgspec.Struct, frozen=True, omit_defaults=True):
-    """What a bridge's process has used so far.
+    """Resources that a bridge's process has used so far.
 
     Attributes:
         cpu: s of processor time.
-        memory: bytes that are resident.
-        sent_bytes: handed to the sockets of all links.
-        received_bytes: likewise.
+        memory: bytes of resident memory.
+        sent_bytes: bytes handed to the sockets of all links.
+        received_bytes: bytes read from the sockets of all links.
     """
 
     cpu: float = 0.0
@@ -76,20 +76,21 @@ class Usage(msgspec.Struct, frozen=True, omit_defaults=True):
 
 
 class Outcome(msgspec.Struct, frozen=True, omit_defaults=True):
-    """What came of an `Order`.
+    """The result of an `Order`.
 
     Attributes:
-        usage: of the process that was asked, at the end.
-        sent: messages.
-        received: messages.
+        usage: usage of the process that got the order, at the end.
+        sent: number of messages.
+        received: number of messages.
         rate: Hz that the sending side reached.
-        p50: s of latency, from one end of the link to the other, likewise those below.
-        p99: s.
-        p999: s.
-        uncertainty: s by which these may be wrong, because the clocks of two machines differ; None: not known.
-        sending: used by the sending side's process during the run.
-        receiving: likewise.
-        most_rate: Hz that the peer allows; 0: any.
+        p50: median latency from one end of the link to the other, in seconds.
+        p99: 99th percentile of the latency, in seconds.
+        p999: 99.9th percentile of the latency, in seconds.
+        uncertainty: possible error of the latencies in seconds, because two machines' clocks differ, or None if
+            unknown.
+        sending: usage of the sending side's process during the run.
+        receiving: usage of the receiving side's process during the run.
+        most_rate: Hz that the peer allows, or 0 if it sets no limit.
     """
 
     usage: Usage
@@ -106,11 +107,11 @@ class Outcome(msgspec.Struct, frozen=True, omit_defaults=True):
 
 
 def bench_topic(transport: str, direction: str) -> str:
-    """The name of the topic that measures a transport in a direction, as the client sees it."""
+    """Return the name of the topic that measures a transport in a direction, as the client sees it."""
     return f"/{_PART}/{transport.replace('-', '_')}/{direction}"
 
 
 def is_bench_topic(topic: str) -> bool:
-    """Whether a name is one of `bench_topic`'s, with or without a client's name before it."""
+    """Whether `bench_topic` made the name, with or without a client's name as a prefix."""
     parts = topic.split("/")
     return len(parts) > 3 and _PART in parts[1:3]

@@ -25,17 +25,17 @@ class TokenBucket:
         self._at = now
 
     def left(self, now: float) -> float:
-        """The tokens left."""
+        """Return the number of tokens left."""
         self._left = min(self._burst, self._left + (now - self._at) * self._per_second)
         self._at = now
         return self._left
 
     def spend(self, amount: float, now: float) -> None:
-        """Take `amount` tokens, even if there are fewer: the bucket then owes the rest."""
+        """Take `amount` tokens, even if there are fewer: the balance then becomes negative."""
         self._left = self.left(now) - amount
 
     def take(self, amount: float, now: float) -> bool:
-        """Take `amount` tokens; False: there are fewer, and none was taken."""
+        """Take `amount` tokens and return True, or take none and return False if there are fewer."""
         if amount > self.left(now):
             return False
         self._left -= amount
@@ -43,9 +43,9 @@ class TokenBucket:
 
 
 LIMIT = 16 * 1024 * 1024
-"""Bytes of all strangers of an engine together."""
+"""Bytes that all strangers of an engine may use together."""
 CONNECTION = 16 * 1024
-"""Bytes counted for a connection: its 4 KiB, and what keeps track of it."""
+"""Bytes counted for a connection: its 4 KiB buffer and the records about it."""
 
 
 class Strangers:
@@ -81,7 +81,6 @@ class Strangers:
             self.turned_away += 1
 
     def give(self, size: int) -> None:
-        """Give bytes back."""
         with self._counting:
             self._used -= size
 
@@ -92,7 +91,7 @@ class Backoff:
     Args:
         first: the first delay, in seconds.
         longest: the longest, in seconds; jitter comes on top.
-        random: varies each delay, so that many who fail together do not try again together; None: no jitter.
+        random: varies each delay, so that clients that fail together do not retry together; None for no jitter.
         jitter: the largest variation, as a share of the delay.
     """
 
@@ -103,10 +102,10 @@ class Backoff:
         self._jitter = jitter
 
     def next(self, at_most: float = math.inf) -> float:
-        """The delay (s) before the next attempt.
+        """Return the delay (s) before the next attempt.
 
         Args:
-            at_most: the longest delay this time, where it is to be shorter.
+            at_most: upper limit of the delay this time.
         """
         delay = min(self._next, at_most)
         self._next = min(2 * self._next, self._longest)
@@ -115,5 +114,5 @@ class Backoff:
         return delay * self._random.uniform(1 - self._jitter, 1 + self._jitter)
 
     def reset(self) -> None:
-        """An attempt succeeded: begin with the first delay again."""
+        """Begin with the first delay again, after an attempt that succeeded."""
         self._next = self._first

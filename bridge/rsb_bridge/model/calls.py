@@ -1,4 +1,4 @@
-"""What a user interface sees of the calls of a service, an action or a node's parameters: immutable data."""
+"""Immutable data about the calls of a service, an action or a node's parameters, for user interfaces."""
 
 from __future__ import annotations
 
@@ -13,23 +13,23 @@ if TYPE_CHECKING:
 
 MOST_LANES = 16
 FEATURE = "calls"
-"""What a side that carries services, actions and parameters names among its features."""
+"""Feature that a side announces if it carries services, actions and parameters."""
 
 
 class Lane(NamedTuple):
-    """One service or topic.
+    """One service or topic of a call route.
 
     Attributes:
-        name: short, for people and for calls by hand; of a service, empty.
-        suffix: behind the route's name: ``/_action/send_goal``.
-        is_topic: it is a topic, from the providing side to the callers'.
-        type_suffix: behind the route's type: ``_SendGoal``.
-        type_name: where that does not depend on the route's type; empty: it does.
-        absolute: the topic's name where it does not depend on the route's; empty: it does.
-        qos: of a topic, to publish and to subscribe with.
-        patient: of a service, its answer comes when a goal is over: it has no timeout, and its latency says nothing.
-        limited: what operators limit is about it: calls a second, a pause, arming. What stops a robot or tells of it,
-            once it moves, is never held up.
+        name: short name for people and for calls by hand; empty for a plain service.
+        suffix: added to the route's name: ``/_action/send_goal``.
+        is_topic: whether it is a topic, from the providing side to the callers'.
+        type_suffix: added to the route's type: ``_SendGoal``.
+        type_name: full type, or an empty string if it follows from the route's type.
+        absolute: full name of the topic, or an empty string if it follows from the route's name.
+        qos: QoS of a topic, to publish and to subscribe with.
+        patient: whether the service answers only when a goal is over: it has no timeout, and its latency means nothing.
+        limited: whether operators' limits apply: calls a second, a pause, arming. Calls that stop a moving robot, and
+            news of it, are never held up.
     """
 
     name: str
@@ -89,29 +89,29 @@ LANES: dict[Kind, tuple[Lane, ...]] = {
         ),
     ),
 }
-"""By kind; a frame names a lane by its place."""
+"""Lanes by kind; a frame names a lane by its index."""
 
 
 @dataclass(frozen=True, slots=True)
 class CallsSnapshot:
-    """The calls of a service, an action or a node's parameters, as this side counts them since the route was made.
+    """Counts of the calls of a service, an action or a node's parameters on this side since the route was made.
 
     ``asked = answered + expired + refused + lost + in_flight``.
 
     Attributes:
         asked: calls taken from callers; on the providing side, calls that came over the link.
-        answered: with an answer that went back to its caller.
-        expired: given up after the timeout.
-        refused: not carried, by cause: ``calls under way``, ``bytes under way``, ``calls a second``, ``paused``,
+        answered: calls with a reply that went back to the caller.
+        expired: calls given up after the timeout.
+        refused: calls not carried, by cause: ``calls under way``, ``bytes under way``, ``calls a second``, ``paused``,
             ``disarmed``, ``provider gone``, ``too large``, ``not sent``, ``not arrived``, ``other``.
-        lost: given up because the link or the provider went while they were under way.
-        in_flight: under way now.
-        late: answers that came after their call was given up. Not a part of `asked`.
-        node_p50: s that the far node took for an answer; None: no figure.
-        node_p99: s.
-        way_p50: s that the way there and back took, both bridges and the link; None: no figure.
-        way_p99: s.
-        last_failure: the last call that had no answer, and why, in words; or empty.
+        lost: pending calls given up because the link or the provider went away.
+        in_flight: calls pending now.
+        late: replies that came after their call was given up. Not a part of `asked`.
+        node_p50: median time in seconds that the far node took to reply, or None if there is no figure.
+        node_p99: 99th percentile of that time.
+        way_p50: median time in seconds there and back through both bridges and the link, or None if there is no figure.
+        way_p99: 99th percentile of that time.
+        last_failure: the last call without a reply and the reason, or an empty string.
     """
 
     asked: int = 0
@@ -134,11 +134,11 @@ class GoalSnapshot:
 
     Attributes:
         id: 32 hexadecimal digits.
-        state: as action_msgs/msg/GoalStatus has them, ``accepted``, ``executing``, ``canceling``, ``succeeded``,
-            ``canceled`` or ``aborted``; ``asked`` or ``rejected``; ``unknown``: nobody here knows what became of it.
-        since: s since the epoch, when it came to that state.
-        feedbacks: feedback messages that crossed.
-        result_awaited: a caller waits for its result.
+        state: a state of action_msgs/msg/GoalStatus: ``accepted``, ``executing``, ``canceling``, ``succeeded``,
+            ``canceled`` or ``aborted``; or ``asked``, ``rejected``, or ``unknown`` if no report of its end came.
+        since: s since the epoch when it reached that state.
+        feedbacks: number of feedback messages that crossed.
+        result_awaited: whether a caller waits for its result.
     """
 
     id: str
@@ -149,44 +149,44 @@ class GoalSnapshot:
 
 
 FIELDS_LENGTH = 32 << 10
-"""Bytes of the text that they are written in."""
+"""Longest YAML text of a message's fields, in bytes."""
 
 Fields: TypeAlias = str | list["Fields"] | dict[str, "Fields"] | None
-"""As it stands in YAML. Whether ``1.10`` is a number or a text, the field's type says. None: nothing is written."""
+"""Fields as written in YAML; a field's type decides whether ``1.10`` is a number or a text. None means no value."""
 
 
 class FieldError(ValueError):
-    """Something does not fit into its field; the text names the field, and says what it takes."""
+    """A value does not fit into its field; the text names the field and what it accepts."""
 
 
 class Refused(StrEnum):
-    """Why a call was refused, or given up on the other side. Counts are kept by these words, so they are stable."""
+    """Reasons for a refused call, or one given up on the other side. They name counts, so they must not change."""
 
     CALLS_UNDER_WAY = "calls under way"
-    """The link has as many as it may."""
+    """The link already has as many pending calls as it may have."""
     BYTES_UNDER_WAY = "bytes under way"
-    """Likewise, of what calls and answers hold."""
+    """The link's pending calls and replies already hold as many bytes as they may."""
     CALLS_A_SECOND = "calls a second"
-    """More come than the link, the entry or the rights allow."""
+    """More calls come than the link, the topic's entry or the rights allow."""
     PAUSED = "paused"
     DISARMED = "disarmed"
     UNHEARD = "link silent"
-    """It is armed, and the two sides have not heard each other for a second; an older peer reads `OTHER`."""
+    """It is armed, but the two sides have not heard each other for a second; an older peer reads `OTHER`."""
     PROVIDER_GONE = "provider gone"
-    """Nobody serves it any more; the call reached nobody."""
+    """No node provides the service any more; the call reached no node."""
     TOO_LARGE = "too large"
     """The request or the response is longer than a message may be."""
     MALFORMED = "malformed"
-    """The request or the response is not one of its type; ROS did not get it."""
+    """The request or the response does not match its type; ROS did not get it."""
     TOO_COMPLEX = "too complex"
-    """The request or the response has too many strings and sequences to check, or the link's calls have."""
+    """The request or the response, or the link's calls together, have too many strings and sequences to check."""
     NOT_SENT = "not sent"
     """The middleware refused the request."""
     NOT_ARRIVED = "not arrived"
-    """A goal was under way when the link went, never arrived, and does not begin late."""
+    """The link broke before the goal arrived; the goal is not started late."""
     TOO_OLD = "too old"
-    """The request was older than `max_age` when it would have been handed on; the call reached nobody."""
+    """The request was older than `max_age` before delivery; the call reached no node."""
     LOST = "lost"
-    """It was under way when its provider went. Counted as lost, not as refused."""
+    """The provider went away while the call was pending. Counted as lost, not as refused."""
     OTHER = "other"
-    """A newer peer's reason."""
+    """A reason that only a newer peer knows."""

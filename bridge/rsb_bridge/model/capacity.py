@@ -11,23 +11,23 @@ from rsb_bridge.model.wording import Wording
 
 
 class CapacitySource(StrEnum):
-    """How a capacity is known, the best first."""
+    """Source of a capacity, the most reliable first."""
 
     BENCH = "bench"
-    """A bench over this link has measured it."""
+    """A bench over this link measured it."""
     FULL = "full"
-    """So much crossed while more waited to be sent."""
+    """The rate that crossed while more messages waited to be sent."""
     SEEN = "seen"
-    """So much has crossed; it may carry more."""
+    """The highest rate that crossed; the link may carry more."""
 
 
 class Capacity(msgspec.Struct, frozen=True, array_like=True, gc=False):
-    """What a link carries in one direction.
+    """The rate that a link can carry in one direction.
 
     Attributes:
-        bytes_per_second: on the wire.
+        bytes_per_second: rate on the wire.
         source: a `CapacitySource`.
-        at: s since the epoch, when that was.
+        at: time of the measurement, s since the epoch.
     """
 
     bytes_per_second: float
@@ -35,16 +35,16 @@ class Capacity(msgspec.Struct, frozen=True, array_like=True, gc=False):
     at: float
 
     def age(self, now: float) -> float:
-        """S since it was measured, at `now` (s since the epoch)."""
+        """Return the seconds since the measurement, at `now` (s since the epoch)."""
         return max(0.0, now - self.at)
 
 
 LASTS = 600.0
-"""s after which what was measured gives way to what is seen: a robot moves, and its network with it."""
+"""Seconds after which a seen rate replaces a measured one: a robot moves, and its network changes."""
 
 
 def newer(known: Capacity | None, found: Capacity) -> Capacity:
-    """Which of two counts: what a bench or a full link says, while it is recent; of what was only seen, the highest."""
+    """Choose between two capacities: a recent one of a bench or a full link, otherwise the highest rate seen."""
     if known is None or found.source != CapacitySource.SEEN:
         return found
     recent = found.at - known.at < LASTS
@@ -63,12 +63,12 @@ class LinkFull(Wording):
 
 
 class Fullness(msgspec.Struct, frozen=True, array_like=True, gc=False):
-    """One direction of a link that is full.
+    """One full direction of a link.
 
     Attributes:
         carried: bytes/s that arrive.
-        asked: bytes/s that its topics ask for.
-        topics: names on this side of the topics that ask for the most, the greatest first.
+        asked: bytes/s that its topics want to send.
+        topics: names on this side of the topics that want the most, largest first.
     """
 
     carried: float
@@ -77,7 +77,7 @@ class Fullness(msgspec.Struct, frozen=True, array_like=True, gc=False):
 
     @property
     def share(self) -> str:
-        """Text such as ``carries 25 of 48 kB/s``."""
+        """Share that crosses: ``carries 25 of 48 kB/s``."""
         return LinkFull.SHARE(rates=rates_text(self.carried, self.asked))
 
     def warning(self, way: str) -> str:

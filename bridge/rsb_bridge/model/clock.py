@@ -1,4 +1,4 @@
-"""The clock of all stamps by which the age of messages is measured: a wall clock that nobody sets."""
+"""The clock for the stamps that measure messages' ages: a wall clock that is never set."""
 
 from __future__ import annotations
 
@@ -6,24 +6,24 @@ import time
 
 
 class Clock:
-    """The wall clock, which may be set at any time: for time stamps; and one to measure how long."""
+    """A wall clock for time stamps, which may be set at any time, and a steady clock for durations."""
 
     def time_ns(self) -> int:
-        """The time now, in nanoseconds since the epoch."""
+        """Return the time in nanoseconds since the epoch."""
         return time.time_ns()
 
     def steady(self) -> float:
-        """Seconds on a clock that nobody sets, and that goes on while the machine sleeps."""
+        """Return the seconds of a clock that is never set and continues while the machine sleeps."""
         return time.clock_gettime(time.CLOCK_BOOTTIME)
 
 
 _STEP, _DRIFT, _MOST = 20_000_000, 1e-4, 50_000_000
-"""ns by which the wall clock may be off since the last look, ns a ns since then, and ns at the most: beyond it, it was
+"""ns by which the wall clock may be off since the last check, ns a ns since then, and ns at the most: beyond it, it was
 set."""
 _SAME = 1_000_000
-"""ns: a smaller change of the shift is no news."""
+"""ns; smaller changes of the shift are ignored."""
 _READ_WITHIN = 1_000_000
-"""ns within which both clocks have to be read."""
+"""Longest time in ns between the readings of the two clocks."""
 _TRIES = 10
 _UNSURE_FOR = 10_000_000_000
 """ns after the wall clock was set in which wall stamps are not trusted: older stamps may still come, if the thread that
@@ -38,7 +38,7 @@ class StampClock:
 
     Attributes:
         shift: ns, this clock minus the wall clock.
-        steps: how often the wall clock was seen to be set.
+        steps: number of times that the wall clock was set.
     """
 
     def __init__(self, clock: Clock) -> None:
@@ -72,7 +72,7 @@ class StampClock:
         return self._stepped is None or self.now() - self._stepped >= _UNSURE_FOR
 
     def _measure(self) -> tuple[int, int]:
-        """Read both clocks at one moment, as well as that can be done; the shift and the time."""
+        """Read both clocks at nearly the same moment; return the shift and the time."""
         shift = now = 0
         for _ in range(_TRIES):
             before = self.now()

@@ -1,4 +1,4 @@
-"""Who gives the command that is being carried out."""
+"""The operator and the console of the command that is being executed."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _undo = ContextVar("undo", default=False)
 
 
 def operator() -> str:
-    """Whoever gives the present command, in words.
+    """Return the operator of the present command, in words.
 
     A task has the operator of the code that started it, on another thread, too.
     """
@@ -25,10 +25,10 @@ def operator() -> str:
 
 @contextlib.contextmanager
 def acting(who: str) -> Iterator[None]:
-    """Give commands in somebody's name.
+    """Give commands in the name of an operator.
 
     Args:
-        who: in words: ``anna on pts/3``.
+        who: the operator in words: ``anna on pts/3``.
     """
     token = _operator.set(who)
     try:
@@ -38,13 +38,13 @@ def acting(who: str) -> Iterator[None]:
 
 
 def is_undo() -> bool:
-    """Whether the present command takes back an earlier one of the same operator."""
+    """Whether the present command undoes an earlier one of the same operator."""
     return _undo.get()
 
 
 @contextlib.contextmanager
 def undoing(undo: bool = True) -> Iterator[None]:
-    """Mark the commands given inside as ones that take back earlier commands."""
+    """Mark the commands given inside as undoing earlier commands."""
     token = _undo.set(undo)
     try:
         yield
@@ -59,7 +59,7 @@ _console: ContextVar[Hashable] = ContextVar("console", default=OWN)
 
 
 def console() -> Hashable:
-    """What tells the present command's console from all others.
+    """Return the identity of the present command's console.
 
     A task has the console of the code that started it, on another thread, too.
     """
@@ -68,7 +68,6 @@ def console() -> Hashable:
 
 @contextlib.contextmanager
 def on_console(which: Hashable) -> Iterator[None]:
-    """Give commands on a console."""
     token = _console.set(which)
     try:
         yield

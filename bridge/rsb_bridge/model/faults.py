@@ -38,7 +38,7 @@ def pattern_is_wrong(pattern: PatternSnapshot) -> bool:
 
 
 def route_is_wrong(route: RouteSnapshot) -> bool:
-    """Whether a route has a fault: not what nobody has begun to use, and not what an operator wants."""
+    """Whether a route has a fault. An unused route has none, nor one in a state that an operator wants."""
     if route.state is State.UNHEARD:
         return route.cause != Cause.NO_SUBSCRIBER
     return route.state not in _NOTHING_WRONG and not route_waits(route)
@@ -60,14 +60,14 @@ def pattern_needs_attention(pattern: PatternSnapshot) -> bool:
 
 
 def route_waits(route: RouteSnapshot) -> bool:
-    """Whether it waits for its first message, for however long; unless its entry says how long is too long."""
+    """Whether it waits for its first message and its entry sets no limit on the wait."""
     if route.state is State.STALE:
         return route.age is None and not route.spec.stale_after
     return route.state is State.WAITING
 
 
 LASTS = 2.0
-"""s for which a fault lasts before it is reported, and is gone before its end is reported."""
+"""Seconds that a fault must last before it is reported, and be gone before its end is reported."""
 
 Faulty: TypeAlias = LinkSnapshot | RouteSnapshot | PatternSnapshot
 _Key = tuple[str, str]
@@ -76,8 +76,6 @@ _Kind = tuple[str, str]
 
 
 class ChangeKind(StrEnum):
-    """Kind of a fault's change."""
-
     BEGUN = "begun"
     CHANGED = "changed"
     """Its state or its cause differs from the last report."""
@@ -89,7 +87,7 @@ class FaultChange:
     """A change of the fault of a link, a route or a pattern.
 
     Attributes:
-        kind: of the change.
+        kind: kind of the change.
         subject: the newest snapshot of the link, the route or the pattern.
         removed: whether it was removed.
         before: the state and the cause of the last report; of a fault that has begun, the earlier ones, or empty.

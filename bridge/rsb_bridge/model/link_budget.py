@@ -1,8 +1,8 @@
-"""What one more topic would cost on a link, and what else would suffer: worked out of a snapshot, before it is added.
+"""The cost of one more topic on a link and its effect on other topics, computed from a snapshot before it is added.
 
-What a link carries is a `Capacity`, with its source and age: what crossed while more waited, the most that has been
-seen, or what a bench has measured. What a topic brings is measured where it is bridged already, over another link or
-this one; else it is what topics of its type usually bring, and said to be that.
+A `Capacity` has a source and an age: the rate that crossed while more waited, the highest rate seen, or the result of
+a bench. A topic's load is measured if some link of this engine already bridges it; otherwise it is the usual load of
+its type, and marked as such.
 """
 
 from __future__ import annotations
@@ -25,17 +25,17 @@ if TYPE_CHECKING:
     from rsb_bridge.model.snapshot import RouteSnapshot, Snapshot
 
 FLOOR = 0.05
-"""Part of the link that each lower priority keeps together, whatever those above it want."""
+"""Share of the link that the topics of each lower priority keep together, however much the higher ones want."""
 
 K = TypeVar("K", bound="Hashable")
 
 
 class Wish(NamedTuple):
-    """What one topic wants.
+    """The demand of one topic.
 
     Attributes:
-        rank: of its priority; the higher one comes first.
-        bytes_per_second: on the wire.
+        rank: rank of its priority; higher ranks are served first.
+        bytes_per_second: rate on the wire.
     """
 
     rank: int
@@ -43,16 +43,17 @@ class Wish(NamedTuple):
 
 
 def allot(capacity: float, wishes: Mapping[K, Wish]) -> dict[K, float]:
-    """Divide a link: the highest priority first, each of the lower ones keeping at least `FLOOR`.
+    """Divide a link by priority, highest first; each lower priority keeps at least `FLOOR`.
 
-    Topics of one priority share equally (max-min fairness): who wants less than an equal share gets it all.
+    Topics of one priority share equally (max-min fairness): a topic that wants less than an equal share gets all it
+    wants.
 
     Args:
         capacity: bytes/s.
-        wishes: of each topic.
+        wishes: the demand of each topic.
 
     Returns:
-        Bytes/s by topic, at most what it wants.
+        Bytes/s by topic, at most its demand.
     """
     ranks = sorted({wish.rank for wish in wishes.values()}, reverse=True)
     floors = {rank: min(_sum(wishes, rank), FLOOR * capacity) for rank in ranks}
@@ -68,7 +69,7 @@ def allot(capacity: float, wishes: Mapping[K, Wish]) -> dict[K, float]:
 
 
 def fair_shares(capacity: float, wanted: Mapping[K, float]) -> dict[K, float]:
-    """Divide bytes/s equally among those who want more than their part, after those who want less."""
+    """Divide bytes/s: small demands are met in full, and the larger ones share the rest equally."""
     shares: dict[K, float] = {}
     left = capacity
     for count, (key, each) in enumerate(sorted(wanted.items(), key=_amount)):
@@ -86,14 +87,14 @@ def _sum(wishes: Mapping[K, Wish], rank: int) -> float:
 
 
 def highest(ranks: Sequence[int]) -> int:
-    """The rank that comes first; 0 where there is none."""
+    """Return the highest rank, or 0 if there are no ranks."""
     return max(ranks, default=0)
 
 
 PER_MESSAGE = 60
-"""Bytes that a message takes on the wire beside its content, about."""
+"""Approximate overhead of a message on the wire, in bytes."""
 _SUFFERS = 0.97
-"""Part of what a topic wants: with less than that, it suffers."""
+"""A topic suffers if it gets less than this share of its demand."""
 _NAMED = 3
 
 TYPICAL: Final[dict[str, tuple[float, int]]] = {
@@ -117,32 +118,32 @@ TYPICAL: Final[dict[str, tuple[float, int]]] = {
     "tf2_msgs/msg/TFMessage": (50.0, 300),
     "visualization_msgs/msg/MarkerArray": (5.0, 10_000),
 }
-"""Hz, and bytes of a message, that topics of a type usually have: an image is 640 × 480 in colour, a cloud a 16-line
-lidar's turn, a scan 500 ranges with their intensities, a map 380 × 380 cells."""
+"""Usual rate (Hz) and message size (bytes) by type: an image is 640 × 480 in colour, a cloud one turn of a 16-line
+lidar, a scan 500 ranges with their intensities, a map 380 × 380 cells."""
 
 
 class LoadSource(StrEnum):
-    """How it is known what a topic brings, the best first."""
+    """Source of a topic's load, the most reliable first."""
 
     GIVEN = "given"
     HERE = "here"
-    """It is bridged already, be it over another link."""
+    """Measured on this topic, which some link already bridges."""
     ALIKE = "alike"
-    """Another topic of its type is."""
+    """Measured on another topic of the same type."""
     TYPICAL = "typical"
-    """Topics of its type usually do."""
+    """The usual load of its type."""
     UNKNOWN = "unknown"
 
 
 class Load(NamedTuple):
-    """What a topic brings.
+    """The load that a topic puts on a link.
 
     Attributes:
         rate: Hz.
         size: bytes of a message.
-        source: how that is known.
-        like: the topic it was measured on; empty: it is not measured.
-        thinned: that topic yields to others now, so it brings more than was measured.
+        source: source of these figures.
+        like: the topic it was measured on, or an empty string if it was not measured.
+        thinned: that topic is thinned now, so its full load is higher than measured.
     """
 
     rate: float
@@ -153,18 +154,18 @@ class Load(NamedTuple):
 
     @property
     def bytes_per_second(self) -> float:
-        """On the wire."""
+        """Rate on the wire."""
         return self.rate * (self.size + PER_MESSAGE)
 
 
 class Sufferer(NamedTuple):
-    """A topic that would have less.
+    """A topic that would get less.
 
     Attributes:
         topic: its name on this side.
-        before: bytes/s that it has now.
-        after: bytes/s that it would have.
-        thinned: it yields to a higher priority; False: it is the same, and its queue overflows.
+        before: bytes/s that it gets now.
+        after: bytes/s that it would get.
+        thinned: whether it would be thinned for a higher priority; otherwise its queue overflows.
     """
 
     topic: str
@@ -174,14 +175,14 @@ class Sufferer(NamedTuple):
 
 
 class Cost(NamedTuple):
-    """What a topic would cost on a link.
+    """The cost of a topic on a link.
 
     Attributes:
-        load: what it brings; its source says whether anything is known.
-        used: bytes/s that cross now, the same way.
-        capacity: what the link carries that way; None: not known.
-        gets: bytes/s that it would have itself.
-        sufferers: who would have less.
+        load: the topic's load; its source may be `LoadSource.UNKNOWN`.
+        used: bytes/s that cross now in the same direction.
+        capacity: the link's capacity in that direction, or None if unknown.
+        gets: bytes/s that the topic itself would get.
+        sufferers: topics that would get less.
     """
 
     load: Load
@@ -192,7 +193,7 @@ class Cost(NamedTuple):
 
     @property
     def over(self) -> float:
-        """Bytes/s that are more than the link is known to carry; 0: it fits, or nothing is known."""
+        """Bytes/s beyond the link's capacity, or 0 if the topic fits or the capacity is unknown."""
         if self.capacity is None:
             return 0.0
         return max(0.0, self.used + self.load.bytes_per_second - self.capacity.bytes_per_second)
@@ -208,16 +209,16 @@ def cost_of(
     size: float | None = None,
     replaces: str = "",
 ) -> Cost:
-    """What a topic would cost.
+    """Compute the cost of adding a topic to a link.
 
     Args:
-        now: of this side's engine.
+        now: snapshot of this side's engine.
         link: the client's name.
         topic: as the client sees it; a topic, not a service or the like.
-        type_name: as a graph has it; empty: the topic's own entry says it, or nobody knows.
-        rate: Hz, if somebody says so.
-        size: bytes of a message, likewise.
-        replaces: key of the route that it takes the place of; empty: it is a new one.
+        type_name: type from the ROS graph, or empty to use the topic's own entry.
+        rate: Hz given by the operator, or None to estimate it.
+        size: bytes of a message given by the operator, or None to estimate it.
+        replaces: key of the route that the topic replaces, or an empty string if it is new.
     """
     outgoing = (topic.direction == "transmit") == (now.role == "client")
     load = load_of(now, topic, type_name=type_name, rate=rate, size=size)
@@ -231,7 +232,7 @@ def cost_of(
     wishes: dict[str, Wish] = {route.key: Wish(RANKS[route.spec.priority], _wire_rate(route)) for route in routes}
     used = sum(wish.bytes_per_second for wish in wishes.values())
     if capacity is not None and capacity.source == CapacitySource.SEEN and capacity.bytes_per_second < used:
-        capacity = msgspec.structs.replace(capacity, bytes_per_second=used)  # it is seen just now
+        capacity = msgspec.structs.replace(capacity, bytes_per_second=used)  # more than before crosses right now
     own = Wish(RANKS[topic.priority], load.bytes_per_second)
     if capacity is None:
         return Cost(load, used, None, own.bytes_per_second)
@@ -249,7 +250,7 @@ def cost_of(
 def load_of(
     now: Snapshot, topic: Topic, *, type_name: str = "", rate: float | None = None, size: float | None = None
 ) -> Load:
-    """What a topic brings, as well as that is known; arguments as of `cost_of`."""
+    """Estimate the load of a topic; `cost_of` describes the arguments."""
     type_name = _full_name(type_name or ("" if topic.type == "auto" else topic.type), now.routes)
     rate = rate or topic.expected_rate
     found = _measured(now.routes, topic, type_name)
@@ -264,7 +265,7 @@ def load_of(
 
 
 def _full_name(name: str, routes: Iterable[RouteSnapshot]) -> str:
-    """``sensor_msgs/msg/Image`` for ``Image``, as session files may say it; others stay as they are."""
+    """Expand a short type name from a session file: ``Image`` becomes ``sensor_msgs/msg/Image``; others stay."""
     found = {full for full in (*TYPICAL, *(route.type_name for route in routes)) if full.rpartition("/")[2] == name}
     return found.pop() if "/" not in name and len(found) == 1 else name
 
@@ -277,7 +278,7 @@ def _measured(routes: Iterable[RouteSnapshot], topic: Topic, type_name: str) -> 
         thinned = route.cause == Cause.THINNED
         if route.rate > 0.0 and route.state.flows:
             rate, size = route.rate, route.bytes_per_second / route.rate
-        elif route.expected_rate and route.messages_total:  # it is paused, say: its rates only fade
+        elif route.expected_rate and route.messages_total:  # its present rates fade while it is paused, for instance
             rate, size = route.expected_rate, route.bytes_total / route.messages_total
         else:
             continue
@@ -294,7 +295,7 @@ def _wire_rate(route: RouteSnapshot) -> float:
 
 
 def as_report(cost: Cost) -> dict[str, object]:
-    """A cost for programs: in bytes/s, Hz and bytes."""
+    """Convert a cost for programs: in bytes/s, Hz and bytes."""
     capacity = cost.capacity
     return {
         "bytes_per_second": cost.load.bytes_per_second,
@@ -314,30 +315,30 @@ def as_report(cost: Cost) -> dict[str, object]:
 
 
 class CostText(Wording):
-    """What a topic brings, what it would cost on a link, and what would suffer."""
+    """Texts about a topic's load, its cost on a link and the topics that would suffer."""
 
-    UNKNOWN = "cost on the link: not known: nothing of its type is bridged here (--rate and --size give it)"
+    UNKNOWN = "cost on the link: unknown, no topic of this type is bridged; give --rate and --size"
     LOAD = "about {amount} ({rate:.3g} Hz × {size}, {source})"
-    CAPACITY_UNKNOWN = "{load}; what the link carries is not known yet"
+    CAPACITY_UNKNOWN = "{load}; the link's capacity is not known yet"
     IN_USE = "{load}; the link {capacity}, {used} in use"
     GIVEN = "as given"
     HERE = "measured on {topic}"
     ALIKE = "as {topic} of the same type"
     TYPICAL = "usual for its type, not measured"
-    THINNED_NOW = "{source}, which is thinned now and brings more"
+    THINNED_NOW = "{source}, which is thinned now; its full load is higher"
     CARRIED = "has carried {rate} at most"
     CARRIES = "carries {rate} (measured {age} ago)"
     CARRIES_BY_BENCH = "carries {rate} (measured by a bench {age} ago)"
     THINS = "thins {topics}"
-    CROWDS = "crowds {topics}: give what matters priority: high"
+    CROWDS = "crowds {topics}: set priority: high where it matters"
     CROSSES = "{share:.0%} of its own messages would cross"
     TOO_MUCH = "{amount} too much: {effects}"
-    PERHAPS_TOO_MUCH = "{amount} more than has crossed yet. If the link carries no more: {effects}"
-    PERHAPS_CARRIED = "{amount} more than has crossed yet: it may carry that, or not"
+    PERHAPS_TOO_MUCH = "{amount} more than ever crossed. If the link cannot carry it: {effects}"
+    PERHAPS_CARRIED = "{amount} more than ever crossed: the link may or may not carry it"
 
 
-def told(cost: Cost, now: float) -> tuple[str, ...]:
-    """One or two lines for an operator, at `now` (s since the epoch)."""
+def describe_cost(cost: Cost, now: float) -> tuple[str, ...]:
+    """Return one or two lines for an operator, at `now` (s since the epoch)."""
     if cost.load.source is LoadSource.UNKNOWN:
         return (CostText.UNKNOWN(),)
     load, capacity = cost.load, cost.capacity
@@ -384,7 +385,7 @@ def _size(size: float) -> str:
 
 
 def amount(bytes_per_second: float) -> str:
-    """``1.1 MB/s``."""
+    """Format bytes per second: ``1.1 MB/s``."""
     for unit, name in ((1e6, "MB/s"), (1e3, "kB/s")):
         if bytes_per_second >= unit:
             return f"{bytes_per_second / unit:.3g} {name}"

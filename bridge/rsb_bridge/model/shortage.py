@@ -1,4 +1,4 @@
-"""What keeps a file from being written, in plain words: which file system, what it lacks, and the remedy."""
+"""Reasons why a file cannot be written, in plain words: the file system, the lack and the remedy."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import Final
 from rsb_bridge.model.wording import Wording
 
 SHORTAGES: Final = frozenset({errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EFBIG})
-"""The errors that are no mistake of a path or of rights: there is no room, or none for this user."""
+"""Errors about space or quota rather than about a path or rights."""
 
 
 class Shortage(Wording):
@@ -18,17 +18,17 @@ class Shortage(Wording):
 
     DISK_FULL = "{error}: the disk is full; free space on {mount} (df -h {mount})"
     NO_INODES = "{error}: the disk has no room for more files (df -i); free space on {mount} (df -h {mount})"
-    QUOTA = "{error}: this user may have no more on {mount} (quota -s); remove files of yours there"
-    READ_ONLY = "{error}: {mount} may only be read; if nobody meant that, its disk has failed (dmesg)"
-    FILE_SIZE = "{error}: this process may write no larger files (ulimit -f, LimitFSIZE)"
+    QUOTA = "{error}: this user's quota on {mount} is used up (quota -s); remove some of your files there"
+    READ_ONLY = "{error}: {mount} is read-only; if that is unexpected, its disk has failed (see dmesg)"
+    FILE_SIZE = "{error}: the file is too large for this process; raise ulimit -f or LimitFSIZE"
 
 
 def why_not_written(error: OSError, path: Path) -> str:
-    """Why a file cannot be written.
+    """Return the reason why a file cannot be written.
 
     Args:
-        error: what writing it raised.
-        path: of the file; a folder will do.
+        error: error that writing it raised.
+        path: path of the file or of its folder.
     """
     reason = error.strerror or str(error)
     if error.errno not in SHORTAGES:
@@ -46,7 +46,7 @@ def why_not_written(error: OSError, path: Path) -> str:
 
 
 def _mount_of(path: Path) -> Path:
-    """The folder at which the file system of a path is mounted."""
+    """Return the folder at which the file system of a path is mounted."""
     folder = Path(os.path.realpath(path))
     while not (folder.exists() and folder.is_mount()) and folder != folder.parent:
         folder = folder.parent

@@ -64,7 +64,7 @@ def _json_escape(match: re.Match[str]) -> str:
 
 
 def encodable(text: str) -> str:
-    """Text that UTF-8 can hold: of a path that is none, the bytes stand as escape sequences."""
+    """Make a path's text valid UTF-8; invalid bytes become escape sequences."""
     return text if text.isascii() else text.encode("utf-8", "backslashreplace").decode()
 
 
@@ -87,12 +87,12 @@ def _escape(character: str) -> str:
 
 
 def plural(count: int, noun: str) -> str:
-    """The noun as it follows the count: ``topic`` after 1, else ``topics``."""
+    """Return the noun in the form for a count: ``topic`` for 1, otherwise ``topics``."""
     return noun if count == 1 else f"{noun}s"
 
 
 def join_first(parts: Sequence[str], most: int) -> str:
-    """``a``, ``a and b``, ``a, b and c``; of more than `most` parts, the first ones: ``a, b, c and 2 more``."""
+    """Join parts: ``a and b``, ``a, b and c``; beyond `most` parts, shorten: ``a, b, c and 2 more``."""
     shown = [*parts[:most]]
     if (more := len(parts) - most) > 0:
         shown.append(f"{more} more")

@@ -1,4 +1,4 @@
-"""What a session needs to know of each transport. `rsb_bridge.transport` has the sockets.
+"""Facts about each transport that a session needs. `rsb_bridge.transport` has the sockets.
 
 Validation reads these facts, so that a session is checked without loading a socket or an event loop.
 """
@@ -20,19 +20,19 @@ class TransportTraits:
 
     Attributes:
         name: in session files (`Topic.protocol`) and on the wire (`Propose.transport`).
-        port_kind: what its numbers are called, for example ``port``; transports of the same kind share them.
-        ports: the numbers that there are.
-        topic_ports: the numbers that a topic may name for itself.
-        ip_ports: the numbers are the machine's TCP or UDP ports, which other programs have, too.
-        slow: it carries some 50 kB/s, so what may be lost should not queue for seconds.
-        compression: of a topic that names none.
-        multiplexed: the routes of a link share one stream per number, and the link's own stream is one of them. Else
-            each route has a stream of its own.
+        port_kind: word for its numbers, for example ``port``; transports of the same kind share them.
+        ports: range of valid numbers.
+        topic_ports: range of the numbers that a topic may choose.
+        ip_ports: whether the numbers are the machine's TCP or UDP ports, which other programs use, too.
+        slow: whether it carries only some 50 kB/s, so that best-effort messages should not queue for seconds.
+        compression: compression of topics that choose none.
+        multiplexed: whether the routes of a link share one stream per number, including the link's own stream.
+            Otherwise each route has its own stream.
         companions: names of the transports that a server of such links binds to the same number for their routes.
-        reliable: what is sent comes, or its sender is told that the carrier is lost.
-        best_effort: name of the companion that carries topics whose session asks for best effort, where they name none;
-            empty: they go as all others.
-        local: its addresses are this machine's own, so that a server that can't bind one cannot start.
+        reliable: whether every sent message arrives unless the carrier breaks and reports it.
+        best_effort: name of the companion for topics with best-effort QoS that choose no transport, or an empty string
+            if they use this transport.
+        local: whether its addresses are this machine's own, so that a server that can't bind one cannot start.
     """
 
     name: ClassVar[Protocol]
@@ -123,10 +123,9 @@ _BY_NAME: dict[str, type[TransportTraits]] = {
 
 
 def named(name: str) -> type[TransportTraits]:
-    """The transport of that name."""
     return _BY_NAME[name]
 
 
 def of_link(host: str) -> type[TransportTraits]:
-    """The transport of a link whose session has that `server_ip`."""
+    """Return the transport of a link whose session has that `server_ip`."""
     return next(traits for traits in _BY_NAME.values() if traits.carries_links_to(host))

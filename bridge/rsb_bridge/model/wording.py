@@ -8,8 +8,8 @@ from enum import Enum
 class Wording(Enum):
     """A table of texts. A member's name is its code; its value is a template in the syntax of `str.format`.
 
-    A table stands beside the code that uses it, one for each concept. Programs and tests may rely on a code and its
-    parameters; the text is for people and may change.
+    Each concept has one table, in the module that uses it. Programs and tests may rely on a code and its parameters;
+    the text is for people and may change.
 
     Example:
         >>> class Broken(Wording):

@@ -100,8 +100,8 @@ class Expired(NamedTuple):
     """Messages that were dropped lately because they were too old.
 
     Attributes:
-        cause: of most of them.
-        lost: how many.
+        cause: cause of most of them.
+        lost: number of dropped messages.
         of: the number of messages among which these were lost.
         limit: s that they may be old.
         since: s, when it began.
@@ -143,7 +143,7 @@ class MessageAge:
         """Apply the demands of both sides.
 
         Args:
-            demands: of both sides: s, 0 for no limit, or None if a session sets none.
+            demands: limits of both sides: s, 0 for no limit, or None if a session sets none.
             armed: whether it has to be armed.
             lifespan: s, of its publishers, or 0 for none.
         """
@@ -239,10 +239,10 @@ class MessageAge:
         return self._counts.total()
 
     def tick(self, messages: int, now: float) -> None:
-        """Once a second, at `now` (s).
+        """Update the figures, once a second, at `now` (s).
 
         Args:
-            messages: that came to this half so far.
+            messages: number of messages that came to this half so far.
             now: s.
         """
         if not self.is_on and not self._lately:

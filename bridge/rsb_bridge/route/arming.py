@@ -1,8 +1,8 @@
-"""Whether a topic that has to be armed is armed. Any doubt means that it is not.
+"""The armed state of a topic that requires arming. In any doubt the topic is not armed.
 
-Both sides keep this state for themselves: neither sends nor publishes a message because the other one says so. An
-opening of a route is armed once at most. To be armed again it has to be opened anew, under another route id and other
-keys, so that no message of an earlier arming can be published, wherever it waits (PROTOCOL.md, 7).
+Each side keeps this state by itself and never sends or publishes a message on the other side's word alone. An opening
+of a route is armed at most once. Arming it again takes a new opening with another route id and other keys, so that no
+message of an earlier arming can be published, wherever it waits (PROTOCOL.md, 7).
 """
 
 from __future__ import annotations
@@ -27,15 +27,15 @@ if TYPE_CHECKING:
     from rsb_bridge.wire.framing import Message
 
 ANSWERED_WITHIN = 5.0
-"""s in which the other side has to agree."""
+"""Seconds in which the other side has to agree."""
 CONSOLE_SILENT_AFTER = 5.0
-"""s without a sign of life after which the console that armed a topic counts as gone."""
+"""Seconds without a sign of life after which the console that armed a topic counts as gone."""
 PEER_GRACE = 2.0
-"""s that a side waits beyond the deadman for the other one, whose operator's keys it is told of once a second."""
+"""Seconds beyond the deadman that a side waits if the other side armed it: keys are reported once a second."""
 
 
 class Disarmed(StrEnum):
-    """Why a topic is not armed. Programs and tests may rely on it; `EventCode.ROUTE_DISARMED` has it as its cause."""
+    """Reasons for a topic not being armed, also the cause of `EventCode.ROUTE_DISARMED`. Programs may rely on them."""
 
     NOT_YET = "not_yet"
     """Nobody has armed it since it was opened."""
@@ -53,9 +53,9 @@ class Disarmed(StrEnum):
     """The other side's operators arm topics more often than people do."""
     REMOVED = "removed"
     CHANNEL_LOST = "channel_lost"
-    """Its data connection ended, as it does with the process at its other end, which may be seen first."""
+    """Its data connection ended, which may be noticed before the end of the process at its other end."""
     REOPENED = "reopened"
-    """The topic was set up anew: its type, its limits or its connection changed."""
+    """The topic was set up again: its type, its limits or its connection changed."""
     LEASE = "lease"
     """One of the two sides, or the link, stood still for too long."""
     LINK_SLOW = "link_slow"
@@ -64,7 +64,7 @@ class Disarmed(StrEnum):
     """The other side's rsb-console cannot tell old commands from new ones."""
 
 
-SAID = {
+DISARM_TEXT = {
     Disarmed.NOT_YET: "nobody has armed it",
     Disarmed.OPERATOR: "disarmed by an operator",
     Disarmed.DEADMAN: "no key was pressed in time",
@@ -76,7 +76,7 @@ SAID = {
     Disarmed.TOO_OFTEN: "it was armed too often",
     Disarmed.REMOVED: "the topic is not bridged any more",
     Disarmed.CHANNEL_LOST: "its data connection ended",
-    Disarmed.REOPENED: "the topic was set up anew",
+    Disarmed.REOPENED: "the topic was set up again",
     Disarmed.LEASE: "a side or the link stood still",
     Disarmed.LINK_SLOW: f"the link is too slow: a round trip takes over {SLOW:g} s; use a faster link",
     Disarmed.PEER_TOO_OLD: "the other side's rsb-console is too old for arming: update it",
@@ -94,7 +94,7 @@ class _Phase(Enum):
 
 
 class Arming:
-    """One side's half of it.
+    """The armed state of a route on one side.
 
     Attributes:
         required: whether either side's session demands arming.
@@ -105,7 +105,7 @@ class Arming:
         console: that operator's console on this side, or None if it was armed on the other side or is not armed.
         why: the cause why it is not armed.
         reason: the same as a text.
-        lease: of the link, or None before the first opening: nothing passes without it.
+        lease: lease of the link, or None before the first opening: nothing passes without it.
     """
 
     __slots__ = (
@@ -119,7 +119,7 @@ class Arming:
         self.own: Demand = NO_DEMAND
         self.demanded_by: tuple[str, ...] = ()
         self.why = Disarmed.NOT_YET
-        self.reason = SAID[self.why]
+        self.reason = DISARM_TEXT[self.why]
         self.lease: Lease | None = None
         self._first = 0  # the lease's number when somebody armed it
         self._answered: Callable[[], None] | None = None
@@ -134,10 +134,10 @@ class Arming:
         self._seen_at = 0.0
         self._key_pressed = False
 
-    # --- what has to be armed
+    # --- demands
 
     def demand(self, *, required: bool, deadman: float) -> None:
-        """One side's session says whether it has to be armed, and within how many s a key has to be pressed."""
+        """Add the demand of one side's session: whether arming is required, and the deadman in seconds."""
         if not required:
             return
         if not self.required:
@@ -146,16 +146,15 @@ class Arming:
             self.deadman = min(filter(None, (self.deadman, deadman)), default=0.0)
 
     def opened(self, *, required: bool, deadman: float) -> None:
-        """A new opening begins, disarmed."""
         self.required = False
         self.demand(required=required, deadman=deadman)
         self._clear(_Phase.FREE)
 
-    # --- how it is
+    # --- state
 
     @property
     def held(self) -> bool:
-        """Whether somebody has armed it, be it that the other side has still to agree."""
+        """Whether an operator has armed it, even if the other side has not agreed yet."""
         return self._phase in (_Phase.ASKED, _Phase.ARMED)
 
     @property
@@ -214,7 +213,7 @@ class Arming:
         return number, (payload, stamp, flags & ~LEASED)
 
     def snapshot(self, now: float) -> ArmingSnapshot | None:
-        """As user interfaces show it at `now` (s); None: it need not be armed."""
+        """Return the state for user interfaces at `now` (s), or None if arming is not required."""
         if not self.required:
             return None
         armed = self.stands(now)
@@ -224,17 +223,17 @@ class Arming:
         if armed:
             return ArmingSnapshot(armed, self.by, here, left, self.deadman, self.demanded_by)
         overdue = self.overdue(now)
-        why, reason = (self.why, self.reason) if overdue is None else (overdue, SAID[overdue])
+        why, reason = (self.why, self.reason) if overdue is None else (overdue, DISARM_TEXT[overdue])
         return ArmingSnapshot(armed, "", here, left, self.deadman, self.demanded_by, why, reason)
 
     # --- arming
 
     def ask(self, by: str, console: Hashable, now: float, answered: Callable[[], None]) -> None:
-        """An operator of this side arms it; nothing crosses before the other side agrees.
+        """Arm it for an operator of this side; nothing crosses before the other side agrees.
 
         Args:
             by: the operator, in words.
-            console: on which.
+            console: the operator's console.
             now: s.
             answered: called once messages may cross, or it is clear that they will not.
         """
@@ -243,7 +242,7 @@ class Arming:
         self._seen_at, self._deadline = now, now + ANSWERED_WITHIN
 
     def agreed(self, now: float) -> bool:
-        """The other side agrees, at `now` (s). Returns whether this side had asked."""
+        """Take the other side's agreement at `now` (s). Return whether this side had asked."""
         if self._phase is not _Phase.ASKED or now >= self._deadline:
             return False
         self._phase = _Phase.ARMED
@@ -251,18 +250,18 @@ class Arming:
         return True
 
     def opens(self) -> None:
-        """Messages may cross from now on: the operator who armed it is told."""
+        """Report success to the operator who armed it: messages may cross from now on."""
         self._answer()
 
     def take(self, by: str, now: float) -> None:
-        """An operator of the other side arms it, or has pressed a key, at `now` (s)."""
+        """Arm it for an operator of the other side, who armed it or pressed a key at `now` (s)."""
         self._hold(_Phase.ARMED, by, None)
         self._answer()
         self._begin_deadman(now, PEER_GRACE)
 
     def end(self, why: Disarmed, reason: str = "") -> None:
         """Disarm this opening for good; `reason` replaces the usual text of `why`."""
-        self.why, self.reason = why, reason or SAID[why]
+        self.why, self.reason = why, reason or DISARM_TEXT[why]
         self._clear(_Phase.SPENT)
 
     def _hold(self, phase: _Phase, by: str, console: Hashable | None) -> None:
@@ -281,7 +280,7 @@ class Arming:
     # --- the console
 
     def seen(self, console: Hashable, now: float, *, pressed: bool) -> None:
-        """A console gives a sign of life at `now` (s); `pressed`: its operator has pressed a key."""
+        """Note a console's sign of life at `now` (s); `pressed` means that its operator pressed a key."""
         if self.console is None or console != self.console:
             return
         self._seen_at = now
@@ -290,12 +289,12 @@ class Arming:
             self._key_pressed = True
 
     def take_press(self) -> bool:
-        """Whether a key was pressed here since the last call, which the other side has to be told."""
+        """Whether a key was pressed here since the last call, to be reported to the other side."""
         pressed, self._key_pressed = self._key_pressed, False
         return pressed
 
     def overdue(self, now: float) -> Disarmed | None:
-        """Why it has to be disarmed at `now` (s); None: it need not."""
+        """Return the reason to disarm it at `now` (s), or None."""
         if not self.held:
             return None
         if now >= self._deadline:
@@ -306,7 +305,7 @@ class Arming:
 
 
 def without_history(qos: Qos) -> Qos:
-    """A QoS without what late joiners get: a command that is older than the arming is nobody's."""
+    """Return a QoS without history for late joiners: a command from before the arming must not reach anybody."""
     return msgspec.structs.replace(qos, durability="volatile") if qos.latched else qos
 
 
@@ -330,11 +329,11 @@ class Settling:
 
     @property
     def under_way(self) -> bool:
-        """Whether something that was sent may still be published."""
+        """Whether messages already sent may still be published."""
         return self._timer is not None
 
     def begin(self, route_id: int, seconds: float) -> None:
-        """Begin for an opening, for so many seconds at most."""
+        """Begin for an opening, for at most `seconds`."""
         if seconds <= 0:
             return
         if self._timer is not None:

@@ -1,9 +1,9 @@
-"""What the publishers of a latched topic keep for late joiners: how many messages each.
+"""The history depth of each publisher of a latched topic: how many messages it keeps for late joiners.
 
 DDS does not announce the depth of a publisher's history, but a new subscription shows it: the history comes first. If
 it begins with message 6 and the newest is 10, the publisher keeps five. If it begins with message 1, the publisher
-keeps at least as many as have come. So messages of a publisher whose depth is not known yet are held back for a moment,
-until a short-lived second subscription (a probe) has shown what is kept of them.
+keeps at least as many as have come. So messages of a publisher with an unknown depth are held back for a moment, until
+a short-lived second subscription (a probe) has shown which of them the publisher keeps.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ _PROBES_EACH_UNTIL = 16
 _MOST_TRIES = 5
 _LAST_NUMBER = 2**63 - 1
 _FORGOTTEN_AFTER = 20.0
-"""s that a publisher is gone; longer than the peer keeps its history, as its messages may be numbered here."""
+"""Seconds a publisher must be gone; longer than the peer keeps its history, whose numbers may be given here."""
 _UNNUMBERED_DEPTH = 10
 
 
@@ -40,9 +40,9 @@ class Sample(NamedTuple):
     """A message of a latched topic.
 
     Attributes:
-        header: whose it is.
-        message: it.
-        replayed: it comes from its publisher's history, and not as it was published.
+        header: its publisher, number and history depth.
+        message: message from ROS.
+        replayed: whether it comes from its publisher's history rather than live.
     """
 
     header: HistoryHeader
@@ -55,21 +55,21 @@ class _Publisher:
     """One publisher.
 
     Attributes:
-        first: the first message number that this subscription brought; 0: none yet.
+        first: the first message number that this subscription brought, or 0 before the first message.
         newest: the newest number seen.
-        taken: the newest number that the peer has, or that was given out or is held.
+        taken: the newest number that the peer has, or that was emitted or is held.
         began: s, when `first` came.
         latest: s, when `newest` came.
-        settled: its history has come.
-        depth: as far as it is known.
-        exact: the depth is known, and does not change any more.
-        probe_at: number of the next message that has to be probed for.
+        settled: whether its whole history has come.
+        depth: best estimate of its depth.
+        exact: whether the depth is final.
+        probe_at: number of the next message that needs a probe.
         tries: probes in a row that did not show the depth.
-        at_least: what those probes have shown of it.
-        at_most: likewise.
-        held: until it is known; each with whether it was replayed.
-        held_size: bytes.
-        gone_since: s, when the graph was first seen without it; None: it has it.
+        at_least: lower bound of the depth from those probes.
+        at_most: upper bound of the depth from those probes.
+        held: messages held until the depth is clear, each with whether it was replayed.
+        held_size: bytes of `held`.
+        gone_since: time (s) when it left the graph, or None while it is there.
     """
 
     taken: int
@@ -90,7 +90,7 @@ class _Publisher:
 
 
 class Histories:
-    """Gives out the messages of a latched topic, each with what its publisher keeps. It belongs to the I/O loop."""
+    """Emits the messages of a latched topic, each with its publisher's history depth. It belongs to the I/O loop."""
 
     def __init__(
         self,
@@ -106,8 +106,8 @@ class Histories:
         Args:
             loop: the I/O loop.
             probe: subscribes a second time, with a receiver of its messages on the loop; may raise RosError.
-            emit: gets the messages, on the loop; those of one publisher in order.
-            depth: of every publisher's history, as an operator wants it; 0: as it is.
+            emit: gets the messages, on the loop, in order for each publisher.
+            depth: history depth that an operator has set for all publishers, or 0 to find it out.
             known: the newest number that the peer has, by publisher.
         """
         self._loop = loop
@@ -125,7 +125,7 @@ class Histories:
         """Take messages from ROS, oldest first.
 
         Returns:
-            How many of them are new: neither had by the peer nor taken before.
+            The number of new ones: the peer does not have them, and they were not taken before.
         """
         now = self._loop.time()
         new, samples = 0, list[Sample]()
@@ -150,7 +150,7 @@ class Histories:
         return new
 
     def resubscribed(self) -> None:
-        """The subscription was opened anew: publishers show their histories again."""
+        """Expect all histories again, because the subscription was reopened."""
         for publisher in self._publishers.values():
             publisher.first = 0
             publisher.settled = publisher.exact
@@ -159,7 +159,7 @@ class Histories:
         """Forget publishers that are gone.
 
         Args:
-            present: the ids of those that the graph has.
+            present: ids of the publishers in the graph.
         """
         now = self._loop.time()
         for gid, publisher in tuple(self._publishers.items()):
@@ -174,10 +174,10 @@ class Histories:
                 del self._publishers[gid]
 
     def close(self) -> int:
-        """Give out nothing more.
+        """Emit nothing more.
 
         Returns:
-            How many messages were held.
+            The number of messages that were held.
         """
         self._end_probe()
         if self._timer is not None:
@@ -199,7 +199,7 @@ class Histories:
         return publisher
 
     def _depth_of(self, publisher: _Publisher, number: int) -> int:
-        """The depth to give out a message with; 0: it is not known yet."""
+        """Return the depth to emit a message with, or 0 if it is not known yet."""
         if self._depth:
             return self._depth
         if not number:
@@ -214,7 +214,7 @@ class Histories:
     # --- depths
 
     def _work(self) -> None:
-        """Settle what has come, start a probe where one is wanted, and see to it again when something is due."""
+        """Settle complete histories, start a probe if one is needed, and set the timer for the next step."""
         now = self._loop.time()
         due: list[float] = []
         wanted: dict[bytes, int] = {}
@@ -242,7 +242,7 @@ class Histories:
         self._work()
 
     def _settle(self, publisher: _Publisher) -> None:
-        """A publisher's history has come. If it is its first message alone, at least that is kept."""
+        """Note that a publisher's history has come. If it is message 1 alone, the depth is at least 1."""
         publisher.settled = True
         if publisher.newest == 1:
             self._release(publisher, 1)
@@ -252,7 +252,7 @@ class Histories:
         try:
             probe.subscription = self._open_probe(self._probed)
         except RosError:
-            probe.until = now  # nothing will come: as if nothing had
+            probe.until = now  # finish at once, as a probe that got nothing
 
     def _probed(self, batch: Sequence[RawMessage]) -> None:
         if self._probe is not None:
@@ -275,7 +275,7 @@ class Histories:
         self._probe = None
 
     def _judge(self, publisher: _Publisher, target: int, first: int, last: int) -> None:
-        """A probe, begun when message `target` was the newest, got the messages from `first` to `last`."""
+        """Judge the depth by a probe that began when `target` was the newest message and got `first` to `last`."""
         if first == 1 and last >= target:
             publisher.tries = 0
             publisher.depth, publisher.exact = min(target, LATCHED_DEPTH), target >= LATCHED_DEPTH
@@ -295,13 +295,13 @@ class Histories:
             self._conclude(publisher, newest)
 
     def _conclude(self, publisher: _Publisher, newest: int) -> None:
-        """Take for its depth what is known by now: more than it is only of one that never rests or shows no history."""
+        """Fix the depth at the present estimate; too high only if the publisher never pauses or shows no history."""
         publisher.depth = min(publisher.at_most, newest - publisher.first + 1, LATCHED_DEPTH)
         publisher.exact = True
         self._release(publisher, newest)
 
     def _release(self, publisher: _Publisher, newest: int) -> None:
-        """Give out what is held up to a number."""
+        """Emit the held messages up to a number."""
         samples = []
         while publisher.held and publisher.held[0][0].number <= newest:
             message, replayed = publisher.held.popleft()
@@ -312,13 +312,13 @@ class Histories:
 
 
 class _Probe:
-    """A second subscription, and what it has shown.
+    """A second subscription and its findings.
 
     Attributes:
-        wanted: the numbers that have to be seen, by publisher.
-        until: s, how long to wait for them.
-        first: the first numbers seen, by publisher.
-        last: the last.
+        wanted: number to wait for, by publisher.
+        until: time (s) at which to stop waiting.
+        first: the first number seen, by publisher.
+        last: the last number seen, by publisher.
     """
 
     def __init__(self, wanted: dict[bytes, int], until: float) -> None:
@@ -329,7 +329,7 @@ class _Probe:
         self.last: dict[bytes, int] = {}
 
     def take(self, batch: Sequence[RawMessage], now: float) -> None:
-        """Take messages. Once all that was wanted has been seen, the probe ends soon: no more may be on its way."""
+        """Take messages. Once all wanted numbers have come, the probe ends a moment later, after any late messages."""
         for message in batch:
             self.first.setdefault(message.gid, message.number)
             self.last[message.gid] = message.number

@@ -71,10 +71,10 @@ class _Output:
 
 @dataclass(slots=True)
 class _History:
-    """What one publisher of the sending side keeps.
+    """The history of one publisher of the sending side.
 
     Attributes:
-        seen_at: s, when it was last known to be there.
+        seen_at: time (s) when it was last seen.
         newest: number of its newest message that came here.
         outputs: the publishers here that have its messages.
         waiting: messages that wait for the newest output to be discovered.
@@ -97,18 +97,18 @@ class LatchedTopic:
         depth: int,
         failed: Callable[[Exception], None],
     ) -> None:
-        """Have a first publisher, so that the topic is there before its first message.
+        """Create a first publisher, so that the topic is there before its first message.
 
         Args:
             loop: the I/O loop.
             advertise: makes a publisher with a depth; may raise RosError.
-            budget: of the publishers' link.
-            depth: of a history that nothing is known of yet.
-            failed: told of what went wrong later: with a message that had waited, or with a publisher.
+            budget: budget of the publishers' link.
+            depth: initial depth of a history, until its own has been found.
+            failed: called when a message that had waited, or a publisher, fails later.
 
         Raises:
-            RosError: there can be no publisher.
-            LatchedFullError: there may be no more.
+            RosError: the publisher cannot be created.
+            LatchedFullError: the link's latched topics keep too much.
         """
         self._loop = loop
         self._advertise = advertise
@@ -128,12 +128,11 @@ class LatchedTopic:
         return max((output.publisher.subscriber_count for output in islice(self._outputs(), _ASKED)), default=0)
 
     def newest(self) -> dict[bytes, int]:
-        """The number of the newest message of each publisher of the sending side."""
+        """Return the number of the newest message of each publisher of the sending side."""
         return {publisher: history.newest for publisher, history in self._histories.items() if history.newest}
 
     @property
     def has_kept(self) -> bool:
-        """Whether any message is kept."""
         return any(history.newest for history in self._histories.values())
 
     def close(self) -> None:
@@ -150,12 +149,12 @@ class LatchedTopic:
     # --- publishers of the sending side
 
     def opened(self) -> None:
-        """A new opening begins: the sender may not know yet who is there."""
+        """Begin a new opening; the sender may not have discovered its publishers yet."""
         for history in self._histories.values():
             history.seen_at = self._loop.time()
 
     def present(self, publishers: Collection[bytes]) -> None:
-        """The sender tells which of its publishers are there."""
+        """Take the sender's list of its present publishers."""
         now = self._loop.time()
         self._present = frozenset(publishers)
         for publisher in publishers:
@@ -163,7 +162,7 @@ class LatchedTopic:
                 self._histories[publisher].seen_at = now
 
     def tick(self) -> None:
-        """Once a second: drop the histories of publishers that are gone, and what is kept no longer."""
+        """Drop the histories of publishers that are gone, and expired outputs; called once a second."""
         now = self._loop.time()
         for publisher, history in tuple(self._histories.items()):
             if publisher in self._present:
@@ -181,8 +180,8 @@ class LatchedTopic:
         """Publish a message, now or as soon as its publisher is discovered by those who have discovered the others.
 
         Args:
-            header: whose it is.
-            content: of the message.
+            header: publisher, number and depth of the message.
+            content: content of the message.
             still_wanted: asked right before it is published if it had to wait, or None if it is wanted in any case.
 
         Returns:
@@ -217,7 +216,7 @@ class LatchedTopic:
         return True
 
     def _output_for(self, history: _History, number: int, depth: int) -> _Output:
-        """Where the next message of a history goes, so that just the newest `depth` are kept."""
+        """Return the output for the next message of a history, so that just the newest `depth` are kept."""
         outputs = history.outputs
         if outputs and outputs[-1].depth == depth:
             return outputs[-1]
@@ -253,7 +252,7 @@ class LatchedTopic:
             yield from history.outputs
 
     def _output(self, depth: int) -> _Output:
-        """One of that depth: the spare one, if it will do."""
+        """Return an output of that depth, the spare one if it fits."""
         spare = self._spare
         if spare is not None and spare.depth == depth:
             self._spare = None

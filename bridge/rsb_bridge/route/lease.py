@@ -55,12 +55,12 @@ class Lease:
 
     Args:
         steady: s on a clock that nobody sets, and that goes on while the machine sleeps.
-        turns: of the ROS thread.
+        turns: turns of the ROS thread.
         ended: called once when it is over, after the last message has passed.
 
     Attributes:
         number: the newest that this side has sent.
-        over: where nothing moved, or None; it is never alive again until `begin`.
+        over: place where nothing moved, or None; the lease stays dead until `begin`.
     """
 
     def __init__(self, steady: Callable[[], float], turns: RosTurns, ended: Callable[[], None]) -> None:
@@ -83,7 +83,6 @@ class Lease:
 
     @property
     def is_on(self) -> bool:
-        """Whether numbers are sent."""
         return self._on
 
     def begin(self) -> None:
@@ -189,9 +188,9 @@ class Marker:
     """Marks what one endpoint takes from ROS. It is made right before the endpoint, and belongs to the taking thread.
 
     Args:
-        lease: of the link.
-        turns: of the thread.
-        batch: how much is taken at once; if it is that much, there may be more, which is taken in the next turn.
+        lease: lease of the link.
+        turns: turns of the thread.
+        batch: most messages taken at once; after that many there may be more, which the next turn takes.
     """
 
     def __init__(self, lease: Lease, turns: RosTurns, batch: int) -> None:

@@ -1,7 +1,7 @@
 """The phases of a route's half as a table of events, and whether operators have paused it.
 
-Whether messages flow beyond the last phase is up to the channel, the link and the ROS graph, which come and go without
-either side having to agree on anything.
+In the last phase messages flow as the channel, the link and the ROS graph allow. Those come and go without an agreement
+of the two sides.
 """
 
 from __future__ import annotations
@@ -10,37 +10,37 @@ from enum import Enum, auto
 
 
 class Phase(Enum):
-    """What the two sides have agreed on so far, in this order; `REFUSED` and `CLOSED` are not on the way."""
+    """Progress of the agreement between the two sides, in this order; `REFUSED` and `CLOSED` lie outside it."""
 
     CLOSED = auto()
     """Not open on the present connection."""
     REFUSED = auto()
-    """Not open, for a reason that is known; the side that proposed it tries again later."""
+    """Not open, for a given reason; the side that proposed it tries again later."""
     PROPOSED = auto()
     """One side has proposed it; the other has not answered yet."""
     ACCEPTED = auto()
     """Both sides want it; the sender finds out type and QoS."""
     DESCRIBED = auto()
-    """The sender has said what it sends; the receiver makes a publisher of it."""
+    """The sender has described its messages; the receiver creates a publisher for them."""
     READY = auto()
     """The receiver has the publisher: messages may be sent."""
 
 
 class Event(Enum):
-    """What happens to a route."""
+    """Event in the life of a route."""
 
     OPEN = auto()
     """It is proposed, by either side."""
     ACCEPT = auto()
     """The other side accepts it, or this side accepts the other's proposal."""
     DESCRIBE = auto()
-    """The sender says what it sends; again whenever that changes."""
+    """The sender describes its messages; again whenever the description changes."""
     READY = auto()
-    """The receiver has a publisher for what was described; it answers each description."""
+    """The receiver has created the publisher; it answers each description."""
     REFUSE = auto()
-    """Either side says why it cannot be."""
+    """Either side refuses it for a reason."""
     CLOSE = auto()
-    """The incarnation ends for no fault of the route's: the link is lost, or it is opened again."""
+    """The opening ends for no fault of the route's: the link is lost, or the route is opened again."""
 
 
 _END = {Event.REFUSE: Phase.REFUSED, Event.CLOSE: Phase.CLOSED}
@@ -59,8 +59,8 @@ class Lifecycle:
     """The phase of one route's half.
 
     Attributes:
-        phase: the present one.
-        refusal: why it was refused last, for an operator; empty: it was not, or is open again.
+        phase: the present phase.
+        refusal: reason of the last refusal, for an operator, or an empty string if it opened again since.
     """
 
     def __init__(self) -> None:
@@ -68,11 +68,11 @@ class Lifecycle:
         self.refusal = ""
 
     def take(self, event: Event, reason: str = "") -> bool:
-        """Go on to the next phase.
+        """Move to the next phase.
 
         Args:
-            event: what happened.
-            reason: with `Event.REFUSE`, why.
+            event: event that happened.
+            reason: reason of `Event.REFUSE`.
 
         Returns:
             Whether the event belongs into this phase; if not, nothing changes. A peer can send its messages in any
@@ -95,12 +95,12 @@ class Lifecycle:
 
     @property
     def described(self) -> bool:
-        """Whether the sender has said what it sends."""
+        """Whether the sender has described its messages."""
         return self.phase in (Phase.DESCRIBED, Phase.READY)
 
     @property
     def ready(self) -> bool:
-        """Whether messages may be sent, as far as the two sides have to agree."""
+        """Whether both sides agree that messages may be sent."""
         return self.phase is Phase.READY
 
 
@@ -114,26 +114,26 @@ class Revisions:
         self._highest = 0
 
     def next(self) -> int:
-        """The number of a new change."""
+        """Return the number of a new change."""
         self._highest = min(self._highest + 1, _LAST)
         return self._highest
 
     def saw(self, revision: int) -> None:
-        """Take note of a number that the peer gave."""
+        """Note a number from the peer."""
         self._highest = max(self._highest, revision)
 
 
 class PauseState:
-    """One side's half of a state that both sides change, and that ends up the same on both.
+    """The pause state on one side; both sides may change it, and both end up with the same state.
 
     Each change has a revision above all that its side has seen. A side takes the peer's state if its revision is higher
-    than its own. Where the operators of both sides acted at once, the revisions may be equal; then the client's state
-    counts. So both sides end up with the same one of all changes, whatever the order in which they hear of them.
+    than its own. If the operators of both sides act at once, the revisions may be equal; then the client's state
+    counts. So both sides end up with the same change, in any order of arrival.
 
     Attributes:
-        paused: the state.
-        revision: of the change that led to it.
-        who: made that change, in words; empty: it is not known.
+        paused: whether the route is paused.
+        revision: revision of the last change.
+        who: operator of the last change, in words, or an empty string if unknown.
     """
 
     def __init__(self, revisions: Revisions, *, paused: bool, is_client: bool) -> None:
@@ -144,22 +144,22 @@ class PauseState:
         self._is_client = is_client
 
     def change(self, *, paused: bool, who: str = "") -> None:
-        """An operator of this side changes the state; the peer has to be told."""
+        """Change the state for an operator of this side; the caller must send it to the peer."""
         self.paused, self.who = paused, who
         self.revision = self._revisions.next()
 
     def adopt(self, *, paused: bool, revision: int, who: str = "") -> None:
-        """Take the peer's state, whatever this side's is."""
+        """Take the peer's state, even if this side's is later."""
         self._revisions.saw(revision)
-        if (paused, revision) != (self.paused, self.revision):  # else it only tells what is known here
+        if (paused, revision) != (self.paused, self.revision):  # otherwise `who` stays, too
             self.paused, self.revision, self.who = paused, revision, who
 
     def merge(self, *, paused: bool, revision: int, who: str = "") -> None:
-        """The peer tells its state: take it if it is the later one."""
+        """Take the peer's state if it is the later one."""
         if revision > self.revision or (revision == self.revision and not self._is_client):
             self.adopt(paused=paused, revision=revision, who=who)
 
 
 def pause_word(*, paused: bool) -> str:
-    """The state as the value of an operator's action."""
+    """Return the state as the value of an operator's action."""
     return "paused" if paused else "not paused"

@@ -1,10 +1,10 @@
-"""Which messages a route may carry without closing a loop of bridges, and from which source they are.
+"""The filter that keeps messages from circling through several bridges, and the sources of messages.
 
-Every bridge tells, in its domain, by which bridges the messages of each of its publishers came there
-(`rsb_bridge.ros.announcements`). A sending half leaves out the messages that were in the receiver's domain before,
-under the topic's name there. It keeps messages that came by different bridges apart, each as a *source* with a number,
-and the receiving half has a publisher for each source and announces its hops in turn. So a message crosses no bridge
-twice, and whatever can get somewhere without that does get there.
+Every bridge announces in its domain which bridges the messages of each of its publishers have crossed
+(`rsb_bridge.ros.announcements`). A sending half leaves out messages that already were in the receiver's domain under
+the topic's name there. It groups messages by the bridges that they crossed: each group is a *source* with a number. The
+receiving half has a publisher for each source and announces its hops in turn. So no message crosses a bridge twice, and
+every message still gets everywhere that it can reach otherwise.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from rsb_bridge.route.peer import Peer
 
 EXPLAINED_WITHIN = 3.0
-"""s that a bridge has to say by which bridges a publisher's messages came; then it is taken for no bridge's."""
+"""Seconds in which a bridge has to announce a publisher's hops; then the publisher counts as an ordinary node's."""
 HELD = -1
 """No number yet: keep the message until there is one."""
 LEFT_OUT = -2
@@ -44,8 +44,8 @@ class Publication(NamedTuple):
     Attributes:
         gid: its id.
         node: its node's name, without the ``/`` before it.
-        via: the bridges that its messages crossed; empty: it is no bridge's; None: not known yet.
-        live: False: nothing reaches it any more.
+        via: the bridges that its messages crossed: empty for an ordinary node, None if not known yet.
+        live: whether messages still reach it.
     """
 
     gid: bytes
@@ -58,11 +58,11 @@ class SourceTable:
     """The sources of one opening of a route, as its sending half numbers them.
 
     Attributes:
-        sources: what the peer is to have publishers for, by number. Only grows.
+        sources: sources that need a publisher on the peer, by number. Only grows.
         echoes: the publications that are left out because their messages were in the peer's domain before.
         too_far: the publications that are left out for `MOST_HOPS` or `MOST_SOURCES`, or for the peer's limits.
-        unexplained: the publications that are waited for.
-        flags: of the messages that may be sent now, by publisher: the number of the source as it is sent.
+        unexplained: publications whose hops have not been announced yet.
+        flags: flags with the source's number, by publisher, for messages that may be sent now.
     """
 
     def __init__(self) -> None:
@@ -83,11 +83,11 @@ class SourceTable:
     def update(
         self, publications: Iterable[Publication], hop: str, here: frozenset[str], there: frozenset[str], now: float
     ) -> None:
-        """Decide anew about all publishers on the topic.
+        """Update the decision about all publishers on the topic.
 
         Args:
-            publications: all of them, but for those of this link itself.
-            hop: of this bridge, from the topic.
+            publications: all publications except this link's own.
+            hop: this bridge's hop from the topic.
             here: the topic in this domain, as a place.
             there: the topic in the peer's domain, under its name there.
             now: s.
@@ -129,7 +129,7 @@ class SourceTable:
         self.sources = tuple(Source(via=source.via, live=number in live) for number, source in enumerate(sources))
         self.echoes, self.too_far, self.unexplained = tuple(echoes), tuple(too_far), tuple(unexplained)
         self._first_seen = first_seen
-        # What publishers that are gone have published may still be on its way.
+        # Messages of publishers that are gone may still be in transit.
         gone = [gid for gid in self._numbers if gid not in numbers]
         for gid in gone[: max(0, len(gone) - _GONE_REMEMBERED)]:
             del self._numbers[gid]
@@ -138,18 +138,18 @@ class SourceTable:
         self._sort_out()
 
     def to_describe(self) -> tuple[Source, ...]:
-        """The sources; where there are none, and none is waited for, one for whoever will publish first."""
+        """Return the sources; add one for the first publisher to come if there is no source and none is expected."""
         if not (self.sources or self.unexplained or self.too_far):
             self.sources = (Source(via=(self._hop,), live=False),)
         return self.sources
 
-    def told(self) -> None:
-        """The peer is told of the sources as they are now; it answers each time."""
+    def described(self) -> None:
+        """Note that the present sources were sent to the peer; it answers each time."""
         self._told = len(self.sources)
         self._answers_due += 1
 
     def answered(self, accepted: int) -> None:
-        """The peer has publishers for the first so many sources."""
+        """Note the peer's answer: it has publishers for the first `accepted` sources."""
         self._answers_due = max(0, self._answers_due - 1)
         self._accepted = accepted
         self._sort_out()
@@ -159,7 +159,7 @@ class SourceTable:
         self.flags = {gid: number << SOURCE_SHIFT for gid, number in accepted}
 
     def number_of(self, gid: bytes) -> int:
-        """The number of the source that a publisher's messages belong to, or `HELD` or `LEFT_OUT`."""
+        """Return the number of the source of a publisher's messages, or `HELD` or `LEFT_OUT`."""
         number = self._numbers.get(gid, HELD)
         if number < self._accepted:
             return number
@@ -171,7 +171,7 @@ class SourceTable:
 
     @property
     def explained_by(self) -> float:
-        """s, when the first of `unexplained` will be taken for no bridge's."""
+        """Time (s) when the first of `unexplained` will count as an ordinary node's."""
         return min(self._first_seen[each.gid] for each in self.unexplained) + EXPLAINED_WITHIN
 
     def left_out(self, gid: bytes) -> bool:
@@ -185,17 +185,17 @@ class SourceTable:
 
     @property
     def closes_loop(self) -> bool:
-        """Whether all that the route could carry was in the peer's domain before."""
+        """Whether all messages that the route could carry were in the peer's domain before."""
         others = any(source.live for source in self.sources) or self.unexplained or self.too_far
         return self._one_place or (any(each.live for each in self.echoes) and not others)
 
     @property
     def full(self) -> bool:
-        """Whether a source finds no number while others are there for nothing: a new opening would have room."""
+        """Whether some source has no number while dead sources hold some: a new opening would have room."""
         return bool(self.too_far) and not all(source.live for source in self.sources)
 
     def culprits(self) -> list[str]:
-        """The nodes of the bridges by which echoes came, nearest to the peer first."""
+        """Return the nodes of the bridges that the echoes crossed, nearest to the peer first."""
         return list(dict.fromkeys(node_of(hop) for each in self.echoes for hop in each.via or ()))
 
 
@@ -205,19 +205,19 @@ def _nearest_first(publication: Publication) -> tuple[bool, int, Via]:
 
 
 class LoopFilter:
-    """One sending half's.
+    """The loop filter of one sending half.
 
     Attributes:
         table: the sources of the present opening.
     """
 
     def __init__(self, context: Context, peer: Peer, due: Callable[[], None]) -> None:
-        """Nothing is kept back yet.
+        """Begin with an empty table.
 
         Args:
-            context: what every part of the engine shares.
-            peer: whom the messages go to.
-            due: called when publishers have been waited for long enough: `look` decides about them then.
+            context: shared context of the engine.
+            peer: receiver of the messages.
+            due: called when the wait for a publisher's hops is over: `look` decides about it then.
         """
         self.table = SourceTable()
         self._overflowed = 0
@@ -229,7 +229,7 @@ class LoopFilter:
         self._held_bytes = 0
 
     def look(self, topic: str, remote_topic: str) -> list[Endpoint]:
-        """See who publishes on the topic; the publishers whose messages may be carried."""
+        """Update the table from the ROS graph; return the publishers whose messages may be carried."""
         announcements, ros = self._context.announcements, self._context.ros
         endpoints = [*ros.publishers(topic), *announcements.own_publishers(topic, besides=self._peer.name)]
         publications = [
@@ -249,17 +249,17 @@ class LoopFilter:
         return [each for each in endpoints if not self.table.left_out(each.gid)]
 
     def _wait(self) -> None:
-        """Call `due` when the next publisher has been waited for long enough; before that, news make routes look."""
+        """Call `due` when the wait for the next publisher is over; earlier announcements trigger `look` anyway."""
         self._cancel_timer()
         if self.table.unexplained:
             delay = self.table.explained_by - self._context.now()
             self._timer = self._context.loop.call_later(delay, self._due)
 
     def admit(self, batch: Sequence[RawMessage]) -> tuple[list[RawMessage], bool]:
-        """Sort messages; those whose source is not known yet are held until `release`.
+        """Sort messages; hold those with an unknown source until `release`.
 
         Returns:
-            Those that may be sent now, and whether there is a publisher among the others that `look` has not seen.
+            The messages to send now, and whether `look` has not yet seen a publisher of the held ones.
         """
         admitted: list[RawMessage] = []
         unseen = False
@@ -273,7 +273,7 @@ class LoopFilter:
         return admitted, unseen
 
     def release(self) -> list[RawMessage]:
-        """Those of the held messages that may be sent now; to be called whenever the table has changed."""
+        """Return the held messages that may be sent now; to be called after each change of the table."""
         if not self._held:
             return []
         held = tuple(self._held)
@@ -281,7 +281,7 @@ class LoopFilter:
         return self.admit(held)[0]
 
     def forget(self) -> int:
-        """Drop the held messages; returns how many they were."""
+        """Drop the held messages and return their number."""
         held = len(self._held)
         self._held.clear()
         self._held_bytes = 0
@@ -295,7 +295,7 @@ class LoopFilter:
             self._overflowed += 1
 
     def loop(self, topic: str) -> str:
-        """Why the route would close a loop; empty: it would not."""
+        """Return the reason why the route would close a loop, or an empty string."""
         domain = self._context.domain_id
         if self.table.one_place:
             return (
@@ -304,45 +304,44 @@ class LoopFilter:
             )
         if self.table.closes_loop:
             return (
-                f"messages would loop: all of {topic} in domain {domain} comes from where this route leads, through "
-                f"{join_first(self.table.culprits(), _MOST_NAMED)}; remove this route or one of theirs"
+                f"messages would loop: all of {topic} in domain {domain} already comes from this route's destination "
+                f"through {join_first(self.table.culprits(), _MOST_NAMED)}; remove this route or one of theirs"
             )
         return ""
 
     def outdated(self, qos: Qos | None) -> bool:
-        """Whether a new opening has to number the sources anew.
+        """Whether a new opening has to renumber the sources.
 
-        Some are there for nothing while others find no number; or a latched topic's publisher has come to belong to
-        another source, and the peer keeps its messages with the one before.
+        Either dead sources hold numbers that live ones need; or a latched topic's publisher has moved to another
+        source, while the peer keeps its messages with the previous one.
         """
         return self.table.full or (self.table.moved and qos is not None and qos.latched)
 
     def left_out(self) -> str:
-        """Whose messages are left out of what is sent, as the end of a sentence; empty: nobody's."""
+        """Return the nodes whose messages are left out, as the end of a sentence, or an empty string."""
         words = ""
         if echoes := _nodes(self.table.echoes):
             words += f"; left out: messages from {echoes}, which come from the other side"
         if too_far := _nodes(self.table.too_far):
-            words += f"; left out: messages from {too_far}, which come by too many ways or over too many bridges"
+            words += f"; left out: messages from {too_far}, which cross too many bridges or come by too many paths"
         return words
 
     def unexplained(self) -> str:
-        """Who is waited for."""
+        """Return the nodes whose announcement is awaited, in words."""
         nodes = _nodes(self.table.unexplained) or "a node that is not known yet"
         return f"waiting for {nodes} to announce which bridges its messages crossed"
 
     @property
     def holds(self) -> int:
-        """How many messages are kept back."""
         return len(self._held)
 
     def give_up(self) -> int:
-        """How many messages are lost, since this was last asked, because too many had to be kept back."""
+        """Return the number of messages lost since the last call because too many had to be held."""
         given_up, self._overflowed = self._overflowed, 0
         return given_up
 
     def clear(self) -> None:
-        """A new opening begins: nothing is kept, nothing numbered."""
+        """Begin a new opening with an empty table and no held messages."""
         self._cancel_timer()
         self.table = SourceTable()
         self._overflowed = 0

@@ -40,10 +40,10 @@ _REMEDY = "send less, or set check_messages: false"
 
 
 class ExpansionBudget:
-    """How much one link's compressed messages may grow here, at once and over time.
+    """Limits on the growth of one link's compressed messages when unpacked here, at once and over time.
 
     Attributes:
-        over_time: bytes by which its compressed messages may grow here.
+        over_time: budget of bytes over time.
     """
 
     def __init__(self, now: float) -> None:
@@ -86,7 +86,7 @@ class Unpacker:
     """Unpacks the compressed messages of one route.
 
     Args:
-        budget: of its link.
+        budget: budget of its link.
         context: has the clock and the I/O loop.
     """
 
@@ -96,7 +96,7 @@ class Unpacker:
         self._decompressor = zstandard.ZstdDecompressor()
 
     def begin(self, message: Message) -> bool:
-        """Whether a message may be published at this turn of the loop; those that will not be cost no turn."""
+        """Whether a message may be unpacked at this turn of the loop; messages that will be refused cost no turn."""
         payload, _, flags = message
         if not flags & ZSTD:
             return True
@@ -109,7 +109,7 @@ class Unpacker:
         return self._budget.begin(growth, self._context.loop)
 
     def unpack(self, payload: bytes) -> bytes:
-        """A message's content.
+        """Return a message's content.
 
         Raises:
             zstandard.ZstdError: it is damaged, or too long.
@@ -137,11 +137,11 @@ class MessageCheck:
 
     Args:
         context: has the session, and the checkers.
-        budget: of the link, for lengths that are read.
+        budget: budget of the link for lengths to read.
 
     Attributes:
-        checker: of the type, or None if messages are not checked.
-        type_name: that messages are checked against, or an empty string.
+        checker: checker of the type, or None if messages are not checked.
+        type_name: name of the type to check against, or an empty string.
     """
 
     def __init__(self, context: Context, budget: TokenBucket) -> None:
@@ -160,7 +160,6 @@ class MessageCheck:
             self.checker = self._context.checkers.installed(type_name)
 
     def end(self) -> None:
-        """Check nothing."""
         self.checker = None
         self.type_name = ""
         self._looks_at = float("-inf")

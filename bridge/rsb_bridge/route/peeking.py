@@ -1,4 +1,4 @@
-"""Looking at a route's messages: the next one that passes is copied for whoever waits for it."""
+"""Viewing a route's messages: the next one that passes is copied for each waiting viewer."""
 
 from __future__ import annotations
 
@@ -19,27 +19,27 @@ if TYPE_CHECKING:
     from rsb_bridge.route.peer import Peer
 
 LOOKERS = 32
-"""Who may look at the same time."""
+"""Most viewers at a time."""
 EVERY = 0.5
-"""s between two messages of one route that are shown."""
+"""Least seconds between two copies from one route."""
 BYTES_A_SECOND = 16 << 20
-"""For all lookers together; who would exceed it waits."""
+"""Limit for all viewers together; a viewer that would exceed it waits."""
 WAITS_AT_MOST = 10.0
-"""s: who wants to look on asks again, so that whoever has gone holds no place for longer."""
+"""Longest wait in seconds; a viewer asks again after that, so that one that is gone does not keep its place."""
 _LATE_JOINER = ("late joiner",)
 """Differs from the names of all links."""
 
 
 class PeekError(Exception):
-    """There is no looking now; the message says why."""
+    """A message cannot be viewed now; the text gives the reason."""
 
 
 class PeekSlot:
-    """Where the next message of a route is put if somebody wants it.
+    """The slot for a copy of a route's next message.
 
     Attributes:
-        wanted: somebody does. All that a route looks at while messages pass.
-        free_at: s, when the next one may be shown.
+        wanted: whether a viewer waits. The route checks only this while messages pass.
+        free_at: time (s) from which the next message may be copied.
     """
 
     def __init__(self) -> None:
@@ -48,7 +48,7 @@ class PeekSlot:
         self._waiting: set[asyncio.Future[PeekedMessage]] = set()
 
     def put(self, message: PeekedMessage, now: float) -> None:
-        """Hand a message to all who wait."""
+        """Hand a message to all waiting viewers."""
         waiting, self._waiting = self._waiting, set()
         self.wanted = False
         self.free_at = now + EVERY
@@ -57,7 +57,7 @@ class PeekSlot:
                 future.set_result(message)
 
     async def next(self) -> PeekedMessage:
-        """The next message that passes."""
+        """Return the next message that passes."""
         future: asyncio.Future[PeekedMessage] = asyncio.get_running_loop().create_future()
         self._waiting.add(future)
         self.wanted = True
@@ -69,7 +69,7 @@ class PeekSlot:
 
 
 class Peekable(Protocol):
-    """What looking asks of a route, whose members these are."""
+    """The members of a route that viewing its messages uses."""
 
     outgoing: ClassVar[bool]
     peek_slot: PeekSlot
@@ -89,7 +89,7 @@ class Peekable(Protocol):
 
 
 class Peeking:
-    """All looking at an engine's messages, within its bounds."""
+    """Limits and runs all viewing of an engine's messages."""
 
     def __init__(self, context: Context) -> None:
         self._context = context
@@ -100,17 +100,17 @@ class Peeking:
         """Wait for a message of a route.
 
         Args:
-            route: whose.
-            kept: of a latched topic, take the message that a late joiner gets.
+            route: route to view.
+            kept: take the message that a late joiner gets, if the topic is latched.
 
         Returns:
-            The message; None: none has passed for a while.
+            The message, or None if none has passed for a while.
 
         Raises:
-            PeekError: too many look already.
+            PeekError: there are too many viewers already.
         """
         if self._lookers >= LOOKERS:
-            raise PeekError(f"{LOOKERS} look at messages here already: close one of them")
+            raise PeekError(f"{LOOKERS} message views are open here already: close one of them")
         self._lookers += 1
         try:
             async with asyncio.timeout(WAITS_AT_MOST):
@@ -131,7 +131,7 @@ class Peeking:
             await asyncio.sleep(left)
 
     async def _first_of(self, route: Peekable, qos: Qos) -> PeekedMessage:
-        """The first message that a late joiner on this side gets."""
+        """Return the first message that a late joiner on this side gets."""
         context = self._context
         first: asyncio.Future[PeekedMessage] = context.loop.create_future()
 
@@ -167,15 +167,15 @@ def peeked(
     latency: float | None = None,
     clock: tuple[float | None, float | None] = (None, None),
 ) -> PeekedMessage:
-    """A copy of a message's beginning, for who looks.
+    """Copy the beginning of a message for a viewer.
 
     Args:
-        route: whose it is.
+        route: route of the message.
         payload: the whole message.
-        time_ns: ns since the epoch, when it came here.
-        is_kept: it was kept for late joiners.
-        latency: s that it took over the link.
-        clock: s, offset of the peer's clock, and its uncertainty.
+        time_ns: arrival on this side, ns since the epoch.
+        is_kept: whether it was kept for late joiners.
+        latency: seconds that it took over the link, or None.
+        clock: offset of the peer's clock and its uncertainty, in seconds.
     """
     offset, uncertainty = clock
     return PeekedMessage(

@@ -1,4 +1,4 @@
-"""The other side of a link, as far as a route and its parts know it, and what it may make this side hold."""
+"""The other side of a link, as a route and its parts see it, and the limits on the load that it causes here."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ _TOGETHER = 1.0  # s
 
 
 class Peer(Protocol):
-    """What a route asks of its link."""
+    """The members of a link that a route uses."""
 
     name: str
     is_client: bool
@@ -53,18 +53,16 @@ class Peer(Protocol):
     """Offset of the clock by which the peer stamps messages."""
 
     @property
-    def profile(self) -> LinkProfile:
-        """What the link's network is like."""
-        ...
+    def profile(self) -> LinkProfile: ...
 
     @property
     def bridges(self) -> tuple[str, ...]:
-        """The names of the bridge nodes in the peer's domain, its own first; empty: not known yet."""
+        """Names of the bridge nodes in the peer's domain, its own first, or empty if not known yet."""
         ...
 
     @property
     def connections(self) -> int:
-        """How many connections there have been: tells one from the next."""
+        """Number of connections so far, which identifies the present one."""
         ...
 
     @property
@@ -74,12 +72,12 @@ class Peer(Protocol):
 
     @property
     def instance(self) -> str:
-        """The peer's process, present or last: random, new with each start; empty: there has been none."""
+        """Random id of the peer's present or last process, or an empty string before the first connection."""
         ...
 
     @property
     def features(self) -> tuple[str, ...]:
-        """What the peer, present or last, can do beyond version 2 of the wire format."""
+        """Features of the present or last peer beyond version 2 of the wire format."""
         ...
 
     @property
@@ -89,7 +87,7 @@ class Peer(Protocol):
 
     @property
     def report_delay(self) -> float:
-        """About how many s the peer's reports take to get here."""
+        """Approximate delay of the peer's reports, in seconds."""
         ...
 
     @property
@@ -114,7 +112,7 @@ class Peer(Protocol):
 
     @property
     def down_reason(self) -> str:
-        """Why it isn't linked, for an operator."""
+        """Reason why it isn't linked, for an operator."""
         ...
 
     def send(self, message: ControlMessage) -> None:
@@ -122,16 +120,16 @@ class Peer(Protocol):
         ...
 
     def shared_port(self) -> int:
-        """The port or channel of the link itself."""
+        """Return the port or channel of the link itself."""
         ...
 
     def closed(self, route_id: int) -> None:
-        """A route's opening is over: messages about it that still come are late."""
+        """Note the end of a route's opening: control messages about it that still come are late."""
         ...
 
 
 class TypeBudget:
-    """Types that are not installed here: how many the topics of one link may have at a time.
+    """Limit on the types of one link's topics that are not installed here.
 
     Attributes:
         limit: types.
@@ -143,14 +141,13 @@ class TypeBudget:
 
     @property
     def used(self) -> int:
-        """How many types topics have now."""
         return len(self._users)
 
     def take(self, key: tuple[str, str]) -> None:
-        """One more topic has a type.
+        """Count one more topic with a type.
 
         Raises:
-            RosError: there are too many; the message says what to do.
+            RosError: there are too many types; the message has the remedy.
         """
         if key not in self._users and len(self._users) >= self.limit:
             package = key[0].partition("/")[0]
@@ -161,33 +158,33 @@ class TypeBudget:
         self._users[key] += 1
 
     def give(self, key: tuple[str, str]) -> None:
-        """A topic has a type no longer."""
+        """Count one topic less with a type."""
         self._users[key] -= 1
         if not self._users[key]:
             del self._users[key]
 
 
 class TypeUse:
-    """The type that one topic's endpoints have."""
+    """The type of one topic's endpoints."""
 
     def __init__(self, ros: RosInterface, budget: TypeBudget) -> None:
-        """It has none yet.
+        """Begin without a type.
 
         Args:
-            ros: knows which types are installed.
-            budget: of the topic's link.
+            ros: source of the installed types.
+            budget: budget of the topic's link.
         """
         self._ros = ros
         self._budget = budget
         self._key: tuple[str, str] | None = None
 
     def begin(self, type_name: str, type_hash: str, *, is_service: bool = False) -> None:
-        """Endpoints of a type are about to be made.
+        """Count a type before its endpoints are created.
 
         Args:
-            type_name: its name.
-            type_hash: which version of it.
-            is_service: it is a service's type.
+            type_name: name of the type.
+            type_hash: hash of the type's version.
+            is_service: whether it is the type of a service.
 
         Raises:
             RosError: the link's topics have too many types.
@@ -199,20 +196,18 @@ class TypeUse:
             self._key = (type_name, type_hash)
 
     def end(self) -> None:
-        """There are no endpoints any more. May be called twice."""
+        """Give the type back once all endpoints are closed. May be called twice."""
         if self._key is not None:
             self._budget.give(self._key)
             self._key = None
 
 
 class CallBudget:
-    """What the calls of one link may hold in one direction, over all its routes.
-
-    Beyond that a call is refused, and never waits.
+    """Limits on the calls of one link in one direction, over all its routes. Further calls are refused and never wait.
 
     Args:
         now: s.
-        share: how much more than the usual is allowed.
+        share: factor on the usual limits.
     """
 
     def __init__(self, now: float, share: float = 1.0) -> None:
@@ -223,11 +218,11 @@ class CallBudget:
 
     @property
     def held(self) -> tuple[int, int]:
-        """Calls and bytes, now."""
+        """Numbers of pending calls and of their bytes."""
         return self._calls.held, self._bytes.held
 
     def take(self, size: int, now: float) -> Refused | None:
-        """Let a call of `size` bytes begin at `now` (s); else, why not."""
+        """Let a call of `size` bytes begin at `now` (s), or return the reason to refuse it."""
         if not self._rate.take(1.0, now):
             return Refused.CALLS_A_SECOND
         if not self._calls.take(1):
@@ -238,7 +233,7 @@ class CallBudget:
         return None
 
     def change(self, before: int, size: int) -> bool:
-        """Let a call hold `size` bytes instead of `before`; False: it may not, and nothing has changed."""
+        """Let a call hold `size` bytes instead of `before`; return False and change nothing if it may not."""
         self._bytes.give(before)
         if self._bytes.take(size):
             return True
@@ -246,7 +241,7 @@ class CallBudget:
         return False
 
     def linger(self, size: int, now: float) -> None:
-        """From `now` (s) on DDS holds `size` bytes for a server that may have stopped, though their call is over."""
+        """Count `size` bytes of an ended call that DDS holds from `now` (s) on for a server that may have stopped."""
         if self._lingering and now - self._lingering[-1][0] < _TOGETHER:
             began, before = self._lingering.pop()
             self._lingering.append((began, before + size))
@@ -259,25 +254,25 @@ class CallBudget:
         return sum(size for _, size in self._lingering)
 
     def give(self, size: int) -> None:
-        """A call that holds `size` bytes is over."""
+        """Note the end of a call that held `size` bytes."""
         self._calls.give(1)
         self._bytes.give(size)
 
 
 class PeerBudget:
-    """What one peer can make this side hold and do, over its whole link and for as long as its routes live.
+    """Limits on the memory and work that one peer causes here, over its whole link and as long as its routes live.
 
     Attributes:
         unfinished: bytes of messages that are not whole yet.
         kept: bytes of messages that publishers here keep for late joiners.
         unacknowledged: bytes of messages that publishers here hold for slow subscribers.
         expansion: bytes by which compressed messages may grow here, over time and at once.
-        further_publishers: how many the peer may have here beyond one a topic.
-        types: that are not installed here.
-        rates: of what the peer publishes here, by topic.
+        further_publishers: publishers here for the peer beyond one for each topic.
+        types: types that are not installed here.
+        rates: rates of the peer's topics here.
         asked: calls of this side's callers.
         provided: calls of the peer's callers.
-        checks: lengths that are read to check the peer's messages.
+        checks: lengths to read for checks of the peer's messages.
     """
 
     def __init__(self, now: float) -> None:

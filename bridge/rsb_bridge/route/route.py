@@ -1,9 +1,8 @@
-"""What one link carries of one name: what every half of every route shares, whatever crosses on it.
+"""A route: the bridging of one name over one link. This module has the part that all kinds of routes share.
 
 A topic's two halves are `rsb_bridge.route.outgoing` and `rsb_bridge.route.incoming`, which share `TopicRoute`. The two
-halves of a service, an action or a node's parameters are in `rsb_bridge.route.calls`. `advance` does whatever can be
-done next and may be called at any time, so nothing depends on the order in which ROS, the peer and the sockets become
-ready.
+halves of a service, an action or a node's parameters are in `rsb_bridge.route.calls`. `advance` does every step that is
+possible now and may be called at any time, so ROS, the peer and the sockets may become ready in any order.
 """
 
 from __future__ import annotations
@@ -21,8 +20,8 @@ from rsb_bridge.model.session import HIGHEST, RANKS, priority_of
 from rsb_bridge.model.snapshot import Level, RouteSnapshot, Stage
 from rsb_bridge.model.text import sanitize_text
 from rsb_bridge.route.age import MessageAge
-from rsb_bridge.route.arming import SAID, Arming, Disarmed, Settling
 from rsb_bridge.route.blocking_rules import RouteStatus
+from rsb_bridge.route.arming import DISARM_TEXT, Arming, Disarmed, Settling
 from rsb_bridge.route.combined_verdict import CombinedVerdict
 from rsb_bridge.route.lifecycle import Event, Lifecycle, PauseState
 from rsb_bridge.route.notices import ChannelLosses, Notices, timed_out
@@ -50,7 +49,7 @@ _LINK_STAGE = "link up"
 _FIRST_PAUSE, _LONGEST_PAUSE = 1.0, 10.0
 _PROPOSED_WITHIN = 3.0
 _REFUSED_WITHIN = 5.0
-"""s after which a retried route is no longer likely to be refused again."""
+"""Seconds after which a retried route is unlikely to be refused again."""
 
 
 class Owner(Peer, Protocol):
@@ -69,27 +68,27 @@ class Route:
     """A route's half on this side. Lives across reconnects; `id` is that of the present opening.
 
     Attributes:
-        key: names it in commands.
-        spec: what was asked for, as the client sees it.
-        topic: its name on the sending side; of calls, here and below, that is the callers' side.
+        key: its name in commands.
+        spec: the topic's entry, as the client sees it.
+        topic: its name on the sending side; for calls, here and below, the callers' side.
         remote_topic: its name on the receiving side.
         from_client: whether the client sends.
-        proposed_here: whether this side opens it anew after a reconnect.
-        pattern: of this side's session, which has made it; empty: it is listed by its name, or the other side's.
-        id: route id on the present connection; 0: not open.
-        instance: of the peer's process that its present or last opening is with.
-        life: what the two sides have agreed on so far.
-        arming: whether it is armed, where it has to be.
-        settling: whether the other side may still publish what was sent before it was disarmed.
-        age: how old its messages, or requests, may be.
-        closed_ids: of its last incarnations on the present connection, the oldest first.
-        closed_at: s, when its last opening ended; 0: it had none.
+        proposed_here: whether this side opens it again after a reconnect.
+        pattern: pattern of this side's session that created it, or an empty string.
+        id: route id on the present connection, or 0 if it is not open.
+        instance: id of the peer's process in its present or last opening.
+        life: phase of the agreement between the two sides.
+        arming: armed state, if arming is required.
+        settling: whether the other side may still publish messages from before it was disarmed.
+        age: limits on the age of its messages or requests.
+        closed_ids: ids of its last openings on the present connection, the oldest first.
+        closed_at: time (s) when its last opening ended, or 0 before that.
         endpoints: others' publishers of the topic on the sending side, their subscriptions on the receiving side; of
             calls, the clients and the servers.
-        losses: of the channels that carried it.
-        judged: what both sides make of it.
-        limit: how many messages cross at most.
-        peer_report: the type of the reports that the other side's half sends.
+        losses: losses of its channels.
+        judged: combined verdict of both sides.
+        limit: limit of its rate.
+        peer_report: type of the reports that the other side's half sends.
     """
 
     peer_report: ClassVar[type[SentReport | ReceivedReport | CallsReport]]
@@ -134,17 +133,17 @@ class Route:
         self.meter = RateMeter(context.now())
         self.release_port: Callable[[], None] | None = None
 
-    # --- what the halves do differently
+    # --- differences between the halves
 
     def advance(self) -> None:
         """Do what can be done next."""
         raise NotImplementedError
 
     def flush(self) -> None:
-        """The path takes more again. A half that sends nothing has nothing to do."""
+        """Send more, as the channel has room again. A half that sends nothing ignores it."""
 
     def deliver(self, messages: Iterable[Message]) -> None:
-        """Messages came, whole and authentic. A half that only sends gets none: the peer does not even have its key."""
+        """Take whole, authentic messages. A half that only sends gets none: the peer does not even have its key."""
 
     def news(self) -> SentReport | ReceivedReport | CallsReport | None:
         """Return the report for the peer, or None if the peer knows everything."""
@@ -155,58 +154,57 @@ class Route:
         raise NotImplementedError
 
     def _may_flow(self) -> None:
-        """From now on something may cross: what is watched over time begins anew."""
+        """Restart all measurements over time, because messages may cross from now on."""
 
     def _stages(self) -> tuple[Stage, ...]:
-        """The steps of a message's, or a call's, way."""
+        """Return the steps of a message's or a call's path."""
         raise NotImplementedError
 
     def _judge(self) -> Verdict:
-        """What this half makes of it."""
         raise NotImplementedError
 
     def snapshot(self) -> RouteSnapshot:
-        """The route as it is now."""
+        """Return the present state of the route."""
         raise NotImplementedError
 
-    # --- what is the same for all
+    # --- common to all routes
 
     def on_accepted(self) -> None:
-        """Both sides want the route."""
+        """Go on after both sides have accepted the route."""
         if self.life.take(Event.ACCEPT):
             self._warn_of_older_peer()
             self.advance()
 
     def _warn_of_older_peer(self) -> None:
-        """Tell operators that the other side drops nothing for its age, once for each of its processes."""
+        """Warn operators once for each process of the peer that the peer does not drop old messages."""
         if self.age.max_age and MAX_AGE_FEATURE not in self.peer.features and self._warned_of != self.peer.instance:
             self._warned_of = self.peer.instance
             text = "only this side drops messages older than max_age: update the other side's rsb-console"
             self.log(Level.WARNING, EventCode.ROUTE_MAX_AGE_ONE_SIDED, text)
 
     def stages(self) -> tuple[Stage, ...]:
-        """The steps of a message's way; without a link, nothing is known of the others."""
+        """Return the steps of a message's path; without a link, the state of all others is unknown."""
         steps = self._stages()
         if self.peer.linked:
             return steps
         return tuple(step if step.name == _LINK_STAGE else Stage(step.name, None) for step in steps)
 
     def _link_stage(self) -> Stage:
-        """Whether the peer is there, and what carries the route gets through."""
+        """Return the step of the link: the peer is connected and the route's channel works."""
         trouble = self.trouble()
         return Stage(_LINK_STAGE, self.peer.linked and not trouble, trouble or self.peer.down_reason)
 
     def _accepted_stage(self) -> Stage:
-        """Whether both sides want the route."""
+        """Return the step of the peer's acceptance."""
         return Stage("peer accepted", False if self.refusal else self.accepted or None, self.refusal)
 
     @property
     def rank(self) -> int:
-        """Of its priority; calls go ahead of topics."""
+        """Rank of its priority; calls rank above topics."""
         return RANKS[priority_of(self.proposal.priority)] if self.proposal.kind == "topic" else HIGHEST
 
     def set_peer_topic(self, topic: str) -> None:
-        """The peer says what the topic is called on its side."""
+        """Take the topic's name on the peer's side."""
         if self.outgoing:
             self.remote_topic = topic
         else:
@@ -214,7 +212,6 @@ class Route:
 
     @property
     def local_topic(self) -> str:
-        """Its name on this side."""
         return self.topic if self.outgoing else self.remote_topic
 
     @property
@@ -253,7 +250,7 @@ class Route:
         self._may_flow()
 
     def close(self, reason: str) -> None:
-        """End the present opening; what it keeps across openings stays."""
+        """End the present opening; state that outlives openings stays."""
         if self.arming.held:
             self.disarm(Disarmed.REOPENED if self.peer.linked else Disarmed.LINK_LOST)
         if self.channel is not None:
@@ -271,34 +268,34 @@ class Route:
         self.closed_at = self.context.now()
 
     def destroy(self) -> None:
-        """End it for good: endpoints too."""
+        """End it for good, with its endpoints."""
         self.close("removed")
         self.losses.forget_report()
 
     def refuse(self, code: EventCode, reason: str) -> None:
-        """The route can't be; it is tried again later if it was proposed here."""
+        """Refuse the route; this side tries again later if it proposed it."""
         self.notices.error(code, reason)
         self._end(reason)
         self._refused = "" if code == EventCode.ROUTE_CLOSED else reason
 
     def _end(self, reason: str) -> None:
-        """End the present opening for a reason that is shown; it is opened again later if it was proposed here."""
+        """End the present opening and show the reason; this side opens it again later if it proposed it."""
         self.close(reason)
         self._verdict = None
         self.life.take(Event.REFUSE, reason)
         self.retry_at = self.context.now() + self._backoff.next()
 
     def awaited_until(self, linked_at: float) -> float:
-        """Until when (s) the other side will have asked for the route anew, if it still wants it."""
+        """Return the time (s) by which the other side will have proposed the route again if it still wants it."""
         if self.closed_at > linked_at:
             return self.closed_at + _LONGEST_PAUSE + _PROPOSED_WITHIN
         return linked_at + _PROPOSED_WITHIN
 
     def channel_lost(self, reason: str) -> None:
-        """What carried the route broke: open it again. It is reported as an error once the link has outlived it."""
+        """Open the route again after its channel broke. It is an error only if the link survives."""
         if self.id:
             text, connection = f"data connection: {reason}", self.peer.connections
-            # Whoever disarms ends the channel, which may be seen before it is said.
+            # A side that disarms closes the channel; the closed channel may be noticed before the message about it.
             ends_with_arming = self.arming.required and not timed_out(reason)
             if self.arming.held:
                 self.disarm(Disarmed.CHANNEL_LOST)
@@ -313,7 +310,7 @@ class Route:
             self.losses.add(reason, self.context.loop, report)
 
     def request_reopen(self, code: EventCode, reason: str, level: Level = Level.WARNING) -> None:
-        """Close the route on both sides; its proposer opens it again, which as a rule is all that it needs."""
+        """Close the route on both sides; its proposer opens it again, which usually solves the problem."""
         if self.id:
             self.notices.error(code, reason, level)
             self._end_on_both_sides(reason)
@@ -325,23 +322,24 @@ class Route:
 
     @property
     def paused(self) -> bool:
-        """Whether it carries no messages, as an operator of either side wants."""
+        """Whether an operator of either side has paused it."""
         return self.pausing.paused
 
     def pause(self, paused: bool, who: str = "") -> None:
-        """An operator of this side, `who`, stops or resumes carrying messages; the route stays set up."""
+        """Pause or resume for `who`, an operator of this side; the route stays set up."""
         was = self.paused
         self.pausing.change(paused=paused, who=who)
         self._paused(was)
 
     def pause_from_peer(self, paused: bool, revision: int, who: str = "", *, known: bool = True) -> None:
-        """The peer tells its state of the pause.
+        """Take the peer's state of the pause.
 
         Args:
-            paused: its state.
-            revision: of its state.
-            who: an operator there, as it says.
-            known: whether this side's revisions are about the peer's present process; else its state counts as it is.
+            paused: the peer's state.
+            revision: revision of that state.
+            who: operator there, as the peer names them.
+            known: whether this side's revisions come from the peer's present process; otherwise the peer's state
+                counts.
         """
         was = self.paused
         if known:
@@ -361,7 +359,7 @@ class Route:
         self.advance()
 
     def armed(self) -> None:
-        """Both sides hold it for armed: messages may cross, from now on."""
+        """Let messages cross, as both sides now agree that it is armed."""
         self._verdict = None
         self._may_flow()
         self.advance()
@@ -372,13 +370,13 @@ class Route:
         if arming.armed and self.outgoing and lease is not None:
             self.settling.begin(self.id, lease.left)
         if why is not Disarmed.OPERATOR:
-            text = f"disarmed: {reason or SAID[why]} ({arming.by} armed it)"
+            text = f"disarmed: {reason or DISARM_TEXT[why]} ({arming.by} armed it)"
             self.settling.then(lambda: self.log(Level.WARNING, EventCode.ROUTE_DISARMED, text, cause=why))
         arming.end(why, reason)
         self._verdict = None
 
     def amend(self, spec: Topic, proposal: Propose) -> None:
-        """Go on with other limits; counts, endpoints and what is under way stay."""
+        """Apply new limits; counts, endpoints and messages in transit stay."""
         changes = limits_changed(self.proposal, proposal)
         self.spec, self.proposal = spec, proposal
         self.limit.set_max_rate(proposal.max_rate)
@@ -388,7 +386,7 @@ class Route:
             self.log(Level.INFO, EventCode.ROUTE_AMENDED, changes)
 
     def settle_age(self) -> None:
-        """Apply both sides' limits of age; called after each change of them."""
+        """Apply both sides' age limits; called after each change of them."""
         demands = self.proposal.max_age, self.age.accepted, self.arming.own.max_age
         self.age.settle(demands, armed=self.arming.required, lifespan=self._lifespan)
 
@@ -403,10 +401,10 @@ class Route:
     # --- time
 
     def tick(self) -> None:
-        """Once a second: histories, and what has turned for the worse."""
+        """Update the meter and report a changed verdict; called once a second."""
         now = self.context.now()
         self.meter.tick(now, learns=self.learns)
-        if self.flowing:  # that both sides accept it says little: what it is refused for may be found out later
+        if self.flowing:  # acceptance alone is not enough: a refusal may follow
             self._backoff.reset()
         self._verdict = None
         verdict = self.verdict()
@@ -420,23 +418,23 @@ class Route:
 
     @property
     def learns(self) -> bool:
-        """Whether its rate and delays are as usual now, so that the usual ones are learned from them."""
+        """Whether its rate and delays are typical now, so that the usual values are learned from them."""
         return True
 
     # --- how it is
 
     def trouble(self) -> str:
-        """Why what carries it does not get through; empty: it does."""
+        """Return the reason why its channel does not get through, or an empty string."""
         return self.channel.trouble() if self.channel is not None else ""
 
     @property
     def awaits_report(self) -> bool:
-        """Whether the other side, which has still to report of this opening, alone knows the first steps."""
+        """Whether only the other side knows the first steps and has not yet reported on this opening."""
         return False
 
     @property
     def connected(self) -> bool:
-        """Whether there is a way for messages; those that are under way when the route is paused still go it."""
+        """Whether there is a path for messages; messages in transit when the route is paused still arrive."""
         return self.accepted and self.channel is not None and self.channel.ready
 
     @property
@@ -444,7 +442,7 @@ class Route:
         """Whether messages could cross now."""
         return self.connected and not self.paused and not self.notices.loop and self.arming.stands(self.context.now())
 
-    # --- what is made of it
+    # --- verdict
 
     def status(self) -> RouteStatus:
         """Return the part of this half's knowledge that does not depend on what the route carries."""
@@ -460,7 +458,7 @@ class Route:
             loop=self.notices.loop,
             paused=self.paused,
             paused_by=self.pausing.who,
-            disarmed="" if stands else SAID[why_not] if why_not else SAID[overdue] if overdue else self.arming.reason,
+            disarmed=self._disarmed_text(stands, why_not or overdue),
             disarming=self.settling.under_way
             or (self.outgoing and self.arming.armed and overdue is not None and not stands),
             can_be_armed=why_not is None,
@@ -470,8 +468,13 @@ class Route:
             limited_by=self.limit.why,
         )
 
+    def _disarmed_text(self, armed: bool, why: Disarmed | None) -> str:
+        if armed:
+            return ""
+        return DISARM_TEXT[why] if why else self.arming.reason
+
     def _why_not_armable(self) -> Disarmed | None:
-        """Return the reason why no operator can arm it now, whoever tries, or None."""
+        """Return the reason why no operator at all can arm it now, or None."""
         if LEASE_FEATURE not in self.peer.features:
             return Disarmed.PEER_TOO_OLD
         return Disarmed.LINK_SLOW if self.arming.why is Disarmed.LINK_SLOW else None
@@ -481,7 +484,7 @@ class Route:
         return "" if self.link_full is not None and self.transport.reliable else self.trouble()
 
     def _first_missing(self) -> str:
-        """What has to come before anything can cross; a step that has failed before one that is open."""
+        """Return the first missing step; failed steps come before undecided ones."""
         missing = [stage for stage in self.stages() if not stage.done]
         first = next((stage for stage in missing if stage.done is False), None)
         if first is None and self.awaits_report:
@@ -490,13 +493,13 @@ class Route:
         return (first.detail or first.name) if first else ""
 
     def verdict(self) -> Verdict:
-        """What this side made of the route at the last tick, or when an operator or the peer has changed it since."""
+        """Return this side's verdict, made at the last tick or at a later change by an operator or the peer."""
         if self._verdict is None or self.arming.overdue(self.context.now()):
             self._verdict = self._judge()
         return self._verdict
 
     def common_snapshot(self) -> partial[RouteSnapshot]:
-        """The route as it is now, but for what depends on what it carries."""
+        """Return the part of the snapshot that topics and calls share."""
         now = self.context.now()
         verdict, from_peer = self.judged.shown(self.verdict())
         return partial(
@@ -541,7 +544,7 @@ class Route:
         self._verdict = None
 
     def _about(self, said: Announcement, now: float) -> About:
-        """What an event says of the verdict that is shown."""
+        """Return the fields of an event about the shown verdict."""
         verdict, from_peer = self.judged.shown(self.verdict())
         since = self.context.wall() - (now - self.judged.since(verdict, now))
         return {"cause": said.cause, "state": verdict.state, "since": since, "from_peer": from_peer}
@@ -553,12 +556,11 @@ class Route:
 
 
 def route_key(link: str, proposal: Propose) -> str:
-    """What identifies a route on this side: the link, the direction and the topic's name on the sending side.
+    """Return the key of a route on this side: the link, the direction and the topic's name on the sending side.
 
-    Of what is not a topic, its kind, too: a service may have a topic's name.
-
-    Where the server adds a prefix that the client did not propose, the two sides' keys of a route that the server sends
-    on differ. Keys do not cross the link: each side's commands and snapshots use its own.
+    The key of a service, an action or parameters also has the kind, as a service may share a topic's name. If the
+    server adds a prefix that the client did not propose, the two sides' keys of a route that the server sends on
+    differ. Keys do not cross the link: each side's commands and snapshots use its own.
     """
     kind = "" if proposal.kind == "topic" else f"{proposal.kind} "
     return f"{link} {'→' if proposal.from_client else '←'} {kind}{proposal.topic}"

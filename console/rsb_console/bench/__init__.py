@@ -1,1 +1,1 @@
-"""What a link carries, measured: how it is measured, what comes of it, and how that is shown."""
+"""Benchmarks of links: the measurements, their results and the presentation."""

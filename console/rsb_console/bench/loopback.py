@@ -1,4 +1,4 @@
-"""Two bridges between two ROS domains of this machine, and all between the talker and the listener."""
+"""Two bridges between two ROS domains of this machine, with a talker and a listener."""
 
 from __future__ import annotations
 
@@ -33,10 +33,10 @@ TRAFFIC = "rsb_bridge.ros.traffic"
 _TYPE = "std_msgs/msg/String"
 _DEPTH = 2000
 _HISTORY = 64 << 20
-"""Bytes that a publisher or a subscription keeps at most."""
+"""Most bytes that a publisher or a subscription keeps."""
 _LEAST_DEPTH = 4
 _QUIET = 0.7
-"""s without a message after which no more is waited for."""
+"""Seconds without a message after which the wait ends."""
 _LOOK_EVERY = 0.05
 _READY_WITHIN = 20.0
 _ANSWERS_WITHIN = 5.0
@@ -46,23 +46,23 @@ _STATE_EVERY = 0.1
 
 
 def depth_of(size: int) -> int:
-    """How many messages of a size are kept."""
+    """Return the number of messages of a size to keep."""
     return max(_LEAST_DEPTH, min(_DEPTH, _HISTORY // max(1, size)))
 
 
 @dataclass(slots=True)
 class Bed:
-    """A talker, a listener, and what stands between them.
+    """A talker, a listener, and the processes between them.
 
     Attributes:
-        talker: publishes.
-        listener: subscribes.
-        between: the processes between them, in the order of the messages' way.
-        topics: the number of the topic for messages of a size; others go by the first.
-        sockets: of the control connections of `between`, where they have any.
-        started: monotonic s, when the first of `between` was started.
-        listening: s after which the receiving bridge listened.
-        first: s after which the first message was through.
+        talker: process that publishes.
+        listener: process that subscribes.
+        between: the processes between them, in the order in which messages pass.
+        topics: the number of the topic for messages of a size; other sizes use the first topic.
+        sockets: control sockets of `between`, if any.
+        started: start of the first of `between`, in seconds of the monotonic clock.
+        listening: seconds until the receiving bridge listened.
+        first: seconds until the first message was through.
     """
 
     talker: Process
@@ -75,7 +75,7 @@ class Bed:
     first: float | None = None
 
     def send(self, rate: float, seconds: float, size: int) -> Run:
-        """Send for a while, wait until no more comes, and say what came."""
+        """Send for a while, wait until no more messages come, and return the counts."""
         self.listener.ask("reset")
         before = [process.cpu() for process in self.between]
         count = max(1, int(rate * seconds))
@@ -88,7 +88,7 @@ class Bed:
         return Run(size, count, int(report["count"]), reached, p50, p99, p999, sides)
 
     def _settle(self, count: int, quiet: float) -> None:
-        """Wait until all have come, or none has for some s."""
+        """Wait until all messages have come, or no message has come for some seconds."""
         come, grown = self.listener.ask("count")["count"], time.monotonic()
         while come < count and time.monotonic() - grown < quiet:
             time.sleep(_LOOK_EVERY)
@@ -101,7 +101,7 @@ class Bed:
         return float("inf")
 
     def wire(self, rate: float, seconds: float, size: int) -> Run:
-        """As `send`, with the bytes that the sending bridge handed to its sockets."""
+        """Do as `send`, and count the bytes that the sending bridge handed to its sockets."""
         before = sent_bytes(self.sockets[0])
         run = self.send(rate, seconds, size)
         return replace(run, wire=sent_bytes(self.sockets[0]) - before)
@@ -119,7 +119,7 @@ class Bed:
 
 
 def sent_bytes(socket: Path) -> int:
-    """Bytes that a bridge has handed to the sockets of its links.
+    """Return the bytes that a bridge has handed to the sockets of its links.
 
     Raises:
         BenchError: it does not answer.
@@ -147,13 +147,13 @@ def ends(near: int, far: int, listener: str = "listen", sizes: Sequence[int] = (
 
 
 def topic_of(size: int) -> str:
-    """The name of the topic for messages of a size. Another benchmark on the same machine has other names."""
+    """Return the name of the topic for messages of a size. Another benchmark on the same machine has other names."""
     return f"{TOPIC}_{os.getpid()}_{size}"
 
 
 @contextlib.contextmanager
 def direct(near: int, sizes: Sequence[int] = (), listener: str = "listen") -> Iterator[Bed]:
-    """Nothing between them: one domain."""
+    """Put nothing between talker and listener: one domain."""
     with ends(near, near, listener, sizes) as bed:
         yield ready(bed)
 
@@ -168,15 +168,15 @@ def bridged(
     side: Callable[[Path], Process] | None = None,
     client: Callable[[Path], Process] | None = None,
 ) -> Iterator[Bed]:
-    """Our bridge between them: two processes, encrypted.
+    """Put our bridge between a talker and a listener: two processes, encrypted.
 
     Args:
-        protocol: of all topics.
-        near: the talker's domain, and the client's.
-        far: the listener's, and the server's.
-        sizes: with a topic for each; none: one topic for all.
-        side: starts a side; None: `headless`.
-        client: starts another client; None: `side`.
+        protocol: protocol of all topics.
+        near: the domain of the talker and the client.
+        far: the domain of the listener and the server.
+        sizes: message sizes with a topic each, or empty for one topic for all.
+        side: starts a side, or None for `headless`.
+        client: starts the client's side, or None for `side`.
     """
     side = side or headless
     with tempfile.TemporaryDirectory(prefix="rsb-bench-") as name, ends(near, far, sizes=sizes) as bed:
@@ -198,7 +198,7 @@ def bridged(
 
 
 def write_sessions(folder: Path, near: int, far: int, entries: Sequence[str]) -> int:
-    """The session files of a server in one domain and a client in the other, with these topics; gives the port."""
+    """Write the session files of a server and a client in two domains, with these topics; return the port."""
     key = folder / "bench.key"
     key.write_bytes(base64.urlsafe_b64encode(os.urandom(32)))
     key.chmod(0o600)
@@ -212,7 +212,7 @@ def write_sessions(folder: Path, near: int, far: int, entries: Sequence[str]) ->
 
 
 def headless(session: Path, log: Path | None = None) -> Process:
-    """One side of our bridge. Where it is served, kept and listed is the session's folder, not the user's."""
+    """Start one side of our bridge. Its socket and its state are in the session's folder, not the user's."""
     folder = session.parent
     apart = {"XDG_RUNTIME_DIR": str(folder), "XDG_STATE_HOME": str(folder)}
     control = ["--control", str(session.with_suffix(".sock"))]
@@ -229,7 +229,7 @@ def headless(session: Path, log: Path | None = None) -> Process:
 
 
 def listening(server: Process, port: int) -> float:
-    """Wait until a port is listened on; monotonic s then. The kernel is asked: a connection would be the server's."""
+    """Wait until a port is listened on, and return the time. Ask the kernel: a connection would disturb the server."""
     deadline, wanted = time.monotonic() + _READY_WITHIN, f":{port:04X}"
     while time.monotonic() < deadline and server.running:
         rows = [row.split() for row in Path("/proc/net/tcp").read_text().splitlines()[1:]]
@@ -259,8 +259,8 @@ class Loopback:
     """Two domains of this machine.
 
     Args:
-        transports: to measure.
-        domains: which; nobody else should be in them.
+        transports: transports to measure.
+        domains: two ROS domains, free of other nodes.
     """
 
     def __init__(self, transports: tuple[str, ...], domains: tuple[int, int]) -> None:
@@ -301,7 +301,7 @@ class Loopback:
 
 
 def _all_carry(bridge: Process, socket: Path, count: int, began: float) -> float:
-    """Wait until so many topics of a bridge carry messages; s since it was started."""
+    """Wait until so many topics of a bridge carry messages; return the seconds since its start."""
     deadline = began + _OPENED_WITHIN
     engine: RemoteEngine | None = None
     try:
@@ -331,7 +331,7 @@ def _attached(socket: Path) -> RemoteEngine | None:
 
 
 def machine() -> str:
-    """The processor, its cores and Python's version."""
+    """Return the processor, its cores and Python's version."""
     name = ""
     with contextlib.suppress(OSError):
         lines = Path("/proc/cpuinfo").read_text(encoding="utf-8", errors="replace").splitlines()
@@ -340,6 +340,6 @@ def machine() -> str:
 
 
 def ros_problem() -> str:
-    """Why no ROS node can run here; empty: it can."""
+    """Return the reason why no ROS node can run here, or an empty string."""
     found = subprocess.run([sys.executable, "-c", "import rclpy, std_msgs.msg"], capture_output=True, check=False)
     return "" if found.returncode == 0 else BenchProblem.NO_ROS()

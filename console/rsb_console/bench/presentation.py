@@ -1,4 +1,4 @@
-"""The results of a benchmark for people: tables, a plot of the highest rates, and what a link can carry."""
+"""The results of a benchmark for people: tables, a plot of the highest rates, and a verdict on topics."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ if TYPE_CHECKING:
 
 _LIMITS = {
     "loss": "",
-    "sender": " (the sender makes no more)",
-    "leave": " (no more is allowed)",
+    "sender": " (the sender's limit)",
+    "leave": " (the peer's limit)",
     "time": " (time was up)",
 }
 _NONE = "-"
@@ -35,31 +35,33 @@ USUAL = (
     Load("a point cloud", 1_200_000, 10),
     Load("a raw camera image of 1920 × 1080", 6_220_800, 30),
 )
-"""What robots usually send; for a benchmark that knows of no session."""
+"""Usual topics of robots, for a benchmark without a session."""
 _NAMED = 8
 _MARKS = "*o+x#@"
 _COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9")
-"""Okabe and Ito's, which people who see fewer colours tell apart."""
+"""Colours of Okabe and Ito, which colour-blind people can tell apart."""
 _HEIGHT = 14
 _LEFT = 11
 _NARROWEST = 40
 
 
 class JudgingText(Wording):
-    """Sentences on whether a link carries a session's topics."""
+    """Verdicts on whether a link carries a session's topics."""
 
-    NOTHING = "Nothing to judge: no topic has a rate and a size yet, or too little was measured."
+    NOTHING = "No verdict: no topic has a rate and a size yet, or too little was measured."
     CARRIES_ALL = "{over} carries {carried}."
     CARRIES_SOME = "{over} carries {carried}, not {others}."
     CARRIES_NONE = "{over} does not carry {others}."
-    BARELY = "Only just: {topics}; anything else there costs messages."
-    UNKNOWN = "Too little was tried to say whether {over} carries {topics}."
-    TOGETHER_MOST = "Together they take {percent:.0f} % of it, nearly all there is: limit the largest (max_rate)."
-    TOGETHER_TOO_MUCH = "Together they take {percent:.0f} % of it, more than there is: limit the largest (max_rate)."
+    BARELY = "Only just: {topics}; any further load costs messages."
+    UNKNOWN = "Too few rates were tried to judge whether {over} carries {topics}."
+    TOGETHER_MOST = "Together they take {percent:.0f} % of it, nearly all its capacity: limit the largest (max_rate)."
+    TOGETHER_TOO_MUCH = (
+        "Together they take {percent:.0f} % of it, more than its capacity: limit the largest (max_rate)."
+    )
 
 
 def lines_of(report: Report) -> Iterator[str]:
-    """All tables, each with a line about it."""
+    """Yield all tables, each with a line about it."""
     yield f"{report.over}; {report.machine}"
     if report.points:
         yield ""
@@ -103,7 +105,7 @@ def _rates(points: Sequence[Point]) -> Iterator[str]:
 
 def _latencies(points: Sequence[Point]) -> Iterator[str]:
     added = any(each.base for each in points)
-    what = "what the bridge adds to it, next to no bridge" if added else "from this end of the link to the other"
+    what = "added by the bridge, compared with no bridge" if added else "from this end of the link to the other"
     yield f"Latency at a low rate, ms; {what}"
     rows: list[tuple[str, ...]] = [
         ("", "size", "p50", "p99", "p99.9", *(("added p50", "p99", "p99.9") if added else ()))
@@ -145,7 +147,7 @@ def _way(point: Point, points: Sequence[Point]) -> str:
 
 
 def _aligned(rows: Sequence[Sequence[str]]) -> Iterator[str]:
-    """The first column to the left, the others to the right."""
+    """Align the first column to the left, the others to the right."""
     columns = max(map(len, rows))
     widths = [max(len(row[at]) for row in rows if at < len(row)) for at in range(columns)]
     for row in rows:
@@ -155,13 +157,13 @@ def _aligned(rows: Sequence[Sequence[str]]) -> Iterator[str]:
 
 
 def capacity(points: Iterable[Point], size: float) -> float:
-    """The highest rate (Hz) for messages of a size, between and beyond the sizes that were measured.
+    """Return the highest rate (Hz) for messages of a size, between and beyond the sizes that were measured.
 
     Between two sizes it is on a straight line of logarithms. Smaller messages than the smallest that was measured are
     taken for as dear as that, larger ones than the largest for as dear by the byte.
 
     Args:
-        points: of one transport and direction.
+        points: points of one transport and direction.
         size: bytes.
     """
     near = _nearest(points, size)
@@ -177,7 +179,7 @@ def capacity(points: Iterable[Point], size: float) -> float:
 
 
 def _nearest(points: Iterable[Point], size: float) -> list[Point]:
-    """The points that say what is carried of a size: the ones below and above it, or the one at its end."""
+    """Return the measured points next to a size: the ones below and above it, or the outermost one."""
     known = sorted((each for each in points if each.best or _lost(each)), key=lambda each: each.size)
     below = [each for each in known if each.size <= size]
     above = [each for each in known if each.size >= size]
@@ -185,17 +187,17 @@ def _nearest(points: Iterable[Point], size: float) -> list[Point]:
 
 
 def _open_ended(points: Iterable[Point], size: float) -> bool:
-    """Whether more may be carried of a size than was tried."""
+    """Whether the link may carry more messages of a size than were tried."""
     return any(each.limit in ("time", "leave") for each in _nearest(points, size))
 
 
 def _lost(point: Point) -> bool:
-    """Whether even the lowest rate was too high. Where only the time was up, nothing is known."""
+    """Whether even the lowest rate was too high. If only the time ran out, this is unknown."""
     return point.best is None and point.limit == "loss"
 
 
 def judge(loads: Iterable[Load], points: Sequence[Point]) -> list[Judged]:
-    """Whether each topic alone is carried: by its own transport, else by the best that was measured."""
+    """Judge each topic alone: by its own transport, otherwise by the best measured one."""
     return [judged for load in loads if (judged := _judge(load, points)) is not None]
 
 
@@ -222,12 +224,12 @@ def _verdict(share: float, *, at_most: bool) -> Literal["carried", "barely", "no
 
 
 def in_words(judged: Sequence[Judged], over: str, *, together: bool) -> list[str]:
-    """The verdict, in sentences.
+    """Describe the verdict in sentences.
 
     Args:
         judged: the topics.
-        over: what was measured: ``this link``.
-        together: whether all of them are there at the same time.
+        over: words for the measured link: ``this link``.
+        together: whether all topics run at the same time.
     """
     if not judged:
         return [JudgingText.NOTHING()]
@@ -266,7 +268,6 @@ class Curve(NamedTuple):
 
 
 def _curves(points: Sequence[Point]) -> list[Curve]:
-    """The lines to draw."""
     two_ways = len({each.direction for each in points}) > 1
     found: dict[str, list[tuple[float, float]]] = {}
     for each in points:
@@ -277,7 +278,7 @@ def _curves(points: Sequence[Point]) -> list[Curve]:
 
 
 class _Axis:
-    """Where a value stands between the ends of an axis, as a share."""
+    """An axis that maps a value to its share of the way between the ends."""
 
     def __init__(self, values: Sequence[float]) -> None:
         self.low = math.floor(math.log10(min(values)))
@@ -296,7 +297,7 @@ def _axes(lines: Sequence[Curve]) -> tuple[_Axis, _Axis]:
 
 
 def in_terminal(points: Sequence[Point], width: int) -> list[str]:
-    """Lines of plain characters, at most `width` wide."""
+    """Draw the points in lines of plain characters, at most `width` wide."""
     lines = _curves(points)
     if not lines:
         return []
@@ -328,7 +329,7 @@ def in_terminal(points: Sequence[Point], width: int) -> list[str]:
 
 
 def as_svg(points: Sequence[Point], title: str) -> str:
-    """The same as an SVG document; without points, one that says so."""
+    """Draw the points as an SVG document, or a note if there are no points."""
     lines = _curves(points)
     wide, high, left, top, right, bottom = 720, 420, 90, 40, 130, 50
     parts = [

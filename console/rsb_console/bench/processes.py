@@ -1,4 +1,4 @@
-"""Child processes that are measured, or that measure: none of them outlives this one."""
+"""Child processes that are measured, or that measure; they end with this process."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _STOPS_WITHIN = 6.0
 
 
 class ChildError(BenchError):
-    """A process that measures has ended by itself; the message says which, and what it said."""
+    """A measuring process ended by itself; the message has its name and its output."""
 
 
 class Process:
@@ -39,13 +39,13 @@ class Process:
         environ: Mapping[str, str] | None = None,
         folder: Path | None = None,
     ) -> None:
-        """Start it.
+        """Start the process.
 
         Args:
-            command: what Python is to run: ``-m``, a module and its arguments.
-            log: all that it writes goes there, and it cannot be asked; None: it can.
-            environ: what differs from this process's environment.
-            folder: to be in; None: this process's.
+            command: arguments of Python: ``-m``, a module and its arguments.
+            log: file for all its output, or None to read its answers.
+            environ: changes to this process's environment.
+            folder: its working folder, or None for this process's.
         """
         environment = os.environ | {"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"} | dict(environ or {})
         self._name = " ".join(command[:3])
@@ -68,7 +68,7 @@ class Process:
         self.stop()
 
     def ask(self, line: str) -> dict[str, float]:
-        """The answer to a command.
+        """Send a command and return the answer.
 
         Raises:
             ChildError: it has ended.
@@ -81,7 +81,7 @@ class Process:
         return answer
 
     def tell(self, line: str) -> None:
-        """A command that is not waited for.
+        """Send a command without waiting for an answer.
 
         Raises:
             ChildError: it has ended.
@@ -122,7 +122,7 @@ class Process:
         return self._child.poll() is None
 
     def stop(self) -> None:
-        """End it, by force if it takes long."""
+        """End the process, by force if it takes long."""
         self._child.terminate()
         try:
             self._child.wait(_STOPS_WITHIN)
@@ -137,7 +137,7 @@ class Process:
 
 
 def free_port() -> int:
-    """A TCP port of this machine that nobody listens on now."""
+    """Return a free TCP port of this machine."""
     with socket.socket() as tcp:
         tcp.bind(("127.0.0.1", 0))
         return int(tcp.getsockname()[1])

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from contextlib import AbstractContextManager
 
 Limit: TypeAlias = Literal["loss", "sender", "leave", "time"]
-"""Why a search for the highest rate ended: more is lost, the sender or the peer's leave has no more, time is up."""
+"""End of a search for the highest rate: a loss, the sender's limit, the peer's limits, or the end of the time."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -22,15 +22,15 @@ class Run:
     """One run of messages of one size.
 
     Attributes:
-        size: bytes of payload of each.
-        sent: messages.
-        received: messages.
+        size: bytes of payload of each message.
+        sent: number of messages.
+        received: number of messages.
         rate: Hz that the sender reached.
-        p50: ms, of the latency, likewise those below.
-        p99: ms.
-        p999: ms.
-        sides: s of processor time that the sending and the receiving bridge used.
-        wire: bytes that the sending bridge handed to its sockets, or that is not known.
+        p50: median latency in ms.
+        p99: 99th percentile of the latency in ms.
+        p999: 99.9th percentile of the latency in ms.
+        sides: processor time in seconds of the sending and the receiving bridge.
+        wire: bytes that the sending bridge handed to its sockets, or None if unknown.
     """
 
     size: int
@@ -49,7 +49,7 @@ class Run:
 
     @property
     def cpu(self) -> float:
-        """Processor time (s) of what is between, all of it."""
+        """Processor time (s) of both bridges together."""
         return sum(self.sides)
 
     @property
@@ -59,7 +59,7 @@ class Run:
 
     @property
     def delivered(self) -> float:
-        """Messages a second that came."""
+        """Received messages a second."""
         return self.rate * self.received / self.sent if self.sent else 0.0
 
     @property
@@ -70,17 +70,17 @@ class Run:
 
 @dataclass(frozen=True, slots=True)
 class Point:
-    """What one transport does with messages of one size, in one direction.
+    """The figures of one transport for messages of one size in one direction.
 
     Attributes:
-        transport: ``tcp``, ``udp`` or ``bluetooth``; of developers' comparisons, any name.
-        direction: as the client sees it.
+        transport: ``tcp``, ``udp`` or ``bluetooth``; in developers' comparisons, any name.
+        direction: direction as the client sees it.
         size: bytes of payload.
         gentle: the run at a low rate, for the latency.
-        base: the latency (p50, p99, p99.9 in ms) without a bridge; None: there is none to compare with.
-        best: the run at the highest rate at which nothing was lost; None: none was found.
-        limit: why no higher rate was found.
-        full: the run at a rate that is too high; None: there was none.
+        base: latency (p50, p99, p99.9 in ms) without a bridge, or None if it was not measured.
+        best: run at the highest rate without loss, or None if every run had losses.
+        limit: reason why no higher rate was found.
+        full: run at a rate that is too high, or None.
     """
 
     transport: str
@@ -94,7 +94,7 @@ class Point:
 
     @property
     def added(self) -> tuple[float, float, float]:
-        """What the bridge adds to the latency (ms): all of it where there is nothing to compare with."""
+        """Latency in ms that the bridge adds, or the whole latency without a comparison."""
         base = self.base or (0.0, 0.0, 0.0)
         ours = (self.gentle.p50, self.gentle.p99, self.gentle.p999)
         return ours[0] - base[0], ours[1] - base[1], ours[2] - base[2]
@@ -105,10 +105,10 @@ class Side:
     """One bridge process.
 
     Attributes:
-        listening: s from its start until it listens; None: not measured.
-        first: s from its start until the first message was through; None: not measured.
-        idle: % of a core while nothing crosses; None: not measured.
-        memory: MB, after everything.
+        listening: seconds from its start until it listens, or None if not measured.
+        first: seconds from its start until the first message was through, or None if not measured.
+        idle: % of a core while nothing crosses, or None if not measured.
+        memory: MB at the end of the benchmark.
     """
 
     memory: float
@@ -122,10 +122,10 @@ class Many:
     """Many topics at once, each at 1 Hz.
 
     Attributes:
-        count: of topics.
-        opened: s from the start of the client's bridge until all of them carry messages.
+        count: number of topics.
+        opened: seconds from the start of the client's bridge until all topics carry messages.
         memory: MB of the sending and the receiving bridge.
-        cpu: % of a core, likewise.
+        cpu: % of a core of the sending and the receiving bridge.
     """
 
     count: int
@@ -136,14 +136,14 @@ class Many:
 
 @dataclass(frozen=True, slots=True)
 class Load:
-    """A topic that somebody wants to bridge.
+    """A topic that an operator wants to bridge.
 
     Attributes:
         topic: its name.
         size: bytes of a message.
         rate: Hz.
-        transport: that carries it; empty: any.
-        direction: as the client sees it; empty: any.
+        transport: transport that carries it, or an empty string for any.
+        direction: direction as the client sees it, or an empty string for any.
     """
 
     topic: str
@@ -155,14 +155,14 @@ class Load:
 
 @dataclass(frozen=True, slots=True)
 class Judged:
-    """Whether a link carries a topic.
+    """The verdict on a topic: whether a link carries it.
 
     Attributes:
         load: the topic.
-        transport: by which it was judged.
-        share: of what the link carries of such messages at most, from 0.
-        verdict: ``carried``, ``barely``, ``not``, or ``unknown``: no rate that is high enough was tried.
-        at_most: the share may be smaller, because the time or the peer's leave ended the search for a higher rate.
+        transport: transport for which it was judged.
+        share: the topic's rate as a share of the highest rate of such messages, from 0.
+        verdict: ``carried``, ``barely``, ``not``, or ``unknown`` if no high enough rate was tried.
+        at_most: whether the share is only an upper bound, because time or the peer's limits ended the search early.
     """
 
     load: Load
@@ -174,19 +174,19 @@ class Judged:
 
 @dataclass(slots=True)
 class Report:
-    """All that was measured. It is filled while the benchmark runs, so that an interrupted one has what there was.
+    """All results. It is filled while the benchmark runs, so that an interrupted one keeps its results so far.
 
     Attributes:
-        version: of this form.
-        over: what was measured, in words.
+        version: version of this format.
+        over: the measured link, in words.
         machine: processor, cores and Python.
-        points: by transport, direction and size.
-        sides: by transport, the sending and the receiving bridge.
-        many: with many topics.
-        judged: the session's topics, or usual ones.
-        verdict: in words.
-        notes: what was not measured, and why.
-        ended: ``complete``, ``interrupted``, ``time`` or ``stopped``: by the peer or its leave.
+        points: figures by transport, direction and size.
+        sides: the sending and the receiving bridge, by transport.
+        many: figures with many topics.
+        judged: verdicts on the session's topics, or on usual ones.
+        verdict: summary in words.
+        notes: parts that were not measured, with reasons.
+        ended: ``complete``, ``interrupted``, ``time``, or ``stopped`` by the peer or its limits.
     """
 
     over: str
@@ -202,12 +202,12 @@ class Report:
 
 
 def as_json(report: Report) -> str:
-    """A report as one line of JSON."""
+    """Format a report as one line of JSON."""
     return escape_json(msgspec.json.encode(report).decode())
 
 
 def from_json(text: str) -> Report:
-    """The inverse of `as_json`.
+    """Read a report from JSON; the inverse of `as_json`.
 
     Raises:
         msgspec.ValidationError: it is no report.
@@ -221,7 +221,7 @@ class BenchProblem(Wording):
     NO_ANSWER = "a bridge on this machine does not answer: {problem}"
     SILENT = "the bridge has not answered for {seconds:.0f} s"
     NO_SERVER = "the server of the benchmark does not start"
-    NOTHING_ARRIVES = "nothing gets through: is ROS set up, and are both domains free of what filters it?"
+    NOTHING_ARRIVES = "no message gets through: check the ROS set-up, and that nothing filters the two domains"
     NOT_OPEN = "{count} topics are not open within {seconds:.0f} s"
     NO_ROS = "no ROS here: source its setup file, or install rsb-console[ros]"
     NO_ROUTER = "the Zenoh router does not start: pip install 'rsb-console[zenoh]'"
@@ -236,34 +236,34 @@ class BenchError(Exception):
 
 
 class StoppedError(Exception):
-    """A benchmark that the peer, or its permission, has ended; the message says how. Results so far are kept."""
+    """The peer, or its limits, ended a benchmark; the message has the reason. Results so far are kept."""
 
 
 class Ends(Protocol):
-    """The two ends of one way for messages."""
+    """The two ends between which messages are measured."""
 
     def send(self, rate: float, seconds: float, size: int) -> Run:
-        """Send messages for a while, wait until no more comes, and say what came.
+        """Send messages for a while, wait until no more come, and return the counts.
 
         Raises:
-            BenchError: it cannot be done.
+            BenchError: the run fails.
             StoppedError: nothing more may be sent.
         """
         ...
 
     def most(self, size: int, /) -> float:
-        """The highest rate (Hz) that may be tried with messages of a size."""
+        """Return the highest rate (Hz) that may be tried with messages of a size."""
         ...
 
     def wire(self, rate: float, seconds: float, size: int) -> Run | None:
-        """As `send`, with the bytes on the wire, which may cost processor time; None: they cannot be seen."""
+        """Do as `send` and count the bytes on the wire, at some cost in time; None if they cannot be counted."""
         ...
 
     def sides(self, idle: float) -> tuple[Side, Side]:
-        """The sending and the receiving bridge as they are now.
+        """Return the present figures of the sending and the receiving bridge.
 
         Args:
-            idle: s for which nothing is sent, to see what they use then; 0: that is not measured.
+            idle: seconds without messages to measure their idle use, or 0 to skip that.
         """
         ...
 
@@ -277,19 +277,19 @@ class Way:
 
 
 class Place(Protocol):
-    """Where a benchmark is done: on this machine, or over a running bridge's link."""
+    """The place of a benchmark: this machine, or a running bridge's link."""
 
     @property
     def ways(self) -> list[Way]:
-        """What is measured there, in order."""
+        """Return the transports and directions to measure, in order."""
         ...
 
     def baseline(self, sizes: list[int]) -> AbstractContextManager[Ends] | None:
-        """No bridge, to compare with; None: there is no such thing."""
+        """Open the ends without a bridge for comparison, or return None if that is impossible."""
         ...
 
     def open(self, way: Way, sizes: list[int]) -> AbstractContextManager[Ends]:
-        """Set one up.
+        """Set up the ends for one transport and direction.
 
         Raises:
             BenchError: it cannot be done.
@@ -298,5 +298,5 @@ class Place(Protocol):
         ...
 
     def many(self, count: int) -> Many | None:
-        """What so many topics cost; None: that is not measured here."""
+        """Measure the cost of `count` topics, or return None if this place cannot."""
         ...

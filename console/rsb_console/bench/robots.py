@@ -1,12 +1,12 @@
-"""Robots in one process, each with a bridge of its own: ``python -m rsb_console.bench.robots LOAD SESSION...``.
+"""Robots in one process, each with its own bridge: ``python -m rsb_console.bench.robots LOAD SESSION...``.
 
 LOAD is the JSON of a `Load`. The bridges are the real ones, over real sockets; their ROS is a stand-in
-(`rsb_bridge.ros.stand_in`). One whose session lets operators in is served, on the socket ``NAME.sock`` beside its file.
-The process is commanded by lines, answers with lines of JSON, and ends with its standard input:
+(`rsb_bridge.ros.stand_in`). A bridge with operators in its session is served on the socket ``NAME.sock`` in its file's
+folder. The process takes commands as lines, answers with lines of JSON, and ends with its standard input:
 
-- ``look`` answers with a `Look`.
-- ``stop NAME`` stops a robot's bridge, ``start NAME`` starts it again, ``mute NAME TOPIC`` has its node publish a topic
-  no more, ``flood NAME TOPIC SIZE`` as fast as the bridge takes it.
+- ``look`` answers with a `RobotRecords`.
+- ``stop NAME`` stops a robot's bridge and ``start NAME`` starts it again. ``mute NAME TOPIC`` makes its node stop
+  publishing a topic, and ``flood NAME TOPIC SIZE`` makes it publish as fast as the bridge takes the messages.
 """
 
 from __future__ import annotations
@@ -35,10 +35,10 @@ _ATTEMPTS = (EventCode.LINK_UNREACHABLE, EventCode.LINK_REFUSED)
 
 
 class Load(msgspec.Struct, frozen=True):
-    """What each robot's node does.
+    """The traffic of each robot's node.
 
     Attributes:
-        talks: what it publishes.
+        talks: topics that it publishes.
         hears: topics that it subscribes to.
     """
 
@@ -56,16 +56,16 @@ class Load(msgspec.Struct, frozen=True):
 
 
 class Robot(msgspec.Struct):
-    """What became of one robot's bridge. Times are s since the epoch.
+    """The record of one robot's bridge. Times are s since the epoch.
 
     Attributes:
-        attempts: when an attempt to link failed.
-        refused: how many of them the server refused.
-        up: when it was linked.
-        open: when a route was opened, of all routes.
-        published: messages that its node has published.
-        received: messages that came for its node.
-        heard: topics on which any came.
+        attempts: times of failed attempts to link.
+        refused: number of attempts that the server refused.
+        up: times when it was linked.
+        open: times when a route was opened.
+        published: number of messages that its node has published.
+        received: number of messages that came for its node.
+        heard: topics with any message.
     """
 
     attempts: list[float] = []
@@ -77,15 +77,13 @@ class Robot(msgspec.Struct):
     heard: int = 0
 
 
-class Look(msgspec.Struct):
+class RobotRecords(msgspec.Struct):
     """The robots of a process, by name."""
 
     robots: dict[str, Robot]
 
 
 class _Bridged:
-    """A robot and its bridge."""
-
     def __init__(self, path: Path, load_: Load) -> None:
         self._path = path
         self._session = load(path)
@@ -123,7 +121,7 @@ class _Bridged:
                 self._server = None
 
     def _stop_soon(self) -> None:
-        """What ends the process of a robot that has one of its own."""
+        """End the process of a robot that has its own."""
         threading.Thread(target=self.stop, daemon=True).start()
 
     def look(self) -> Robot:
@@ -160,7 +158,7 @@ def main(arguments: Sequence[str]) -> None:
     # The robots vanish with the process, as if all were switched off: their threads are daemons.
 
 
-def _carry_out(words: Sequence[str], robots: dict[str, _Bridged], metronome: Metronome) -> Look:
+def _carry_out(words: Sequence[str], robots: dict[str, _Bridged], metronome: Metronome) -> RobotRecords:
     match words:
         case ["start", name]:
             robots[name].start()
@@ -171,8 +169,8 @@ def _carry_out(words: Sequence[str], robots: dict[str, _Bridged], metronome: Met
         case ["flood", name, topic, size]:
             metronome.flood(robots[name].ros, Talk(topic, 0.0, int(size)))
         case _:
-            return Look({name: robot.look() for name, robot in robots.items()})
-    return Look({})
+            return RobotRecords({name: robot.look() for name, robot in robots.items()})
+    return RobotRecords({})
 
 
 if __name__ == "__main__":

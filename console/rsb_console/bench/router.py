@@ -10,7 +10,7 @@ import sys
 
 
 def main() -> None:
-    """Run until whoever has started it is gone."""
+    """Run until the parent process is gone."""
     import zenoh  # noqa: PLC0415 (an extra)
 
     config = zenoh.Config()

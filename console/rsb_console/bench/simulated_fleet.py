@@ -21,7 +21,7 @@ from rsb_bridge.ros.stand_in import Talk
 from rsb_console.bench import loopback
 from rsb_console.bench.processes import Process
 from rsb_console.bench.results import BenchError, BenchProblem
-from rsb_console.bench.robots import Load, Look, Robot
+from rsb_console.bench.robots import Load, Robot, RobotRecords
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
@@ -32,20 +32,20 @@ ROBOTS, ROUTER = "rsb_console.bench.robots", "rsb_console.bench.router"
 USUAL = Load((Talk("/pose", 10.0, 200), Talk("/status", 1.0, 200), Talk("/scan", 5.0, 2500)), ("/goal",))
 WITH_BATTERY = Load((*USUAL.talks, Talk("/battery_state", 1.0, 0, BATTERY_STATE)), USUAL.hears)
 MOST_IN_ONE = 50
-"""Robots of one process."""
+"""Most robots in one process."""
 _OPERATOR, _OPERATOR_KEY = "operator", "operator.key"
 _HOST = "127.0.0.1"
 _PORTS = range(20_000, 32_000)
-"""None that the kernel gives to a client, who would then sit on the server's port, or connect to itself."""
+"""Ports outside the kernel's range for clients, as a client could otherwise take the server's port."""
 _LOOK_EVERY = 0.25
 _READY_WITHIN = 60.0
 
 
 class Router:
-    """A Zenoh router in a process of its own, which may be killed and started again.
+    """A Zenoh router in a separate process, which may be killed and started again.
 
     Attributes:
-        endpoint: where it listens.
+        endpoint: endpoint that it listens on.
         process: the one that runs, or ran last.
     """
 
@@ -54,24 +54,24 @@ class Router:
         self.start()
 
     def start(self) -> None:
-        """Run; returns once it listens."""
+        """Start the router, and return once it listens."""
         self.process = Process("-m", ROUTER, self.endpoint)
         if not self.process.line():
             raise BenchError(BenchProblem.NO_ROUTER())
 
     def kill(self) -> None:
-        """End it as a power cut does."""
+        """End it abruptly, like a power cut."""
         self.process.signal(signal.SIGKILL)
         self.process.stop()
 
 
 @dataclass(slots=True)
 class Way:
-    """What the links go over.
+    """The network of the links.
 
     Attributes:
-        fields: of all sessions.
-        router: that they go through; None: none.
+        fields: fields of all sessions.
+        router: router of the links, or None.
     """
 
     fields: dict[str, Any]
@@ -96,23 +96,23 @@ def zenoh() -> Iterator[Way]:
 
 
 WAYS: dict[str, Callable[[], AbstractContextManager[Way]]] = {"tcp": tcp, "zenoh": zenoh}
-"""What the links go over, by name: each runs what that takes."""
+"""Networks of the links by name; each starts the processes that it needs."""
 
 
 @dataclass(slots=True)
 class Fleet:
-    """A fleet that runs.
+    """A running fleet.
 
     Attributes:
-        folder: of all files.
-        names: of the robots.
-        load: of each robot.
-        session: the control side's file.
-        processes: of the robots.
+        folder: folder of all files.
+        names: names of the robots.
+        load: traffic of each robot.
+        session: the control side's session file.
+        processes: processes of the robots.
         control: the control side's process.
-        started: s since the epoch, when the robots were started.
-        router: that the links go through; None: none.
-        file: by which an operator's console reaches all engines over Zenoh; None: no operator is let in.
+        started: start of the robots, s since the epoch.
+        router: router of the links, or None.
+        file: fleet file by which an operator's console reaches all engines over Zenoh, or None without operators.
     """
 
     folder: Path
@@ -136,7 +136,6 @@ class Fleet:
         return self.session.with_suffix(".sock")
 
     def start_control(self) -> Process:
-        """Start the control side."""
         folder = self.folder
         apart = {"XDG_RUNTIME_DIR": str(folder), "XDG_STATE_HOME": str(folder)}
         arguments = ("--no-ui", "--control", str(self.socket), str(self.session))
@@ -144,7 +143,7 @@ class Fleet:
         return self.control
 
     def kill_control(self) -> float:
-        """Kill it; s since the epoch then."""
+        """Kill the control side; return the time, s since the epoch."""
         assert self.control is not None
         self.control.signal(signal.SIGKILL)
         killed = time.time()
@@ -152,7 +151,7 @@ class Fleet:
         return killed
 
     def start_robots(self, names: Sequence[str], most: int = MOST_IN_ONE) -> None:
-        """Start robots, so many in a process at most."""
+        """Start robots, at most so many in a process."""
         load = msgspec.json.encode(self.load).decode()
         for first in range(0, len(names), most):
             some = names[first : first + most]
@@ -161,11 +160,11 @@ class Fleet:
             self._in |= dict.fromkeys(some, process)
 
     def tell(self, name: str, command: str, *words: str) -> None:
-        """Have a robot do something (`bench.robots`)."""
+        """Send a command to a robot (`bench.robots`)."""
         self._in[name].ask(" ".join((command, name, *words)))
 
     def look(self) -> dict[str, Robot]:
-        """What became of each robot."""
+        """Return the record of each robot."""
         for process in self.processes:
             process.tell("look")
         found: dict[str, Robot] = {}
@@ -173,14 +172,14 @@ class Fleet:
             answer = process.line()
             if not answer:
                 raise BenchError(BenchProblem.ROBOTS_ENDED())
-            found |= msgspec.json.decode(answer, type=Look).robots
+            found |= msgspec.json.decode(answer, type=RobotRecords).robots
         return found
 
     def wait(self, done: Callable[[Robot], bool], within: float) -> dict[str, Robot]:
         """Wait until something is true of each robot.
 
         Raises:
-            BenchError: of some it is not, in time.
+            BenchError: it is not true of every robot in time.
         """
         deadline = time.monotonic() + within
         while True:
@@ -195,7 +194,6 @@ class Fleet:
             time.sleep(_LOOK_EVERY)
 
     def stop(self) -> None:
-        """End everything, all at once."""
         processes = [*self.processes, *filter(None, [self.control])]
         for process in processes:
             process.signal(signal.SIGTERM)
@@ -215,17 +213,17 @@ def fleet(
     groups: Sequence[str] = (),
     operated: bool = False,
 ) -> Iterator[Fleet]:
-    """Write the sessions and keys of a fleet; what is started of it ends with this.
+    """Write the sessions and keys of a fleet; on exit, end all processes that were started.
 
     Args:
-        folder: for all files.
-        names: of the robots.
-        domain: the control side's.
-        over: what the links go over, of `WAYS`.
-        load: of each robot.
-        control: the Python command that is the control side's `rsb-console`.
-        groups: that the robots belong to, in turn; empty: none.
-        operated: each engine lets an operator in, over Zenoh.
+        folder: folder for all files.
+        names: names of the robots.
+        domain: the control side's domain.
+        over: network of the links, one of `WAYS`.
+        load: traffic of each robot.
+        control: the Python command that runs the control side's `rsb-console`.
+        groups: groups to assign to the robots in turn, or empty.
+        operated: whether each engine accepts an operator over Zenoh.
     """
     group_of = dict(zip(names, itertools.cycle(groups), strict=False)) if groups else {}
     topics = (
@@ -266,14 +264,14 @@ def fleet(
 
 
 def _operators_file(folder: Path, network: ZenohSettings) -> Path:
-    """Write what an operator's console reaches a fleet by; JSON is YAML."""
+    """Write the fleet file of an operator's console; JSON is valid YAML."""
     path = folder / "fleet.yaml"
     path.write_bytes(msgspec.json.encode({"zenoh": network, "operator": _OPERATOR, "key_file": _OPERATOR_KEY}))
     return path
 
 
 def listening(process: Process, session: Path) -> float:
-    """Wait until the control side's server listens; s since the epoch then."""
+    """Wait until the control side's server listens; return the time, s since the epoch."""
     if port := session_file.load(session).server_port:
         monotonic = loopback.listening(process, port)
         return time.time() - (time.monotonic() - monotonic)
@@ -286,7 +284,7 @@ def listening(process: Process, session: Path) -> float:
 
 
 def _free_port() -> int:
-    """A port that neither TCP nor UDP uses."""
+    """Return a port that neither TCP nor UDP uses."""
     for port in random.sample(_PORTS, len(_PORTS)):
         with (
             socket.socket() as stream,

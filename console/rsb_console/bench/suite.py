@@ -22,33 +22,33 @@ if TYPE_CHECKING:
     from rsb_console.bench.results import Ends, Limit, Place, Report
 
 _FIRST_BYTES = 50e6
-"""Bytes a second with which a search begins."""
+"""First rate of a search, in bytes a second."""
 _FIRST_RATE = 5000.0
 _GENTLE_BYTES = 20e6
 _LEAST_MESSAGES = 5
 _TOO_FAST = 1.5
 _SLOWER_BY = 0.5
 TRIES = 2
-"""At each rate: one loss may be another program's."""
+"""Trials at each rate, as another program may cause one loss."""
 CLOSE = 1.1
-"""How close the lowest rate that is too high comes to the highest that is not."""
+"""Ratio of the lowest rate with loss to the highest without, at which a search ends."""
 _KEEPS_UP = 0.95
 _LOWEST = 0.5  # Hz
 
 
 @dataclass(frozen=True, slots=True)
 class Plan:
-    """How much is measured.
+    """The extent of a benchmark.
 
     Attributes:
         sizes: bytes of a message.
-        run: s of each run.
-        close: how exactly the highest rate is found (`CLOSE`).
-        gentle: Hz of the runs for latencies.
-        gentle_run: s of each.
-        idle: s for which is looked what an idle bridge uses; 0: not at all.
-        many: numbers of topics.
-        most: s for everything.
+        run: seconds of each run.
+        close: precision of the highest rate (`CLOSE`).
+        gentle: rate (Hz) of the runs for latencies.
+        gentle_run: seconds of each of these.
+        idle: seconds to measure an idle bridge, or 0 to skip that.
+        many: numbers of topics to open at once.
+        most: limit on the whole benchmark, in seconds.
     """
 
     sizes: tuple[int, ...]
@@ -66,11 +66,11 @@ QUICK = Plan((256, 10_000, 1_000_000), run=0.3, close=1.3, gentle_run=1.0, idle=
 
 
 class Suite:
-    """Measures in one place.
+    """The measurements in one place.
 
     Args:
-        place: where.
-        plan: how much.
+        place: place of the benchmark.
+        plan: extent of the benchmark.
         report: filled meanwhile.
         clock: s, monotonic.
         say: told what is being done.
@@ -88,10 +88,10 @@ class Suite:
         self._share_ends = self._ends_at
 
     def run(self) -> None:
-        """Measure everything; what cannot be measured is noted.
+        """Measure everything; note the parts that cannot be measured.
 
         Raises:
-            KeyboardInterrupt: of the operator; what was measured is in the report.
+            KeyboardInterrupt: the operator interrupts; the report has the results so far.
         """
         try:
             base = self._baseline()
@@ -123,7 +123,7 @@ class Suite:
         return found
 
     def _measure(self, way: Way, base: dict[int, tuple[float, float, float]], left: Sequence[int]) -> None:
-        """One way, with as much of the time that is left as is its share."""
+        """Measure one transport and direction, within its share of the remaining time."""
         if self._time_is_up:
             return
         ways_left, sizes = left
@@ -199,16 +199,16 @@ class Suite:
 
 
 def _of(run: Run, sent: int) -> int | None:
-    """The wire bytes of a run, for as many messages as another one has sent."""
+    """Scale a run's wire bytes to the number of messages of another run."""
     return round(run.wire * sent / run.sent) if run.wire and run.sent else None
 
 
 class Found(NamedTuple):
-    """What a search found.
+    """The result of a search for the highest rate.
 
     Attributes:
-        best: the run at the highest rate without a loss; None: there is none.
-        limit: why there is no higher one.
+        best: run at the highest rate without loss, or None.
+        limit: reason why no higher rate was found.
     """
 
     best: Run | None
@@ -223,14 +223,14 @@ def highest_lossless(
     close: float = CLOSE,
     goes_on: Callable[[], bool] = lambda: True,
 ) -> Found:
-    """The run at the highest rate at which nothing was lost.
+    """Find the run at the highest rate without loss.
 
     Args:
         trial: sends for a while at a rate (Hz).
-        first: Hz to begin with.
-        most: Hz that may be tried at most.
-        close: when the search ends, as `CLOSE`.
-        goes_on: asked before each trial but the first; False ends the search with what was found.
+        first: first rate to try (Hz).
+        most: highest rate to try (Hz).
+        close: ratio of rates at which the search ends, as `CLOSE`.
+        goes_on: called before each trial except the first; False ends the search with its best run so far.
     """
     rate, good, bad, tried = min(first, most), None, 0.0, False
     while not (good and bad) or bad > close * good.rate:
@@ -267,7 +267,7 @@ def _next(good: float, bad: float) -> float:
 _ANSWERED_WITHIN = 60.0
 _ENDED_WITHIN = 5.0
 _ALONE = 0.01
-"""The part of the benchmark's bytes up to which others do not count."""
+"""Share of the benchmark's bytes up to which other topics' bytes are ignored."""
 
 
 class OverLink:
@@ -276,7 +276,7 @@ class OverLink:
     Args:
         engine: attached.
         link: its name.
-        ways: what is measured.
+        ways: transports and directions to measure.
     """
 
     def __init__(self, engine: EngineApi, link: str, ways: list[Way]) -> None:
@@ -301,7 +301,7 @@ class OverLink:
         return None
 
     def close(self) -> None:
-        """Remove the topics; where the bridge does not answer, it does so itself in a while."""
+        """Remove the topics; a bridge that does not answer removes them itself later."""
         with contextlib.suppress(EngineError, TimeoutError):
             self._engine.bench(Order("end", self._link)).result(_ENDED_WITHIN)
 
@@ -325,7 +325,7 @@ class _LinkEnds:
         return Run(size, outcome.sent, outcome.received, outcome.rate, p50, p99, p999, sides, wire)
 
     def wire(self, *_: float) -> None:
-        """The link's own topics are in its bytes, too: where they are much, there is nothing to see."""
+        """Return no count: the link's bytes include its own topics, which may dominate."""
         return
 
     def _others(self) -> float:
@@ -364,7 +364,7 @@ def _result(engine: EngineApi, order: Order) -> Outcome:
 
 
 def ways_of(link: LinkSnapshot, transports: tuple[str, ...], directions: tuple[str, ...]) -> list[Way]:
-    """What can be measured over a link: its own transports, unless others are wanted."""
+    """Return the transports and directions to measure over a link: its own transports by default."""
     own = ("bluetooth",) if "channel" in link.peer else ("tcp", "udp")
     if link.peer.startswith("zenoh"):
         own = ("zenoh", "zenoh-drop")
@@ -372,12 +372,12 @@ def ways_of(link: LinkSnapshot, transports: tuple[str, ...], directions: tuple[s
 
 
 def loads_of(snapshot: Snapshot, link: str = "") -> list[Load]:
-    """The topics of a bridge whose rate and size are known by now."""
+    """Return the topics of a bridge with a measured rate and size."""
     return [load for _, load in _loads(snapshot, link)]
 
 
 def loads_of_all(snapshots: Iterable[Snapshot]) -> list[Load]:
-    """The topics of several bridges. What runs between two of them is counted once."""
+    """Return the topics of several bridges; topics between two of them count once."""
     found: dict[tuple[str, ...], dict[str, list[Load]]] = {}
     for snapshot in snapshots:
         for route, load in _loads(snapshot):

@@ -1,4 +1,4 @@
-"""What the values of options may be. The messages are argparse's, which names the option before them."""
+"""Parsers for the values of options. argparse prints the option's name before their messages."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def above_0(text: str) -> float:
 
 
 def timeout(text: str) -> float:
-    """Parse how long to wait; 0 only looks.
+    """Parse a timeout; 0 means a single check.
 
     Args:
         text: in s.
@@ -99,7 +99,7 @@ def _above_0(text: str, what: str) -> float:
 
 
 def _number(text: str) -> float:
-    """A number; NaN, which no range has, if it is none."""
+    """Parse a number; invalid text becomes NaN, which is outside every range."""
     try:
         return float(text)
     except ValueError:
@@ -141,7 +141,7 @@ def transports(text: str) -> tuple[str, ...]:
 
 
 def topics(text: str) -> tuple[int, ...]:
-    """Parse numbers of topics; ``0`` is none.
+    """Parse numbers of topics; ``0`` means no measurement.
 
     Raises:
         argparse.ArgumentTypeError: one is none.

@@ -41,7 +41,7 @@ exit codes, of every command:
 
 
 _COMPLETION = """\
-once for all, where the files of the package are not in the shell's own folders:
+once, if the package's files are not in the shell's own folders:
   echo 'eval "$(rsb-console completion bash)"' >> ~/.bashrc
   echo 'eval "$(rsb-console completion zsh)"' >> ~/.zshrc       # after compinit
   echo 'rsb-console completion fish | source' >> ~/.config/fish/config.fish"""
@@ -51,7 +51,7 @@ _DEBUG = "show a failure's traceback"
 
 
 def parser_and_commands() -> tuple[argparse.ArgumentParser, list[str]]:
-    """The parser, and the names of the commands. What it parses has the function to run as `command`."""
+    """Return the parser and the names of the commands; parsed arguments have the function to run as `command`."""
     debug = _CommandParser(add_help=False)
     debug.add_argument("--debug", action="store_true", default=argparse.SUPPRESS, help=_DEBUG)
     parser = argparse.ArgumentParser(
@@ -79,15 +79,15 @@ def parser_and_commands() -> tuple[argparse.ArgumentParser, list[str]]:
         return added
 
     _run_arguments(command("run", local_commands.run, "bridge a session, with or without the console"))
-    check = command("check", check_session, "say what a session would do, and what is wrong with it")
+    check = command("check", check_session, "describe a session and its mistakes")
     _complete(check.add_argument("session", type=Path, metavar="SESSION", help="session file"), "yaml_files")
-    keygen = command("keygen", local_commands.keygen, "make a key for both sides of a link")
+    keygen = command("keygen", local_commands.keygen, "create a key for both sides of a link")
     keygen.add_argument(
         "path", type=Path, metavar="PATH", nargs="?", default=Path(DEFAULT_KEY_FILE), help="default: %(default)s"
     )
     keygen.add_argument("--force", action="store_true", help="replace an existing key file")
     _import_arguments(
-        command("import", local_commands.import_thesis, "make a session file from the thesis's bringup.yaml")
+        command("import", local_commands.import_thesis, "convert the thesis's bringup.yaml to a session file")
     )
     scan = command("bt-scan", local_commands.bt_scan, "list Bluetooth adapters and their busy RFCOMM channels")
     only = scan.add_argument("--adapter", metavar="NAME", help="only this one: hci0, or its MAC")
@@ -104,7 +104,7 @@ def parser_and_commands() -> tuple[argparse.ArgumentParser, list[str]]:
     add_client_commands(command, _complete)
     add_bench_command(command, _complete)
     add_fleet_commands(command, _complete, _console_options)
-    summary = "print what a shell sources to complete this command"
+    summary = "print the completion script for a shell"
     script = command("completion", lazily("script", "completion"), summary, _COMPLETION)
     script.add_argument("shell", metavar="SHELL", choices=("bash", "zsh", "fish"), help="bash, zsh or fish")
     _complete(subparsers, "yaml_files")
@@ -154,7 +154,7 @@ def _run_arguments(parser: argparse.ArgumentParser) -> None:
 def _service_arguments(parser: argparse.ArgumentParser) -> None:
     actions = parser.add_subparsers(metavar="ACTION", required=True, dest="what")
     for name, summary in (
-        ("install", "write the session's unit, and say what to run next"),
+        ("install", "write the session's unit and print the next commands"),
         ("show", "print the session's unit"),
         ("uninstall", "remove the session's unit"),
     ):
@@ -162,7 +162,7 @@ def _service_arguments(parser: argparse.ArgumentParser) -> None:
         _complete(action.add_argument("session", type=Path, metavar="SESSION", help="session file"), "yaml_files")
         action.add_argument("--system", action="store_true", help="a service of the system, not of this user")
         if name != "show":
-            action.add_argument("--force", action="store_true", help="also if the unit there is another one")
+            action.add_argument("--force", action="store_true", help="overwrite or remove a foreign unit, too")
         if name != "uninstall":
             action.add_argument("--setup", type=Path, metavar="PATH", help="setup.bash of a workspace, sourced first")
 
@@ -185,13 +185,13 @@ def _import_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--port", type=int, help="of the server, as in its launch file")
     parser.add_argument("--domain-id", type=int, metavar="N", help="default: $ROS_DOMAIN_ID at run time")
     parser.add_argument("--use-name", action="store_true", help="prefix the client's topics on the server")
-    parser.add_argument("--no-encryption", action="store_true", help="everything crosses in the clear")
+    parser.add_argument("--no-encryption", action="store_true", help="all data crosses unencrypted")
     parser.add_argument("-o", "--output", type=Path, metavar="SESSION", help="default: standard output")
     parser.add_argument("--force", action="store_true", help="replace an existing session file")
 
 
 class _CommandParser(argparse.ArgumentParser):
-    """Takes options before, between and behind all else, and shows its own usage when it refuses something."""
+    """Takes options in any place, and shows its own usage when it refuses something."""
 
     _intermixes = False
 
@@ -226,8 +226,8 @@ class _Version(argparse.Action):
 
 _BENCH = """\
 Without NAME: two bridges between two ROS domains on this machine, over loopback.
-With the name or the file of a session that a bridge here runs: its link with the
-peer, whose operator has to give leave (bench: {} in the peer's session file).
+With the name or the session file of a bridge that runs here: its link to the peer.
+The peer's session file has to permit it (bench: {}).
 
 for example:
   rsb-console bench --quick
@@ -235,31 +235,31 @@ for example:
   rsb-console bench control --link robot1 --direction both --json
 
 exit codes:
-  0  measured; also if time, or the peer's leave, did not suffice for everything
-  1  nothing could be measured: why is said
+  0  measured, if only in part because time or the peer's limits ran out
+  1  nothing could be measured; the message has the reason
   2  wrong usage: bad arguments, or several bridges or clients to choose from
   3  no such bridge runs, or it cannot be reached
-  130, 143  interrupted; what was measured until then is printed"""
+  130, 143  interrupted; the results so far are printed"""
 
 
 def add_bench_command(command: AddCommand, complete: Complete) -> None:
-    """Add `bench`; the arguments are those of `rsb_console.command.remote_arguments.add_remote_commands`."""
+    """Add `bench`; for the arguments see `rsb_console.command.remote_arguments.add_remote_commands`."""
     parser = command("bench", lazily("bench", "bench_command"), "measure what this machine, or a link, carries", _BENCH)
     name = parser.add_argument("bridge", metavar="NAME", nargs="?", help="a running bridge, or its session file")
     complete(name, "bridges_and_files")
     place_options(parser, complete)
-    which = "on a server of several clients: which one"
+    which = "the client, on a server with several clients"
     complete(parser.add_argument("--link", default="", metavar="CLIENT", help=which), "links")
     parser.add_argument("--quick", action="store_true", help="at most a minute; else up to six")
     parser.add_argument("--seconds", type=seconds, metavar="N", help="at most N s; default: 50 with --quick, else 360")
-    parser.add_argument("--sizes", type=sizes, metavar="N,...", help="of the messages: 256,10k,1M; default: 256 to 6M")
-    which = f"of {', '.join(TRANSPORTS)}; default: all that there are"
+    parser.add_argument("--sizes", type=sizes, metavar="N,...", help="message sizes: 256,10k,1M; default: 256 to 6M")
+    which = f"any of {', '.join(TRANSPORTS)}; default: all available ones"
     parser.add_argument("--transports", type=transports, default=(), metavar="NAME,...", help=which)
     way = "to the server, from it, or both (%(default)s)"
     parser.add_argument("--direction", choices=("transmit", "receive", "both"), default="transmit", help=way)
-    numbers = "how many topics to open at once on this machine: 1,50,500; 0: skip that"
+    numbers = "how many topics to open at once on this machine: 1,50,500; 0 skips this part"
     parser.add_argument("--topics", type=topics, metavar="N,...", help=numbers)
-    own = "two ROS domains on this machine that nobody uses (92,93)"
+    own = "two unused ROS domains on this machine (92,93)"
     parser.add_argument("--domains", type=domains, metavar="A,B", help=own)
-    parser.add_argument("--plot", type=Path, metavar="FILE.svg", help="draw it, too")
+    parser.add_argument("--plot", type=Path, metavar="FILE.svg", help="draw a plot, too")
     parser.add_argument("--json", action="store_true", help="print JSON, for programs")

@@ -1,4 +1,4 @@
-"""The command ``bench``: what this machine, or the link of a running bridge, carries."""
+"""The command ``bench``: measures this machine, or the link of a running bridge."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ _LOOK_EVERY = 0.1
 
 
 class Progress:
-    """Shown on a terminal only; elsewhere nothing is written.
+    """The progress of a benchmark, written to terminals only.
 
     Args:
         stream: standard error, as a rule.
@@ -71,7 +71,7 @@ class Progress:
 
 
 def run(_: str, arguments: Namespace) -> int:
-    """Measure, and print what came of it. Returns the exit code."""
+    """Measure and print the results. Return the exit code."""
     here = arguments.bridge is None and arguments.control is None and arguments.fleet is None
     if problem := _plot_problem(arguments.plot) or _misplaced(arguments, here=here):
         return failed(arguments, problem, USAGE)
@@ -82,22 +82,20 @@ def run(_: str, arguments: Namespace) -> int:
 
 
 def _plot_problem(path: Path | None) -> str:
-    """Why nothing can be drawn there, which nobody wants to learn after minutes; empty: it can, or is not to be."""
+    """Return the reason why no plot can be written there, or an empty string; checked before minutes of measuring."""
     if path is None:
         return ""
     if path.suffix.lower() != ".svg":
-        return f"{path}: the plot is an SVG file: give it a name that ends in .svg"
+        return f"{path}: the plot is an SVG file; choose a name that ends in .svg"
     if path.is_dir():
         return f"{path}: this is a folder"
     return "" if path.parent.is_dir() else f"{path}: there is no such folder"
 
 
 def _misplaced(arguments: Namespace, *, here: bool) -> str:
-    """Which argument has no meaning without, or with, the name of a bridge; empty: none."""
+    """Return the problem of an argument that does not fit this kind of benchmark, or an empty string."""
     if here and arguments.link:
-        return (
-            "--link needs the name of the bridge whose link is to be measured, for example: rsb-console bench control"
-        )
+        return "--link needs the name of the bridge whose link to measure, for example: rsb-console bench control"
     if not here and (arguments.topics is not None or arguments.domains is not None):
         return "--topics and --domains are for a benchmark on one machine: leave them out, or the name of the bridge"
     return ""
@@ -109,7 +107,7 @@ def _on_this_machine(arguments: Namespace) -> int:
     near, far = arguments.domains or _DOMAINS
     transports = arguments.transports or ("tcp", "udp")
     if others := [name for name in transports if name not in ("tcp", "udp")]:
-        message = f"{others[0]} is measured over a link only: name the session whose link that is"
+        message = f"{others[0]} can be measured only over a link: name that link's session"
         return failed(arguments, message, USAGE)
     if arguments.direction != "transmit":
         return failed(arguments, "on one machine both directions are the same: leave --direction out", USAGE)
@@ -135,7 +133,7 @@ def _over_link(arguments: Namespace) -> int:
 
 
 def _name_of_file(arguments: Namespace) -> None:
-    """Take a session file for the name of its bridge.
+    """Replace a session file among the arguments by the name of its bridge.
 
     Raises:
         UsageError: it is no session file.
@@ -150,7 +148,7 @@ def _name_of_file(arguments: Namespace) -> None:
 
 
 def _linked(engine: RemoteEngine, name: str) -> LinkSnapshot:
-    """The link to measure; one that is about to come up is waited for.
+    """Return the link to measure; wait for one that is about to come up.
 
     Raises:
         UsageError: there are several, or it does not come up.
@@ -170,19 +168,19 @@ def _linked(engine: RemoteEngine, name: str) -> LinkSnapshot:
 
 
 def _chosen_link(links: Sequence[LinkSnapshot], name: str) -> LinkSnapshot:
-    """The link to measure.
+    """Return the link to measure.
 
     Raises:
         UsageError: there are several.
     """
     found = [link for link in links if name in ("", link.name)]
     if len(found) != 1:
-        raise UsageError(f"with which client? --link {' or --link '.join(link.name for link in links)}")
+        raise UsageError(f"several clients; choose one: --link {' or --link '.join(link.name for link in links)}")
     return found[0]
 
 
 def _loads_of_running_bridges() -> list[Load]:
-    """The topics of what runs here anyway, to judge by."""
+    """Return the topics of the bridges that run here, to judge."""
     from rsb_bridge.api import EngineError  # noqa: PLC0415 -- with the engine
     from rsb_bridge.control.remote_engine import RemoteEngine  # noqa: PLC0415
 
@@ -199,7 +197,7 @@ def _loads_of_running_bridges() -> list[Load]:
 
 
 def _measure(place: Place, report: Report, plan: Plan) -> int:
-    """Fill the report; an operator who interrupts has what was measured so far. Returns the exit code."""
+    """Fill the report and return the exit code; after an interrupt, keep the results so far."""
     with Progress(getattr(sys.stderr, "raw", sys.stderr)) as progress:
         try:
             Suite(place, plan, report, time.monotonic, progress.show).run()
@@ -228,7 +226,7 @@ def _plan(arguments: Namespace) -> Plan:
 def _finish(
     report: Report, loads: Sequence[Load], over: str, arguments: Namespace, code: int, *, together: bool
 ) -> int:
-    """Judge, print and draw. Returns the exit code."""
+    """Judge, print and draw. Return the exit code."""
     if not (report.points or arguments.json or report.ended == "interrupted"):
         return failed(arguments, "; ".join(report.notes) or "nothing could be measured", code)
     report.judged = judge(loads, report.points)
@@ -258,9 +256,7 @@ def _finish(
 
 def _ending(report: Report) -> list[str]:
     if report.ended == "interrupted":
-        return [
-            "interrupted: these are the figures until then" if report.points else "interrupted: nothing was measured"
-        ]
+        return ["interrupted: these are the figures so far" if report.points else "interrupted: nothing was measured"]
     if report.ended == "time":
-        return ["the time was up before everything was measured: --seconds gives more"]
+        return ["the time ended before everything was measured: raise --seconds"]
     return []

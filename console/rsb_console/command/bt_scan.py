@@ -18,11 +18,11 @@ def run_bt_scan(adapter: str | None, as_json: bool) -> int:
     """Scan once and print; problems go to standard error, or are part of the JSON.
 
     Args:
-        adapter: only this one, by name or address; None: all.
+        adapter: name or address of the adapter to scan with, or None for all.
         as_json: print one JSON object with the fields of `Scan`.
 
     Returns:
-        0; 1 where no session could use Bluetooth as it is.
+        0, or 1 if Bluetooth cannot be used in its present state.
     """
     found = asyncio.run(scan(adapter))
     if as_json:
@@ -59,7 +59,7 @@ def _channels(found: Scan, address: str) -> Iterator[str]:
 
 
 def _ranges(numbers: Iterable[int]) -> str:
-    """Numbers as ``1-4, 7``; none as ``none``."""
+    """Format numbers as ``1-4, 7``, or ``none``."""
     runs: list[list[int]] = []
     for number in numbers:
         if runs and number == runs[-1][-1] + 1:

@@ -26,34 +26,34 @@ if TYPE_CHECKING:
     from rsb_bridge.control.remote_engine import RemoteEngine
     from rsb_bridge.model.snapshot import RouteSnapshot
 
-_LOOKED_EVERY, _TOLD_EVERY = 0.5, 30.0
-"""s until a goal's state is looked at again, and until it is told again."""
+_CHECKED_EVERY, _REPORTED_EVERY = 0.5, 30.0
+"""Seconds between checks of a goal's state, and between reports of an unchanged state."""
 _GOAL = re.compile(r"[0-9a-fA-F]{32}")
 _NEW_GOAL = "# goal_id: "
 _AT_ONCE = 50
-"""Parameters that are asked for in one call."""
+"""Most parameters to request in one call."""
 
 
 class CallProblem(Wording):
     """Reasons why a call by hand fails, or why its answer is incomplete."""
 
     NO_LANES = "{topic} is one service: leave out --lane"
-    LANE_MISSING = "{topic} consists of several: say which with --lane ({lanes})"
-    LANE_UNKNOWN = "{topic} has no {lane!r}{hint}: say which with --lane ({lanes})"
+    LANE_MISSING = "{topic} has several services: choose one with --lane ({lanes})"
+    LANE_UNKNOWN = "{topic} has no service {lane!r}{hint}: choose one with --lane ({lanes})"
     NO_ANSWER = "{topic} gave no answer within {seconds:g} s"
-    NO_RESULT_YET = "{topic} gave no answer within {seconds:g} s; the goal goes on: its result can be asked for again"
+    NO_RESULT_YET = "{topic} gave no answer within {seconds:g} s; the goal goes on, so you can ask for its result again"
     WAITING = "waiting for the result, {seconds:.0f} s: the goal is {state} (Ctrl-C ends the waiting only)"
     UNREADABLE = "the answer of {topic} cannot be read"
     PARAMETER_MISSING = "{node} has no parameter {parameter}, or it has no value"
     PARAMETER_REFUSED = "{node} does not set {parameter}: {reason}"
-    PARAMETER_TYPE_UNKNOWN = "{type} is no type of a parameter: it is one of {known}"
+    PARAMETER_TYPE_UNKNOWN = "{type} is not a parameter type; choose one of {known}"
     PARAMETER_VALUE_INVALID = "{value}: {problem}"
     PARAMETERS_CUT = "{node} may have more parameters than the first {limit:,}"
     TOO_MUCH_TO_DUMP = "{node} has too much to dump: {note}"
 
 
 def run(name: str, arguments: Namespace) -> int:
-    """Run `call`, or `param NAME`. Returns the exit code."""
+    """Run `call`, or `param NAME`. Return the exit code."""
     return reported(COMMANDS[name], arguments)
 
 
@@ -71,7 +71,7 @@ def _call(arguments: Namespace) -> int:
 
 
 def _lane(route: RouteSnapshot, lane: str) -> str:
-    """The service of a route that is meant.
+    """Return the name of the service of a route to call.
 
     Raises:
         UsageError: it has none of that name.
@@ -88,17 +88,17 @@ def _lane(route: RouteSnapshot, lane: str) -> str:
 
 
 def response(engine: RemoteEngine, route: RouteSnapshot, request: str, lane: str, timeout: float | None = None) -> str:
-    """What a call gives, as YAML.
+    """Call a service and return its response as YAML.
 
     Args:
-        engine: the bridge.
-        route: what is called.
-        request: its fields, as YAML.
-        lane: which of the route's services.
-        timeout: s; None: what the route allows, and a goal's result may take as long as the goal.
+        engine: engine of the bridge.
+        route: route to call.
+        request: fields of the request, as YAML.
+        lane: name of the service, if the route has several.
+        timeout: s, or None for the route's own timeout, which does not limit a goal's result.
 
     Raises:
-        EngineError: the bridge refuses it, or there is no answer in time.
+        EngineError: the bridge refuses it, or no response comes in time.
         TimeoutError: the bridge does not answer.
     """
     future = engine.call(route.key, request, lane)
@@ -110,7 +110,7 @@ def response(engine: RemoteEngine, route: RouteSnapshot, request: str, lane: str
 
 
 def _awaited(engine: RemoteEngine, route: RouteSnapshot, future: Future[str], timeout: float | None, goal: str) -> str:
-    """Wait so long, and tell what becomes of the goal meanwhile."""
+    """Wait for a response and report the goal's state meanwhile."""
     began = time.monotonic()
     told, told_at = "", began
     while True:
@@ -120,22 +120,22 @@ def _awaited(engine: RemoteEngine, route: RouteSnapshot, future: Future[str], ti
             problem = CallProblem.NO_RESULT_YET if goal else CallProblem.NO_ANSWER
             raise EngineError(problem(topic=route.topic, seconds=timeout))
         try:
-            return future.result(_LOOKED_EVERY if timeout is None else min(_LOOKED_EVERY, timeout - waited))
+            return future.result(_CHECKED_EVERY if timeout is None else min(_CHECKED_EVERY, timeout - waited))
         except TimeoutError:
             state = _state(engine, route.key, goal)
-        if state and (state != told or time.monotonic() - told_at >= _TOLD_EVERY):
+        if state and (state != told or time.monotonic() - told_at >= _REPORTED_EVERY):
             told, told_at = state, time.monotonic()
             print_error(CallProblem.WAITING(seconds=waited, state=state))
 
 
 def _state(engine: RemoteEngine, key: str, goal: str) -> str:
-    """A goal's, as far as the bridge knows it."""
+    """Return a goal's state as the bridge knows it."""
     goals = [each for route in engine.snapshot().routes if route.key == key for each in route.goals]
     return next((each.state for each in goals if each.id == goal), "unknown here") if goal else ""
 
 
 def data_of(text: str) -> Any:
-    """A response as plain data; what cannot be read stays as it is."""
+    """Convert a response to plain data; unreadable text stays as it is."""
     try:
         data = read_written(text)
     except FieldError:
@@ -226,7 +226,7 @@ def names_of(engine: RemoteEngine, route: RouteSnapshot) -> list[str]:
 
 
 def _values(engine: RemoteEngine, route: RouteSnapshot, names: list[str], *, whole: bool = False) -> list[Any]:
-    """The values of parameters; None: there is none. With `whole`, one that is not all there is an error."""
+    """Return the values of parameters, None for a missing one. With `whole`, an incomplete value is an error."""
     text = response(engine, route, dump_yaml({"names": names}), "get_parameters")
     for note in [line.removeprefix("# ") for line in text.splitlines() if line.startswith("#")]:
         if whole:

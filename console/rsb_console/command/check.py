@@ -1,4 +1,4 @@
-"""The command ``check``: what a session would do, and what an operator should mend first."""
+"""The command ``check``: describes a session, and lists the problems to fix first."""
 
 from __future__ import annotations
 
@@ -50,18 +50,18 @@ _NAMED = 6
 
 
 class CheckText(Wording):
-    """Sentences of `rsb-console check`, beside the session itself."""
+    """Warnings and hints of `rsb-console check`."""
 
-    MAY_MOVE = "nothing forbids {peer} to publish what moves a robot: {names}"
-    MAY_ACT = "nothing forbids {peer} to call what may move or change a robot: {names}"
-    SERVER_MAY_STOP = "nothing forbids the server to shut this bridge down"
+    MAY_MOVE = "{peer} may publish topics that move a robot: {names}"
+    MAY_ACT = "{peer} may call services that move or change a robot: {names}"
+    SERVER_MAY_STOP = "the server may shut this bridge down"
     NODES_MAY_STOP = "any ROS node of this domain may shut the bridge down, on {topic}"
-    MAX_AGE_MISSING = "hint: an old command may move a robot after a bad network: set max_age: 0.5 on {names}"
+    MAX_AGE_MISSING = "hint: a late command may move a robot when the network recovers: set max_age: 0.5 on {names}"
     MAY_MEASURE = (
         "{peer} may measure the link (rsb-console bench): {seconds:g} s, {rate:g} messages/s, {megabytes:g} MB in an "
         "hour"
     )
-    PREFIX_IF_USED = "prefix /{name} where the server has use_name on"
+    PREFIX_IF_USED = "prefix /{name} if the server has use_name on"
     OWN_PORTS = "ports of its own"
     MISTAKES = "a session file with mistakes\n{problems}"
     DOES_NOT_START = "the bridge does not start: {problem}"
@@ -75,7 +75,7 @@ def summary(session: Session, places: Mapping[SourceKey, str] | None = None) -> 
 
     Args:
         session: without mistakes.
-        places: where its file demands arming, by the keys of the lines.
+        places: places in its file that demand arming, by the keys of the lines.
     """
     demands = Demands(sources_of(session))
     yield f"{session.role} {session.name} {_where(session)}, {_domain(session)}"
@@ -99,7 +99,7 @@ def summary(session: Session, places: Mapping[SourceKey, str] | None = None) -> 
     if session.role == "server" and not session.clients:
         yield f"  accepts {session.name}: everything"
     for source in filter(lambda each: each.arm, demands.sources):
-        yield f"  has to be armed on all its routes: {_demanded(source, places or {})}"
+        yield f"  requires arming on all its routes: {_demanded(source, places or {})}"
 
 
 def _demands_on(
@@ -137,7 +137,7 @@ def _grants(entries: Iterable[str | Grant]) -> str:
 
 
 def rights(session: Session) -> Iterator[str]:
-    """A table of what each peer may do on this side, and what of that moves or changes a robot."""
+    """Yield a table of each peer's rights on this side, and warnings about rights that move or change a robot."""
     found = list(listings(session))
     heads = ("may do here", "", "what", "over", "rate", CheckText.OWN_PORTS())
     rows: list[tuple[str, ...]] = [heads, *(row for listing in found for row in listing.rows)]
@@ -159,14 +159,14 @@ def rights(session: Session) -> Iterator[str]:
 
 
 def hints(session: Session) -> Iterator[str]:
-    """Yield what is no mistake, and better otherwise."""
+    """Yield advice about a session without mistakes."""
     if old := tuple(dict.fromkeys(without_max_age(session))):
         names = join_first(old, _NAMED)
         yield f"  {CheckText.MAX_AGE_MISSING(names=names)}"
 
 
 def _leaves(session: Session) -> Iterator[str]:
-    """Who may measure the link."""
+    """Yield the peers that may measure the link, with their limits."""
     clients = session.accepted_clients if session.role == "server" else ()
     holders = [(client.name, client.bench) for client in clients] or [("the server", session.bench)]
     for name, leave in holders:
@@ -229,7 +229,7 @@ def _details(topic: Topic, compression: Compression) -> Iterator[str]:
 
 
 def check_session(arguments: Namespace) -> int:
-    """Print what a session would do, and what an operator should mend first; a missing key has its own exit code."""
+    """Print a session's effects and the problems to fix first; a missing key has its own exit code."""
     path: Path = arguments.session
     try:
         session = load(path)
@@ -251,14 +251,14 @@ def check_session(arguments: Namespace) -> int:
 
 
 def print_mistakes(error: SessionError) -> int:
-    """Say what is wrong with a session file: with the file as a whole, or in its lines."""
+    """Print the mistakes of a session file, as a whole or by line."""
     in_lines = any(problem.line for problem in error.problems)
     print_error(CheckText.MISTAKES(problems=error) if in_lines else str(error))
     return USAGE
 
 
 def _warnings(session: Session, keys: Mapping[str, Key | KeyFileError]) -> Iterator[str]:
-    """What is no mistake in a session, but what running it would warn of."""
+    """Yield the warnings that running the session would give."""
     yield from (CheckText.KEY_MISSING(problem=key) for key in keys.values() if isinstance(key, KeyFileError))
     valid = {
         name: tuple(key for file in files if isinstance(key := keys.get(file), Key))
@@ -273,7 +273,7 @@ def _warnings(session: Session, keys: Mapping[str, Key | KeyFileError]) -> Itera
 
 
 def _key_lines(session: Session, keys: Mapping[str, Key | KeyFileError]) -> Iterator[str]:
-    """Whose each key is, and since when it has been in its file."""
+    """Yield the users and the age of each key."""
     users = key_users(session)
     for file, key in keys.items():
         if isinstance(key, Key):
@@ -283,7 +283,7 @@ def _key_lines(session: Session, keys: Mapping[str, Key | KeyFileError]) -> Iter
 
 
 def _shared_keys(session: Session, keys: Mapping[str, Key | KeyFileError]) -> str:
-    """Why clients' or operators' keys are refused. Where a key cannot be read, its file stands for it."""
+    """Return the reason why keys of clients or operators are refused; an unreadable key is compared by its file."""
 
     def read(file: str) -> Key | str:
         return key if isinstance(key := keys[file], Key) else file
@@ -295,7 +295,7 @@ def _shared_keys(session: Session, keys: Mapping[str, Key | KeyFileError]) -> st
 
 
 def _keys(session: Session, path: Path) -> Iterator[tuple[str, Key | KeyFileError]]:
-    """Each key that a session needs, by its file, or why there is none."""
+    """Yield each key file that a session needs, with its key or its error."""
     of_links = chain.from_iterable(key_files_by_client(session).values()) if session.use_encryption else ()
     for name in dict.fromkeys([*of_links, *(each.key_file for each in session.operators)]):
         try:

@@ -43,11 +43,11 @@ class ClientCommandProblem(Wording):
     OUTPUT_UNWRITABLE = "{path}: cannot be written: {reason}"
     OUTPUT_OF_ROTATION = "the client's session file stays as it is: leave out --output and --address"
     OLD_KEY_IN_USE = (
-        "{name} is linked with its old key, {fingerprint}: not finished. Copy the next one over the robot's, "
-        "and have it read it (`rsb-console reload` there); or end its link now: `rsb-console client rekey {name}`"
+        "{name} is linked with its old key, {fingerprint}: not finished. Copy the new key over the robot's and "
+        "run `rsb-console reload` there; or end its link now: `rsb-console client rekey {name}`"
     )
     SESSION_UNKNOWN = "{problem}: name the server's session file"
-    SESSION_IN_NO_FILE = "{name} runs a session that is in no file: name the session file"
+    SESSION_IN_NO_FILE = "{name} runs a session without a file: name the session file"
     BRIDGE_REFUSES = (
         "{path} is saved, but the bridge that runs it refuses: {reason}; restart it, or `rsb-console reload {name}`"
     )
@@ -56,10 +56,10 @@ class ClientCommandProblem(Wording):
 class ClientEffect(Wording):
     """Effects of a change of clients on the server that runs the session, and the steps that follow."""
 
-    NOT_RUNNING = "no server of this file runs here; it counts from the next start"
+    NOT_RUNNING = "no server runs this file here; the change takes effect at its next start"
     RUNNING = "{name} runs (pid {pid}): {effect}"
     SAVED = "{path} is saved; {effect}"
-    ADDED = "it lets the client in from now on"
+    ADDED = "it accepts the client from now on"
     REKEYED = "only the new key counts now"
     REKEYED_LINK_CLOSED = "only the new key counts now, and the link is closed"
     BOTH_KEYS = "both keys count from now on"
@@ -74,11 +74,11 @@ class ClientEffect(Wording):
     KEY = "{name}: key {path}, fingerprint {fingerprint}"
     STEP_COPY = "copy the new key over the robot's: `scp -p {path} USER@ROBOT:{key_file}`"
     STEP_RELOAD = "on the robot: `rsb-console reload` (its link comes back at once)"
-    STEP_FINISH = "here: `rsb-console client rekey {name} --finish` (the old key opens nothing any more)"
+    STEP_FINISH = "here: `rsb-console client rekey {name} --finish` (the old key becomes invalid)"
 
 
 def run(name: str, arguments: Namespace) -> int:
-    """Run `client NAME`. Returns the exit code."""
+    """Run `client NAME`. Return the exit code."""
     try:
         return reported(COMMANDS[name], arguments)
     except (ClientError, SessionError, KeyFileError) as error:
@@ -111,7 +111,7 @@ def _add(arguments: Namespace) -> int:
 
 
 def _grants(entries: list[str]) -> tuple[str | Grant, ...]:
-    """What `--allow` or `--deny` say, each of which may be given several times."""
+    """Parse the entries of `--allow` or `--deny`, which may be repeated."""
     try:
         return tuple(grant for entry in entries for grant in typed_grants(entry))
     except GrantError as error:
@@ -171,7 +171,7 @@ def _finish_rotation(arguments: Namespace, path: Path) -> int:
 
 
 def _rotated(arguments: Namespace, changed: Changed, told: str, what: str, steps: Sequence[str] = ()) -> int:
-    """Print what has become of a client's keys, and what is to be done next."""
+    """Print the result of a change of a client's keys and the next steps."""
     file, client, key_at, key = changed
     assert key is not None
     if arguments.json:
@@ -299,10 +299,10 @@ def _only_server(arguments: Namespace) -> RunningBridge | None:
 
 
 def _server_of(path: Path, control: Path | None) -> RunningBridge | None:
-    """The bridge on this machine that runs a session file; None: there is none.
+    """Return the bridge on this machine that runs a session file, or None.
 
     Raises:
-        ControlError: a control socket was named, and nobody serves it.
+        ControlError: no bridge serves the given control socket.
     """
     if control is not None:
         return ask(control)
@@ -316,19 +316,19 @@ def _tell(
     command: Callable[[EngineApi], Future[None]],
     done: Callable[[bool], str],
 ) -> str:
-    """Have the bridge that runs a session file do what is in the file already.
+    """Apply a change that is saved already to the bridge that runs the session file.
 
     Args:
-        arguments: name the client, and perhaps the control socket.
-        path: of the session file.
-        command: what is to be done.
-        done: what has been done, in words, given whether the client was linked.
+        arguments: command line with the client's name and perhaps the control socket.
+        path: path of the session file.
+        command: command to give to the bridge.
+        done: describes the effect, given whether the client was linked.
 
     Returns:
-        What it did, in words; empty: there is no such bridge.
+        The effect in words, or an empty string if no bridge runs the file.
 
     Raises:
-        EngineError: it does not.
+        EngineError: the bridge refuses the command.
     """
     bridge = _server_of(path, arguments.control)
     if bridge is None:
@@ -347,7 +347,7 @@ def _tell(
 
 
 def _links(path: Path, control: Path | None) -> dict[str, LinkSnapshot]:
-    """The links of the bridge that runs a session file, by their clients' names; empty: there is none."""
+    """Return the links of the bridge that runs a session file, by client name; empty without a bridge."""
     bridge = _server_of(path, control)
     if bridge is None:
         return {}
@@ -362,7 +362,7 @@ def _links(path: Path, control: Path | None) -> dict[str, LinkSnapshot]:
 
 
 def _handed_out(arguments: Namespace, changed: Changed, told: str) -> int:
-    """Print what the robot needs: its session on standard output, the rest on standard error."""
+    """Print the robot's session on standard output and advice on standard error."""
     file, client, key_at, key = changed
     text = client_files.robot_file(file.session, client, arguments.address)
     output: Path | None = arguments.output

@@ -1,4 +1,4 @@
-"""Completion in a shell: what it offers on TAB beyond commands and options, also what only a running bridge knows."""
+"""Completion in a shell: the words that it offers on TAB, some of them from a running bridge."""
 
 from __future__ import annotations
 
@@ -29,20 +29,20 @@ if TYPE_CHECKING:
     from rsb_console.fleet.fleet import Remembered
 
 _PATHS = ("PATH", "FILE", "FILE.svg")
-"""The metavars of arguments that are paths, and still texts."""
+"""The metavars of path arguments that stay plain texts."""
 _ADAPTERS = Path("/sys/class/bluetooth")
 _WAITS = 1.0
-"""s for a bridge to answer. If anything goes wrong, nothing is offered: a shell has no place for a message then."""
+"""Seconds for a bridge to answer. On any error nothing is offered: a shell has no place for a message then."""
 _DIRECTIONS = ["transmit", "receive"]
 _DEFAULTS: dict[str, Any] = {
     "bridge": None, "control": None, "link": "", "kind": None, "kinds": tuple(KEYS), "direction": None,
 }  # fmt: skip
 _NOT_TYPED = ("direction", *NAME_KEYS.values())
-"""Keys that `add` and `edit` have arguments of their own for."""
+"""Keys that have their own arguments in `add` and `edit`."""
 
 
 def run(name: str, arguments: Namespace) -> int:
-    """Print what a shell sources to complete the command. Returns the exit code."""
+    """Print the script that a shell sources to complete the command. Return the exit code."""
     assert name == "script"
     for line in argcomplete.shellcode(["rsb-console"], shell=arguments.shell).strip("\n").splitlines():
         print_lines(line)
@@ -50,11 +50,11 @@ def run(name: str, arguments: Namespace) -> int:
 
 
 def complete(parser: ArgumentParser, commands: Collection[str]) -> None:
-    """Answer the shell that asks through the environment, and exit.
+    """Answer a shell's request for completions, made through the environment, and exit.
 
     Args:
-        parser: of the command; its actions' `completer` attributes count.
-        commands: their names. What stands in a command's place and is none is a session: it is `run` that completes.
+        parser: parser of the command; the `completer` attributes of its actions count.
+        commands: names of the commands. Any other word in a command's place is a session file, to be run by `run`.
     """
     line = os.environ.get("COMP_LINE", "")
     words = line.split()
@@ -72,7 +72,7 @@ def _files_where_a_path_is_due(prefix: str, action: Action, **_: object) -> list
 
 
 def yaml_files(prefix: str, **_: object) -> list[str]:
-    """YAML files that a path which has been begun may become, and folders on the way to more."""
+    """Return the YAML files that complete a path, and folders to look further."""
     begun = prefix.rpartition("/")
     folder = typed_path(begun[0] + begun[1])
     try:
@@ -88,7 +88,7 @@ def yaml_files(prefix: str, **_: object) -> list[str]:
 
 
 def theme_names(**_: object) -> list[str]:
-    """The shipped themes, and the user's own."""
+    """Return the shipped themes, and the user's own."""
     from rsb_console.look.themes import config_path, shipped_path  # noqa: PLC0415 (needs Textual)
 
     folders = (shipped_path(), config_path() / "themes")
@@ -96,24 +96,23 @@ def theme_names(**_: object) -> list[str]:
 
 
 def bridge_names(**_: object) -> list[str]:
-    """The bridges that run on this machine."""
+    """Return the bridges that run on this machine."""
     from rsb_bridge.control.control_sockets import find_sockets  # noqa: PLC0415 (only for the commands that attach)
 
     return [path.stem for path in find_sockets(os.environ)]
 
 
 def bridges_and_files(prefix: str, **_: object) -> list[str]:
-    """The bridges that run on this machine, and session files."""
+    """Return the bridges that run on this machine, and session files."""
     return bridge_names() + yaml_files(prefix)
 
 
 def robots(**_: object) -> list[str]:
-    """The robots of fleets, as far as this user has seen them."""
+    """Return the robots of fleets that this user has seen."""
     return sorted({robot.name for robot in _remembered()})
 
 
 def groups(**_: object) -> list[str]:
-    """The groups of those robots."""
     return sorted({robot.group for robot in _remembered()} - {""})
 
 
@@ -124,12 +123,12 @@ def _remembered() -> list[Remembered]:
 
 
 def adapters(**_: object) -> list[str]:
-    """The Bluetooth adapters of this machine."""
+    """Return the Bluetooth adapters of this machine."""
     return sorted(path.name for path in _ADAPTERS.glob("hci*")) if _ADAPTERS.is_dir() else []
 
 
 def bridged(parsed_args: Namespace, **_: object) -> list[str]:
-    """The names of what is bridged, of the kinds that the command takes."""
+    """Return the bridged names of the kinds that the command takes."""
     arguments = _filled(parsed_args)
     kinds = (arguments.kind,) if arguments.kind else arguments.kinds
 
@@ -146,7 +145,7 @@ def bridged(parsed_args: Namespace, **_: object) -> list[str]:
 
 
 def far_names(parsed_args: Namespace, **_: object) -> list[str]:
-    """The names on the other side of what is bridged by the name that was typed."""
+    """Return the names on the other side for the typed name."""
     arguments = _filled(parsed_args)
 
     def names(engine: RemoteEngine) -> list[str]:
@@ -156,7 +155,7 @@ def far_names(parsed_args: Namespace, **_: object) -> list[str]:
 
 
 def available(parsed_args: Namespace, **_: object) -> list[str]:
-    """The names of what can be bridged, on either side."""
+    """Return the names that can be bridged, from both sides."""
     arguments = _filled(parsed_args)
     kind = arguments.kind or "topic"
 
@@ -170,17 +169,17 @@ def available(parsed_args: Namespace, **_: object) -> list[str]:
 
 
 def links(parsed_args: Namespace, **_: object) -> list[str]:
-    """The clients of a bridge, by name."""
+    """Return the clients of a bridge, by name."""
     return _asked(_filled(parsed_args), lambda engine: [link.name for link in engine.snapshot().links])
 
 
 def awaited(**_: object) -> list[str]:
-    """What one can wait for. argcomplete asks for the first word behind an option only."""
+    """Return the conditions of `wait`. argcomplete asks for the first word after an option only."""
     return ["flowing", "linked", "stopped"]
 
 
 def parameters(parsed_args: Namespace, **_: object) -> list[str]:
-    """The parameters of the node that is named."""
+    """Return the parameters of the node that is named."""
     from rsb_console.command.call_command import names_of  # noqa: PLC0415 (only here)
     from rsb_console.command.target import chosen_route  # noqa: PLC0415 (only here)
 
@@ -189,26 +188,26 @@ def parameters(parsed_args: Namespace, **_: object) -> list[str]:
 
 
 def parameter_types(**_: object) -> list[str]:
-    """The types that a parameter may have."""
+    """Return the types that a parameter may have."""
     from rsb_console.session.parameter_values import KIND_NAMES  # noqa: PLC0415 (only here)
 
     return list(KIND_NAMES)
 
 
 def lanes(**_: object) -> list[str]:
-    """The services that actions and parameters consist of."""
+    """Return the services of actions and parameters."""
     return sorted({lane.name for kind in LANES for lane in LANES[kind] if lane.name and not lane.is_topic})
 
 
 def direction_or_keys(prefix: str, parsed_args: Namespace, **_: object) -> list[str]:
-    """Of a topic its direction, or keys; of anything else keys alone."""
+    """Return directions or keys for a topic, and only keys for other kinds."""
     arguments = _filled(parsed_args)
     directions = _DIRECTIONS if arguments.kind in (None, "topic") else []
     return [*directions, *keys(prefix, arguments)]
 
 
 def keys(prefix: str, parsed_args: Namespace, **_: object) -> list[str]:
-    """The keys of a topic or a service; behind a key and ``=``, its values, where they can be listed."""
+    """Return the keys of a topic or a service; after a key and ``=``, its values, if they can be listed."""
     known = KEYS[_filled(parsed_args).kind or "topic"]
     key, is_pair, _value = prefix.partition("=")
     if not is_pair:
@@ -217,7 +216,7 @@ def keys(prefix: str, parsed_args: Namespace, **_: object) -> list[str]:
 
 
 def _choices(annotation: Any) -> list[str]:
-    """The values of a literal type, or of a switch; empty: they cannot be listed."""
+    """Return the values of a literal type or a switch, or an empty list for other types."""
     if annotation is bool:
         return ["true", "false"]
     if get_origin(annotation) is Literal:
@@ -230,12 +229,12 @@ _VALUES |= {"qos": [AUTO, *PROFILES], "direction": ["client", "server"], "type":
 
 
 def _filled(parsed_args: Namespace) -> Namespace:
-    """The arguments so far, with the defaults of those that have not come yet."""
+    """Return the arguments so far, with defaults for the missing ones."""
     return Namespace(**{**_DEFAULTS, **vars(parsed_args)})
 
 
 def _asked(arguments: Namespace, ask: Callable[[RemoteEngine], list[str]]) -> list[str]:
-    """What a running bridge answers; empty: there is none, or it does not answer in time."""
+    """Return the answer of a running bridge, or an empty list if none answers in time."""
     from rsb_console.command.target import attached  # noqa: PLC0415 (only for what a running bridge knows)
 
     found: list[str] = []

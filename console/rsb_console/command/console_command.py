@@ -46,14 +46,14 @@ def run_console(
     """Open the console, and return when both it and the engine have ended.
 
     Args:
-        path: the session file to run; None: run `session`, or ask.
-        readonly: nothing may be changed.
-        ascii_only: draw only ASCII, whatever the terminal can do.
-        theme: its name; None: the one that suits the terminal.
-        on_hangup: ``stop`` or ``continue``: what the bridge does when the terminal hangs up.
-        control: the control socket that the engine is served on; None: one in the user's folder.
-        attach_to: the control socket of a bridge to attach to, or what attaches to one; None: none.
-        session: runs if there is no `path`.
+        path: session file to run, or None to run `session` or ask.
+        readonly: forbid all changes.
+        ascii_only: draw only ASCII, even if the terminal can draw more.
+        theme: name of the theme, or None for one that suits the terminal.
+        on_hangup: ``stop`` or ``continue``: the bridge's reaction when the terminal hangs up.
+        control: control socket to serve the engine on, or None for one in the user's folder.
+        attach_to: control socket of a bridge to attach to, or a function that attaches to one, or None.
+        session: session to run without `path`.
         mouse: take the mouse from the terminal.
         temporary: the session file is deleted when the session ends, as the demo's is.
         resources: closed when that session ends, or None.
@@ -80,7 +80,7 @@ def run_console(
 
 
 def run_app(app: TerminalApp[T], *, mouse: bool) -> T | None:
-    """Run an app in the terminal; gives what it returns. `TerminalApp.shutdown_reason` says why it has ended."""
+    """Run an app in the terminal and return its result. `TerminalApp.shutdown_reason` has the reason for its end."""
     shut_down_on_signals(app.shut_down_soon)
     returned = None
     try:
@@ -109,7 +109,7 @@ def _serve(
 
 
 def _finish(app: ConsoleApp, on_hangup: str) -> int:
-    """Stop the engine, or bridge on without the app. Returns the exit code."""
+    """Stop the engine, or bridge on without the app. Return the exit code."""
     crashed = app.shutdown_reason is ShutdownReason.CRASH
     hung_up = app.shutdown_reason is ShutdownReason.HANGUP
     code = _exit_code(app)
@@ -134,12 +134,12 @@ def run_fleet(
     """Show the fleet, and the robots that the operator opens, until they quit.
 
     Args:
-        fleet: started.
-        readonly: nothing may be changed.
-        ascii_only: draw only ASCII, whatever the terminal can do.
-        theme: its name; None: the one that suits the terminal.
+        fleet: a started fleet.
+        readonly: forbid all changes.
+        ascii_only: draw only ASCII, even if the terminal can draw more.
+        theme: name of the theme, or None for one that suits the terminal.
         mouse: take the mouse from the terminal.
-        after_quit: says whether the bridges go on when the operator quits; empty: they do.
+        after_quit: text about the bridges when the operator quits, or empty if they go on.
 
     Returns:
         The exit code: 0, 1 after a crash, or 129 if the terminal has gone.

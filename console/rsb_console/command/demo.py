@@ -36,9 +36,9 @@ if TYPE_CHECKING:
 GROUPS = ("hall", "yard")
 _OPEN_WITHIN, _SEEN_WITHIN, _WELL_WITHIN = 60.0, 10.0, 60.0
 _AFTER = 5.0
-"""s until the first trouble."""
+"""Seconds until the first trouble."""
 _AWAY, _THERE = 10.0, 20.0
-"""s for which the robot that comes and goes is away, and there."""
+"""Seconds for which the robot that comes and goes is away, and then present."""
 _LOOK_EVERY = 0.2
 _FAULTY = "/scan"
 _AFTER_QUIT = "All simulated robots end."
@@ -49,8 +49,8 @@ def run_demo(*, ui: bool, seconds: float | None) -> int:
     """Run the demo.
 
     Args:
-        ui: in the console; else headless.
-        seconds: s to run headless; None: until a signal.
+        ui: run in the console instead of headless.
+        seconds: s to run headless, or None to run until a signal.
 
     Returns:
         The exit code; headless, 0 only if every topic crossed.
@@ -96,7 +96,7 @@ def _headless(demo: Demo, signals: Signals, seconds: float | None) -> int:
 
 
 def _print_counts(demo: Demo) -> int:
-    """Print how many messages each end published and received. Returns the exit code."""
+    """Print how many messages each end published and received. Return the exit code."""
     print_line(f"{'topic':<12} {'published':>10} {'received':>10}")
     failed = []
     for sender, receiver in ((demo.robot, demo.desk), (demo.desk, demo.robot)):
@@ -117,9 +117,9 @@ def run_fleet_demo(robots: int, *, ui: bool, seconds: float | None) -> int:
     """Run a fleet on its screen until the operator quits; or headless, and sum it up at the end.
 
     Args:
-        robots: how many.
-        ui: on the fleet's screen; else headless.
-        seconds: s to run headless once all robots are linked; None: until a signal.
+        robots: number of robots.
+        ui: run on the fleet's screen instead of headless.
+        seconds: s to run headless once all robots are linked, or None to run until a signal.
 
     Returns:
         The exit code; headless, 0 only if each robot was linked and its topics were open.
@@ -139,7 +139,7 @@ def run_fleet_demo(robots: int, *, ui: bool, seconds: float | None) -> int:
 
 @contextlib.contextmanager
 def simulated(robots: int) -> Iterator[Simulated]:
-    """A fleet whose engines have been started: over Zenoh, or over TCP where that is not installed."""
+    """Start the engines of a fleet: over Zenoh, or over TCP if Zenoh is not installed."""
     over_zenoh = importlib.util.find_spec("zenoh") is not None
     network = "a Zenoh router" if over_zenoh else "no Zenoh, which is not installed: pip install 'rsb-console[zenoh]'"
     print_line(f"starting {robots} simulated robots and a control side, with {network}")
@@ -161,7 +161,7 @@ def simulated(robots: int) -> Iterator[Simulated]:
 
 @contextlib.contextmanager
 def seen(running: Simulated) -> Iterator[Fleet]:
-    """The fleet as an operator's console sees it: over Zenoh the engines themselves, else the server's clients."""
+    """Open the fleet as an operator's console does: over Zenoh all engines, otherwise the server's clients."""
     source: FleetSource
     source = ServerFleet("control", running.socket) if running.file is None else ZenohFleet(load_fleet(running.file))
     shown = Fleet([source], Memory(None), Clock())
@@ -203,7 +203,7 @@ def _fleet_headless(running: Simulated, signals: Signals, seconds: float | None)
 
 
 def _troubled(names: Sequence[str]) -> tuple[str, str]:
-    """The robot that loses a topic, and the one that comes and goes."""
+    """Return the robot that loses a topic, and the one that comes and goes."""
     return names[min(1, len(names) - 1)], names[-1]
 
 
@@ -213,13 +213,13 @@ def _say(running: Simulated) -> None:
     look = f"fleet --fleet {running.file}" if running.file else f"fleet --control {running.socket}"
     print_line(f"{count} simulated robots are linked; their ROS is a stand-in, in {count} graphs")
     print_line(f"{faulty} stops publishing {_FAULTY} after {_AFTER:.0f} s; {restless} comes and goes")
-    print_line(f"to look at them: rsb-console {look}")
+    print_line(f"to watch them: rsb-console {look}")
     print_line(HOW_TO_END)
     sys.stdout.flush()
 
 
 def trouble(running: Simulated, over: Callable[[], bool]) -> bool:
-    """Have something to see until it is over. Returns whether there was time for any."""
+    """Cause troubles to show until the time is over. Return whether there was time for any."""
     faulty, restless = _troubled(running.names)
     began, troubled = time.monotonic(), False
     due = [(began + _AFTER, faulty, ("mute", _FAULTY)), (began + _THERE, restless, ("stop",))]
@@ -246,7 +246,7 @@ def _heard(shown: Fleet, engines: int, as_they_are: Callable[[], bool]) -> list[
 
     Args:
         shown: the fleet.
-        engines: how many there are.
+        engines: number of engines.
         as_they_are: whether something is meant to be wrong, or nobody waits for it to become well.
     """
     asked = time.time()
@@ -267,7 +267,7 @@ def _has_said(robot: Robot, since: float) -> bool:
 
 
 def _print_summary(robots: Sequence[Robot]) -> None:
-    """One line an engine: how it is, how many of its topics flow, its battery, and the worst that is not well."""
+    """Print one line for each engine: its state, its flowing topics, its battery and its worst fault."""
     for _, summary, _ in sorted(robots, key=lambda robot: robot.order):
         battery = f"{summary.battery.charge:.0%}" if summary.battery is not None else ""
         flow = f"{summary.flowing} of {summary.routes} topics flow"

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from rsb_console.session.reading import ReadMessage
 
 _WIDTH = 1 << 20
-"""Cells: lines are not wrapped, for `grep` and the like."""
+"""Width in cells, large enough that lines are never wrapped, for `grep` and similar tools."""
 _ITEMS = 128  # as `ros2 topic echo`
 _ALL = 1 << 20  # elements, and values: a message comes with as many bytes at most
 _HEX = 512  # bytes
@@ -32,7 +32,7 @@ _NEVER = float("inf")
 
 
 def echo(engine: EngineApi, route: RouteSnapshot, arguments: Namespace) -> bool:
-    """Print messages of a route until there were as many as are wanted; whether there were.
+    """Print messages of a route up to the wanted number; return whether enough came.
 
     Raises:
         EngineError: the bridge has ended, or does not bridge the topic any more.
@@ -71,7 +71,7 @@ def _described(engine: EngineApi, route: RouteSnapshot) -> tuple[str | None, str
 
 
 def as_text(read: ReadMessage, *, arrays: bool) -> str:
-    """A message as a YAML document, with what is known of its way as a comment."""
+    """Format a message as a YAML document, with its origin and delay as a comment."""
     peeked = read.peeked
     lines = [f"# {escape_text(peeked.type_name)}, {how_it_came(peeked)}"]
     if read.age is not None:
@@ -86,7 +86,7 @@ def as_text(read: ReadMessage, *, arrays: bool) -> str:
 
 
 def as_json(route: RouteSnapshot, read: ReadMessage) -> dict[str, object]:
-    """A message as one JSON object. What JSON has no number for stands as a string: NaN, Infinity, -Infinity."""
+    """Format a message as one JSON object; NaN and infinities become strings: NaN, Infinity, -Infinity."""
     peeked, age = read.peeked, read.age
     return {
         "topic": route.topic,

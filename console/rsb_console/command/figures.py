@@ -27,11 +27,11 @@ if TYPE_CHECKING:
 _EVERY = 1.0
 _LOOK_EVERY = 0.05
 _SHORTEST = 0.9
-"""The least s over which figures are taken; a snapshot may be a little early."""
+"""Least time in seconds for figures; a snapshot may be a little early."""
 _LEDGER_FROM = 1.9
-"""The least s for the ledger's rates: the other side reports its counts once a second."""
+"""Least time in seconds for the ledger's rates: the other side reports its counts once a second."""
 _RENEWED_WITHIN = 10.0
-"""s within which a working bridge has a newer snapshot."""
+"""Seconds within which a working bridge has a newer snapshot."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,7 +42,7 @@ class Figures:
         route: its newest snapshot.
         time: s since the epoch, of that snapshot.
         seconds: s over which the figures are taken.
-        messages: that this bridge gave to the link's queue, or published.
+        messages: number of messages that this bridge gave to the link's queue, or published.
         size: bytes of their payload.
         offered: messages that the sending bridge took from ROS, as far as this side knows.
         delivered: messages that the receiving bridge published, as far as this side knows.
@@ -81,7 +81,7 @@ class Window:
     """The last snapshots of one topic.
 
     Args:
-        seconds: how far back they go.
+        seconds: span of the figures.
     """
 
     def __init__(self, seconds: int) -> None:
@@ -144,7 +144,7 @@ class FiguresCommand:
 
 
 def print_figures(command: FiguresCommand, arguments: Namespace) -> int:
-    """Print figures once a second, as often or as long as the arguments say. Returns the exit code.
+    """Print figures once a second for the count or time in the arguments. Return the exit code.
 
     Raises:
         UsageError: the arguments fit no topic, or several.

@@ -39,36 +39,36 @@ _LOOK_EVERY = 0.5
 class FleetProblem(Wording):
     """Reasons why a command for robots is refused."""
 
-    ROBOTS_MISSING = "which robots? Give their names, --group GROUP, or --all"
-    TWO_KINDS_OF_FLEET = "--fleet is about bridges over Zenoh, --bridge and --control about a server here: give one"
+    ROBOTS_MISSING = "no robots given: name them, or use --group GROUP or --all"
+    TWO_KINDS_OF_FLEET = "--fleet means bridges over Zenoh, --bridge and --control a server here: give one"
     CLIENT_HAS_NO_ROBOTS = "{name} is a client: it has no robots. Its server has"
-    NO_SERVER = "no server runs here that you may attach to; `rsb-console status` names what does"
+    NO_SERVER = "no server runs here that you may attach to; `rsb-console status` lists the bridges"
     NO_ENGINE = "no engine has announced itself in the fleet {fleet!r}"
     COMMAND_MISSING = "no command: rsb-console fleet exec NAME ... -- COMMAND ..., as in -- pause /camera"
-    COMMAND_UNKNOWN = "{command}: no command that runs for a robot; these do: {known}"
+    COMMAND_UNKNOWN = "{command} cannot run for a robot; these can: {known}"
     EVENTS_ENDLESS = "events --follow does not end: follow one robot's server at a time"
     ECHO_ENDLESS = "echo does not end: give --once, or --count N"
     FIGURES_ENDLESS = "{command} does not end by itself: give --count N or --for N"
     WAITS_ENDLESS = "{command} may wait for ever: give --timeout N"
     ROBOT_AFTER_DASHES = "name the robots before --, and no bridge or link after it"
     TOPIC_OR_CHANGE_MISSING = (
-        "which topic, and what to change? For example: rsb-console fleet edit robot1 /camera max_rate=5"
+        "the topic or the change is missing, for example: rsb-console fleet edit robot1 /camera max_rate=5"
     )
     JSON_CANNOT_ASK = "--json does not ask: give --yes, or --dry-run"
-    NOBODY_TO_ASK = "nobody is there to ask: give --yes, or --dry-run"
+    NOBODY_TO_ASK = "no operator can answer: give --yes, or --dry-run"
 
 
 def run(name: str, arguments: Namespace) -> int:
-    """Run one of the commands. Returns the exit code."""
+    """Run one of the commands. Return the exit code."""
     return reported(_COMMANDS[name], arguments)
 
 
 def sources_of(arguments: Namespace) -> list[FleetSource]:
-    """What the robots are known from: the server that is named, else all servers that run here.
+    """Return the sources of the robots: the named server, or all servers that run here.
 
     Raises:
-        NoBridgeError: none does.
-        UsageError: the bridge that is named is no server, or the file of a fleet is named, too.
+        NoBridgeError: no server runs here.
+        UsageError: the named bridge is not a server, or a fleet file is given, too.
     """
     if arguments.fleet is not None:
         if arguments.bridge is not None or arguments.control is not None:
@@ -94,10 +94,10 @@ def sources_of(arguments: Namespace) -> list[FleetSource]:
 
 @contextlib.contextmanager
 def _fleet(arguments: Namespace, *, wait: bool = True) -> Iterator[Fleet]:
-    """The robots that the arguments are about, as long as they are needed.
+    """Open the fleet that the arguments name, for the duration of a block.
 
     Args:
-        arguments: of the command.
+        arguments: arguments of the command.
         wait: until the robots have said how they are.
     """
     fleet = Fleet(sources_of(arguments), Memory(memory_path()), Clock())
@@ -156,7 +156,7 @@ def _print(arguments: Namespace) -> int:
 
 
 def _report(robot: Robot) -> dict[str, object]:
-    """A robot for a program: all figures, those too that are at their defaults."""
+    """Report a robot for programs, with all figures, including defaults."""
     summary = robot.summary
     figures: dict[str, object] = msgspec.structs.asdict(summary)
     loss, battery = summary.loss, summary.battery
@@ -211,7 +211,7 @@ def _exec(arguments: Namespace) -> int:
 
 
 def _parsed(words: Sequence[str]) -> Namespace:
-    """A command's arguments. What is wrong with them is said as always, and ends the process."""
+    """Parse a command's arguments; a mistake is reported as usual and ends the process."""
     from rsb_console.command.arguments import parser_and_commands  # noqa: PLC0415 -- it imports this one's arguments
 
     parsed = parser_and_commands()[0].parse_args([*words])
@@ -229,7 +229,7 @@ def _parsed(words: Sequence[str]) -> Namespace:
 
 
 def _run_on(robot: Robot, command: Namespace, *, as_json: bool) -> tuple[int, list[str]]:
-    """Run a command on a robot. Gives its exit code, and the lines that it has printed."""
+    """Run a command on a robot; return its exit code and its printed lines."""
     command.attach = partial(robot.source.open, robot.summary.name)
     command.json = command.json or as_json
     printed = io.TextIOWrapper(io.BytesIO(), encoding="utf-8", newline="\n")
@@ -241,7 +241,7 @@ def _run_on(robot: Robot, command: Namespace, *, as_json: bool) -> tuple[int, li
 
 
 def _plain(line: str) -> object:
-    """A line that a command has printed for programs; what is no JSON stands as it is."""
+    """Read a line that a command printed for programs; other text stays as it is."""
     try:
         parsed: object = json.loads(line)
     except ValueError:
@@ -250,10 +250,10 @@ def _plain(line: str) -> object:
 
 
 def _chosen(fleet: Fleet, arguments: Namespace) -> list[Robot]:
-    """The robots that the arguments name. Those that are only remembered are named, and left out.
+    """Return the robots that the arguments name; print and skip any that is not connected.
 
     Raises:
-        UsageError: none.
+        UsageError: the arguments name no robot.
     """
     robots = fleet.chosen(arguments.names, arguments.group, everyone=arguments.everyone)
     gone = [robot.summary for robot in fleet.robots() if robot.gone]
@@ -299,7 +299,7 @@ def _edit(arguments: Namespace) -> int:
 
 @contextlib.contextmanager
 def _interruptible(rollout: Rollout) -> Iterator[None]:
-    """Ctrl-C stops after the present robot, so that it is said what is done, and how to go back; again, at once."""
+    """Let a first Ctrl-C stop after the present robot, with a report and the way back; a second stops at once."""
 
     def stop(_: int, __: object) -> None:
         rollout.cancelled = True
@@ -326,7 +326,7 @@ def _silent(_: Step, __: str) -> None:
 
 
 def _agreed(question: str) -> bool:
-    """Whether an operator says yes.
+    """Whether an operator answers yes.
 
     Raises:
         UsageError: nobody is there to ask.
@@ -339,7 +339,7 @@ def _agreed(question: str) -> bool:
 
 
 def _ended(arguments: Namespace, rollout: Rollout, outcome: Outcome, steps: Sequence[Step]) -> int:
-    """Say how far it has come, and go back if that is wanted. Returns the exit code."""
+    """Report the outcome, and undo the change if the operator wants it. Return the exit code."""
     stopped = outcome.failed is not None or bool(outcome.left)
     unreached = [step for step in steps if not step.reached]
     lines = list(report(rollout, outcome)) if stopped else []
@@ -349,7 +349,7 @@ def _ended(arguments: Namespace, rollout: Rollout, outcome: Outcome, steps: Sequ
     undone = False
     if stopped and outcome.changed:
         undone = arguments.undo or (
-            not arguments.yes and _agreed(f"Put back what was before on {names_of(outcome.changed)}?")
+            not arguments.yes and _agreed(f"Restore the previous settings on {names_of(outcome.changed)}?")
         )
         if undone:
             kept = rollout.undo(outcome, _silent if arguments.json else _told)
@@ -364,7 +364,7 @@ def _ended(arguments: Namespace, rollout: Rollout, outcome: Outcome, steps: Sequ
         }))  # fmt: skip
     elif undone:
         for step, why in kept:
-            print_error(f"{step.name}: not put back: {why}")
+            print_error(f"{step.name}: not restored: {why}")
     elif stopped:
         for line in way_back(rollout, outcome, str(arguments.fleet)):
             print_error(line)

@@ -226,7 +226,7 @@ def _dropped(route: RouteSnapshot) -> str:
 
 
 def _failed_calls(calls: CallsSnapshot) -> str:
-    """Format the numbers of calls without an answer, by reason."""
+    """Count the calls without a reply by their outcome."""
     counts = {"expired": calls.expired, "refused": sum(calls.refused.values()), "lost": calls.lost}
     return ", ".join(f"{count} {name}" for name, count in counts.items() if count)
 
@@ -267,7 +267,7 @@ def json_event(event: Event) -> str:
 
 
 def json_status(snapshot: Snapshot) -> str:
-    """Format the status of all links and routes as one JSON object."""
+    """Format the status as one JSON object, with all topics."""
     return json_line({"time": snapshot.time, "status": status_of(snapshot)})
 
 

@@ -37,14 +37,14 @@ if TYPE_CHECKING:
 
 STATUS_EVERY = 5.0
 _WAIT = 0.5
-"""s after which a signal is noticed, at the latest."""
+"""Seconds after which a signal is noticed, at the latest."""
 _LOOK_EVERY = 1.0
-"""s from one look at the engine to the next where nothing happens: no more often than it renews what is seen."""
+"""Seconds between checks of an idle engine: no more often than it renews its snapshot."""
 _STOPS_WITHIN = 4.0
-_WRITTEN_WITHIN = 0.5  # s, of the 5 in which the program ends whatever its peer and its reader do
+_WRITTEN_WITHIN = 0.5  # s, of the 5 s in which the program must end even if its peer or its reader hangs
 WAITING_LIMIT = 1 << 20
 """Bytes of lines that wait for a slow reader; a status line of 500 topics has 200 kB as JSON."""
-_TOO_SLOW = "they were not read fast enough"
+TOO_SLOW = "standard output was read too slowly"
 
 
 class HeadlessText(Wording):
@@ -63,12 +63,12 @@ def run_headless(
     """Bridge until a signal, or until this side's operator shuts the link down.
 
     Args:
-        path: the session's file: key files are relative to its folder.
-        session: what to bridge.
+        path: the session's file; key files are relative to its folder.
+        session: session to run.
         log_format: ``text`` or ``json`` (one object a line).
         on_hangup: ``continue`` goes on when the terminal goes away; ``stop`` ends cleanly.
         status_every: s between status lines.
-        control: the control socket; None: in the user's folder.
+        control: path of the control socket, or None for one in the user's folder.
 
     Returns:
         The exit code.
@@ -129,10 +129,10 @@ def bridge_until_told(
     Args:
         engine: a running one.
         signals: entered already, so that no signal is missed.
-        log_format: as `run_headless`.
-        status_every: as `run_headless`.
-        seconds: s after which it stops by itself; None: never.
-        supervisor: is told how the engine is; None: nobody is.
+        log_format: as for `run_headless`.
+        status_every: as for `run_headless`.
+        seconds: s after which it stops by itself, or None to run on.
+        supervisor: gets reports of the engine's state, or None.
     """
     format_event = json_event if log_format == "json" else text_event
     status = json_status if log_format == "json" else StatusLines().text
@@ -175,7 +175,7 @@ def bridge_until_told(
 
 
 def _has_terminal() -> bool:
-    """Whether the process has a controlling terminal (tty(4)): what it reads and writes may be something else."""
+    """Whether the process has a controlling terminal (tty(4)), even if its input and output are redirected."""
     try:
         os.close(os.open("/dev/tty", os.O_RDWR | os.O_NOCTTY))
     except OSError:
@@ -190,11 +190,11 @@ def _over(engine: EngineApi, snapshot: Snapshot) -> str:
 
 
 class Reloading:
-    """Has an engine reload on SIGHUP, one reload at a time, and tells systemd. The outcome is in the engine's events.
+    """Reloads an engine on SIGHUP, one reload at a time, and informs systemd. The engine logs the outcome.
 
     Args:
-        engine: reloads.
-        supervisor: is told; None: nobody is.
+        engine: engine to reload.
+        supervisor: gets a report of each reload, or None.
     """
 
     def __init__(self, engine: EngineApi, supervisor: Supervisor | None) -> None:
@@ -225,11 +225,11 @@ class Reloading:
 class Signals:
     """Catches the signals to a bridge, for as long as it is entered.
 
-    SIGHUP says that the terminal has gone. A process that never had one, as a service, gets it from whoever wants it to
-    reload.
+    SIGHUP means that the terminal has gone. A process that never had a terminal, such as a service, gets it as a
+    request to reload.
 
     Args:
-        ignore_hangup: a terminal that goes does not end the bridge.
+        ignore_hangup: keep the bridge running when its terminal goes away.
         has_terminal: whether the process has a terminal that can go.
 
     Attributes:
@@ -263,7 +263,7 @@ class Signals:
         return self._ignore_hangup or signal.getsignal(signal.SIGHUP) is signal.SIG_IGN  # nohup(1) has it ignored
 
     def takes_reload(self) -> bool:
-        """Whether a reload was asked for since this was called last."""
+        """Whether a reload was requested since the last call."""
         wanted, self._reload = self._reload, False
         return wanted
 
@@ -313,11 +313,11 @@ class LogWriter:
             while self._waiting_bytes > WAITING_LIMIT and len(self._waiting) > 1:
                 self._waiting_bytes -= len(self._waiting.popleft())
                 self._lost += 1
-                self._reason = _TOO_SLOW
+                self._reason = TOO_SLOW
             self._changed.notify()
 
     def close(self, timeout: float) -> None:
-        """Wait until all lines are written, for `timeout` s at the most."""
+        """Wait until all lines are written, for at most `timeout` seconds."""
         with self._changed:
             self._closing = True
             self._changed.notify()
@@ -344,7 +344,7 @@ class LogWriter:
                     self._reason = error.strerror or str(error)
 
     def _write(self, line: bytes) -> None:
-        if self._torn:  # what comes now must not continue a line of which only the beginning was written
+        if self._torn:  # do not continue a line that was written in part
             line = b"\n" + line
         written = 0
         try:
@@ -355,7 +355,7 @@ class LogWriter:
 
 
 class Supervisor:
-    """Tells systemd; without systemd, nobody.
+    """Reports the bridge's state to systemd, if it runs under systemd.
 
     Args:
         environ: has the address that systemd listens on.
@@ -368,11 +368,11 @@ class Supervisor:
         self._status = ""
 
     def ready(self) -> None:
-        """The bridge has started, or has reloaded."""
+        """Report that the bridge has started or has reloaded."""
         self._tell("READY=1")
 
     def reloading(self, monotonic_ns: int) -> None:
-        """The session file is about to be read again; `ready` says when that is done.
+        """Report that the session file is about to be read again; `ready` follows.
 
         Args:
             monotonic_ns: now, on the clock CLOCK_MONOTONIC.
@@ -380,7 +380,7 @@ class Supervisor:
         self._tell(f"RELOADING=1\nMONOTONIC_USEC={monotonic_ns // 1000}")
 
     def show(self, now: Snapshot) -> None:
-        """Tell how the bridge is. It works as long as its snapshots are renewed, which its I/O thread does."""
+        """Report the bridge's state. It works as long as its I/O thread renews its snapshots."""
         if now.time == self._alive_at:
             return
         self._alive_at = now.time
@@ -389,7 +389,7 @@ class Supervisor:
         self._status = status
 
     def stopping(self) -> None:
-        """The bridge is about to end."""
+        """Report that the bridge is about to end."""
         self._tell("STOPPING=1")
 
     def _tell(self, state: str) -> None:

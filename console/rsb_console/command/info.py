@@ -23,11 +23,11 @@ if TYPE_CHECKING:
     from rsb_console.command.figures import Figures
 
 _MEASURED = 3.0
-"""s over which the delivered rate is taken; the other side reports its counts once a second."""
+"""Seconds over which the delivered rate is measured; the other side reports its counts once a second."""
 
 
 def print_info(arguments: Namespace) -> int:
-    """Print the details of the route that the arguments name. Returns the exit code."""
+    """Print the details of the route that the arguments name. Return the exit code."""
     with attached(arguments, read_only=True) as engine:
         route = chosen_route(engine, arguments)
         now = engine.snapshot()
@@ -88,7 +88,7 @@ def _lines(route: RouteSnapshot, link: LinkSnapshot | None, other: str, figures:
     cause = f" ({route.cause})" if route.cause else ""
     yield f"State: {route.state.upper()}{cause} since {clock(route.since)}{f': {route.reason}' if route.reason else ''}"
     if route.arming is not None and route.arming.demanded_by:
-        yield f"Has to be armed: {', '.join(route.arming.demanded_by)}"
+        yield f"Requires arming: {', '.join(route.arming.demanded_by)}"
     if route.arming is not None and route.arming.armed:
         left = "" if route.arming.left is None else f", {route.arming.left:.0f} s left without a key"
         yield f"ARMED by: {route.arming.by}{left}"

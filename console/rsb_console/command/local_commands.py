@@ -1,7 +1,7 @@
-"""The commands `run`, `attach`, `keygen`, `import`, and those that start another module: `bt-scan`, `service`, `demo`.
+"""The commands `run`, `attach`, `keygen` and `import`; `bt-scan`, `service` and `demo`, which start other modules.
 
-Whatever needs ROS, Textual or D-Bus is imported by the command that uses it. So help, keygen, check and import answer
-at once, on a machine with none of them.
+Each command imports ROS, Textual or D-Bus itself if it needs them. So help, keygen, check and import answer at once,
+even on a machine without them.
 """
 
 from __future__ import annotations
@@ -112,7 +112,7 @@ def attach(arguments: Namespace) -> int:
 
 
 def keygen(arguments: Namespace) -> int:
-    """Make a key file, and print the fingerprint; never the key."""
+    """Create a key file and print its fingerprint, never the key."""
     path: Path = arguments.path
     try:
         key = write_key(path, force=arguments.force)
@@ -153,7 +153,7 @@ def demo(arguments: Namespace) -> int:
 
 
 def import_thesis(arguments: Namespace) -> int:
-    """Write a session made of the thesis's bringup.yaml; what became different goes to standard error."""
+    """Convert the thesis's bringup.yaml to a session; differences go to standard error."""
     output: Path | None = arguments.output
     if output is not None and output.exists() and not arguments.force:
         print_error(f"{output}: exists already; --force replaces it")
@@ -196,7 +196,7 @@ def _has_hung_up(terminal: int) -> bool:
 
 
 def can_draw(instead: str) -> bool:
-    """Whether the console has a terminal to draw on; says so where it hasn't."""
+    """Whether the console has a terminal to draw on; print an error if not."""
     reason = None
     if not (sys.stdin.isatty() and sys.stdout.isatty()):
         gone = _has_hung_up(sys.stdin.fileno())

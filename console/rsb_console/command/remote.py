@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 from rsb_bridge.control.bridges import running_bridges
 from rsb_bridge.control.remote_engine import RemoteEngine
-from rsb_bridge.model.link_budget import as_report, cost_of, told
+from rsb_bridge.model.link_budget import as_report, cost_of, describe_cost
 from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.wording import Wording
 from rsb_console.command.echo import echo
@@ -76,9 +76,9 @@ class RemoteProblem(Wording):
     CONDITION_UNKNOWN = "--for {condition}: not one of flowing TOPIC, linked [CLIENT], stopped"
     NOT_BRIDGED = "{topic} is not bridged{hint}; `rsb-console add` adds a topic"
     NOT_BROUGHT = "no client has brought {topic} so far{hint}"
-    CLIENT_MISSING = "add {topic}: with which client? --link {links}"
+    CLIENT_MISSING = "add {topic}: several clients; choose one with --link {links}"
     RATE_WITHOUT_DRY_RUN = "add {topic}: --rate and --size are for --dry-run, which adds nothing"
-    DRY_RUN_OF_CALLS = "add {topic}: --dry-run is about topics: calls go ahead of them, and are not budgeted"
+    DRY_RUN_OF_CALLS = "add {topic}: --dry-run is for topics only; calls go first and have no budget"
     NOTHING_TO_CHANGE = "edit {topic}: nothing to change; for example: max_rate=5"
     PROVIDER_OF_A_TOPIC = (
         "add {topic}: a topic has a direction, and no provider; --service adds a service. transmit takes it from the "
@@ -100,15 +100,15 @@ class RemoteProblem(Wording):
         "add {topic}: {word!r} is no KEY=VALUE. The provider is the side whose node answers, client or server, for "
         "example: rsb-console add {topic} --kind {kind} --provider client"
     )
-    DISARMED = "{topic} is not armed any more: {reason}"
+    DISARMED = "{topic} is no longer armed: {reason}"
     NO_MORE_MESSAGES = "no more messages of {topic} within {seconds:g} s{reason}"
     NOTHING_TO_REPORT = "no bridge runs here, and you may read no history file of one"
     NOTHING_OF_BRIDGE_TO_REPORT = "no bridge named {name!r} runs here, and you may read no history file of it"
-    SEVERAL_TO_REPORT = "no bridge runs here, and there are history files of several; say which:{found}"
+    SEVERAL_TO_REPORT = "no bridge runs here, but several have history files; choose one:{found}"
 
 
 def run(name: str, arguments: Namespace) -> int:
-    """Run a command by its name. Returns the exit code."""
+    """Run a command by its name. Return the exit code."""
     return reported(COMMANDS[name], arguments)
 
 
@@ -239,7 +239,7 @@ def _reload(arguments: Namespace) -> int:
         is_done = not (reloaded.left or reloaded.failed)
         print_line(json_line({"ok": is_done, "dry_run": arguments.dry_run, **asdict(reloaded)}))
     else:
-        for line in reloaded.changed or ["nothing that can change in place differs"]:
+        for line in reloaded.changed or ["no difference that can be applied in place"]:
             print_line(line)
         for line in (*reloaded.left, *reloaded.failed):
             print_error(line)
@@ -261,7 +261,7 @@ def _stop(arguments: Namespace) -> int:
 
 
 def _wait(arguments: Namespace) -> int:
-    """Wait, and say how it went. Returns the exit code."""
+    """Wait, and print the result. Return the exit code."""
     holds = _condition(arguments.wanted)
     began = time.monotonic()
     deadline = float("inf") if arguments.timeout is None else began + arguments.timeout
@@ -295,13 +295,13 @@ def _condition(wanted: list[str]) -> Callable[[RemoteEngine], bool]:
 
 
 def _refuse_what_cannot_be(engine: RemoteEngine, wanted: list[str]) -> None:
-    """Refuse a name that this bridge does not know, and that nobody else can bring.
+    """Refuse a name that this bridge does not know and that no client can add.
 
     A client knows its topics from the start, and a server its clients; but a server learns a client's topics when they
     link, so there a topic may yet come.
 
     Raises:
-        UsageError: it would be waited for in vain.
+        UsageError: the wait could never end.
     """
     now = engine.snapshot()
     match wanted:
@@ -314,7 +314,7 @@ def _refuse_what_cannot_be(engine: RemoteEngine, wanted: list[str]) -> None:
 
 
 def _flows(engine: RemoteEngine, topic: str) -> bool:
-    """Whether every route of a name carries messages, however many and whoever hears them, or can be called."""
+    """Whether every route of a name carries messages, at any rate and with or without subscribers, or can be called."""
     routes = named(engine.snapshot().routes, topic)
     return bool(routes) and all(map(_carries, routes))
 
@@ -353,7 +353,7 @@ def _not_bridged(now: Snapshot, topic: str) -> str:
 
 
 def _add(arguments: Namespace) -> int:
-    """Bridge one more. Returns the exit code."""
+    """Bridge one more topic or service. Return the exit code."""
     kind: Kind = arguments.kind or "topic"
     values = {"topic": arguments.topic, "kind": kind}
     if kind == "topic":
@@ -374,7 +374,7 @@ def _add(arguments: Namespace) -> int:
 
 
 def _say_cost(arguments: Namespace, topic: Topic, engine: RemoteEngine, link: str) -> int:
-    """Say what a topic would cost. Returns the exit code."""
+    """Print the cost of a topic. Return the exit code."""
     if topic.kind != "topic":
         raise UsageError(RemoteProblem.DRY_RUN_OF_CALLS(topic=topic.topic))
     now = engine.snapshot()
@@ -385,13 +385,13 @@ def _say_cost(arguments: Namespace, topic: Topic, engine: RemoteEngine, link: st
     cost = cost_of(now, link, topic, type_name=type_name, rate=arguments.rate, size=arguments.size)
     if arguments.json:
         return done(arguments, cost=as_report(cost))
-    for line in told(cost, now.time):
+    for line in describe_cost(cost, now.time):
         print_line(line)
     return OK
 
 
 def _edit(arguments: Namespace) -> int:
-    """Change one that is bridged. Returns the exit code."""
+    """Change a bridged topic or service. Return the exit code."""
     with attached(arguments) as engine:
         route = chosen(engine, arguments)
         if not arguments.keys:
@@ -401,7 +401,7 @@ def _edit(arguments: Namespace) -> int:
 
 
 def _direction_and_keys(arguments: Namespace) -> tuple[str, list[str]]:
-    """The direction of a topic to be added, and its keys and values, which may come in any order.
+    """Return the direction of a topic to be added, and its keys and values, given in any order.
 
     Raises:
         UsageError: the direction is missing, or is none.
@@ -420,7 +420,7 @@ def _direction_and_keys(arguments: Namespace) -> tuple[str, list[str]]:
 
 
 def _provider_and_keys(arguments: Namespace, kind: Kind) -> list[str]:
-    """The keys and values of what is no topic, with its provider.
+    """Return the keys and values of a service, an action or parameters, with the provider.
 
     Raises:
         UsageError: there is a direction instead, or no provider.
@@ -441,10 +441,10 @@ def _words(arguments: Namespace) -> list[str]:
 
 
 def _topic(values: dict[str, str], keys: list[str], engine: RemoteEngine, replaced: Topic | None) -> Topic:
-    """A topic of the values that it has already and those of the command line.
+    """Build a topic from given values and the keys of the command line.
 
     Raises:
-        UsageError: something is wrong with it.
+        UsageError: the topic is invalid.
     """
     try:
         return typed_topic(values, keys, engine.session, replaced)
@@ -456,13 +456,13 @@ def _topic(values: dict[str, str], keys: list[str], engine: RemoteEngine, replac
 
 
 class _Keys:
-    """Lines on standard input; once that has ended, none come any more."""
+    """Reads lines from standard input, until its end."""
 
     def __init__(self) -> None:
         self._ended = False
 
     def wait(self, seconds: float) -> bool:
-        """Wait so many s, or until there is a line; whether there was one."""
+        """Wait for a line, for at most some seconds; return whether a line came."""
         ready, _, _ = select.select([] if self._ended else [sys.stdin.fileno()], [], [], seconds)
         if not ready:
             return False
@@ -471,7 +471,7 @@ class _Keys:
 
 
 def _arm(arguments: Namespace) -> int:
-    """Arm a topic until this ends, however it does: the bridge disarms it then. Returns the exit code."""
+    """Arm a topic until this process ends in any way; then the bridge disarms it. Return the exit code."""
     with attached(arguments) as engine:
         route = chosen_route(engine, arguments)
         result(engine.arming.arm(route.key))
@@ -491,7 +491,7 @@ def _say_armed(arguments: Namespace, route: RouteSnapshot) -> None:
 
 
 def _hold(engine: RemoteEngine, key: str) -> tuple[str, str]:
-    """Keep a topic armed; return, once it is not, why, in words and as a cause."""
+    """Keep a topic armed; once it is disarmed, return the reason in words and as a cause."""
     keys = _Keys()
     while True:
         result(engine.arming.keep(pressed=keys.wait(_TOLD_EVERY)))
@@ -507,7 +507,7 @@ def _hold(engine: RemoteEngine, key: str) -> tuple[str, str]:
 
 
 def _disarm(arguments: Namespace) -> int:
-    """Disarm all routes of a name. Returns the exit code."""
+    """Disarm all routes of a name. Return the exit code."""
     with attached(arguments) as engine:
         routes = all_chosen(engine, arguments)
         carried_out([engine.arming.disarm(route.key) for route in routes])
@@ -541,11 +541,11 @@ def _report(arguments: Namespace) -> int:
 
 
 def _report_of(arguments: Namespace, seconds: float) -> HistoryReport:
-    """The report of the bridge that the arguments mean.
+    """Return the history report of the bridge that the arguments name.
 
     Raises:
-        NoBridgeError: none runs, and none has left files.
-        UsageError: several do, and the arguments do not say which.
+        NoBridgeError: no bridge runs or has left history files.
+        UsageError: the arguments leave several bridges to choose from.
     """
     from rsb_bridge.history import history_files  # noqa: PLC0415 (only here)
     from rsb_bridge.history.history_files import HistoryFileError  # noqa: PLC0415

@@ -21,12 +21,10 @@ KINDS = ("topic", "service", "action", "parameters")
 
 
 class AddCommand(Protocol):
-    """Adds a command."""
-
     def __call__(
         self, name: str, run: Callable[[argparse.Namespace], int], summary: str, more: str = ""
     ) -> argparse.ArgumentParser:
-        """By its name, what it runs, a summary, and what stands at the end of its help."""
+        """Add a command by its name, the function that runs it, a summary and the end of its help."""
         ...
 
 
@@ -45,7 +43,7 @@ acknowledged fault (`ack`).
 
 exit codes:
   0  nothing is wrong
-  1  something is wrong: it is named
+  1  something is wrong; the output names it
 {NO_BRIDGE}"""
 _EXIT_ACK = f"""\
 An acknowledged fault stays listed, but `status` does not count it as wrong, until
@@ -58,23 +56,23 @@ exit codes:
 _EXIT_RELOAD = f"""\
 exit codes:
   0  everything that differs is changed, or nothing differs
-  1  something is not changed: it is named
+  1  something was not changed; the output names it
 {NO_BRIDGE}"""
 _EXIT_ARM = f"""\
-It stays armed while this command runs. A line on its standard input (Enter) is the
-key that the deadman time waits for; Ctrl-C disarms it, and so does whatever else
-ends this command.
+It stays armed while this command runs. Each line on standard input (Enter) counts as
+a key for the deadman time. Ctrl-C disarms it, and so does any other end of this
+command.
 
 exit codes:
-  1  it could not be armed, or was disarmed otherwise: why is said
+  1  it could not be armed, or was disarmed otherwise; the message has the reason
 {NO_BRIDGE}
   130, 143  it was armed until Ctrl-C, until SIGTERM"""
 _EXIT_ECHO = f"""\
-Messages are decoded where one of the sides knows the type.
+Messages are decoded if one of the sides has the type.
 
 exit codes:
   0  the messages are printed
-  1  they have not come within the time
+  1  the messages did not come in time
 {NO_BRIDGE}"""
 _EXIT_FIGURES = f"""\
 The bridge's own figures, {{where}}.
@@ -109,15 +107,15 @@ _WAIT = f"""\
   stopped           the bridge has ended
 
 A topic that a client does not bridge, and a client that a server does not know,
-are wrong usage at once: nothing could come of waiting. A server waits for a topic
-that it does not know yet, because a client may bring it.
+are wrong usage: the wait could never end. A server waits for a topic that it does
+not know yet, because a client may add it.
 
 for example:
   rsb-console wait --for flowing /scan --timeout 10 && ros2 launch ...
 
 exit codes:
-  0  it is so
-  1  it is not so within the time
+  0  the condition is true
+  1  the condition did not become true in time
 {NO_BRIDGE}"""
 
 
@@ -130,14 +128,14 @@ def add_remote_commands(
     """Add the commands.
 
     Args:
-        command: adds one, by its name, what it runs, and a summary.
+        command: adds one command.
         complete: completes an argument with a function of `rsb_console.command.completion`.
-        attach: what `attach` runs.
+        attach: runs `attach`.
         console_options: adds the options of the console to a parser.
     """
 
     def remote(name: str, summary: str, more: str = "", *, about_topic: bool = False) -> argparse.ArgumentParser:
-        """Add one, with the ways to name the bridge: ``--bridge``, and alone where no other name is expected."""
+        """Add a command for a running bridge, named by ``--bridge`` or, if it takes no other name, by a plain word."""
         parser = command(name, attach if name == "attach" else lazily(name), summary, more or _EXIT)
         if not about_topic:
             alone = parser.add_argument(
@@ -150,35 +148,37 @@ def add_remote_commands(
     console_options(remote("attach", "open the console on a bridge that runs already"))
     remote("status", "show how a running bridge, its links and its topics are", _EXIT_STATUS)
     topics = remote("topics", "list the topics and services of a running bridge")
-    topics.add_argument("--available", action="store_true", help="list what can be bridged, on either side, instead")
+    topics.add_argument(
+        "--available", action="store_true", help="list the names that can be bridged, on both sides, instead"
+    )
     add = remote("add", "bridge one more topic, service, action or node's parameters", _ADD, about_topic=True)
-    name = "its name, as the screen of the bridge shows it, or as the client does"
+    name = "its name on this bridge's side, or on the client"
     complete(add.add_argument("topic", metavar="NAME", help=name), "available")
-    _kind(add, "what it is; default: topic")
+    _kind(add, "kind of the name; default: topic")
     for kind in KINDS[1:]:
         add.add_argument(f"--{kind}", dest="kind", action="store_const", const=kind, help=f"short for --kind {kind}")
-    add.add_argument("--provider", choices=("client", "server"), help="of a service: the side whose node answers")
-    way = "of a topic: to the server, or from the server, as the client sees it"
+    add.add_argument("--provider", choices=("client", "server"), help="for a service: the side whose node answers")
+    way = "for a topic: to or from the server, as the client sees it"
     direction = add.add_argument("direction", metavar="transmit|receive", nargs="?", help=way)
     complete(direction, "direction_or_keys")
     _cost_options(add)
     _topic_keys(add, complete)
-    which = "on a server of several clients: the one to bridge"
+    which = "the client to bridge with, on a server with several clients"
     complete(add.add_argument("--link", default="", metavar="CLIENT", help=which), "links")
     edit = remote("edit", "change a topic or service that is bridged", about_topic=True)
     route_arguments(edit, complete)
     _topic_keys(edit, complete)
-    _drop_arm(edit, "with arm=false: also end the demand that the name be armed")
+    _drop_arm(edit, "with arm=false: also drop the demand that the name requires arming")
     remove = remote("remove", "stop bridging a topic or service, on both sides", about_topic=True)
     route_arguments(remove, complete)
-    _drop_arm(remove, "also end the demand that the name be armed; without this it is kept")
+    _drop_arm(remove, "also drop the demand that the name requires arming; otherwise it stays")
     for name, summary in (
         ("pause", "stop carrying a topic's messages or a service's calls, on both sides; all routes of the name"),
-        ("resume", "carry what is paused again; all routes of the name"),
+        ("resume", "resume a paused topic or service; all routes of the name"),
     ):
         route_arguments(remote(name, summary, about_topic=True), complete)
     _ack_arguments(remote("ack", "acknowledge a fault, until it changes", _EXIT_ACK, about_topic=True), complete)
-    arm = remote("arm", "arm what has to be armed, for as long as this runs", _EXIT_ARM, about_topic=True)
+    arm = remote("arm", "arm a topic, a service or an action while this command runs", _EXIT_ARM, about_topic=True)
     route_arguments(arm, complete)
     route_arguments(
         remote("disarm", "disarm all routes of a name, also if others armed them", about_topic=True), complete
@@ -194,10 +194,10 @@ def add_remote_commands(
 
 
 def _add_looking(remote: Callable[..., argparse.ArgumentParser], complete: Complete) -> None:
-    """Add the commands that print what happens, until they are interrupted."""
-    events = remote("events", "print what a running bridge has reported")
-    events.add_argument("--follow", action="store_true", help="go on with what it reports from now on")
-    report = remote("report", "print what happened in the last hours, even of a bridge that has ended")
+    """Add the commands that print messages, events or figures until an interrupt."""
+    events = remote("events", "print the events of a running bridge")
+    events.add_argument("--follow", action="store_true", help="continue with new events")
+    report = remote("report", "print the history of the last hours, even of a bridge that has ended")
     report.add_argument("--last", default="8h", metavar="SPAN", help="8h, 30m, ...; at most 24h (%(default)s)")
     report.add_argument("--csv", action="store_true", help="print CSV, for a spreadsheet")
     wait = remote("wait", "wait until topics flow, a link is up, or the bridge has stopped", _WAIT, about_topic=True)
@@ -218,7 +218,7 @@ def _drop_arm(parser: argparse.ArgumentParser, about: str) -> None:
 
 def _ack_arguments(ack: argparse.ArgumentParser, complete: Complete) -> None:
     route_arguments(ack, complete, metavar="TOPIC|LINK")
-    ack.add_argument("--undo", action="store_true", help="take the acknowledgement back")
+    ack.add_argument("--undo", action="store_true", help="undo the acknowledgement")
 
 
 def _wait_arguments(wait: argparse.ArgumentParser, complete: Complete) -> None:
@@ -251,7 +251,7 @@ _OVER = "a fleet file: the bridge is one of that fleet, reached over Zenoh"
 
 
 def place_options(parser: argparse.ArgumentParser, complete: Complete, over: str = _OVER) -> None:
-    """Add the options that say where a bridge is, beside its name."""
+    """Add the options that locate a bridge in other ways than by its name."""
     parser.add_argument("--control", type=Path, metavar="PATH", help="the bridge's control socket, instead of NAME")
     complete(parser.add_argument("--fleet", type=Path, metavar="FILE", help=over), "yaml_files")
 
@@ -264,7 +264,7 @@ def bridge_options(
     which: str = "the bridge, by the name that `status` prints; needed where several run",
     over: str = _OVER,
 ) -> None:
-    """Add the options of every command that attaches: which bridge, and whether to print JSON."""
+    """Add the options of every command that attaches: the choice of the bridge and ``--json``."""
     complete(parser.add_argument("--bridge", metavar="NAME", help=which), "bridge_names")
     place_options(parser, complete, over)
     if json:
@@ -272,7 +272,7 @@ def bridge_options(
 
 
 def add_client_commands(command: AddCommand, complete: Complete) -> None:
-    """Add `client` and its own commands; the arguments are those of `add_remote_commands`."""
+    """Add `client` and its own commands; for the arguments see `add_remote_commands`."""
     parent = command("client", lazily("list", "client_command"), "add, remove, list and rekey a server's clients")
     commands = parent.add_subparsers(metavar="COMMAND", required=True)
 
@@ -299,21 +299,21 @@ def add_client_commands(command: AddCommand, complete: Complete) -> None:
             parser.add_argument("-o", "--output", type=Path, metavar="FILE", help=output)
         return parser
 
-    add = client("add", "let one more client in: make its key, and print its session file", hands_out=True)
-    add.add_argument("--key-file", metavar="PATH", help="its key, made if there is none; default: NAME.key")
+    add = client("add", "accept one more client: create its key and print its session file", hands_out=True)
+    add.add_argument("--key-file", metavar="PATH", help="its key file, created if missing; default: NAME.key")
     prefix = add.add_mutually_exclusive_group()
     prefix.add_argument("--prefix", dest="use_name", action="store_true", default=None, help="NAME before its topics")
     prefix.add_argument("--no-prefix", dest="use_name", action="store_false", default=None, help="no NAME before them")
     for option, pattern in (("--allow", "topics"), ("--deny", "topics and services")):
         entries = f"a pattern of {pattern}, or a mapping as in a session file; may be repeated"
         add.add_argument(option, action="append", default=[], metavar="PATTERN", help=entries)
-    client("remove", "let a client in no more; its key file stays")
+    client("remove", "stop accepting a client; its key file stays")
     client("list", "list the clients, with the fingerprints of their keys", named=False)
-    rekey = client("rekey", "make a new key for a client, and print its session file", hands_out=True)
+    rekey = client("rekey", "create a new key for a client and print its session file", hands_out=True)
     steps = rekey.add_mutually_exclusive_group()
-    keep = "the link stays: the new key is valid beside the old one, until --finish"
+    keep = "keep the link: both keys are valid until --finish"
     steps.add_argument("--keep-old", action="store_true", help=keep)
-    finish = "once the client has the new key: the old one opens nothing any more"
+    finish = "end a rotation once the client has the new key: the old key becomes invalid"
     steps.add_argument("--finish", action="store_true", help=finish)
     client("show", "print a client's session file again", hands_out=True)
 
@@ -331,17 +331,17 @@ def lazily(name: str, module: str = "remote") -> Callable[[argparse.Namespace], 
 def route_arguments(
     parser: argparse.ArgumentParser, complete: Complete, kinds: tuple[str, ...] = KINDS, metavar: str = "NAME"
 ) -> None:
-    """Add the arguments that name one of what is bridged, of these kinds."""
+    """Add the arguments that name one bridged topic, service, action or node of these kinds."""
     name = "the name on this bridge's side, or on the client"
     complete(parser.add_argument("topic", metavar=metavar, help=name), "bridged")
-    which = "the client, where several have it"
+    which = "the client, if several have it"
     complete(parser.add_argument("--link", default="", metavar="CLIENT", help=which), "links")
-    parser.add_argument("--direction", choices=("transmit", "receive"), help="the one to take, where it goes both ways")
-    far = "its name on the other side, where several have this name"
+    parser.add_argument("--direction", choices=("transmit", "receive"), help="the direction, if it crosses both ways")
+    far = "its name on the other side, if several have this name"
     complete(parser.add_argument("--remote", metavar="NAME", help=far), "far_names")
     parser.set_defaults(kinds=kinds, kind=None)
     if len(kinds) > 1:
-        _kind(parser, "the one to take, where several have this name", kinds)
+        _kind(parser, "the kind, if several have this name", kinds)
 
 
 def _kind(parser: argparse.ArgumentParser, about: str, kinds: tuple[str, ...] = KINDS) -> None:
@@ -349,11 +349,13 @@ def _kind(parser: argparse.ArgumentParser, about: str, kinds: tuple[str, ...] = 
 
 
 def _cost_options(parser: argparse.ArgumentParser) -> None:
-    """The options that ask what a topic would cost."""
+    """Add the options about the cost of a topic."""
     parser.add_argument(
-        "--dry-run", action="store_true", help="add nothing: say what a topic would cost on the link, and who suffers"
+        "--dry-run",
+        action="store_true",
+        help="add nothing; print the topic's cost on the link and who suffers",
     )
-    figures = "with --dry-run: what it brings, where the bridge has no figure"
+    figures = "with --dry-run: its load, if the bridge has no figure"
     parser.add_argument("--rate", type=above_0, metavar="HZ", help=figures)
     parser.add_argument("--size", type=above_0, metavar="BYTES", help=figures)
 
@@ -368,10 +370,10 @@ def _topic_keys(parser: argparse.ArgumentParser, complete: Complete) -> None:
     keys = parser.add_argument(
         "keys",
         nargs="*",
-        default=[],  # without it argparse says that it is required
+        default=[],  # without it argparse calls the argument required
         metavar="KEY=VALUE",
-        help=f"as in a session file: {_keys('topic')}; of a service, an action or parameters: {of_calls}; an empty "
-        "value is the default",
+        help=f"as in a session file: {_keys('topic')}; for a service, an action or parameters: {of_calls}; an "
+        "empty value means the default",
     )
     complete(keys, "keys")
 
@@ -384,26 +386,26 @@ for example:
   rsb-console call /dock
   rsb-console call /map_server/load_map '{{map_url: /maps/hall.yaml}}'
 
-a goal is sent, its result waited for, and it may be cancelled meanwhile:
+to send a goal, wait for its result, or cancel it:
   rsb-console call /navigate_to_pose --lane send_goal '{{goal: {{...}}}}'  # prints its goal_id
   rsb-console call /navigate_to_pose --lane get_result '{{goal_id: ID}}'
   rsb-console call /navigate_to_pose --lane cancel_goal '{{goal_info: {{goal_id: ID}}}}'
 
 exit codes:
-  0  there is an answer, and it is printed
-  1  there is none, or the bridge refused: why is said
+  0  the response is printed
+  1  no response came, or the bridge refused; the message has the reason
 {NO_BRIDGE}"""
 _PARAM = f"""\
 The parameters of the node have to be bridged: rsb-console add --parameters.
 
 exit codes:
   0  done
-  1  the node or the bridge refused, or did not answer: why is said
+  1  the node or the bridge refused or did not answer; the message has the reason
 {NO_BRIDGE}"""
 
 
 def add_call_commands(command: AddCommand, complete: Complete) -> None:
-    """Add `call`, and `param` with its own commands; the arguments are those of `add_remote_commands`."""
+    """Add `call`, and `param` with its own commands; for the arguments see `add_remote_commands`."""
     call = command(
         "call", lazily("call", "call_command"), "call a bridged service once, and print its response as YAML", _CALL
     )
@@ -412,9 +414,9 @@ def add_call_commands(command: AddCommand, complete: Complete) -> None:
     call.add_argument(
         "request", metavar="YAML", nargs="?", default="", help="the request's fields; -: read them from standard input"
     )
-    lanes = "of an action: send_goal, cancel_goal, get_result; of parameters: set_parameters, ..."
+    lanes = "for an action: send_goal, cancel_goal, get_result; for parameters: set_parameters, ..."
     complete(call.add_argument("--lane", default="", metavar="SERVICE", help=lanes), "lanes")
-    limit = "give up after so long; else after the route's timeout, and get_result waits until the goal is over"
+    limit = "give up after this time; default: the route's timeout; for get_result, until the goal is over"
     call.add_argument("--timeout", type=seconds, metavar="SECONDS", help=limit)
     parent = command("param", lazily("list", "call_command"), "read and set the parameters of a bridged node", _PARAM)
     commands = parent.add_subparsers(metavar="COMMAND", required=True)
@@ -424,7 +426,7 @@ def add_call_commands(command: AddCommand, complete: Complete) -> None:
         ("get", "print the value of a parameter", ("parameter",)),
         ("set", "set a parameter", ("parameter", "value")),
         ("dump", "print all parameters of a node as YAML, as ros2 param dump does", ()),
-        ("describe", "print the type of a parameter, its range, and what the node says of it", ("parameter",)),
+        ("describe", "print a parameter's type, range and description", ("parameter",)),
     ):
         parser = commands.add_parser(name, help=summary, description=f"{summary}.")
         parser.set_defaults(command=lazily(name, "call_command"))
@@ -435,7 +437,7 @@ def add_call_commands(command: AddCommand, complete: Complete) -> None:
             if word == "parameter":
                 complete(argument, "parameters")
         if name == "set":
-            kinds = "bool, integer, double or string, byte_array, ...: which it must have, else the one that it shows"
+            kinds = "type of the value: bool, integer, double, string, byte_array, ...; default: as the value looks"
             complete(parser.add_argument("--type", default="", metavar="TYPE", help=kinds), "parameter_types")
 
 
@@ -445,15 +447,15 @@ _NO_SERVER = """\
 _WHICH_SERVER = "only the robots of this server, by the name that `status` prints"
 _OVER_ZENOH = "a fleet file: all bridges of that fleet, over Zenoh, instead of the servers here"
 _FLEET = f"""\
-The robots are those of all servers that run here; with --fleet, all bridges of a
-fleet over Zenoh.
+It shows the robots of all servers that run here; with --fleet, all bridges of a fleet
+over Zenoh.
 
 Without --json, it opens the screen of all robots. A robot that is missing, or
-has a fault or a warning, is wrong; one that has never been there is not.
+has a fault or a warning, counts as wrong; one that was never connected does not.
 
 exit codes, with --json:
   0  nothing is wrong
-  1  something is wrong with a robot: its state says what
+  1  something is wrong with a robot; its state names it
 {_NO_SERVER}"""
 _DISMISS = f"""\
 exit codes:
@@ -471,23 +473,21 @@ for example:
 
 exit codes:
   0  done, for every robot
-  1  not done for one of them: it is named
+  1  not done for one of them; the output names it
 {_NO_SERVER}"""
 _EDIT = f"""\
-First it prints what would change on each robot, and asks. Then it changes one robot
-after the other. After each, it waits until the robot has been as well as before for
---settle seconds, and stops at the first that gets worse: it says which, and why, what
-is done and what is not, and how to go back. So it does on Ctrl-C, after the present
-robot.
+First it prints the changes for each robot and asks. Then it changes one robot after
+the other. After each, it waits until the robot has been as well as before for --settle
+seconds. It stops at the first robot that gets worse, or after the present robot on
+Ctrl-C. Then it prints the reason, the robots done and not done, and the way back.
 
 for example:
   rsb-console fleet edit --group hall /camera max_rate=5 --dry-run
   rsb-console fleet edit robot1 robot2 /camera max_rate=5 compression=zstd
 
 exit codes:
-  0  done on every robot that has the topic; or nothing is to change
-  1  it has stopped, or was not wanted, or a robot was not reached; or with --dry-run,
-     it cannot be done on one
+  0  done on every robot that has the topic, or no change was necessary
+  1  stopped, declined, or a robot was not reached; with --dry-run: it would fail on one
 {_NO_SERVER}"""
 IN_FLEET = (
     "status", "topics", "add", "edit", "remove", "pause", "resume", "ack", "disarm", "retry", "events", "echo", "hz",
@@ -499,17 +499,19 @@ IN_FLEET = (
 def add_fleet_commands(
     command: AddCommand, complete: Complete, console_options: Callable[[argparse.ArgumentParser], None]
 ) -> None:
-    """Add `fleet` and its own commands; the arguments are those of `add_remote_commands`."""
+    """Add `fleet` and its own commands; for the arguments see `add_remote_commands`."""
     fleet = command("fleet", lazily("show", "fleet_command"), "show all robots on one screen", _FLEET)
     bridge_options(fleet, complete, which=_WHICH_SERVER, over=_OVER_ZENOH)
     fleet.add_argument(
-        "--seconds", type=seconds, default=2.0, metavar="N", help="with --json: look for N s, which loss is about (2)"
+        "--seconds",
+        type=seconds,
+        default=2.0,
+        metavar="N",
+        help="with --json: observe loss for N s (2)",
     )
     console_options(fleet)
     commands = fleet.add_subparsers(metavar="COMMAND", parser_class=_FleetParser)
-    forget = _add_fleet_command(
-        commands, complete, "dismiss", "forget robots that were there, and are known no more", _DISMISS
-    )
+    forget = _add_fleet_command(commands, complete, "dismiss", "forget robots that are gone for good", _DISMISS)
     complete(forget.add_argument("names", metavar="NAME", nargs="*", help="robots"), "robots")
     listed = f"{', '.join(IN_FLEET[:8])},\n{', '.join(IN_FLEET[8:])}"
     run = _add_fleet_command(
@@ -522,10 +524,8 @@ def add_fleet_commands(
     complete(words, "robots")
     edit.add_argument("--dry-run", action="store_true", help="only print what would change")
     edit.add_argument("--yes", action="store_true", help="do not ask")
-    edit.add_argument(
-        "--undo", action="store_true", help="where it stops, put back what was before, without a question"
-    )
-    edit.add_argument("--settle", type=seconds, default=10.0, metavar="N", help="s that a robot has to be well (10)")
+    edit.add_argument("--undo", action="store_true", help="when it stops, restore the previous settings without asking")
+    edit.add_argument("--settle", type=seconds, default=10.0, metavar="N", help="s that a robot has to stay well (10)")
 
 
 def _add_fleet_command(
@@ -546,7 +546,7 @@ def _add_fleet_command(
     bridge_options(parser, complete, which=_WHICH_SERVER, over=_OVER_ZENOH)
     for option in parser._actions:
         if option.dest in ("bridge", "control", "fleet", "json"):
-            option.default = argparse.SUPPRESS  # `fleet` has them, too: what stands there counts
+            option.default = argparse.SUPPRESS  # `fleet` has them, too, and its values count
     in_group = parser.add_argument("--group", default="", metavar="GROUP", help="all robots of this group, too")
     complete(in_group, "groups")
     parser.add_argument("--all", dest="everyone", action="store_true", help="all robots")
@@ -554,7 +554,7 @@ def _add_fleet_command(
 
 
 class _FleetParser(argparse.ArgumentParser):
-    """Leaves what follows ``--`` as it is: it has options of its own."""
+    """Leaves the words after ``--`` as they are: they have their own options."""
 
     def parse_known_args(  # type: ignore[override]  # argparse's is overloaded, by the kind of namespace
         self, args: Sequence[str] | None = None, namespace: argparse.Namespace | None = None

@@ -1,4 +1,4 @@
-"""`rsb-console service`: writes, shows and removes the systemd unit of a session, and says what to run then."""
+"""`rsb-console service`: writes, shows and removes the systemd unit of a session, and prints the next commands."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from argparse import Namespace
     from collections.abc import Mapping, Sequence
 
-MARK = "# Written by `rsb-console service install`; it replaces only what it has written itself."
+MARK = "# Written by `rsb-console service install`, which overwrites only its own files."
 KEPT_VARIABLES = (
     "ROS_DOMAIN_ID",
     "RMW_IMPLEMENTATION",
@@ -31,7 +31,7 @@ KEPT_VARIABLES = (
     "FASTRTPS_DEFAULT_PROFILES_FILE",
     "CYCLONEDDS_URI",
 )
-"""What ROS takes from the environment; a service has none of the shell's."""
+"""Variables that ROS reads from the environment; a service does not have the shell's."""
 CONFINED = (
     "CapabilityBoundingSet=",
     "ProtectSystem=strict",
@@ -65,11 +65,11 @@ class ServiceText(Wording):
     """Reports of `rsb-console service`."""
 
     OTHER_UNIT = (
-        "{path}: exists already, and is another unit; --force replaces it. This one: rsb-console service show {session}"
+        "{path}: another unit exists; --force replaces it. To print this one: rsb-console service show {session}"
     )
     NO_UNIT = "{path}: there is no such unit"
     ENABLED = "{name} is enabled; first run: {control} disable --now {name}"
-    FOREIGN_UNIT = "{path}: `service install` has not written this; --force removes it"
+    FOREIGN_UNIT = "{path}: not written by `service install`; --force removes it"
     NOT_REMOVED = "{path}: cannot be removed: {reason}"
 
 
@@ -78,11 +78,11 @@ class Service:
     """One session as a service.
 
     Attributes:
-        session: the session file, absolute.
-        program: how rsb-console is run: its absolute path, or an interpreter and a module.
-        system: a service of the system; else of the user.
-        user: that a system service runs as.
-        setup: the absolute path of ROS's or a workspace's setup.bash; None: `program` finds ROS by itself.
+        session: absolute path of the session file.
+        program: command that runs rsb-console: its absolute path, or an interpreter and a module.
+        system: whether it is a system service rather than the user's.
+        user: user that runs a system service.
+        setup: absolute path of ROS's or a workspace's setup.bash, or None if `program` finds ROS by itself.
         environment: further variables.
     """
 
@@ -95,11 +95,9 @@ class Service:
 
     @property
     def name(self) -> str:
-        """Of the unit."""
         return unit_name(self.session)
 
     def text(self) -> str:
-        """The unit file."""
         return "\n".join((MARK, *self._unit(), "", *self._service(), "", *self._install(), ""))
 
     def _unit(self) -> list[str]:
@@ -112,7 +110,7 @@ class Service:
         lines = [
             "[Service]",
             "Type=notify",
-            "# The bridge says that it works as long as it does; a hung one is started again.",
+            "# The bridge reports that it works; systemd restarts one that hangs.",
             "WatchdogSec=30",
             *(f"Environment={_quoted(f'{name}={value}')}" for name, value in self.environment.items()),
             f"ExecStart={' '.join(_quoted(word, command=True) for word in self._command())}",
@@ -120,7 +118,7 @@ class Service:
             "ExecReload=/bin/kill -HUP $MAINPID",
             "Restart=on-failure",
             "RestartSec=2",
-            "# Neither a session file with mistakes nor a session that runs already gets better by itself.",
+            "# A restart helps neither a session file with mistakes nor a session that runs already.",
             "RestartPreventExitStatus=2 4",
             "TimeoutStopSec=10",
             "LimitNOFILE=65536",
@@ -153,13 +151,13 @@ class Service:
 
 
 def unit_name(session: Path) -> str:
-    """The name of a session's unit, after its file."""
+    """Return the name of a session's unit, after its file."""
     stem = re.sub(r"[^A-Za-z0-9:_.-]", "_", session.stem)
     return f"rsb-console-{stem}.service"
 
 
 def _quoted(word: str, *, command: bool = False) -> str:
-    """A word as systemd reads it back (systemd.syntax(7)); in a command, `$` stands for variables, too."""
+    """Quote a word for systemd (systemd.syntax(7)); in a command, also escape `$`, which would expand variables."""
     text = word.replace("\\", "\\\\").replace('"', '\\"').replace("%", "%%")
     text = text.replace("$", "$$") if command else text
     return f'"{text}"'
@@ -170,7 +168,7 @@ def _plain(text: str) -> str:
 
 
 def run(arguments: Namespace) -> int:
-    """Do what the arguments say. Returns the exit code."""
+    """Run `service`. Return the exit code."""
     return {"install": _install, "show": _show, "uninstall": _uninstall}[arguments.what](arguments)
 
 
@@ -258,7 +256,7 @@ def _program() -> tuple[str, ...]:
 
 
 def _own_setup(environ: Mapping[str, str]) -> Path | None:
-    """The setup.bash of the distribution's ROS, if this shell has sourced it."""
+    """Return the setup.bash of the distribution's ROS, if this shell has sourced it."""
     path = Path("/opt/ros") / environ.get("ROS_DISTRO", "") / "setup.bash"
     return path if environ.get("ROS_DISTRO") and path.is_file() else None
 

@@ -69,7 +69,7 @@ def _print(text: str) -> None:
 
 
 def encoded(text: str) -> bytes:
-    """Text in standard output's encoding. What that lacks is escaped: a name may be in any script."""
+    """Encode text for standard output; escape characters that its encoding lacks, as a name may be in any script."""
     return text.encode(sys.stdout.encoding, "backslashreplace")
 
 

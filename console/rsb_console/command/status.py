@@ -1,4 +1,4 @@
-"""The command ``status``: what is wrong with a bridge, what waits, and how its links and topics are."""
+"""The command ``status``: a bridge's faults, its waits, and the states of its links and topics."""
 
 from __future__ import annotations
 
@@ -71,13 +71,13 @@ def acknowledged(now: Snapshot) -> list[str]:
 
 
 def waiting(now: Snapshot) -> list[str]:
-    """List links and routes that wait for their first connection or message, a sentence each."""
+    """Describe links and topics that wait for their first connection or message, one sentence each."""
     links = [f"link {link.name} {link_fault(link)}" for link in now.links if link.state is State.WAITING]
     return links + [rate_text(route) for route in of_links_that_are_up(now) if route_waits(route)]
 
 
 def print_status(arguments: Namespace) -> int:
-    """Print how a bridge is, or all bridges of this machine. Returns the exit code: whether something is wrong."""
+    """Print the status of a bridge, or of all on this machine. Return the exit code, which shows any fault."""
     several = _all_bridges(arguments)
     if several:
         return _status_of_all(several, arguments)
@@ -101,7 +101,7 @@ def _all_bridges(arguments: Namespace) -> list[RunningBridge]:
 
 
 def _status_of_all(bridges: list[RunningBridge], arguments: Namespace) -> int:
-    """Print the status of each bridge. Returns the worst exit code."""
+    """Print the status of each bridge. Return the worst exit code."""
     codes: list[int] = []
     figures: list[dict[str, object]] = []
     for bridge in bridges:

@@ -49,23 +49,23 @@ T = TypeVar("T")
 
 
 class BridgeChoice(Wording):
-    """Reasons why a command finds no bridge, or not one alone."""
+    """Reasons why a command finds no bridge, or several."""
 
     NONE_RUNS = "no bridge runs here that you may attach to"
     NONE_OF_YOURS_RUNS = "no bridge runs here that you may attach to; some may belong to {user}: {remedy}"
     UNKNOWN = "no bridge {name!r} runs here; these do:{running}"
-    SEVERAL_OF_ONE_NAME = "several bridges of one name run here; say which:{options}"
-    SEVERAL = "several bridges run here; say which with --bridge NAME:{running}"
+    SEVERAL_OF_ONE_NAME = "several bridges with this name run here; choose one:{options}"
+    SEVERAL = "several bridges run here; choose one with --bridge NAME:{running}"
     UNUSABLE = "{name} (pid {pid}): {problem}"
 
 
 class RouteChoice(Wording):
-    """Reasons why a command finds no route, pattern or link, or not one alone."""
+    """Reasons why a command finds no route, pattern or link, or several."""
 
-    SEVERAL = "{topic} is bridged {count} times; say which: {options}"
+    SEVERAL = "{topic} is bridged {count} times; choose one: {options}"
     OF_ANOTHER_KIND = "{topic} is bridged as {actual}, and not as {wanted}"
     NOT_BRIDGED = "{topic} is not bridged{hint}"
-    SEVERAL_PATTERNS = "{topic} is followed {count} times; say which: {options}"
+    SEVERAL_PATTERNS = "{topic} is followed {count} times; choose one: {options}"
     UNKNOWN_PATTERN = "there is no pattern {topic}{hint}"
     UNKNOWN_LINK = "{bridge} has no link {name!r}, only {known}"
 
@@ -75,13 +75,13 @@ class UsageError(Exception):
 
 
 class NoBridgeError(Exception):
-    """The bridge that a command needs does not run; the message lists those that do."""
+    """The bridge that a command needs does not run; the message lists the running ones."""
 
 
 def what_to_attach(arguments: Namespace) -> Path | Attach | int:
-    """The control socket of the bridge that the arguments mean, or what attaches to it in its fleet.
+    """Return the control socket of the bridge that the arguments name, or a function that attaches to it in its fleet.
 
-    Or else the exit code, after saying why there is none.
+    If there is no such bridge, print the reason and return the exit code.
     """
     if arguments.fleet is None:
         found = reported(chosen_bridge, arguments)
@@ -109,7 +109,7 @@ def reported(work: Callable[[Namespace], T], arguments: Namespace) -> T | int:
 
 
 def failed(arguments: Namespace, message: str, code: int, **more: str) -> int:
-    """Say why it is not done; `more` is for programs. Returns the exit code."""
+    """Print the reason of a failure; `more` is for programs. Return the exit code."""
     if getattr(arguments, "json", False):
         print_line(json_line({"ok": False, "error": message} | more))
     else:
@@ -121,7 +121,7 @@ def failed(arguments: Namespace, message: str, code: int, **more: str) -> int:
 
 
 def chosen_bridge(arguments: Namespace) -> RunningBridge:
-    """The bridge that the arguments mean.
+    """Return the bridge that the arguments name.
 
     Raises:
         NoBridgeError: none does.
@@ -175,7 +175,7 @@ def attach_in_fleet(arguments: Namespace, *, read_only: bool) -> RemoteEngine:
     """Attach to a bridge of the fleet that the arguments name.
 
     Raises:
-        EngineError: that cannot be done.
+        EngineError: the attachment fails.
         UsageError: the file that says how has mistakes.
     """
     from rsb_bridge.control.zenoh_fleet import FleetWay  # noqa: PLC0415 -- not needed elsewhere
@@ -189,7 +189,7 @@ def attach_in_fleet(arguments: Namespace, *, read_only: bool) -> RemoteEngine:
 
 
 def fleet_file(arguments: Namespace) -> FleetFile:
-    """The file by which the arguments reach a fleet.
+    """Return the fleet file that the arguments name.
 
     Raises:
         UsageError: it has mistakes.
@@ -212,24 +212,24 @@ def ask_history(arguments: Namespace, seconds: float) -> HistoryReport:
 
 
 def result(future: Future[T]) -> T:
-    """What a command gives.
+    """Wait for the result of a command.
 
     Raises:
-        EngineError: the bridge refuses.
-        TimeoutError: it does not answer.
+        EngineError: the bridge refuses it.
+        TimeoutError: the bridge does not answer.
     """
     return future.result(ANSWERED_WITHIN)
 
 
 def done(arguments: Namespace, **results: object) -> int:
-    """Tell a program that it is done; a person sees that by the exit code."""
+    """Report success to programs; people see it by the exit code."""
     if arguments.json:
         print_line(json_line({"ok": True, **results}))
     return OK
 
 
 def chosen_route(engine: RemoteEngine, arguments: Namespace) -> RouteSnapshot:
-    """The route that the arguments mean: by its name on this side, else on the client.
+    """Return the route that the arguments name: by its name on this side, otherwise on the client.
 
     Raises:
         UsageError: none or several do.
@@ -242,7 +242,7 @@ def chosen_route(engine: RemoteEngine, arguments: Namespace) -> RouteSnapshot:
 
 
 def _routes_meant(engine: RemoteEngine, arguments: Namespace) -> list[RouteSnapshot]:
-    """Return the routes that the arguments mean, of all links, at least one.
+    """Return the routes that the arguments name, on all links, at least one.
 
     Raises:
         UsageError: none does.
@@ -273,7 +273,7 @@ def other_side(engine: RemoteEngine, route: RouteSnapshot) -> str:
 
 
 def chosen(engine: RemoteEngine, arguments: Namespace) -> RouteSnapshot | PatternSnapshot:
-    """The route that the arguments mean, or the pattern.
+    """Return the route or the pattern that the arguments name.
 
     Raises:
         UsageError: none or several do.
@@ -298,7 +298,7 @@ def all_chosen(engine: RemoteEngine, arguments: Namespace) -> Sequence[RouteSnap
 
 
 def carried_out(commands: Iterable[Future[None]]) -> None:
-    """Wait for commands that were all given already.
+    """Wait for the results of several commands.
 
     Raises:
         EngineError: one of them is refused.
@@ -320,7 +320,7 @@ def done_with_all(
     """Report a command on all routes of a name, if there are several.
 
     Args:
-        arguments: of the command.
+        arguments: arguments of the command.
         found: the routes.
         what: the command's effect, in words.
         one: whether to report a single route, too.
@@ -344,7 +344,7 @@ def done_with_all(
 
 
 def _patterns_meant(engine: RemoteEngine, arguments: Namespace) -> list[PatternSnapshot]:
-    """Return the patterns that the arguments mean, at least one.
+    """Return the patterns that the arguments name, at least one.
 
     Raises:
         UsageError: none does.
@@ -366,7 +366,7 @@ def _patterns_meant(engine: RemoteEngine, arguments: Namespace) -> list[PatternS
 
 
 def _which(route: RouteSnapshot, others: Sequence[RouteSnapshot]) -> str:
-    """The options that tell a route from others of its name."""
+    """Return the options that tell a route from others of its name."""
     kinds = [each.spec.kind for each in others]
     if kinds.count(route.spec.kind) == 1:
         return f"--kind {route.spec.kind}"
@@ -381,7 +381,7 @@ def _either(kinds: Iterable[Kind]) -> str:
 
 
 def named(routes: Iterable[RouteSnapshot], topic: str) -> list[RouteSnapshot]:
-    """The routes of a topic, by its name on the bridge's own side; if none is called so, by the client's."""
+    """Return the routes of a topic, by its name on the bridge's own side, otherwise by the client's name for it."""
     found = list(routes)
     return [each for each in found if each.topic == topic] or [each for each in found if each.spec.topic == topic]
 

@@ -1,1 +1,1 @@
-"""A fleet of robots: where what is known of them comes from, what is remembered, and changes from robot to robot."""
+"""A fleet of robots: the sources of their states, the memory of robots that left, and changes from robot to robot."""

@@ -1,4 +1,4 @@
-"""The robots of all sources, those too that have gone, remembered across restarts."""
+"""The robots of all sources, including robots that have gone, remembered across restarts."""
 
 from __future__ import annotations
 
@@ -31,11 +31,11 @@ _SAMPLED_EVERY = 5.0
 
 
 class FleetSource(Protocol):
-    """Knows some robots, no two of the same name. All but `start`, `wait` and `open` answer at once.
+    """A source of robots with unique names. All methods except `start`, `wait` and `open` return at once.
 
     Attributes:
-        kind: what it is, in a word: ``server`` or ``fleet``.
-        name: what an operator calls it: ``control``, the server's name. No other source has it.
+        kind: kind of the source: ``server`` or ``fleet``.
+        name: unique name for operators: ``control``, the server's name.
     """
 
     kind: str
@@ -47,45 +47,45 @@ class FleetSource(Protocol):
         ...
 
     def start(self) -> None:
-        """Begin to know robots.
+        """Connect to the source.
 
         Raises:
-            EngineError: that cannot be done.
+            EngineError: the source cannot be used.
         """
         ...
 
     def wait(self) -> None:
-        """Wait some seconds at most until the state of each robot is known, or the reason why it is not."""
+        """Wait at most some seconds for the state of each robot, or the reason for its lack."""
         ...
 
     def stop(self) -> None:
-        """End it; `robots` gives what it gave last."""
+        """Stop the source; `robots` keeps its last result."""
         ...
 
     def robots(self) -> list[RobotSummary]:
-        """The robots as they are now, those too that are not there."""
+        """Return the robots in their present state, including missing ones."""
         ...
 
     def open(self, robot: str, *, read_only: bool) -> RemoteEngine:
-        """An engine that shows and changes only what is of one robot; the caller stops it.
+        """Open an engine that shows and changes only one robot; the caller stops it.
 
         It takes some seconds at most.
 
         Raises:
-            EngineError: that cannot be done.
+            EngineError: the engine cannot be opened.
         """
         ...
 
 
 class UnknownRobotError(ValueError):
-    """There is no such robot, or no such group; the message says which there are."""
+    """No robot or group has that name; the message lists the existing ones."""
 
 
 class Robot(NamedTuple):
     """A robot of a fleet.
 
     Attributes:
-        source: that knows it.
+        source: source that reports it.
         summary: the robot itself.
         gone: the source knows it no more; it is only remembered.
     """
@@ -96,7 +96,7 @@ class Robot(NamedTuple):
 
     @property
     def key(self) -> str:
-        """Tells it from all others, also of other sources."""
+        """Unique key among the robots of all sources."""
         return f"{self.source.name}/{self.summary.name}"
 
     @property
@@ -106,7 +106,6 @@ class Robot(NamedTuple):
 
     @property
     def order(self) -> tuple[object, ...]:
-        """A sort key, by name."""
         return natural_order(self.summary.name), self.source.name
 
 
@@ -114,8 +113,8 @@ class Fleet:
     """The robots of some sources. `robots`, `chosen` and `dismiss` may be called from any thread.
 
     Args:
-        sources: of different names.
-        memory: of robots that were there.
+        sources: sources with different names.
+        memory: memory of robots that were connected before.
         clock: the wall clock.
     """
 
@@ -129,10 +128,10 @@ class Fleet:
         self._lock = threading.RLock()
 
     def start(self) -> None:
-        """Begin to know robots.
+        """Start all sources.
 
         Raises:
-            EngineError: of one of the sources nothing can be known.
+            EngineError: one of the sources cannot be used.
         """
         with contextlib.ExitStack() as started:
             for source in self.sources:
@@ -141,7 +140,7 @@ class Fleet:
             started.pop_all()
 
     def wait(self) -> None:
-        """Wait until the robots have said how they are; some seconds at most."""
+        """Wait until the robots have reported their states, for some seconds at most."""
         for source in self.sources:
             source.wait()
 
@@ -152,7 +151,7 @@ class Fleet:
             source.stop()
 
     def robots(self) -> list[Robot]:
-        """All robots as they are now, the worst first; those that are equally well by name."""
+        """Return all robots in their present state, the worst first, then by name."""
         with self._lock:
             found = [robot for source in self.sources for robot in self._of(source)]
             self._remember(found)
@@ -166,7 +165,7 @@ class Fleet:
         return [Robot(source, summary, gone=number >= len(present)) for number, summary in enumerate(told)]
 
     def _with_memory(self, source: FleetSource, summary: RobotSummary) -> RobotSummary:
-        """A robot that waits for its first connection is missing, if it was there before its server began."""
+        """Mark a robot that waits for its first connection as missing if it was there before its server began."""
         if summary.state is RobotState.WAITING and not summary.links:
             return summary  # it is there, and has not said yet how it is
         if summary.seen is not None or (before := self._memory.get(source.name, summary.name)) is None:
@@ -215,16 +214,16 @@ class Fleet:
     def chosen(
         self, names: Collection[str], group: str = "", *, everyone: bool = False, gone: bool = False
     ) -> list[Robot]:
-        """The robots that are named, or in a group, by name.
+        """Return the robots that are named or in a group, sorted by name.
 
         Args:
-            names: as an operator calls them: ``robot1``, or with the source where several have one, ``control/robot1``.
-            group: all of this group; empty: none.
-            everyone: all robots.
-            gone: of those that have gone, and not of those that are known.
+            names: an operator's names: ``robot1``, or ``control/robot1`` with the source if several have one.
+            group: name of a group to include, or empty.
+            everyone: include all robots.
+            gone: choose from the robots that have gone instead of the present ones.
 
         Raises:
-            UnknownRobotError: one of them is not there, or is not clear.
+            UnknownRobotError: a robot is not there, or its name is ambiguous.
         """
         robots = sorted((robot for robot in self.robots() if robot.gone is gone), key=lambda robot: robot.order)
         found: dict[str, Robot] = {}
@@ -238,12 +237,12 @@ class Fleet:
             meant = [robot for robot in robots if name in (robot.summary.name, robot.key)]
             if not meant:
                 if not gone and any(robot.gone and name in (robot.summary.name, robot.key) for robot in self.robots()):
-                    raise UnknownRobotError(f"{name} is not there: it is only remembered")
+                    raise UnknownRobotError(f"{name} is not connected now")
                 what = "robot that has gone" if gone else "robot"
                 raise UnknownRobotError(_unknown(what, name, [robot.summary.name for robot in robots]))
             if len(meant) > 1:
                 keys = ", ".join(robot.key for robot in meant)
-                raise UnknownRobotError(f"several robots are called {name}; say which: {keys}")
+                raise UnknownRobotError(f"several robots are named {name}; choose one: {keys}")
             found[meant[0].key] = meant[0]
         return sorted(found.values(), key=lambda robot: robot.order)
 
@@ -253,7 +252,7 @@ def _gone(robot: Remembered) -> RobotSummary:
         name=robot.name,
         group=robot.group,
         state=RobotState.MISSING,
-        why=f"it is no robot of {robot.source} any more",
+        why=f"it is no longer a robot of {robot.source}",
         since=robot.seen,
         seen=robot.seen,
         host=robot.host,
@@ -263,25 +262,25 @@ def _gone(robot: Remembered) -> RobotSummary:
 
 def _unknown(what: str, name: str, known: Sequence[str]) -> str:
     if near := difflib.get_close_matches(name, known, n=1):
-        return f"no {what} is called {name}; did you mean {near[0]}?"
-    return f"no {what} is called {name}; there are {join_first(known, 10) or 'none'}"
+        return f"no {what} is named {name}; did you mean {near[0]}?"
+    return f"no {what} is named {name}; there are {join_first(known, 10) or 'none'}"
 
 
 LIMIT = 1000
-"""Robots that are remembered: those that were seen last."""
+"""Most robots to remember: the latest ones."""
 _FILE_BYTES = 4 << 20
 
 
 class Remembered(msgspec.Struct, frozen=True):
-    """A robot that was there.
+    """A robot that was connected before.
 
     Attributes:
-        source: the name of the source that knew it.
-        name: the robot's.
-        seen: s since the epoch, when it was there last.
-        group: as it was then, likewise those below.
-        host: likewise.
-        version: likewise.
+        source: name of the source that reported it.
+        name: the robot's name.
+        seen: time when it was last connected, s since the epoch.
+        group: its group at that time.
+        host: its host at that time.
+        version: its version at that time.
     """
 
     source: str
@@ -297,10 +296,10 @@ def memory_path() -> Path:
 
 
 class Memory:
-    """The file of robots.
+    """The file of remembered robots.
 
     Args:
-        path: the file; None: nothing is kept.
+        path: path of the file, or None to keep nothing.
     """
 
     def __init__(self, path: Path | None) -> None:
@@ -308,15 +307,13 @@ class Memory:
         self._robots = {(robot.source, robot.name): robot for robot in _read(path)}
 
     def get(self, source: str, name: str) -> Remembered | None:
-        """A robot, if it was there."""
+        """Return a remembered robot, or None."""
         return self._robots.get((source, name))
 
     def all(self) -> list[Remembered]:
-        """All robots."""
         return list(self._robots.values())
 
     def of(self, source: str) -> list[Remembered]:
-        """All robots of a source."""
         return [robot for robot in self._robots.values() if robot.source == source]
 
     def saw(self, robot: Remembered) -> None:
@@ -326,11 +323,10 @@ class Memory:
             del self._robots[min(self._robots, key=lambda key: self._robots[key].seen)]
 
     def forget(self, source: str, name: str) -> None:
-        """Remember a robot no more."""
         self._robots.pop((source, name), None)
 
     def save(self) -> None:
-        """Write the file; where that cannot be done, the next console knows less."""
+        """Write the file; ignore errors, as only the next console's memory depends on it."""
         if self._path is not None:
             with contextlib.suppress(OSError):
                 self._path.parent.mkdir(parents=True, exist_ok=True)
@@ -338,7 +334,7 @@ class Memory:
 
 
 def _read(path: Path | None) -> list[Remembered]:
-    """The contents of a file, or nothing if it is damaged or too large."""
+    """Return the contents of a file, or nothing if it is damaged or too large."""
     if path is None:
         return []
     try:

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 ANSWERED_WITHIN = 60.0
 PATIENCE = 30.0
-"""s beyond the time to settle that a robot has to get as well as before."""
+"""Seconds beyond the time to settle in which a robot has to become as well as before."""
 _LOOK_EVERY = 0.5
 
 
@@ -30,7 +30,7 @@ class Bridged(NamedTuple):
     Attributes:
         robot: its name.
         route: the topic's.
-        session: of the robot's bridge.
+        session: session of the robot's bridge.
     """
 
     robot: str
@@ -39,7 +39,7 @@ class Bridged(NamedTuple):
 
 
 def bridged_by(robot: Robot) -> list[Bridged]:
-    """Ask a robot for its topics, services, actions and parameters. It may take some seconds.
+    """Read a robot's topics, services, actions and parameters. This may take some seconds.
 
     Raises:
         EngineError: it does not answer.
@@ -53,16 +53,16 @@ def bridged_by(robot: Robot) -> list[Bridged]:
 
 @dataclass(frozen=True, slots=True)
 class Step:
-    """What is to change on one robot.
+    """The planned change of one robot.
 
     Attributes:
-        robot: which.
-        key: of the route; empty: there is none.
-        old: its topic; None: there is none.
-        new: what it becomes; None: nothing changes.
+        robot: the robot.
+        key: key of the route, or empty without a route.
+        old: the route's present topic, or None without a route.
+        new: its topic after the change, or None if nothing changes.
         changes: the fields that differ, in words.
-        problem: why nothing can change; empty: it can, or nothing differs.
-        reached: whether it is known what the robot has.
+        problem: reason why the change is impossible, or empty.
+        reached: whether the robot's topics could be read.
     """
 
     robot: Robot
@@ -75,7 +75,6 @@ class Step:
 
     @property
     def name(self) -> str:
-        """The robot's."""
         return self.robot.summary.name
 
     @property
@@ -86,7 +85,7 @@ class Step:
         return replace(self, old=self.new, new=self.old, changes=tuple(changes(self.new, self.old)))
 
     def back(self, keys: Sequence[str]) -> list[str]:
-        """The ``KEY=VALUE`` that undo those of the change."""
+        """Return the ``KEY=VALUE`` words that undo the change."""
         values = {} if self.old is None else values_of(self.old)
         names = [key.partition("=")[0] for key in keys]
         return [f"{name}={values.get(name, '')}" for name in names]
@@ -94,14 +93,14 @@ class Step:
 
 @dataclass
 class Outcome:
-    """How far a change has come.
+    """The progress of a change.
 
     Attributes:
-        done: robots that it is done on, and that are as well as before.
-        failed: the robot at which it stopped; None: none.
-        why: it stopped.
-        was_changed: that robot has the change.
-        left: robots that it was not begun on.
+        done: robots that are changed and as well as before.
+        failed: the robot at which it stopped, or None.
+        why: reason why it stopped.
+        was_changed: whether that robot has the change.
+        left: robots that are not changed yet.
     """
 
     done: list[Step] = field(default_factory=list)
@@ -121,8 +120,8 @@ class Rollout:
 
     Args:
         fleet: started.
-        robots: of it.
-        topic: as the robots call it.
+        robots: robots of the fleet.
+        topic: the topic's name on the robots.
         keys: ``KEY=VALUE`` each.
         settle: s that a robot has to be as well as before.
         now: a clock, s.
@@ -144,7 +143,7 @@ class Rollout:
         self._fleet, self._robots = fleet, robots
         self._settle, self._now, self._sleep = settle, now, sleep
         self.cancelled = False
-        """To be set on another thread: no further robot is begun."""
+        """Whether to begin no further robot; set on another thread."""
 
     def plan(self) -> list[Step]:
         """Ask each robot for the effect of the change, without changing it. Cancelling asks no further robot."""
@@ -172,7 +171,7 @@ class Rollout:
         old = routes[0].spec
         new = typed_topic(values_of(old), self.keys, engine.session, old)
         if new.identity != old.identity:
-            return Step(robot, problem="another direction makes it another topic: remove it, and add it anew")
+            return Step(robot, problem="its direction cannot change: remove the topic, and add it again")
         differs = tuple(changes(old, new))
         return Step(robot, routes[0].key, old, new if differs else None, differs)
 
@@ -180,8 +179,8 @@ class Rollout:
         """Change one robot after the other, and stop at the first that gets worse.
 
         Args:
-            steps: of `plan`; those without a change are left out.
-            tell: is told of each robot what is being done.
+            steps: steps of `plan`; steps without a change are left out.
+            tell: gets each robot and the present action in words.
         """
         left = [step for step in steps if step.new is not None]
         outcome = Outcome()
@@ -218,16 +217,16 @@ class Rollout:
         return failed
 
     def _apply(self, step: Step, topic: Topic | None, *, drop_arm: bool = False) -> None:
-        """Have a robot's route do what a topic says.
+        """Change a robot's route to a topic.
 
         Args:
-            step: names the robot.
-            topic: as it is to be.
-            drop_arm: the name need not be armed any more if the topic does not say so: this change had demanded it.
+            step: step with the robot and the route.
+            topic: the new topic.
+            drop_arm: end the demand for arming, which this change made, unless the topic has it.
 
         Raises:
-            EngineError: the bridge refuses.
-            TimeoutError: it does not answer.
+            EngineError: the bridge refuses the change.
+            TimeoutError: the bridge does not answer.
         """
         assert topic is not None
         engine = step.robot.source.open(step.name, read_only=False)
@@ -241,7 +240,7 @@ class Rollout:
             engine.stop()
 
     def _worse(self, step: Step, before: RobotSummary) -> str:
-        """Wait until a robot has been as well as before for long enough; else why it is not."""
+        """Wait until a robot has been as well as before for long enough; return the problem if it has not."""
         assert step.old is not None
         assert step.new is not None
         held = (step.new.paused, step.new.arm) != (step.old.paused, step.old.arm)
@@ -269,7 +268,6 @@ class Rollout:
                 )
 
     def _summary(self, robot: Robot) -> RobotSummary:
-        """A robot as it is now."""
         found = (each.summary for each in self._fleet.robots() if each.key == robot.key)
         return next(found, robot.summary)
 
@@ -291,7 +289,7 @@ def report(rollout: Rollout, outcome: Outcome) -> Iterator[str]:
 
 
 def way_back(rollout: Rollout, outcome: Outcome, file: str = "FILE") -> Iterator[str]:
-    """The commands that restore the previous settings; `file` is the fleet file, for robots over Zenoh."""
+    """Yield the commands that restore the previous settings; `file` is the fleet file, for robots over Zenoh."""
     over = f" --fleet {file}" if any(step.robot.source.kind == "fleet" for step in outcome.changed) else ""
     by_keys: dict[str, list[str]] = {}
     for step in outcome.changed:
@@ -301,5 +299,4 @@ def way_back(rollout: Rollout, outcome: Outcome, file: str = "FILE") -> Iterator
 
 
 def names_of(steps: Sequence[Step]) -> str:
-    """The robots' names."""
     return ", ".join(step.name for step in steps)

@@ -25,7 +25,7 @@ class ServerFleet:
     """Fulfils `rsb_console.fleet.fleet.FleetSource`: one robot for each client of a server.
 
     Args:
-        name: of the server.
+        name: name of the server.
         path: its control socket.
     """
 
@@ -49,7 +49,7 @@ class ServerFleet:
         self._engine.start()
 
     def wait(self) -> None:
-        """The server knows all of them."""
+        """Return at once: the server knows all robots."""
 
     def stop(self) -> None:
         self._engine.stop()
@@ -74,7 +74,7 @@ class RobotEngine(RemoteEngine):
     """A server's engine as far as it concerns one of its clients: the others are neither seen nor changed.
 
     Args:
-        path: of the server's control socket.
+        path: path of the server's control socket.
         robot: the client's name.
         read_only: have the bridge refuse what would change anything.
     """
@@ -116,7 +116,7 @@ class RobotEngine(RemoteEngine):
         return super().retry(link or self._robot)
 
     def history(self, seconds: float) -> Future[HistoryReport]:
-        """The events of the robot and of the server as a whole."""
+        """Return the events of the robot and of the server as a whole."""
         own: Future[HistoryReport] = Future()
 
         def take(asked: Future[HistoryReport]) -> None:

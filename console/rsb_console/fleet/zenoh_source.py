@@ -1,4 +1,4 @@
-"""The engines of a fleet over Zenoh, seen through the summaries that each of them gives to an operator."""
+"""The engines of a fleet over Zenoh, through the summaries that each engine sends to an operator."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 _ENDED_WITHIN = 5.0
 _FIRST_HEARD_WITHIN = 5.0
-"""s that `ZenohFleet.wait` waits for the first word of each engine."""
+"""Seconds that `ZenohFleet.wait` waits for the first report of each engine."""
 MOST = 2000
 """Engines that are watched, and rows; anybody in the network may announce any number of engines."""
 _LEFT = "it has left the Zenoh network"
@@ -39,7 +39,7 @@ class ZenohFleet:
     """Fulfils `rsb_console.fleet.fleet.FleetSource`: one robot for each engine that announces itself.
 
     Args:
-        file: names the fleet, and the operator.
+        file: fleet file with the fleet and the operator.
     """
 
     kind = "fleet"
@@ -52,7 +52,7 @@ class ZenohFleet:
         self._watches: dict[str, asyncio.Task[None]] = {}
         self._names: dict[str, str] = {}  # of rows, by address
         self._called: dict[str, str] = {}  # what the engine of a row calls itself
-        self._silent: set[str] = set()  # addresses of those that have not said yet how they are
+        self._silent: set[str] = set()  # addresses of engines whose state has not come yet
         self._may_connect = asyncio.Semaphore(_AT_ONCE)
         self._random = random.Random()  # noqa: S311 -- jitter
         self._loop = asyncio.new_event_loop()
@@ -125,7 +125,6 @@ class ZenohFleet:
             await self._news.wait()
 
     def _changed(self, member: Member, comes: bool) -> None:
-        """An engine has come or gone."""
         if not comes:
             name = self._names.pop(member.address, None)
             self._has_spoken(member)
@@ -149,7 +148,7 @@ class ZenohFleet:
             self._watches[member.address] = self._loop.create_task(self._watch(member, name))
 
     def _hand_on(self, name: str) -> None:
-        """Give the row of an engine that has left to another one of its name, which needs no number any more."""
+        """Give the row of an engine that left to another one of the same name, which then needs no number."""
         assert self._presence is not None
         heir = next((address for address, row in self._names.items() if self._called[row] == name), None)
         if heir is not None:
@@ -159,13 +158,13 @@ class ZenohFleet:
             self._changed(self._presence.members[heir], comes=True)
 
     def _forget_one(self) -> None:
-        """Make room for a row: one whose engine has left goes, first those that nobody has ever heard from."""
+        """Make room for a row: drop one whose engine has left, preferably one that never reported a state."""
         gone = self._robots.keys() - self._names.values()
         name = min(gone, key=lambda name: (self._robots[name].seen is not None, self._robots[name].since))
         del self._robots[name], self._called[name]
 
     def _free_name(self, name: str) -> str:
-        """A name for a row: an engine that has the name of another one is shown, too."""
+        """Return a unique name for a row; two engines of one name are both shown."""
         taken, number = set(self._names.values()), 1
         free = name
         while free in taken:
@@ -174,7 +173,7 @@ class ZenohFleet:
         return free
 
     async def _watch(self, member: Member, name: str) -> None:
-        """Hear from an engine, for ever."""
+        """Read an engine's reports until cancelled."""
         assert self._presence is not None
         way = self._presence.sealed(member)
         backoff = Backoff(_FIRST_PAUSE, _LONGEST_PAUSE, self._random)
@@ -201,8 +200,8 @@ class ZenohFleet:
         # What the engine says of times is by its clock, which nobody has set by this one: only their ages are known.
         ahead = 0.0 if summary.seen is None else summary.seen - now
         since = min(now, summary.since - ahead)
-        if name != summary.name:  # only whoever is in the network can be so called, with a key of this operator's
-            why, state = f"another engine is called {summary.name}, too: give one of them another name", RobotState.WARN
+        if name != summary.name:  # only an engine with one of this operator's keys can cause this
+            why, state = f"another engine is named {summary.name}, too: rename one of them", RobotState.WARN
             since = before.since if (before.state, before.why) == (state, why) else now
         if (battery := summary.battery) is not None:
             battery = battery._replace(time=min(now, battery.time - ahead))
@@ -221,4 +220,4 @@ class ZenohFleet:
 
 
 def _ignore(_: Member, __: bool) -> None:
-    """Take no notice of an engine that comes or goes."""
+    """Ignore engines that come or go."""

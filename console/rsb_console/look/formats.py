@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 KIND_NOUN: dict[Kind, str] = {"topic": "topic", "service": "service", "action": "action", "parameters": "parameters"}
 KIND_SHORT: dict[Kind, str] = {"topic": "msg", "service": "srv", "action": "act", "parameters": "par"}
-"""What fits into a narrow column: the first three are ROS's own names for the types."""
+"""Kinds as they fit into a narrow column; the first three are ROS's own names for the types."""
 
 
 def thousands(count: int) -> str:
@@ -84,7 +84,7 @@ def latency(seconds: float, uncertainty: float | None) -> str:
 
     Args:
         seconds: the latency.
-        uncertainty: s, of the clock offset; None: not known.
+        uncertainty: error of the clock offset in s, or None if unknown.
     """
     if seconds > 0:
         return span(seconds)
@@ -116,11 +116,11 @@ def clock(seconds: float) -> str:
 
 
 def retry(number: int, seconds: float | None) -> str:
-    """Format when a link is tried again: ``retry 4 in 3 s``, ``retry 4 now``.
+    """Format the time of a link's next attempt: ``retry 4 in 3 s``, ``retry 4 now``.
 
     Args:
-        number: of the attempt.
-        seconds: s until then, rounded up; 0: it is under way; None: none is planned, and nothing is to be said.
+        number: number of the attempt.
+        seconds: s until then, rounded up; 0 if the attempt runs now, or None if no attempt is planned.
     """
     if seconds is None:
         return ""
@@ -131,7 +131,7 @@ def next_attempt(link: LinkSnapshot, now: float | None = None) -> str:
     """Format the time until a link is tried again, or until its client asks again.
 
     Args:
-        link: that link.
+        link: the link.
         now: s, so that the seconds change together with `age_since`, or None.
     """
     seconds = link.retry_in
@@ -180,7 +180,7 @@ def counted_kinds(kinds: Iterable[Kind]) -> str:
 
 
 def unanswered(calls: CallsSnapshot) -> int:
-    """How many calls will have no answer."""
+    """Return the number of calls that will get no reply."""
     return calls.expired + calls.lost + sum(calls.refused.values())
 
 
@@ -189,14 +189,13 @@ class PatternRow(RouteSnapshot):
     """A pattern in a list of routes.
 
     Attributes:
-        routes: that it has made.
+        routes: routes that it has made.
     """
 
     routes: int = 0
 
 
 def pattern_rows(snapshot: Snapshot) -> Iterator[PatternRow]:
-    """All patterns of a snapshot."""
     for link in snapshot.links:
         for pattern in link.patterns:
             yield _row(pattern, is_client=snapshot.role == "client")

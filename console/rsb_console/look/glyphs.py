@@ -86,7 +86,7 @@ def braille_plot(values: Sequence[float], width: int, height: int, top: float) -
 
 
 def _ascii_braille(dots: int) -> str:
-    """The ASCII character whose ink is about as high in its cell as the dots of a braille cell."""
+    """Return an ASCII character about as high in its cell as the dots of a braille cell."""
     if not dots:
         return " "
     heights = [y for column in _DOTS for y, dot in enumerate(column) if dots & dot]

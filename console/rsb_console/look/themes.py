@@ -49,10 +49,10 @@ class ThemeProblem(Wording):
 
 @dataclass(frozen=True, slots=True)
 class Themes:
-    """The themes that were read, and what is wrong with the others.
+    """The themes that were read, and the mistakes of the others.
 
     Attributes:
-        found: by name.
+        found: themes by name.
         problems: one line per file that is no theme.
     """
 
@@ -61,12 +61,12 @@ class Themes:
 
 
 def config_path() -> Path:
-    """The user's configuration folder, with ``keys.yaml`` and ``themes/``."""
+    """Return the user's configuration folder, with ``keys.yaml`` and ``themes/``."""
     return user_config_path("rsb-console")
 
 
 def shipped_path() -> Path:
-    """The folder of the shipped themes: in a checkout, next to the packages; else among the installed shared data."""
+    """Return the folder of the shipped themes: next to the packages in a checkout, or in the installed shared data."""
     checkout = Path(__file__).parents[3]
     if (checkout / "pyproject.toml").is_file():
         return checkout / "themes"
@@ -131,6 +131,6 @@ def _check_color(key: str, value: Any) -> None:
 
 
 def default_theme(environ: dict[str, str] | os._Environ[str] = os.environ) -> str:
-    """The theme that suits this terminal: one of sixteen colours if the terminal announces no more."""
+    """Return the theme that suits this terminal: one of sixteen colours if the terminal announces no more."""
     many = environ.get("COLORTERM") in {"truecolor", "24bit"} or "256color" in environ.get("TERM", "")
     return DEFAULT if many else SIXTEEN_COLORS

@@ -27,7 +27,7 @@ SIGNS = {Use.FREE: ("·", "dim"), Use.BUSY: ("✗", "down"), Use.OWN: ("●", "o
 
 
 class Machines(SelectableList):
-    """One line an adapter or device."""
+    """One line for each adapter or device."""
 
     sticky = 1
 
@@ -49,7 +49,7 @@ class Machines(SelectableList):
         return None if self.cursor_key is None else self._machines[self.cursor_key]
 
     def line(self, index: int) -> Line:
-        """The heading, or one of the machines."""
+        """Return the heading or the line of a machine."""
         if index < self.sticky:
             return ((f"   {'MAC':<18} {'':<8} {'STATE':<18} NAME", "head"),)
         one = self._machines[self.keys[index - self.sticky]]
@@ -81,7 +81,7 @@ class Channels(LiveLines, can_focus=False):
 
     @property
     def line_count(self) -> int:
-        """Two an adapter, and what the signs mean."""
+        """Number of lines: two for each adapter, and the legend."""
         return len(self._lines)
 
     def line(self, index: int) -> Line:
@@ -110,7 +110,7 @@ def _channel_lines(found: Scan) -> Iterator[Line]:
 
 
 class BluetoothScreen(ModalScreen[str | None]):
-    """Scans as soon as it is shown; gives the MAC that was picked."""
+    """Scans at once, and returns the picked MAC address."""
 
     BINDINGS: ClassVar = [
         Binding("escape,q", "dismiss", show=False),
@@ -125,7 +125,7 @@ class BluetoothScreen(ModalScreen[str | None]):
         self._problems, self._state, self._keys = Notice("problem"), Notice("hint"), Notice("hint keys")
 
     def compose(self) -> ComposeResult:
-        """Machines, channels, and what is missing."""
+        """Compose the machines, the channels and the problems."""
         with Vertical(classes="dialog -wide") as dialog:
             dialog.border_title = "Bluetooth"
             yield self.machines
@@ -153,7 +153,7 @@ class BluetoothScreen(ModalScreen[str | None]):
         self.channels.show(found)
 
     def action_pick(self) -> None:
-        """Give the MAC under the cursor."""
+        """Return the MAC address under the cursor."""
         machine = self.machines.selected
         if machine is not None and not self.console.readonly:
             self.dismiss(machine.address)

@@ -39,42 +39,42 @@ if TYPE_CHECKING:
     from rsb_console.widgets.lines import Line
 
 _SET, _SET_LANE = "set", "set_parameters"
-"""Among what can be called: one parameter, by its name and value, and the service that does it."""
+"""The choice that sets one parameter by name and value, and the service behind it."""
 _MOST_LINES = 2_000
 _NODES = 3
 _ASKED_LINES, _ASKED_CHARACTERS = 200, 4 << 10
-"""Limits of the part of a request that the question shows: as much as a person can read."""
+"""Limits of the part of a request that the question shows, as much as a person can read."""
 _CHECKED = 4 << 10
-"""Characters of a request that are checked while it is typed: a longer one takes too long for that."""
+"""Longest request (characters) to check while it is typed; a longer one takes too long."""
 _KEYS = "F9 call   tab next   y copy the answer   esc close"
 
 
 class CallText(Wording):
     """Texts of the form."""
 
-    NOTHING_CALLED = "nothing has been called yet"
+    NOTHING_CALLED = "no call yet"
     WAITING = "{sign} waiting for the answer, {waited}"
-    WAITING_UNTIL = "{sign} waiting for the answer, {waited}; given up after {limit:g} s"
+    WAITING_UNTIL = "{sign} waiting for the answer, {waited}; gives up after {limit:g} s"
     NAME_MISSING = "missing: name the parameter, as `ros2 param list` does"
-    NO_MAPPING = "not a mapping of fields: write data: true, say, with a line for each field"
+    NO_MAPPING = "not a mapping of fields: write one line for each field, such as data: true"
     VALUE_SENT = "Its new value is sent {where}:"
     REQUEST_SENT = "It is sent once, {where}:"
     ALL_DEFAULTS = "(the default of every field)"
     ANSWERED = "{sign} answered after {took}"
     VALUE_SET = "{sign} answered after {took}: the node has set it"
     VALUE_REFUSED = "{sign} answered after {took}: the node refuses it: {why}"
-    STILL_CALLING = "the call before this one is not answered yet"
-    ROUTE_GONE = "{sign} it is not bridged any more"
+    STILL_CALLING = "the previous call is not answered yet"
+    ROUTE_GONE = "{sign} it is no longer bridged"
 
 
 class Request(NamedTuple):
     """A call that is to be made.
 
     Attributes:
-        lane: which of the route's services.
+        lane: name of the service, if the route has several.
         text: the request's fields, as YAML.
-        question: what the operator is asked.
-        means: what that does.
+        question: question to the operator.
+        means: consequences of a yes.
         yes: the label of the button that does it.
         sets: it sets one parameter.
     """
@@ -88,11 +88,11 @@ class Request(NamedTuple):
 
 
 class Verdict(NamedTuple):
-    """What became of a call.
+    """The result of a call.
 
     Attributes:
-        text: in words.
-        look: of that.
+        text: result in words.
+        look: style of the text.
     """
 
     text: str
@@ -104,7 +104,7 @@ class CallScreen(FormScreen[Request]):
 
     Args:
         console: the app.
-        route: what is called, as it was when this was opened.
+        route: route to call, as it was when this was opened.
     """
 
     AUTO_FOCUS = ".field TextArea, .field Input, .field Choice"
@@ -125,7 +125,7 @@ class CallScreen(FormScreen[Request]):
         super().__init__(f"Call {route.topic} by hand", [_field(spec) for spec in _specs(route)], "Call…")
 
     def compose(self) -> ComposeResult:
-        """The form, and below it the answer."""
+        """Compose the form, and the answer below it."""
         with Vertical(classes="dialog -call") as dialog:
             dialog.border_title = self._title
             yield self._state
@@ -155,12 +155,12 @@ class CallScreen(FormScreen[Request]):
 
     @property
     def _lane(self) -> str:
-        """What is chosen: one of the route's services, or to set one parameter."""
+        """The chosen operation: one of the route's services, or setting one parameter."""
         field = self.form.fields.get("lane")
         return self._route.lanes[0] if field is None else field.value
 
     def _show_lane(self) -> None:
-        """Show the fields that it takes, with those of its request where they are known."""
+        """Show the fields of the chosen operation, and the request's fields if its type is available."""
         sets = self._lane == _SET
         for key, field in self.form.fields.items():
             field.display = key == "lane" or (key == "request") is not sets
@@ -191,7 +191,7 @@ class CallScreen(FormScreen[Request]):
             self.check()
 
     def problems(self, values: Mapping[str, str]) -> dict[str, str]:
-        """What is no name or value, or no YAML. Whether the fields fit the type is known where the bridge runs."""
+        """Return the problems of names, values and YAML. Only the bridge can check fields against the type."""
         key = "value" if self._lane == _SET else "request"
         found = {}
         if self._lane == _SET and not values["name"]:
@@ -218,7 +218,6 @@ class CallScreen(FormScreen[Request]):
 
     @property
     def _where(self) -> str:
-        """The receiver of the call."""
         nodes = join_first(self._route.subscribers, _NODES) or "the node"
         return f"to {nodes} {f'behind {self.console.peer_of(self._route)}' if self._route.outgoing else 'on this side'}"
 
@@ -229,7 +228,6 @@ class CallScreen(FormScreen[Request]):
 
     @work(group=DIALOG)
     async def accept(self, result: Request) -> None:
-        """Ask, and call."""
         if self._under_way_since is not None:
             self.notify(CallText.STILL_CALLING(), timeout=3)
         elif await self.console.ask(ConfirmScreen(result.question, result.means, result.yes)):
@@ -266,14 +264,13 @@ class CallScreen(FormScreen[Request]):
         self._draw()
 
     def action_copy(self) -> None:
-        """Copy the whole answer."""
         if self._answer:
             self.notify(copy(self.app, self._answer), timeout=3, markup=False)
 
     # -- the picture --------------------------------------------------------------------------------------------------
 
     def _draw(self) -> None:
-        """Draw what differs from what is shown: to lay out a long answer takes a while."""
+        """Draw only the changes: laying out a long answer takes a while."""
         if not self._pane.is_attached:
             return
         self._state.set_text(self._state_text())
@@ -284,7 +281,6 @@ class CallScreen(FormScreen[Request]):
             self._pane.show(self._lines(what[0], width))
 
     def _state_text(self) -> str:
-        """The current state of the route."""
         route = next((each for each in self.console.snapshot().routes if each.key == self._route.key), None)
         if route is None:
             return CallText.ROUTE_GONE(sign=FAILED)
@@ -292,7 +288,6 @@ class CallScreen(FormScreen[Request]):
         return f"{STATE_SIGN[route.state]} {STATE_WORD[route.state]}  {route.type_name}{reason}"
 
     def _progress(self) -> Line:
-        """The progress of the call."""
         if self._under_way_since is None:
             return ((CallText.NOTHING_CALLED(), "dim"),) if self._verdict is None else ()
         waited = formats.age(time.monotonic() - self._under_way_since)
@@ -313,9 +308,7 @@ class CallScreen(FormScreen[Request]):
 def _specs(route: RouteSnapshot) -> Iterator[Spec]:
     if len(route.lanes) > 1:
         sets = [(_SET, "set one parameter")] if _SET_LANE in route.lanes else []
-        yield Spec(
-            "lane", "What", "Which of its services to call.", options=(*sets, *((lane, lane) for lane in route.lanes))
-        )
+        yield Spec("lane", "What", "The service to call.", options=(*sets, *((lane, lane) for lane in route.lanes)))
     if _SET_LANE in route.lanes:
         yield Spec("name", "Parameter", "Its name, as the node has it: controller_frequency.")
         kinds = "5 is an integer, 5.0 a double, true a bool, [1, 2] an array; anything else is text."
@@ -323,7 +316,7 @@ def _specs(route: RouteSnapshot) -> Iterator[Spec]:
     yield Spec(
         "request",
         "Request",
-        "Its fields as YAML, one a line. What you leave out has its default.",
+        "Its fields as YAML, one a line. Missing fields get their defaults.",
         blank="empty: every field has its default",
     )
 
@@ -333,10 +326,10 @@ def _field(spec: Spec) -> Field:
 
 
 def answer_lines(answer: str, width: int) -> Iterator[Line]:
-    """An answer as lines that fit, with a note where it is cut.
+    """Format an answer as lines that fit, with a note if it is cut.
 
     Args:
-        answer: as YAML.
+        answer: answer as YAML.
         width: cells.
     """
     pieces = (
@@ -352,7 +345,7 @@ def answer_lines(answer: str, width: int) -> Iterator[Line]:
 
 
 def _beginning(request: str) -> str:
-    """A request as the question shows it."""
+    """Shorten a request for the question."""
     lines = request[:_ASKED_CHARACTERS].splitlines()[:_ASKED_LINES]
     shown = "\n".join(lines)
     more = len(request.rstrip()) - len(shown)

@@ -45,11 +45,11 @@ _BETWEEN = re.compile(r"[\s,]+")
 PREFIXES = (("", "as the server's"), ("yes", "yes"), ("no", "no"))
 FIELDS = (
     Spec("name", "Name", "As in the client's own session: robot2."),
-    Spec("key_file", "Key file", "Beside the session file. Empty: a new one. A file that exists is used as it is.",
+    Spec("key_file", "Key file", "In the session's folder. Empty: a new one. An existing file is used as it is.",
          blank="a new one"),
     Spec("use_name", "Prefix", "Its topics here have its name as a prefix: /robot2/scan.", options=PREFIXES),
     Spec("allow", "Allowed", "Patterns of the topics that it may bridge, like /camera/*. Empty: all.", blank="all"),
-    Spec("deny", "Denied", "Patterns of the topics that it may not bridge; stronger than those above.", blank="none"),
+    Spec("deny", "Denied", "Patterns of the topics that it may not bridge; overrides Allowed.", blank="none"),
 )  # fmt: skip
 
 
@@ -66,7 +66,7 @@ class _ClientChange(Change):
 
     Attributes:
         console: the app.
-        path: of the session file.
+        path: path of the session file.
         listed: the client as the file has, or had, it.
         running: the client as the bridge has, or had, it.
     """
@@ -98,8 +98,6 @@ class _ClientChange(Change):
 
 @dataclass(frozen=True, slots=True)
 class ClientAdded(_ClientChange):
-    """A client was added."""
-
     def undo(self, now: Snapshot, events: Sequence[Event]) -> Undo:
         name = self.listed.name
         current = None if self.console.engine is None else _client(self.console.engine.session, name)
@@ -171,7 +169,7 @@ def _client_in(path: Path, name: str) -> Client | None:
 
 
 def words(text: str) -> tuple[str, ...]:
-    """The words of a field, with blanks or commas between them."""
+    """Return the words of a field, with blanks or commas between them."""
     return tuple(word for word in _BETWEEN.split(text) if word)
 
 
@@ -204,7 +202,7 @@ async def remove_client(console: Console, name: str) -> None:
     if path is None or console.engine is None:
         return
     message = (
-        "Its link is closed at once, and it is let in no more. The other clients stay linked. "
+        "Its link is closed at once, and it can no longer connect. The other clients stay linked. "
         "Its key file stays; the client's own files are not touched."
     )
     if not await console.ask(ConfirmScreen(f"Remove the client {name}?", message, "Remove")):
@@ -225,7 +223,7 @@ async def remove_client(console: Console, name: str) -> None:
 
 
 def _saved_path(console: Console) -> Path | None:
-    """The file of the server's session. Notify the operator if the session has no file."""
+    """Return the file of the server's session, or notify the operator if it has no file."""
     if console.path is None or console.temporary:
         console.notify("save the session first (w): its file lists the clients", severity="warning", timeout=8)
         return None
@@ -233,7 +231,7 @@ def _saved_path(console: Console) -> Path | None:
 
 
 def _remember(console: Console, changed: Changed, *, is_known: bool) -> None:
-    """Go on with the changed file; with changes of somebody else's in it, a save is still to tell of those."""
+    """Continue with the changed file; if others changed it, too, the next save still reports that."""
     if is_known:
         console.saved_to(changed.file.session, changed.file.path)
 
@@ -251,7 +249,7 @@ class AddClientScreen(FormScreen[Client]):
         self._session, self._base = session, base
 
     def problems(self, values: Mapping[str, str]) -> dict[str, str]:
-        """The session file's own rules for the client."""
+        """Check the client by the session file's rules."""
         for key in ("allow", "deny"):
             try:
                 typed_grants(values[key])
@@ -286,7 +284,7 @@ class AddClientScreen(FormScreen[Client]):
 
 
 def _grants(text: str) -> tuple[str | Grant, ...]:
-    """The grants in a field, or nothing while it has a mistake."""
+    """Return the grants in a field, or nothing while it has a mistake."""
     try:
         return typed_grants(text)
     except GrantError:
@@ -294,11 +292,11 @@ def _grants(text: str) -> tuple[str | Grant, ...]:
 
 
 class HandoutScreen(ModalScreen[None]):
-    """What each new client needs: its session file, to be copied from here, and its key, by a safe way.
+    """The files that each new client needs: its session file to copy from here, and its key.
 
     Args:
-        title: of the dialog.
-        handed: one for each client.
+        title: title of the dialog.
+        handed: changed session file for each client.
     """
 
     BINDINGS: ClassVar = [Binding("escape,q,enter", "dismiss", show=False), Binding("y", "copy", show=False)]

@@ -42,9 +42,9 @@ class Dialog(Vertical):
     """A dialog's widgets, with a title on the frame, and the keys as its last line.
 
     Args:
-        title: of the dialog.
-        widgets: from the top.
-        keys: what to press; the last line.
+        title: title of the dialog.
+        widgets: widgets from the top.
+        keys: keys to press, shown in the last line.
         shape: a further CSS class: ``-wide`` or ``-history``.
     """
 
@@ -91,7 +91,7 @@ class ConfirmScreen(ModalScreen[bool]):
             yield self._keys
 
     def on_resize(self, event: events.Resize) -> None:
-        """Give the message what room the rest leaves."""
+        """Give the message the remaining room."""
         self._scrolled.styles.max_height = max(1, event.size.height - _AROUND)
         self.call_after_refresh(self._show_keys)
 
@@ -102,12 +102,11 @@ class ConfirmScreen(ModalScreen[bool]):
         """Show other lines of the message.
 
         Args:
-            to: as Textual's ``scroll_...`` methods have it.
+            to: direction, as in Textual's ``scroll_...`` methods.
         """
         getattr(self._scrolled, f"scroll_{to}")(animate=False)
 
     def compose_message(self) -> ComposeResult:
-        """The text of the dialog."""
         yield Static(self._message, markup=False)
 
     def compose_buttons(self) -> ComposeResult:
@@ -132,7 +131,7 @@ class UndoScreen(ConfirmScreen):
     """Yes or No. The focus is on No if the undo removes something, or lets messages cross that do not cross now.
 
     Args:
-        undo: with its effect in words.
+        undo: the change to undo, with its effect in words.
     """
 
     SHAPE = "-wide"
@@ -161,7 +160,7 @@ class Steps(LiveLines, can_focus=False):
 
     @property
     def line_count(self) -> int:
-        """One a step, and how it ended."""
+        """One line for each step, and the outcome."""
         return len(self._steps) + (self._end is not None)
 
     def line(self, index: int) -> Line:
@@ -192,10 +191,10 @@ class Steps(LiveLines, can_focus=False):
 
 
 class RestartScreen(ModalScreen[None]):
-    """Restarts as soon as it is shown; may be left at any time, the restart goes on.
+    """Restarts an engine at once; closing the dialog does not stop the restart.
 
     Args:
-        engine: what to restart.
+        engine: engine to restart.
     """
 
     BINDINGS: ClassVar = [Binding("escape,q", "dismiss", show=False)]

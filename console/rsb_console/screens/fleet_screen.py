@@ -1,4 +1,4 @@
-"""The fleet's screen: one line a robot, those with something wrong first."""
+"""The fleet's screen: one line for each robot, faulty ones first."""
 
 from __future__ import annotations
 
@@ -34,15 +34,15 @@ class FleetScreen(Screen[None]):
 
     Args:
         console: the app.
-        fleet: whose robots.
-        view: what the operator has made of the table, here or on a screen before.
+        fleet: fleet of the robots.
+        view: the operator's settings of the table, from here or a screen before.
         open_robot: opens the console on one.
         change_rate: refreshes faster or slower by so many steps.
     """
 
     BINDINGS = bindings(Group.FLEET, Group.VIEW, actions=FLEET_ACTIONS)
     AUTO_FOCUS = "#fleet"
-    VERTICAL_BREAKPOINTS = [(0, "-tiny"), (14, "-short")]  # noqa: RUF012 -- Textual says it is no ClassVar
+    VERTICAL_BREAKPOINTS = [(0, "-tiny"), (14, "-short")]  # noqa: RUF012 -- Textual declares it without ClassVar
 
     def __init__(
         self,
@@ -69,7 +69,7 @@ class FleetScreen(Screen[None]):
     # -- what is shown ------------------------------------------------------------------------------------------------
 
     def show(self) -> None:
-        """Show the robots as they are now."""
+        """Show the present state of the robots."""
         self.table.show(self.fleet, time.time())
         self.table.explain(self._why_empty())
         self.status.show(self.table, self.fleet, readonly=self.console.readonly)
@@ -81,8 +81,8 @@ class FleetScreen(Screen[None]):
         if self.table.rows:
             return f"No robot matches. {self._key('back')} shows all of them."
         if all(source.kind == "server" for source in self.fleet.sources):
-            return "No robots yet: on the server, `rsb-console client add NAME` lets one in."
-        return "No robots yet: no bridge with `zenoh` and this fleet's name in its session has announced itself."
+            return "No robots yet: add one on the server with `rsb-console client add NAME`."
+        return "No robots yet: no bridge announces itself; set `zenoh` and this fleet's name in a session."
 
     def _show_detail(self) -> None:
         self.detail.show(*self.table.described)
@@ -100,7 +100,7 @@ class FleetScreen(Screen[None]):
         self.table.entitle(f" {' ▸ '.join(parts)} ")
 
     def _show_keys(self) -> None:
-        """Show the keys that do something now, if those have changed."""
+        """Show the keys that are possible now, if they have changed."""
         here, marked, gone = self.app.screen is self, len(self.view.marked), bool(self._gone)
         depends_on = (here, marked, gone, self.table.selected_group, self.table.cursor_key is None)
         if depends_on == self._keys_shown_for:
@@ -126,14 +126,13 @@ class FleetScreen(Screen[None]):
 
     @property
     def _gone(self) -> list[Robot]:
-        """The robots that could be dismissed."""
         return [robot for robot in self.table.meant if robot.gone]
 
     def _key(self, action: str) -> str:
         return self.console.key_labels(BY_ID[action])[0]
 
     def check_action(self, action: str, parameters: tuple[object, ...]) -> bool | None:
-        """Only what can be done now (Textual's)."""
+        """Allow the actions that are possible now (Textual's)."""
         if action == "dismiss" and not self._gone:
             return False
         if action in ("open_robot", "mark", "edit_marked") and self.table.cursor_key is None:
@@ -147,7 +146,6 @@ class FleetScreen(Screen[None]):
         self._show_keys()
 
     def on_selectable_list_cursor_moved(self, event: SelectableList.CursorMoved) -> None:
-        """Detail follows the cursor."""
         self._moved()
 
     def _moved(self) -> None:
@@ -156,11 +154,10 @@ class FleetScreen(Screen[None]):
         self._show_keys()
 
     def on_selectable_list_chosen(self, event: SelectableList.Chosen) -> None:
-        """A second click opens."""
         self.action_open_robot()
 
     def on_resize(self, event: events.Resize) -> None:
-        """Lines may be wrapped otherwise."""
+        """Wrap the lines again."""
         self.call_after_refresh(self._show_detail)
 
     # -- actions ------------------------------------------------------------------------------------------------------
@@ -172,7 +169,7 @@ class FleetScreen(Screen[None]):
             self.table.fold()
             self._moved()
         elif robot.gone:
-            self.notify(f"{robot.summary.name} is only remembered: there is nothing to open", markup=False, timeout=4)
+            self.notify(f"{robot.summary.name} is not connected: it cannot be opened", markup=False, timeout=4)
         else:
             self._open(robot)
 
@@ -195,10 +192,10 @@ class FleetScreen(Screen[None]):
             text = f"{names} {'is a server' if len(known) == 1 else 'are servers'}: mark the robots to edit instead"
             self.notify(text, markup=False, timeout=6)
         else:
-            self.notify("these robots are only remembered: there is nothing to edit", timeout=4)
+            self.notify("these robots are not connected: they cannot be edited", timeout=4)
 
     def action_dismiss(self) -> None:  # type: ignore[override]  # Textual's closes a screen, which this one never does
-        """Forget robots that have gone: those that are marked, else the one under the cursor, or its group's."""
+        """Forget robots that have gone: the marked ones, or the one under the cursor, or its group's."""
         gone = self._gone
         self.fleet.dismiss(gone)
         names = join_first([robot.summary.name for robot in gone], _NAMED)
@@ -222,7 +219,7 @@ class FleetScreen(Screen[None]):
         self._moved()
 
     def action_back(self) -> None:
-        """Drop the filters; else the marks."""
+        """Drop the filters, or the marks if there are no filters."""
         view = self.view
         if view.pattern is not None or view.faults_only:
             view.pattern, view.faults_only = None, False
@@ -231,12 +228,10 @@ class FleetScreen(Screen[None]):
         self._relist()
 
     def action_faults(self) -> None:
-        """Faults only, or all."""
         self.view.faults_only = not self.view.faults_only
         self._relist()
 
     def action_group(self) -> None:
-        """Group, or not."""
         self.view.grouped = not self.view.grouped
         self._relist()
 
@@ -264,7 +259,7 @@ class FleetScreen(Screen[None]):
         self._change_rate(-1)
 
     def action_copy(self) -> None:
-        """Copy the robot's name and why it is as it is."""
+        """Copy the robot's name and the reason of its state."""
         if (robot := self.table.selected) is not None:
             summary = robot.summary
             text = f"{summary.name} {summary.state.upper()}{f': {summary.why}' if summary.why else ''}"

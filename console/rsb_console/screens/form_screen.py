@@ -28,8 +28,8 @@ class FormScreen(ModalScreen[T | None]):
     A subclass says what is wrong with the values (`problems`) and what they make (`result`).
 
     Args:
-        title: of the dialog.
-        fields: from the top.
+        title: title of the dialog.
+        fields: fields from the top.
         yes: the label of the button that accepts.
     """
 
@@ -42,7 +42,7 @@ class FormScreen(ModalScreen[T | None]):
         self._title, self._yes = title, yes
 
     def compose(self) -> ComposeResult:
-        """The form, what is wrong with it as a whole, help, and the buttons."""
+        """Compose the form, its problem as a whole, the help and the buttons."""
         with Vertical(classes="dialog -wide") as dialog:
             dialog.border_title = self._title
             yield self.form
@@ -56,11 +56,11 @@ class FormScreen(ModalScreen[T | None]):
         yield Button("Cancel", id="no", compact=True)
 
     def problems(self, values: Mapping[str, str]) -> dict[str, str]:
-        """What is wrong, by the key of the field; another key is about the form as a whole."""
+        """Return the problems by the field's key; any other key is about the form as a whole."""
         raise NotImplementedError
 
     def result(self, values: Mapping[str, str]) -> T:
-        """What values without problems make."""
+        """Return the result of values without problems."""
         raise NotImplementedError
 
     def on_mount(self) -> None:
@@ -82,7 +82,7 @@ class FormScreen(ModalScreen[T | None]):
             self.check()
 
     def check(self) -> None:
-        """Say what is wrong with what stands there now."""
+        """Show the problems of the present values."""
         self.form.show_problems(self.problems(self.form.values))
 
     def submit(self) -> None:
@@ -106,7 +106,7 @@ class FormScreen(ModalScreen[T | None]):
         return self.dismiss(result)
 
     def on_button_pressed(self, event: Button.Pressed) -> None:
-        """Not to be overridden: Textual calls the handler of every class, not only of the last."""
+        """Handle a button; not to be overridden, as Textual calls the handler of every class."""
         self.press(event.button.id or "")
 
     def press(self, button: str) -> None:

@@ -27,8 +27,6 @@ KEYS_WIDTH, ID_WIDTH = 13, 15  # cells
 
 
 class KeyList(LiveLines, can_focus=True):
-    """The keys, chapter by chapter."""
-
     BINDINGS: ClassVar = [
         Binding("j", "scroll_down", show=False),
         Binding("k", "scroll_up", show=False),
@@ -44,7 +42,7 @@ class KeyList(LiveLines, can_focus=True):
 
     @property
     def line_count(self) -> int:
-        """One a key, and the headings."""
+        """One line for each key, and the headings."""
         return len(self._lines)
 
     def line(self, index: int) -> Line:
@@ -59,8 +57,8 @@ class HelpScreen(ModalScreen[None]):
     """Every key; any of escape, q, ? and enter leaves.
 
     Args:
-        console: whose keys they are.
-        actions: what they do.
+        console: the app with the keys.
+        actions: actions to describe.
     """
 
     BINDINGS: ClassVar = [Binding("escape,q,question_mark,enter", "dismiss", show=False)]
@@ -99,7 +97,7 @@ class LabelsKeys(Protocol):
     actions: Sequence[Action]
 
     def key_labels(self, action: Action) -> list[str]:
-        """The keys of an action, as they are written on a keyboard."""
+        """Return the keys of an action, as written on a keyboard."""
         ...
 
 

@@ -1,4 +1,4 @@
-"""The time line: what happened in the last hours."""
+"""The time line of the last hours."""
 
 from __future__ import annotations
 
@@ -46,23 +46,23 @@ class HistoryText(Wording):
     """Texts of the history."""
 
     BY_TOPIC = "by robot and topic"
-    NOT_KNOWN = "not known at present: {error}"
+    NOT_KNOWN = "not available now: {error}"
     GAP = "the bridge did not run, or the machine slept"
 
 
 class Row(NamedTuple):
-    """One thing that happened.
+    """One event or outage.
 
     Attributes:
-        key: names it, from one answer to the next.
+        key: identifies it from one report to the next.
         start: s since the epoch.
-        length: how long, in words; or empty.
+        length: duration in words, or empty.
         robot: the link, or empty.
-        topic: with its direction and, if it is none, what it is instead; or ``link``; or empty.
-        state: of an outage, its state; of an action, who did it.
-        look: of that.
-        text: the cause, or what was done.
-        track: whose rates belong to it; None: nobody's.
+        topic: the topic with its direction, another kind with its name, ``link``, or empty.
+        state: state of an outage, or the operator of an action.
+        look: style of the state.
+        text: cause of an outage, or an action in words.
+        track: track with the rates to show, or None.
     """
 
     key: str
@@ -77,12 +77,12 @@ class Row(NamedTuple):
 
     @property
     def plain(self) -> str:
-        """What a filter looks at."""
+        """Text that a filter searches."""
         return f"{self.robot} {self.topic} {self.state} {self.text}"
 
 
 def rows_of(report: HistoryReport) -> list[Row]:
-    """All that happened, the newest first. What only went with its link has no row of its own."""
+    """Return the events and outages, newest first. An outage that only followed its link's has no row of its own."""
     tracks = {each.subject: each for each in report.tracks}
     rows = [
         Row(
@@ -108,8 +108,6 @@ def rows_of(report: HistoryReport) -> list[Row]:
 
 
 class HistoryTable(SelectableList):
-    """One line a row."""
-
     sticky = 1
 
     def __init__(self) -> None:
@@ -162,14 +160,13 @@ class Lines(LiveLines, can_focus=False):
         return fit(self._lines[index], self.size.width)
 
     def put(self, lines: list[Line]) -> None:
-        """Show these."""
         self._lines = lines
         self.styles.height = len(lines)
         self.sync()
 
 
 class HistoryScreen(ModalScreen[None]):
-    """What happened in the last hour, 8 hours or day: outages, what operators did, and when nobody watched."""
+    """The history of the last hour, 8 hours or day: outages, operators' actions and times without a record."""
 
     BINDINGS: ClassVar = [
         Binding("escape", "back", show=False),
@@ -193,7 +190,7 @@ class HistoryScreen(ModalScreen[None]):
         self._problem = ""
 
     def compose(self) -> ComposeResult:
-        """Totals, the table, and more about the row under the cursor."""
+        """Compose the totals, the table, and the detail of the row under the cursor."""
         widgets = self.summary, self.table, self.detail, self.prompt
         yield Dialog("What happened", *widgets, keys=HELP, shape="-history")
 
@@ -205,7 +202,7 @@ class HistoryScreen(ModalScreen[None]):
         self.run_worker(self._fetch(), exclusive=True, group="history")
 
     async def _fetch(self) -> None:
-        """Ask the engine, which may be in another process."""
+        """Request the report from the engine, which may run in another process."""
         engine = self.console.engine
         if engine is None:
             self._problem = "no session runs"
@@ -218,7 +215,6 @@ class HistoryScreen(ModalScreen[None]):
         self.show()
 
     def show(self) -> None:
-        """Show the newest answer."""
         report = self._report
         parts = [
             "What happened",
@@ -253,9 +249,9 @@ class HistoryScreen(ModalScreen[None]):
             yield ((f"{more}: rsb-console report {report.name}", "dim"),)
         if report.outages_left_out:
             more = formats.counted(report.outages_left_out, "more outage")
-            yield ((f"at least {more}, for which there was no room", "dim"),)
+            yield ((f"at least {more}, dropped for lack of room", "dim"),)
         if not rows:
-            yield (("nothing that matches" if self.pattern else "nothing else happened", "dim"),)
+            yield (("no match" if self.pattern else "nothing else happened", "dim"),)
 
     def _show_detail(self) -> None:
         row = self.table.selected
@@ -265,7 +261,6 @@ class HistoryScreen(ModalScreen[None]):
         self._show_detail()
 
     def action_span(self) -> None:
-        """The next span."""
         self._span = SPANS[(SPANS.index(self._span) + 1) % len(SPANS)]
         self._report = None
         self.show()
@@ -294,7 +289,7 @@ class HistoryScreen(ModalScreen[None]):
             self.dismiss()
 
     def action_export(self) -> None:
-        """Write it to files in the working folder, as text and as CSV."""
+        """Write the history to files in the working folder, as text and CSV."""
         from rsb_console.session.history_report import export_history  # noqa: PLC0415 -- seldom needed
 
         if self._report is None:
@@ -308,13 +303,13 @@ class HistoryScreen(ModalScreen[None]):
 
 
 def _state_words(state: str) -> str:
-    """The sign and the word of a state; a newer bridge may have another one."""
+    """Return the sign and the word of a state; a newer bridge may send an unknown one."""
     known = next((each for each in State if each == state), None)
     return state.upper() if known is None else f"{STATE_SIGN[known]} {STATE_WORD[known]}"
 
 
 def _detail(row: Row, width: int, span: float) -> Iterator[Line]:
-    """The whole text, and the rate over the span."""
+    """Yield the whole text, and the rate over the span."""
     whole = textwrap.wrap(row.text, max(20, width - _LABEL)) or [""]
     for number, line in enumerate(whole[:_DETAIL_LINES]):
         yield ((f"{'' if number else ('why' if row.length else 'what'):<{_LABEL}}", "dim"), (line, ""))
@@ -330,6 +325,6 @@ def _detail(row: Row, width: int, span: float) -> Iterator[Line]:
 
 
 def _moment(moment: float, now: float) -> str:
-    """The time of day; with the day, if it was another one."""
+    """Format the time of day, with the day if it is not today."""
     then = time.localtime(moment)
     return time.strftime("%H:%M:%S" if then.tm_yday == time.localtime(now).tm_yday else "%a %H:%M:%S", then)

@@ -54,15 +54,15 @@ class KeyText(Wording):
 
 
 class KeyFile(NamedTuple):
-    """What can be told of a key file.
+    """The facts about a key file.
 
     Attributes:
-        path: of the file.
-        user: whose links it is for.
-        mode: ``0600``; empty: there is no file.
-        fingerprint: empty: it cannot be read.
-        written: when it was, in words.
-        note: what an operator should know about it; empty: nothing.
+        path: path of the file.
+        user: user of the key: a client, an operator or the session.
+        mode: ``0600``, or an empty string if the file is missing.
+        fingerprint: fingerprint, or an empty string if the file cannot be read.
+        written: time of writing, in words.
+        note: advice for an operator, or an empty string.
     """
 
     path: Path
@@ -74,11 +74,11 @@ class KeyFile(NamedTuple):
 
 
 def look_at(path: Path, user: str, used_by: Sequence[str], now: float) -> KeyFile:
-    """What can be told of a key file.
+    """Read the facts about a key file.
 
     Args:
-        path: of the file.
-        user: whose links it is for.
+        path: path of the file.
+        user: user of the key.
         used_by: the fingerprints of the keys that links use.
         now: s since the epoch.
     """
@@ -96,10 +96,10 @@ def look_at(path: Path, user: str, used_by: Sequence[str], now: float) -> KeyFil
 
 
 def key_files(session: Session, base: Path) -> dict[Path, str]:
-    """Whose links each of a session's key files is for.
+    """Return the user of each of a session's key files.
 
     Args:
-        session: whose.
+        session: session with the key files.
         base: the folder that they are relative to.
     """
     found: dict[Path, str] = {}
@@ -110,8 +110,6 @@ def key_files(session: Session, base: Path) -> dict[Path, str]:
 
 
 class KeysTable(SelectableList):
-    """One line a key file."""
-
     sticky = 1
 
     def __init__(self) -> None:
@@ -128,7 +126,7 @@ class KeysTable(SelectableList):
         return None if self.cursor_key is None else self._files[self.cursor_key]
 
     def line(self, index: int) -> Line:
-        """The heading, or one of the files."""
+        """Return the heading or the line of a file."""
         if index < self.sticky:
             return ((f"   {'FILE':<{NAME_WIDTH}} {'MODE':<5} {'FINGERPRINT':<20} FOR", "head"),)
         file = self._files[self.keys[index - self.sticky]]
@@ -141,7 +139,7 @@ class KeysTable(SelectableList):
 
 
 class KeysScreen(ModalScreen[None]):
-    """Look at the key files; `g` makes a key."""
+    """The session's key files; `g` creates a key."""
 
     BINDINGS: ClassVar = [
         Binding("escape,q", "dismiss", show=False),
@@ -157,7 +155,7 @@ class KeysScreen(ModalScreen[None]):
         self._made: dict[Path, str] = {}
 
     def compose(self) -> ComposeResult:
-        """The table, and what is to be known of the file under the cursor."""
+        """Compose the table and the facts about the file under the cursor."""
         generate = "" if self.console.readonly else "g generate a key   "
         keys = f"Both sides of a link need the same fingerprint.\n{generate}esc close"
         yield Dialog("Key files", self.table, self._written, self._note, keys=keys)
@@ -176,7 +174,7 @@ class KeysScreen(ModalScreen[None]):
         self.on_selectable_list_cursor_moved()
 
     def on_selectable_list_cursor_moved(self) -> None:
-        """Say what is to be known of the file."""
+        """Show the facts about the file under the cursor."""
         file = self.table.selected
         self._note.set_text(self._no_file() if file is None else file.note)
         self._written.update("" if file is None else file.written)
@@ -202,11 +200,11 @@ class KeysScreen(ModalScreen[None]):
 
 
 class GenerateScreen(FormScreen[Path]):
-    """Make a key; gives its file.
+    """A form that creates a key and returns its file.
 
     Args:
         console: asks before a key is replaced.
-        path: to begin with.
+        path: first text of the field.
     """
 
     def __init__(self, console: Console, path: Path) -> None:
@@ -224,7 +222,7 @@ class GenerateScreen(FormScreen[Path]):
 
     @work(group=DIALOG)
     async def accept(self, result: Path) -> None:
-        """Write it; never over another without a yes."""
+        """Write the key; overwrite another only after a yes."""
         exists = result.exists()  # noqa: ASYNC240 -- one stat
         if exists:
             message = KeyText.REPLACE_MEANS()

@@ -1,4 +1,4 @@
-"""The links: on a server one row a robot, on a client the one it has."""
+"""The links: one row for each robot on a server, a single row on a client."""
 
 from __future__ import annotations
 
@@ -42,12 +42,12 @@ CLIENT_KEYS = "a add a client   d remove it   "
 class LinkText(Wording):
     """Texts of the details of a link."""
 
-    NEXT_KEY_USED = "in use: the old one can be given up"
+    NEXT_KEY_USED = "in use: the old key can be dropped"
     NEXT_KEY_UNUSED = "valid too; not in use yet"
 
 
 class LinksTable(SelectableList):
-    """One line a link, the worst first."""
+    """One line for each link, the worst first."""
 
     sticky = 1
 
@@ -70,7 +70,7 @@ class LinksTable(SelectableList):
         return None if self.cursor_key is None else self._links.get(self.cursor_key)
 
     def line(self, index: int) -> Line:
-        """The heading, or one of the links."""
+        """Return the heading or the line of a link."""
         assert self._now is not None or index < self.sticky
         if index < self.sticky or self._now is None:
             return ((HEADING, "head"),)
@@ -95,7 +95,7 @@ class LinksTable(SelectableList):
 
 
 class LinkDetail(LiveLines, can_focus=False):
-    """What has no column: why it is down, the key, the other side."""
+    """The facts without a column: the reason why it is down, the key, the other side."""
 
     def __init__(self) -> None:
         super().__init__(id="link-detail")
@@ -105,7 +105,7 @@ class LinkDetail(LiveLines, can_focus=False):
 
     @property
     def line_count(self) -> int:
-        """As many as there are to say."""
+        """Number of lines of the detail."""
         return len(self._lines)
 
     def line(self, index: int) -> Line:
@@ -159,7 +159,7 @@ class LinkScreen(ModalScreen[None]):
     """One link, with its topics, live.
 
     Args:
-        console: whose link it is.
+        console: the app with the link.
         name: the link's.
     """
 
@@ -178,7 +178,7 @@ class LinkScreen(ModalScreen[None]):
         self.show()
 
     def show(self) -> None:
-        """Show the link as it is now; a link that is gone closes its screen."""
+        """Show the present state of the link; close the screen if the link is gone."""
         now = self.console.snapshot()
         link = next((link for link in now.links if link.name == self._name), None)
         if link is None:
@@ -191,8 +191,6 @@ class LinkScreen(ModalScreen[None]):
 
 
 class LinksScreen(ModalScreen[None]):
-    """All links, live."""
-
     BINDINGS: ClassVar = [
         Binding("escape,q", "dismiss", show=False),
         Binding("enter", "open", show=False),
@@ -208,7 +206,7 @@ class LinksScreen(ModalScreen[None]):
         self.table, self.detail = LinksTable(), LinkDetail()
 
     def compose(self) -> ComposeResult:
-        """The table, and more about the link under the cursor."""
+        """Compose the table and the detail of the link under the cursor."""
         clients = CLIENT_KEYS if self._is_server else ""
         keys = "" if self.console.readonly else f"{clients}r try again now   i acknowledge   "
         yield Dialog("Links", self.table, self.detail, keys=f"⏎ detail   {keys}esc close")
@@ -218,13 +216,12 @@ class LinksScreen(ModalScreen[None]):
         self.show()
 
     def show(self) -> None:
-        """Show the links as they are now."""
+        """Show the present state of the links."""
         self.table.show(self.console.snapshot())
         self.table.styles.height = min(self.table.line_count, 12)
         self.on_selectable_list_cursor_moved()
 
     def on_selectable_list_cursor_moved(self) -> None:
-        """The detail follows."""
         self.detail.show(self.table.selected, server=self._is_server)
 
     def action_open(self) -> None:
@@ -233,7 +230,6 @@ class LinksScreen(ModalScreen[None]):
             self.app.push_screen(LinkScreen(self.console, self.table.selected.name))
 
     def on_selectable_list_chosen(self) -> None:
-        """A second click opens."""
         self.action_open()
 
     @work
@@ -246,7 +242,7 @@ class LinksScreen(ModalScreen[None]):
 
     @work
     async def action_acknowledge(self) -> None:
-        """Acknowledge the fault of the link under the cursor, or take that back."""
+        """Acknowledge the fault of the link under the cursor, or undo that."""
         link, engine = self.table.selected, self.console.engine
         if link is not None and engine is not None and not self.console.readonly:
             await self.console.command(engine.acknowledge("", link.acknowledged is None, link=link.name))
@@ -256,7 +252,7 @@ class LinksScreen(ModalScreen[None]):
         return self.console.snapshot().role == "server"
 
     def check_action(self, action: str, parameters: tuple[object, ...]) -> bool | None:
-        """Disable what only a server has, and what changes something while read-only (Textual's)."""
+        """Disable actions of servers on a client, and all changes while read-only (Textual's)."""
         if action in ("add_client", "remove_client"):
             return self._is_server and not self.console.readonly
         return super().check_action(action, parameters)

@@ -1,4 +1,4 @@
-"""The main screen: topics, detail and log. What changes the bridge is in `rsb_console.operations`."""
+"""The main screen: topics, detail and log. Changes of the bridge are in `rsb_console.operations`."""
 
 from __future__ import annotations
 
@@ -66,8 +66,8 @@ class Panes(Horizontal):
 class MainScreen(Screen[None]):
     """Topics, detail and log.
 
-    Textual looks an action's handler up on the screen, as ``action_<id>``. Those of the view are methods here; those of
-    the operations are methods of other objects, named after the actions.
+    Textual looks up an action's handler on the screen, as ``action_<id>``. Handlers of the view are methods here;
+    handlers of the operations are methods of other objects, named after the actions.
 
     Args:
         console: the app.
@@ -77,8 +77,8 @@ class MainScreen(Screen[None]):
     BINDINGS = bindings(Group.VIEW, Group.OPERATE, Group.SESSION)
     BLANK = True  # as its `Panes`
     AUTO_FOCUS = "#topics"
-    HORIZONTAL_BREAKPOINTS = [(0, "-narrow"), (110, "-wide")]  # noqa: RUF012 -- Textual says it is no ClassVar
-    VERTICAL_BREAKPOINTS = [(0, "-tiny"), (14, "-short"), (30, "-tall")]  # noqa: RUF012 -- Textual says it is no ClassVar
+    HORIZONTAL_BREAKPOINTS = [(0, "-narrow"), (110, "-wide")]  # noqa: RUF012 -- Textual declares it without ClassVar
+    VERTICAL_BREAKPOINTS = [(0, "-tiny"), (14, "-short"), (30, "-tall")]  # noqa: RUF012 -- as above
 
     def __init__(self, console: Console, operations: Mapping[Group, object]) -> None:
         super().__init__()
@@ -119,7 +119,7 @@ class MainScreen(Screen[None]):
     # -- what is shown ------------------------------------------------------------------------------------------------
 
     def show(self, snapshot: Snapshot, new_events: Sequence[Event]) -> None:
-        """Show the engine's state; while frozen only the lines at the top move on."""
+        """Show the engine's state; while frozen, update only the lines at the top."""
         self.status.show(snapshot, self._view(snapshot))
         self._topic_counts = state_counts(snapshot.routes, FAULTS)
         self._link_counts = (*state_counts(snapshot.links, FAULTS), *warning_count(snapshot.links))
@@ -137,7 +137,7 @@ class MainScreen(Screen[None]):
         self.show_keys()
 
     def reset(self) -> None:
-        """Another session begins: forget the old one's log."""
+        """Begin another session: forget the old one's log."""
         self._held = []
         self._frozen_since = None
         self.log_pane.clear()
@@ -161,7 +161,7 @@ class MainScreen(Screen[None]):
         return self.console.key_labels(BY_ID[action])[0]
 
     def _why_empty(self, snapshot: Snapshot) -> str:
-        """Why the table has no topic, and what to press."""
+        """Return the reason why the table is empty, and the key to press."""
         if self.topics.routes:
             return EmptyTable.NO_MATCH(back=self._key("back"))
         if self.console.engine is None and self.console.readonly:
@@ -183,7 +183,7 @@ class MainScreen(Screen[None]):
             self.detail.show(route, "" if route is None else self.console.peer_of(route))
 
     def show_keys(self) -> None:
-        """Show the keys that do something now, if those have changed."""
+        """Show the keys that are possible now, if they have changed."""
         counts = {"faults": self._topic_counts, "links": self._link_counts}
         route = self.selected
         can = () if route is None else (route.arming is not None, is_armed(route), route.lanes)
@@ -213,7 +213,7 @@ class MainScreen(Screen[None]):
         )
 
     def check_action(self, action: str, parameters: tuple[object, ...]) -> bool | None:
-        """Grey out what needs a topic while there is none; nothing that changes anything while read-only."""
+        """Grey out actions that need a topic while none is selected; hide all changes while read-only."""
         known = BY_ID.get(action)
         if known is None:
             return super().check_action(action, parameters)
@@ -228,7 +228,7 @@ class MainScreen(Screen[None]):
         return self.app.check_action(action, parameters)
 
     def on_key(self, event: events.Key) -> None:
-        """Say why a key that would change something does nothing."""
+        """Explain why a key for a change does nothing."""
         if self.console.readonly and any(a.changes and event.key in self.console.preferences.keys(a) for a in ACTIONS):
             self.notify(MainText.READ_ONLY(), timeout=2)
 
@@ -246,24 +246,22 @@ class MainScreen(Screen[None]):
         return self.topics.selected
 
     def on_selectable_list_cursor_moved(self, event: SelectableList.CursorMoved) -> None:
-        """Detail follows the cursor."""
         if event.pane is self.topics:
             self.show_detail()
 
     def on_selectable_list_chosen(self, event: SelectableList.Chosen) -> None:
-        """A second click opens."""
         if event.pane in {self.topics, self.log_pane}:
             self.action_detail()
 
     def on_resize(self, event: events.Resize) -> None:
-        """The detail may have come into view."""
+        """Fill the detail, which may have come into view."""
         self.call_after_refresh(self.show_detail)
 
     # -- view actions -------------------------------------------------------------------------------------------------
 
     @property
     def _list(self) -> TopicsTable | LogPane:
-        """What filter, export and the like concern: the log if it has the focus, else the topics."""
+        """The pane that filter, export and the like act on: the log if it has the focus, otherwise the topics."""
         return self.log_pane if self.log_pane.has_focus else self.topics
 
     def action_filter(self) -> None:
@@ -296,7 +294,6 @@ class MainScreen(Screen[None]):
         self._list.next_match(-1)
 
     def action_faults(self) -> None:
-        """Faults only, or all."""
         self.topics.faults_only = not self.topics.faults_only
         self.topics.relist()
         self._show_title()
@@ -314,13 +311,12 @@ class MainScreen(Screen[None]):
         self.topics.reverse()
 
     def action_group(self) -> None:
-        """Group by robot, or not."""
         self.topics.grouped = not self.topics.grouped
         self.topics.relist()
         self._show_title()
 
     def action_freeze(self) -> None:
-        """Hold the picture, or let it go on."""
+        """Freeze the screen, or continue."""
         self._frozen_since = time.time() if self._frozen_since is None else None
         self.console.pull()
 
@@ -336,14 +332,14 @@ class MainScreen(Screen[None]):
     # -- panes --------------------------------------------------------------------------------------------------------
 
     def _mode(self, mode: str | None) -> None:
-        """Give one pane the screen; None: all of them share it."""
+        """Give one pane the whole screen, or share it among all with None."""
         for other in MODES:
             self.set_class(other == mode, other)
         {"-detail": self.detail, "-log": self.log_pane}.get(mode or "", self.topics).focus()
         self.call_after_refresh(self.show_detail)
 
     def action_detail(self) -> None:
-        """Open a log line, or a topic's details: the pane gets the focus, or on a narrow screen all of it."""
+        """Open a log line or a topic's details: focus the pane, or give it the whole of a narrow screen."""
         if self.log_pane.has_focus and self.log_pane.selected is not None:
             self.app.push_screen(EventScreen(self.log_pane.selected))
         elif self.detail.has_focus:
@@ -354,7 +350,6 @@ class MainScreen(Screen[None]):
             self._mode("-detail")
 
     def action_message(self) -> None:
-        """Show the topic's latest message."""
         from rsb_console.screens.message_screen import MessageScreen  # noqa: PLC0415 -- keeps the start short
 
         route = self.selected
@@ -369,14 +364,14 @@ class MainScreen(Screen[None]):
             self.notify(text(topic=route.topic, key=self._key("call")), markup=False, timeout=4)
 
     def action_zoom(self) -> None:
-        """Give the focused pane the screen, or take it back."""
+        """Maximize the focused pane, or restore the layout."""
         if any(self.has_class(mode) for mode in MODES):
             self._mode(None)
         else:
             self._mode("-log" if self.log_pane.has_focus else "-detail" if self.detail.has_focus else "-table")
 
     def action_log(self) -> None:
-        """Focus the log, opened where it has no room; then back."""
+        """Focus the log, maximized if it has no room, or go back."""
         if self.log_pane.has_focus:
             self._mode(None)
         elif self.log_pane.display:
@@ -385,7 +380,7 @@ class MainScreen(Screen[None]):
             self._mode("-log")
 
     def action_back(self) -> None:
-        """Close what is open; else drop the filters."""
+        """Close the open pane, or drop the filters."""
         if any(self.has_class(mode) for mode in MODES):
             self._mode(None)
         elif not self.topics.has_focus:
@@ -407,7 +402,7 @@ class MainScreen(Screen[None]):
             self.notify(copy(self.app, text), timeout=3, markup=False)
 
     def action_export(self) -> None:
-        """Write what the focused list shows to a file in the working folder."""
+        """Export the focused list to a file in the working folder."""
         from rsb_console.session.history_report import export_log, export_topics  # noqa: PLC0415 -- seldom needed
 
         log = self._list is self.log_pane
@@ -420,10 +415,10 @@ class MainScreen(Screen[None]):
 
 
 class EventScreen(ModalScreen[None]):
-    """All that an event says, over as many lines as it takes.
+    """The whole text of an event.
 
     Args:
-        event: which.
+        event: event to show.
     """
 
     BINDINGS: ClassVar = [Binding("escape,q,enter", "dismiss", show=False)]
@@ -433,7 +428,7 @@ class EventScreen(ModalScreen[None]):
         self._event = event
 
     def compose(self) -> ComposeResult:
-        """The text, and below it what it concerns."""
+        """Compose the text, and below it the link and the topic."""
         event = self._event
         concerns = [word for word in (event.code, event.link, event.topic) if word]
         yield Dialog(

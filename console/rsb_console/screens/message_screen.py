@@ -1,4 +1,4 @@
-"""A topic's latest message, decoded as far as its type is known."""
+"""A topic's latest message, decoded if its type is available."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 
 _ITEMS = 64
 _STEPS = 20_000
-"""Values that are decoded at most: about 100 ms, in a thread of its own."""
+"""Most values to decode: about 100 ms in its own thread."""
 _HEX = 1024  # bytes
 _MOST_LINES = 2_000
 _TRIED_AGAIN_AFTER = 1.0  # s
@@ -42,7 +42,7 @@ _KEYS = " esc back · space hold · y copy "
 
 
 class MessageText(Wording):
-    """Texts beside a message."""
+    """Texts of the message screen."""
 
     WAITING = "waiting for a message, {waited}"
 
@@ -92,7 +92,7 @@ class MessageScreen(ModalScreen[None]):
 
     @work
     async def _look(self) -> None:
-        """Take what comes, until the screen is closed."""
+        """Take messages until the screen is closed."""
         first = True
         while True:
             try:
@@ -164,7 +164,7 @@ class MessageScreen(ModalScreen[None]):
         yield from self._content
 
     def _state_lines(self, route: RouteSnapshot | None) -> Iterator[Line]:
-        """What keeps messages from coming, and for how long none has come."""
+        """Yield the reason why no messages come, and the time since the last one."""
         if not self._goes_on.is_set():
             yield (("HELD: space goes on", "paused"),)
             return
@@ -181,7 +181,7 @@ class MessageScreen(ModalScreen[None]):
     # -- keys ---------------------------------------------------------------------------------------------------------
 
     def action_hold(self) -> None:
-        """Keep the message that is shown, or go on."""
+        """Hold the shown message, or continue."""
         if self._goes_on.is_set():
             self._goes_on.clear()
         else:
@@ -191,14 +191,14 @@ class MessageScreen(ModalScreen[None]):
 
     @work(exclusive=True, group="copy")
     async def action_copy(self) -> None:
-        """Copy the whole message, as far as it is decoded."""
+        """Copy the decoded part of the message."""
         if self._read is not None and self._read.decoded is not None:
             text = await asyncio.to_thread(_whole_text, self._read.decoded)
             self.notify(copy(self.app, text), timeout=3, markup=False)
 
 
 def content_lines(read: ReadMessage, width: int) -> list[Line]:
-    """The message itself, as YAML or as hex, and why it is not all of it.
+    """Format the message as YAML or hex, with a note if it is incomplete.
 
     Args:
         read: the message.

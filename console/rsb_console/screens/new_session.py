@@ -38,21 +38,21 @@ HANDOUT = "What the clients need"
 YES_NO = (("yes", "yes"), ("no", "no"))
 NUMBERS = ("server_port", "domain_id")
 FIELDS = (
-    Spec("role", "Role", "A client connects and says which topics cross; a server waits for clients.",
+    Spec("role", "Role", "A client connects and lists the topics; a server waits for clients.",
          options=(("client", "client (robot)"), ("server", "server (control PC)"))),
     Spec("name", "Name", "The same on both sides, like robot1."),
-    Spec("server_ip", "Server", "IPv4, IPv6, host name, or Bluetooth MAC. On the server: what to bind (0.0.0.0: all)."),
+    Spec("server_ip", "Server", "IPv4, IPv6, host name or Bluetooth MAC. On the server: which to bind (0.0.0.0: all)."),
     Spec("server_port", "Port", f"TCP and UDP port, or RFCOMM channel ({CHANNEL}): the same on both sides.",
          str(DEFAULT_PORT)),
     Spec("domain_id", "Domain", f"ROS domain of this side, {SAFE_DOMAIN}. Empty: $ROS_DOMAIN_ID, else 0.",
          blank="$ROS_DOMAIN_ID"),
     Spec("use_name", "Prefix", "On the server, the client's topics have its name as a prefix: /robot1/scan. The "
          "same on both sides.", options=tuple(reversed(YES_NO))),
-    Spec("clients", "Clients", "The robots that the server lets in: robot1, robot2. Each gets a key of its own. Empty: "
+    Spec("clients", "Clients", "The robots that the server accepts: robot1, robot2. Each gets its own key. Empty: "
          "one client, with the server's name and key.", blank="one, of the server's name"),
-    Spec("use_encryption", "Encryption", "Without it everything crosses in the clear, and anyone may connect.",
+    Spec("use_encryption", "Encryption", "Without it all data crosses unencrypted, and anyone may connect.",
          options=YES_NO),
-    Spec("key_file", "Key file", "Beside the session file, or a path. It is made on one side and copied to the other.",
+    Spec("key_file", "Key file", "In the session's folder, or a path. Created on one side, then copied to the other.",
          edited=True),
     Spec("path", "Session file", "Where the session is saved.", edited=True),
 )  # fmt: skip
@@ -84,20 +84,18 @@ class MissingField(Wording):
 
 
 class NewSession(NamedTuple):
-    """A session and its file."""
-
     session: Session
     path: Path
 
 
 class NewSessionScreen(FormScreen[NewSession]):
-    """Write a session file. Gives it when it is written, and its key is there.
+    """A form that writes a session file and its key, and returns the file.
 
     Args:
         console: asks and tells.
         may_run: whether the operator agrees to run the session of a file instead of the present one; if not, the form
             stays.
-        server_ip: to begin with.
+        server_ip: first text of the field.
     """
 
     def __init__(self, console: Console, may_run: Callable[[Path], Awaitable[bool]], server_ip: str = "") -> None:
@@ -108,12 +106,12 @@ class NewSessionScreen(FormScreen[NewSession]):
         super().__init__("New session", list(self._fields.values()), "Create")
 
     def compose_buttons(self) -> ComposeResult:
-        """One more: a server by Bluetooth."""
+        """Add a button for a server over Bluetooth."""
         yield Button("Bluetooth…", id="bluetooth", compact=True)
         yield from super().compose_buttons()
 
     def check(self) -> None:
-        """Fill in what follows from the rest, then look for problems."""
+        """Fill in derived values, then check for problems."""
         values = self.form.values
         name = values["name"]
         encrypted = values["use_encryption"] == "yes"
@@ -131,7 +129,7 @@ class NewSessionScreen(FormScreen[NewSession]):
         self._fields["clients"].note.set_text(about_key if fleet else "")
 
     def _about_keys(self, new: NewSession) -> str:
-        """What will become of the keys."""
+        """Describe the key files: created or existing."""
         about = ((path.name, self._about_key(path)) for path in _key_paths(new))
         if not new.session.clients:
             return next(text for _, text in about)
@@ -148,7 +146,7 @@ class NewSessionScreen(FormScreen[NewSession]):
             return ""
 
     def problems(self, values: Mapping[str, str]) -> dict[str, str]:
-        """The session file's own rules, and those of the files."""
+        """Check the session and its files."""
         new = self.result(values)
         problems: dict[str, str] = {}
         for problem in validate(new.session):
@@ -158,7 +156,7 @@ class NewSessionScreen(FormScreen[NewSession]):
             problems.setdefault(location, problem.message)
         names = [client.name for client in new.session.clients]
         if len(set(names)) < len(names):
-            problems["clients"] = f"{next(each for each in names if names.count(each) > 1)} is there twice"
+            problems["clients"] = f"{next(each for each in names if names.count(each) > 1)} occurs twice"
         if not values["name"]:
             problems["name"] = MissingField.NAME()
         if not values["server_ip"]:
@@ -175,7 +173,7 @@ class NewSessionScreen(FormScreen[NewSession]):
         return problems
 
     def result(self, values: Mapping[str, str]) -> NewSession:
-        """The session; not to be used while there are problems."""
+        """Return the session; valid only without problems."""
         name = values["name"]
         encrypted = values["use_encryption"] == "yes"
         names = words(values.get("clients", "")) if values["role"] == "server" else ()
@@ -194,7 +192,7 @@ class NewSessionScreen(FormScreen[NewSession]):
 
     @work(group=DIALOG)
     async def accept(self, result: NewSession) -> None:
-        """Write the file, and make the keys that there are not; ask before a file is overwritten."""
+        """Write the file and create missing keys; ask before a file is overwritten."""
         if not await save_asking(self.console, result.session, result.path):
             return
         for path in _key_paths(result):
@@ -235,12 +233,12 @@ def _at(key: str, problem: str) -> dict[str, str]:
 
 
 def number(text: str) -> int | str:
-    """A field's text as a session file has it. A text that is no number stays one, for the validation to refuse."""
+    """Convert a field's text as a session file does; text in place of a number stays, for the validation to refuse."""
     return int(text) if text.isdecimal() else text
 
 
 def _key_paths(new: NewSession) -> list[Path]:
-    """Where the keys are, or are to be."""
+    """Return the paths of the session's keys, existing or not."""
     names = [client.key_file for client in new.session.clients] or [new.session.key_file]
     return [key_path(new.path.parent, name) for name in names if name is not None]
 
@@ -257,7 +255,7 @@ def _key_problem(path: Path) -> str:
 
 
 class ImportScreen(FormScreen[Opened]):
-    """Import and save; gives the session if it is to be run.
+    """A form that imports and saves a session, and returns it if it should run.
 
     Args:
         console: asks and tells.
@@ -280,7 +278,7 @@ class ImportScreen(FormScreen[Opened]):
 
     @on(Field.Changed)
     def _name_as_the_file(self, event: Field.Changed) -> None:
-        """The file's name is a name to begin with, unless the operator has given one."""
+        """Suggest the file's name as the session's name unless the operator has typed one."""
         name = self.form.fields["name"]
         path = typed_path(self._bringup.value)
         if event.field is self._bringup and not name.touched and is_file(path):
@@ -307,7 +305,7 @@ class ImportScreen(FormScreen[Opened]):
         return problems
 
     def _import(self, values: Mapping[str, str]) -> dict[str, str]:
-        """Make the session; what is wrong in the file is about the file, the rest about its field."""
+        """Make the session; show mistakes of the file at the file's field, others at their own."""
         encrypted = values["use_encryption"] == "yes"
         try:
             self._made, self._notes = import_bringup(
@@ -335,7 +333,7 @@ class ImportScreen(FormScreen[Opened]):
 
     @work(group=DIALOG)
     async def accept(self, result: Opened) -> None:
-        """Save it, say what is different now, and ask whether to run it."""
+        """Save the session, show the differences, and ask whether to run it."""
         if await save_asking(self.console, result.session, result.path):
             summary = "\n".join(
                 ["What differs from the thesis's bridge:", *self._notes] if self._notes else ["All was imported."]

@@ -46,11 +46,11 @@ _KEY, _VALUES = 16, 26
 _CHECKED = 5
 """Most entries against which a value is checked while it is typed; the plan checks all."""
 _FIXED = ("topic", "direction", "kind")
-"""Fields whose change makes another topic of it."""
+"""Fields that identify a topic: changing one means another topic."""
 SETTLE = 10.0
-"""s that a robot has to be as well as before."""
+"""Seconds that a robot has to be as well as before."""
 _NAMED = 5
-_CAN_UNDO = "u put back what was before   esc close"
+_CAN_UNDO = "u undo the change   esc close"
 
 
 class Typed(NamedTuple):
@@ -122,7 +122,7 @@ class ChangeField(PickField):
         elif typed.key:
             self.suggest(list(self._values(typed)), lambda _: self._about(typed))
         else:
-            empty = f"no key is called {typed.last}" if self._entries(typed) else self._no_topic(typed)
+            empty = f"no key is named {typed.last}" if self._entries(typed) else self._no_topic(typed)
             self.suggest(list(self._keys(typed)), lambda _: empty)
 
     @property
@@ -131,7 +131,7 @@ class ChangeField(PickField):
         return Typed.of(self.control.value)
 
     def filter_text(self) -> str:
-        """The word that narrows the list."""
+        """Return the word that narrows the list."""
         typed = self.typed
         if not typed.topic:
             return super().filter_text()
@@ -150,7 +150,7 @@ class ChangeField(PickField):
         self.offer()
 
     def mistake(self) -> str:
-        """The first mistake in the typed values, or an empty string."""
+        """Return the first mistake in the typed values, or an empty string."""
         if (change := change_of(self.value)) is None:
             return ""
         topic, keys = change
@@ -224,7 +224,7 @@ class ChangeField(PickField):
         if not entries:
             return self._no_topic(typed)
         if not (field := KEYS[entries[0].route.spec.kind].get(typed.key, "")):
-            return f"no key is called {typed.key}"
+            return f"no key is named {typed.key}"
         spec = self._specs(entries).get(field)
         return f"{'' if spec is None else spec.help} Now: {_now(entries, field, spec)}.".strip()
 
@@ -270,8 +270,6 @@ def _value_line(value: str, label: str, _width: int) -> Line:
 
 
 class Phase(Enum):
-    """How far it is."""
-
     TYPING = auto()
     PLANNING = auto()
     ASKING = auto()
@@ -280,7 +278,7 @@ class Phase(Enum):
 
 
 _KEYS = {
-    Phase.TYPING: "↑ ↓ ⏎ pick   ⏎ on a whole change: show what it would do   esc close",
+    Phase.TYPING: "↑ ↓ ⏎ pick   ⏎ on a whole change: show its effect   esc close",
     Phase.PLANNING: "looking …   esc close",
     Phase.ASKING: "y change them, one after the other   esc back",
     Phase.RUNNING: "esc stop after this robot",
@@ -289,13 +287,13 @@ _KEYS = {
 
 
 class RolloutScreen(ModalScreen[None]):
-    """Asks for a change, shows it, and makes it after a yes.
+    """Asks for a change, shows its effect, and applies it after a yes.
 
     Args:
         console: the app.
-        fleet: whose robots they are.
-        robots: to change.
-        settle: s that a robot has to be as well as before.
+        fleet: fleet of the robots.
+        robots: robots to change.
+        settle: seconds that a robot has to be as well as before.
     """
 
     BINDINGS: ClassVar = [
@@ -331,7 +329,7 @@ class RolloutScreen(ModalScreen[None]):
         )
 
     def on_mount(self) -> None:
-        """Ask the robots for their topics."""
+        """Request the robots' topics."""
         self._change.offer()
         self._ask()
 
@@ -352,7 +350,6 @@ class RolloutScreen(ModalScreen[None]):
             self._change.note.set_text("; ".join(filter(None, (asked, not_reached))))
 
     def on_unmount(self) -> None:
-        """Whatever still waits for a robot ends."""
         self._gone.set()
         if self._rollout is not None:
             self._rollout.cancelled = True
@@ -385,7 +382,7 @@ class RolloutScreen(ModalScreen[None]):
             self._change.put(event.suggestion)
             return
         if (change := change_of(self._change.value)) is None:
-            self._say("a topic and what to change, for example: /camera max_rate=5")
+            self._say("a topic and a change, for example: /camera max_rate=5")
             return
         self._say("")
         self._rollout = Rollout(self._fleet, self._robots, *change, self._settle, now=time.monotonic, sleep=self._sleep)
@@ -396,7 +393,7 @@ class RolloutScreen(ModalScreen[None]):
 
     def _sleep(self, seconds: float) -> None:
         if self._gone.wait(seconds):
-            raise EngineError("nobody waits for the robot any more")
+            raise EngineError("the wait for the robot was cancelled")
 
     @work(exclusive=True, exit_on_error=False)
     async def _plan(self, rollout: Rollout) -> None:
@@ -427,7 +424,7 @@ class RolloutScreen(ModalScreen[None]):
 
     @work(exclusive=True, exit_on_error=False)
     async def action_undo(self) -> None:
-        """Put back what was before."""
+        """Undo the change on all robots that have it."""
         if self.phase is not Phase.ENDED or self._rollout is None or self.outcome is None or not self.outcome.changed:
             return
         self._enter(Phase.RUNNING)
@@ -438,12 +435,12 @@ class RolloutScreen(ModalScreen[None]):
             key = step.robot.key
             self._marks[key] = "failed" if key in not_back else "done"
         self._put_back = {step.robot.key for step in self.outcome.changed} - not_back
-        self._below = [f"{step.name}: not put back: {why}" for step, why in failed] or [f"put back on {names}"]
+        self._below = [f"{step.name}: not restored: {why}" for step, why in failed] or [f"restored on {names}"]
         self.outcome = None
         self._enter(Phase.ENDED)
 
     def _tell(self, step: Step, what: str) -> None:
-        """On another thread."""
+        """Report an action; called on another thread."""
         self.app.call_later(self._told, step.robot.key, what)
 
     def _told(self, key: str, what: str) -> None:
@@ -452,7 +449,7 @@ class RolloutScreen(ModalScreen[None]):
             self._show()
 
     def action_leave(self) -> None:
-        """Close it; while robots are changed, stop after the present one; before, go back to what was typed."""
+        """Close the screen; while robots change, stop after the present one; before that, return to typing."""
         if self.phase is Phase.RUNNING:
             if self._rollout is not None:
                 self._rollout.cancelled = True
@@ -464,7 +461,7 @@ class RolloutScreen(ModalScreen[None]):
             self.dismiss()
 
     def check_action(self, action: str, parameters: tuple[object, ...]) -> bool | None:
-        """Leave the letters to the input while somebody types (Textual's)."""
+        """Leave letters to the input while the operator types (Textual's)."""
         if action == "apply":
             return self.phase is Phase.ASKING
         if action == "undo":

@@ -1,4 +1,4 @@
-"""Saving a session from the console: asks before it overwrites a file, and tells how it went."""
+"""Saving a session from the console, with questions before files are overwritten."""
 
 from __future__ import annotations
 
@@ -40,13 +40,14 @@ class SaveText(Wording):
 
 
 async def save_elsewhere(console: Console, session: Session, path: Path, opened: SessionFile | None) -> bool:
-    """Save the session that runs to a file that may lie in another folder.
+    """Save the running session to a file, perhaps in another folder.
 
     Args:
-        console: runs the session. If that is temporary, its keys are copied beside the new file.
-        session: the one that runs; its key files are relative to `console.base`.
-        path: of the file.
-        opened: as in `save_asking`.
+        console: console that runs the session. If the session is temporary, its keys are copied to the new file's
+            folder.
+        session: the running session; its key files are relative to `console.base`.
+        path: path of the file.
+        opened: as for `save_asking`.
 
     Returns:
         Whether the file holds the session and its key files are there.
@@ -68,12 +69,12 @@ async def save_elsewhere(console: Console, session: Session, path: Path, opened:
 
 
 async def save_asking(console: Console, session: Session, path: Path, *, opened: SessionFile | None = None) -> bool:
-    """Write a session file; ask before one is changed or replaced, and tell the operator how it went.
+    """Write a session file; ask before one is changed or replaced, and notify the operator of the outcome.
 
     Args:
         console: asks and tells.
         session: its key files are relative to the folder of `path`.
-        path: of the file; left alone if it holds the same session already.
+        path: path of the file, left alone if it holds the same session already.
         opened: the file that the session came from: its comments and layout are kept.
 
     Returns:
@@ -96,12 +97,12 @@ async def save_asking(console: Console, session: Session, path: Path, *, opened:
 
 
 def _question(session: Session, path: Path, opened: SessionFile | None) -> tuple[ConfirmScreen, SessionFile | None]:
-    """What to ask before a file is replaced, and what to save with: the opened file, or None to write it anew.
+    """Return the question before a file is replaced, and the opened file to edit, or None to write the whole file.
 
     Raises:
         SessionError: the session has mistakes, or the file was changed on disk meanwhile.
     """
-    title, yes, message = f"Overwrite {path.name}?", "Overwrite", "What is in the file now is replaced"
+    title, yes, message = f"Overwrite {path.name}?", "Overwrite", "The present content of the file is replaced"
     if opened is not None and opened.is_at(path):
         opened.check_unchanged()
         title, yes = f"Save {path.name}?", "Save"
@@ -110,9 +111,9 @@ def _question(session: Session, path: Path, opened: SessionFile | None) -> tuple
         after = edited_text(session, path, opened)
     except UneditableError:
         opened, after = None, edited_text(session, path)
-        title, yes = f"Write {path.name} anew?", "Write anew"
-        message = "Its layout cannot be edited in place: the whole file is written anew, without its comments"
-    message = f"{message}. What it says now is kept in {backup_path(path).name}."
+        title, yes = f"Rewrite {path.name}?", "Rewrite"
+        message = "Its layout cannot be edited in place: the whole file is rewritten, without its comments"
+    message = f"{message}. A backup is kept in {backup_path(path).name}."
     return DiffScreen(title, message, yes, difference(text_of(path), after)), opened
 
 
@@ -120,7 +121,7 @@ class DiffLines(LiveLines, can_focus=False):
     """The lines of a diff, coloured; a long one goes on in the next line.
 
     Args:
-        lines: of the diff.
+        lines: lines of the diff.
     """
 
     def __init__(self, lines: Sequence[str]) -> None:
@@ -130,7 +131,7 @@ class DiffLines(LiveLines, can_focus=False):
 
     @property
     def line_count(self) -> int:
-        """What the diff takes at the present width."""
+        """Number of lines of the diff at the present width."""
         return len(self._lines)
 
     def line(self, index: int) -> Line:
@@ -152,13 +153,13 @@ class DiffLines(LiveLines, can_focus=False):
 
 
 class DiffScreen(ConfirmScreen):
-    """A question that shows what becomes of a file.
+    """A question with the diff of a file.
 
     Args:
-        title: what is about to happen.
-        message: what that means.
-        yes: the label of the button that does it.
-        lines: of the diff.
+        title: the question.
+        message: consequences of a yes.
+        yes: label of the button that agrees.
+        lines: lines of the diff.
     """
 
     SHAPE = "-wide"
@@ -176,10 +177,10 @@ ChangedAnswer = Literal["reload", "overwrite", "save_as", ""]
 
 
 class ChangedScreen(ModalScreen[ChangedAnswer]):
-    """Says that a session's file was changed on disk, and asks what to do; escape does nothing.
+    """Offers the choices after a session's file was changed on disk; escape does nothing.
 
     Args:
-        path: of the file.
+        path: path of the file.
     """
 
     BINDINGS: ClassVar = [
@@ -194,15 +195,15 @@ class ChangedScreen(ModalScreen[ChangedAnswer]):
         self._path = path
 
     def compose(self) -> ComposeResult:
-        """What happened, and a button for each way on."""
+        """Compose the explanation and a button for each choice."""
         with Vertical(classes="dialog -wide") as dialog:
             dialog.border_title = SaveText.CHANGED_ON_DISK(file=self._path.name)
             yield Static(
-                "Somebody else has changed the file since it was opened here.\n"
-                "Reload: the bridge does what the file says; what was changed here and not saved is lost.\n"
-                "Overwrite: the file says what the bridge does here.\n"
-                "Save as: under another name; the file stays as it is.\n"
-                "Before a reload or an overwrite, the difference is shown.",
+                "The file was changed outside this console since it was opened.\n"
+                "Reload: the bridge takes the file; unsaved changes here are lost.\n"
+                "Overwrite: the file takes the bridge's present session.\n"
+                "Save as: use another name; the file stays as it is.\n"
+                "Reload and overwrite show the difference first.",
                 markup=False,
             )
             with Horizontal(classes="buttons"):

@@ -35,7 +35,7 @@ LIMIT = 20
 MORE = {"new_session": "New…", "import_session": "Import…", "save": "Save", "save_as": "Save as…"}
 ABOUT = """\
 Bridges ROS 2 topics between domains and networks over encrypted sockets,
-and shows what flows and what doesn't."""
+and shows which of them flow."""
 
 
 class FileText(Wording):
@@ -50,7 +50,7 @@ class FileText(Wording):
 
 CHOICES = {
     "demo": ("d", "Demo", "a simulated robot, bridged on this machine"),
-    "new_session": ("n", "New session", "a form that writes the session file and the key"),
+    "new_session": ("n", "New session", "a form that creates the session file and the key"),
     "sessions": ("o", "Open a session", "a recent one, or any file"),
     "import_session": ("i", "Import", "a bringup.yaml of the thesis's ros2_socket_bridge"),
     "quit": ("q", "Quit", ""),
@@ -64,7 +64,7 @@ def recents_path() -> Path:
 
 
 def recent_sessions() -> list[Path]:
-    """Those that are still there, the newest first."""
+    """Return the recent session files that still exist, the newest first."""
     try:
         lines = recents_path().read_text(encoding="utf-8").splitlines()
     except (OSError, UnicodeDecodeError):
@@ -85,14 +85,12 @@ def remember(path: Path) -> None:
 
 
 class Opened(NamedTuple):
-    """A session and its file."""
-
     session: Session
     path: Path
 
 
 def is_path(text: str) -> bool:
-    """Whether what was typed is a path rather than something to look for."""
+    """Whether a typed text is a path rather than a search."""
     return "/" in text or text.endswith((".yaml", ".yml"))
 
 
@@ -101,11 +99,11 @@ def yaml_files(*folders: Path) -> list[Path]:
 
 
 def suggestions(files: list[Path], what: str) -> Iterator[Suggestion]:
-    """Files to pick from.
+    """Yield suggestions of files.
 
     Args:
-        files: which.
-        what: what they are, said of each.
+        files: files to offer.
+        what: word for their kind, shown with each.
     """
     for path in files:
         line = ((f"{path.name:<28} ", "strong"), (f"{what:<8} ", "dim"), (str(path.parent), "dim"))
@@ -113,7 +111,7 @@ def suggestions(files: list[Path], what: str) -> Iterator[Suggestion]:
 
 
 def is_file(path: Path) -> bool:
-    """Whether a file is there, as far as one sees: a path that is being typed may be too long for one, or not ours."""
+    """Whether a file is visible; a path that is being typed may be too long or inaccessible."""
     try:
         return path.is_file()
     except OSError:
@@ -121,7 +119,7 @@ def is_file(path: Path) -> bool:
 
 
 def no_suggestion(text: str) -> str:
-    """What to say where none of the files offered is what was typed: a path need not be among them."""
+    """Return the text for a typed path or name that is not among the offered files."""
     if not text:
         return FileText.NONE_HERE()
     path = typed_path(text)
@@ -131,10 +129,10 @@ def no_suggestion(text: str) -> str:
 
 
 class SessionsScreen(FormScreen[Opened | str]):
-    """Open a session, or go on to another way to get one: then gives the action's id.
+    """Open a session, or choose another action, whose id it then returns.
 
     Args:
-        path: to begin with.
+        path: first text of the field.
         runs: a session runs, and can be saved.
         readonly: nothing may be changed.
     """
@@ -153,7 +151,7 @@ class SessionsScreen(FormScreen[Opened | str]):
         self._runs, self._readonly = runs, readonly
 
     def compose_buttons(self) -> ComposeResult:
-        """The other ways, but for those that change nothing but files while read-only."""
+        """Compose the other choices; while read-only, leave out the ones that only write files."""
         yield from super().compose_buttons()
         for action, label in MORE.items():
             if not self._readonly and (self._runs or not action.startswith("save")):
@@ -174,12 +172,12 @@ class SessionsScreen(FormScreen[Opened | str]):
         return {} if self.result(values) else {"path": FileText.MISSING()}
 
     def result(self, values: Mapping[str, str]) -> str:
-        """The path, picked or typed; `accept` makes a session of it."""
+        """Return the picked or typed path; `accept` loads its session."""
         picked = self._field.picked
         return values["path"] if picked is None else picked.value
 
     def accept(self, result: Opened | str) -> None:
-        """Load it; what is wrong in it is said here, with the lines."""
+        """Load the session; show its mistakes here, with the lines."""
         path = typed_path(str(result))
         try:
             self.dismiss(Opened(load(path), path))
@@ -197,7 +195,7 @@ class SaveAsScreen(FormScreen[Path]):
     """Name a file to save to.
 
     Args:
-        path: to begin with.
+        path: first text of the field.
     """
 
     def __init__(self, path: Path) -> None:
@@ -217,12 +215,12 @@ class SaveAsScreen(FormScreen[Path]):
 
 
 class Menu(SelectableList):
-    """What runs on this machine, the choices, then the recent sessions, and at last to quit.
+    """The menu: bridges that run on this machine, the choices, the recent sessions, and quit.
 
     Args:
         running: bridges to attach to.
-        choices: ids out of `CHOICES`.
-        recent: session files.
+        choices: ids from `CHOICES`.
+        recent: recent session files.
     """
 
     def __init__(self, running: Sequence[RunningBridge], choices: Sequence[str], recent: Sequence[Path]) -> None:
@@ -245,13 +243,13 @@ class Menu(SelectableList):
         return fit(((sign, "key"), *self._lines[self.keys[index]]), self.size.width)
 
     def on_mount(self) -> None:
-        """As high as it needs."""
+        """Set the height to the number of lines."""
         self.styles.height = self.line_count
         self.sync()
 
 
 class WelcomeScreen(ModalScreen[str]):
-    """Gives one of `CHOICES`, or the path of a running bridge's control socket, or of a recent session.
+    """Returns one of `CHOICES`, or the path of a running bridge's control socket or of a recent session.
 
     Args:
         running: bridges on this machine.
@@ -273,12 +271,12 @@ class WelcomeScreen(ModalScreen[str]):
         self.menu = Menu(running, WATCHING if readonly else tuple(CHOICES), self._recent)
 
     def compose(self) -> ComposeResult:
-        """What this is, and the menu."""
+        """Compose the title and the menu."""
         keys = "⏎ choose   ? every key" + ("" if self._readonly else "   esc close")
         yield Dialog("rsb-console", Static(ABOUT, classes="hint"), self.menu, keys=keys)
 
     def check_action(self, action: str, parameters: tuple[object, ...]) -> bool | None:
-        """Only what the menu lists; watching only, there is nothing behind it to go to."""
+        """Allow only the menu's actions; a read-only console has no screen behind the menu to return to."""
         if action == "dismiss":
             return parameters[0] in self.menu.keys if parameters[0] else not self._readonly
         return super().check_action(action, parameters)
@@ -287,11 +285,10 @@ class WelcomeScreen(ModalScreen[str]):
         self.dismiss(self.menu.cursor_key)
 
     def on_selectable_list_chosen(self) -> None:
-        """A second click chooses."""
         self.action_choose()
 
     def action_select_recent(self, number: int) -> None:
-        """Put the cursor on a recent session. Enter starts it, as one key must not start a bridge."""
+        """Put the cursor on a recent session. Enter starts it, as a single key must not start a bridge."""
         if number <= len(self._recent):
             self.menu.move_to(self.menu.keys.index(str(self._recent[number - 1])))
         else:

@@ -14,8 +14,8 @@ from textual import on, work
 from rsb_bridge.api import EngineError
 from rsb_bridge.model import transports
 from rsb_bridge.model.limits import CHANNEL, NO_PORT
-from rsb_bridge.model.link_budget import LoadSource, cost_of, told
 from rsb_bridge.model.qos import AUTO
+from rsb_bridge.model.link_budget import LoadSource, cost_of, describe_cost
 from rsb_bridge.model.text import plural
 from rsb_bridge.model.topic_keys import TOPIC_KEYS
 from rsb_console.look.formats import KIND_NOUN
@@ -240,7 +240,7 @@ class TopicScreen(FormScreen[Draft]):
         replaces = "" if self._route is None else self._route.key
         known = "" if self._route is None else self._route.type_name
         cost = cost_of(now, draft.link, draft.topic, type_name=known or self._type_of(draft), replaces=replaces)
-        return told(cost, now.time) if cost.load.source is not LoadSource.UNKNOWN else ()
+        return describe_cost(cost, now.time) if cost.load.source is not LoadSource.UNKNOWN else ()
 
     def _type_of(self, draft: Draft) -> str:
         """Return the type in the sending side's graph, or an empty string."""

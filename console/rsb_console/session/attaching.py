@@ -15,15 +15,15 @@ if TYPE_CHECKING:
 
 
 class Attached(NamedTuple):
-    """A bridge that is attached to.
+    """An attached bridge.
 
     Attributes:
-        engine: the engine.
-        name: of its session.
+        engine: its engine.
+        name: name of its session.
         base: the folder that its key files are relative to.
-        path: its session file; None: it is in no file, or in one of another machine.
-        file: that file as it is now; None: there is none, or it has mistakes.
-        saved: the session in it; None likewise.
+        path: its session file, or None without a file on this machine.
+        file: that file's present content, or None if it is missing or has mistakes.
+        saved: the session in `file`, or None.
     """
 
     engine: RemoteEngine
@@ -35,10 +35,10 @@ class Attached(NamedTuple):
 
 
 def attach(where: Path | Way, *, read_only: bool) -> RemoteEngine:
-    """Attach to a bridge by its control socket, or by another way; may take some seconds.
+    """Attach to a bridge by its control socket or another connection; may take some seconds.
 
     Raises:
-        EngineError: that cannot be done.
+        EngineError: the attachment fails.
     """
     engine = RemoteEngine(where, read_only=read_only)
     engine.start()
@@ -46,7 +46,7 @@ def attach(where: Path | Way, *, read_only: bool) -> RemoteEngine:
 
 
 def attached(engine: RemoteEngine) -> Attached:
-    """What the console is to know of an engine that it has attached to."""
+    """Describe an attached engine for the console."""
     bridge = engine.bridge
     path = Path(bridge.file) if bridge.file is not None and engine.same_machine else None
     file = None

@@ -42,14 +42,14 @@ _BY_OPERATORS = frozenset(
 
 
 class CannotUndoError(Exception):
-    """A change cannot be taken back; the message says why, and what to do instead."""
+    """A change cannot be undone; the message has the reason and the remedy."""
 
 
 class Undo(NamedTuple):
     """One undo.
 
     Attributes:
-        title: of the question.
+        title: title of the question.
         lines: the effect of the undo.
         yes: the label of its button.
         careful: whether the question's focus begins on No.
@@ -120,7 +120,7 @@ class Added(Change):
     """A topic was added.
 
     Attributes:
-        key: of its route.
+        key: key of its route.
         spec: the topic as the client sees it.
     """
 
@@ -153,7 +153,7 @@ class Edited(Change):
     """A topic was edited.
 
     Attributes:
-        key: of its route, after the edit.
+        key: key of its route after the edit.
         old: the topic before.
         new: the topic after.
         pattern: the pattern that had made its route, or empty.
@@ -177,7 +177,7 @@ class Edited(Change):
         if self.new.arm and self.old.arm is self.new.arm:
             lines.append(_DISARMED)
         if self.pattern:
-            lines.append(f"It stays an entry of its own: the pattern {self.pattern} does not take it back.")
+            lines.append(f"It stays an entry of its own: the pattern {self.pattern} does not bridge it again.")
         return Undo(f"Undo the edit of {self.topic}?", tuple(lines), "Undo", bool(warnings), act)
 
 
@@ -186,7 +186,7 @@ class Removed(Change):
     """A topic was removed.
 
     Attributes:
-        key: of its route.
+        key: key of its route.
         spec: the topic as the client sees it.
         pattern: the pattern that had made its route, or empty.
         patterns: the link's patterns before, by their keys: a removal makes an exception in every matching pattern.
@@ -245,7 +245,7 @@ class Paused(Change):
     """A topic was paused or resumed.
 
     Attributes:
-        key: of its route.
+        key: key of its route.
         paused: whether it was paused.
         mixed: whether a pattern's topics were partly paused before.
     """
@@ -278,7 +278,7 @@ _DISARMED = "It stays disarmed until you arm it (A)."
 
 
 class Changes:
-    """The changes of this console that can be taken back, the last one first."""
+    """The changes of this console that can be undone, the last one first."""
 
     def __init__(self) -> None:
         self._changes: deque[Change] = deque(maxlen=STEPS)

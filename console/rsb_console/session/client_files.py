@@ -54,8 +54,8 @@ class ClientFileProblem(Wording):
 class RobotFileText(Wording):
     """Advice about a robot's own session file."""
 
-    HEAD = "{name}, a client of the server {server}. Its key file belongs beside this file."
-    ADDRESS_GUESSED = "one address of the server; is it the one that this client reaches?"
+    HEAD = "{name}, a client of the server {server}. Its key file belongs in the same folder."
+    ADDRESS_GUESSED = "one of the server's addresses; check that this client can reach it"
     SAVE_AS = "save the session there as {file}"
     COPY_SECRET = "copy with `scp -p {files} USER@ROBOT:` (the key is secret: never by mail or chat)"  # noqa: S105 (a text)
     COPY = "copy with `scp {files} USER@ROBOT:`"
@@ -65,10 +65,10 @@ class Changed(NamedTuple):
     """A changed session file of a server.
 
     Attributes:
-        file: as it is now.
-        client: whom it was about.
-        key_path: the client's key file; None: without encryption.
-        key: in that file; None: without encryption, or the file cannot be read.
+        file: the file after the change.
+        client: the client that changed.
+        key_path: the client's key file, or None without encryption.
+        key: key in that file, or None without encryption or if the file cannot be read.
     """
 
     file: SessionFile
@@ -91,35 +91,34 @@ def open_server(path: Path) -> SessionFile:
 
 
 def key_file_name(name: str) -> str:
-    """The file for a client's key, unless it is given another."""
+    """Return the default name of a client's key file."""
     return f"{_NOT_IN_FILE_NAMES.sub('_', name)}.key"
 
 
 def with_key_file(session: Session, client: Client) -> Client:
-    """A client with the name of a key file of its own, if it needs one and has none."""
+    """Add the name of a key file to a client that needs one and has none."""
     if client.key_file is not None or not session.use_encryption:
         return client
     return msgspec.structs.replace(client, key_file=key_file_name(client.name))
 
 
 def key_path_of(file: SessionFile, client: Client) -> Path | None:
-    """Where a client's key is; None: there is no encryption."""
+    """Return the path of a client's key, or None without encryption."""
     name = client.key_file or file.session.key_file
     return None if name is None or not file.session.use_encryption else key_path(file.path.parent, name)
 
 
 def add_client(path: Path, client: Client) -> Changed:
-    """Add a client to a server's session file, and make its key.
+    """Add a client to a server's session file, and create its key.
 
     Args:
-        path: of the file.
-        client: whom to add. Its key file is used if it exists; where it has none, a new one is made beside the session.
+        path: path of the file.
+        client: client to add. An existing key file is used; otherwise a new one is created in the session's folder.
 
     Raises:
-        ClientError: there is one of that name, another one has the key, or the key's file exists although it was not
-            asked for.
-        KeyFileError: the key cannot be made or read.
-        SessionError: the session has mistakes, or cannot be saved. No key is left then.
+        ClientError: the name is taken, another client has the key, or a file with the default name of the key exists.
+        KeyFileError: the key cannot be created or read.
+        SessionError: the session has mistakes, or cannot be saved. A new key is removed then.
     """
     file = open_server(path)
     made_here = client.key_file is None
@@ -133,7 +132,7 @@ def add_client(path: Path, client: Client) -> Changed:
         key = read_key(key_at)
     elif key_at is not None:
         key, is_new = write_key(key_at), True
-        give_owner(key_at, path)  # whoever runs the server has to read it
+        give_owner(key_at, path)  # the server's user has to read it
     try:
         _check_key_of_its_own(file, session, client, key)
         return Changed(save(session, path, file), client, key_at, key)
@@ -144,7 +143,7 @@ def add_client(path: Path, client: Client) -> Changed:
 
 
 def _check_key_of_its_own(file: SessionFile, session: Session, client: Client, key: Key | None) -> None:
-    """Refuse a key that another client has, unless the session says that it is meant."""
+    """Refuse a key that another client has, unless the session allows shared keys."""
     if key is None:
         return
     # Clients that share a key already are the server's to refuse when it starts.
@@ -172,7 +171,7 @@ def remove_client(path: Path, name: str) -> Changed:
 
 
 def rekey_client(path: Path, name: str) -> Changed:
-    """Make a new key for a client of a server's session file, the only one that is valid then.
+    """Create a new key for a client of a server's session file; all its earlier keys become invalid.
 
     A client that shared a key gets one of its own. A next key that it had is given up.
 
@@ -203,25 +202,25 @@ def rekey_client(path: Path, name: str) -> Changed:
 
 
 def key_places(file: SessionFile, client: Client) -> list[Path]:
-    """Where the keys are that are valid for a client, the next one's last; without encryption none."""
+    """Return the paths of a client's valid keys, the next one last; empty without encryption."""
     files = key_files_by_client(file.session)[client.name] if file.session.use_encryption else ()
     return [key_path(file.path.parent, each) for each in files]
 
 
 def check_encrypted(file: SessionFile) -> None:
-    """Raise a ClientError where there are no keys."""
+    """Raise a ClientError if the session has no keys."""
     if not file.session.use_encryption:
         raise ClientError(ClientFileProblem.NO_ENCRYPTION(path=file.path))
 
 
 def check_own_next_key(of_session: str | None, of_client: str | None, name: str) -> None:
-    """Raise a ClientError where a client's next key is every client's, and giving it up would concern them."""
+    """Raise a ClientError if all clients share the next key, so that giving it up would affect all."""
     if of_session is not None and of_client is None:
         raise ClientError(ClientFileProblem.NEXT_KEY_OF_SERVER(name=name, file=of_session))
 
 
 def free_key_file(folder: Path, name: str) -> str:
-    """The name of a key file that does not exist yet."""
+    """Return the name of a key file that does not exist yet."""
     own = key_file_name(name)
     others = (f"{own.removesuffix('.key')}-{number}.key" for number in count(2))
     return next(each for each in chain((own,), others) if not (folder / each).exists())
@@ -231,7 +230,7 @@ def free_key_file(folder: Path, name: str) -> str:
 
 
 def handed_out(file: SessionFile) -> list[Changed]:
-    """What all clients of a server need."""
+    """Return the client's entry and key for each client of a server."""
     places = [(client, key_path_of(file, client)) for client in file.session.accepted_clients]
     return [Changed(file, client, key_at, fingerprint_or_problem(key_at)[0]) for client, key_at in places]
 
@@ -253,7 +252,7 @@ def check_address(name: str, address: str) -> None:
 
     Args:
         name: the client's.
-        address: of the server, as the client reaches it, or empty.
+        address: the server's address as the client reaches it, or empty.
 
     Raises:
         ClientError: no client can connect to that address.
@@ -299,7 +298,7 @@ def robot_file(session: Session, client: Client, address: str = "") -> str:
 
 
 def _of_client(zenoh: ZenohSettings, address: str, port: int | None) -> ZenohSettings:
-    """How a client reaches its server's Zenoh network: by the same routers, or else where the server listens."""
+    """Return a client's settings for its server's Zenoh network: the same routers, or the server's own addresses."""
     if zenoh.connect or not zenoh.listen:
         return msgspec.structs.replace(zenoh, listen=())
     protocol, _, place = zenoh.listen[0].partition("/")
@@ -308,7 +307,7 @@ def _of_client(zenoh: ZenohSettings, address: str, port: int | None) -> ZenohSet
 
 
 def own_address() -> str:
-    """This machine's address on the way to other networks; its host name, where there is no such way."""
+    """Return this machine's address towards other networks, or its host name without such a network."""
     for address, family in _FAR_AWAY:
         with suppress(OSError), socket.socket(family, socket.SOCK_DGRAM) as probe:
             probe.connect((address, 9))  # sends nothing
@@ -318,12 +317,12 @@ def own_address() -> str:
 
 
 def copy_advice(client: Client, key_at: Path | None, robot_at: Path | None = None) -> str:
-    """Say how the key gets to the robot.
+    """Return the advice for copying the key to the robot.
 
     Args:
-        client: whose.
-        key_at: its key file; None: without encryption.
-        robot_at: the robot's session file, where it is in one already.
+        client: client with the key.
+        key_at: its key file, or None without encryption.
+        robot_at: the robot's session file if it is written already, or None.
     """
     files = " ".join(str(path) for path in (robot_at, key_at) if path is not None)
     own_file = f"{key_file_name(client.name)[:-4]}.yaml"
@@ -333,7 +332,7 @@ def copy_advice(client: Client, key_at: Path | None, robot_at: Path | None = Non
 
 
 def fingerprint_or_problem(key_at: Path | None) -> tuple[Key | None, str]:
-    """The key in a file, or what is wrong with that file."""
+    """Return the key in a file, or the file's problem."""
     if key_at is None:
         return None, "not encrypted"
     try:
@@ -343,12 +342,12 @@ def fingerprint_or_problem(key_at: Path | None) -> tuple[Key | None, str]:
 
 
 def begin_rotation(path: Path, name: str) -> Changed:
-    """Make a client's next key, which is valid beside the one that it has. Gives the next key.
+    """Create a client's next key, valid together with the present one. Return the next key.
 
     Raises:
-        ClientError: there is no such client, no encryption, no key to replace, or a next key already.
-        KeyFileError: the key cannot be made.
-        SessionError: the file cannot be saved. No key is left then.
+        ClientError: no such client, no encryption, no key to replace, or a next key exists already.
+        KeyFileError: the key cannot be created.
+        SessionError: the file cannot be saved. The next key is removed then.
     """
     file = open_server(path)
     client = client_named(file.session, name)
@@ -373,7 +372,7 @@ def begin_rotation(path: Path, name: str) -> Changed:
 
 
 def finish_rotation(path: Path, name: str) -> Changed:
-    """Give up a client's old key: the next one takes its place, in its file. Gives that one.
+    """Replace a client's old key by the next one, in the same file. Return that key.
 
     The old key's file is replaced first. If this ends before the session is saved, both files hold the new key, and it
     can be done again.

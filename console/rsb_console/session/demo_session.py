@@ -45,7 +45,7 @@ _TOPICS = (
 
 @dataclass(slots=True)
 class SimulatedPart:
-    """The robot or the desk, a process of its own, which ends when its standard input is closed.
+    """The robot or the desk, a separate process that ends when its standard input is closed.
 
     It runs in a process group of its own, so that a Ctrl-C in the terminal does not reach it.
 
@@ -98,7 +98,7 @@ class Demo:
     """A running demo, except for the desk's side of the bridge, which the caller runs.
 
     Attributes:
-        path: the session file of the desk's side; its key file lies beside it.
+        path: the session file of the desk's side; its key file is in the same folder.
         session: the session in that file.
         robot: the simulated robot.
         desk: the simulated desk.
@@ -164,16 +164,16 @@ def _bridge_process(path: Path) -> Iterator[None]:
 
 
 def own_domain(before: int = 0) -> int:
-    """The first of two ROS domains for a demo of this process.
+    """Return the first of two ROS domains for a demo of this process.
 
     Args:
-        before: how many demos this process has started before.
+        before: number of demos that this process has started before.
     """
     return _FIRST_DOMAIN + 2 * ((os.getpid() + before) % _DOMAIN_PAIRS)
 
 
 def need_ros() -> None:
-    """Refuse to go on where the demo's ROS packages are missing.
+    """Raise an error if the demo's ROS packages are missing.
 
     Raises:
         EngineError: they are; it says what to do.
@@ -193,7 +193,7 @@ def need_ros() -> None:
 
 
 def _free_port() -> int:
-    """A port that neither TCP nor UDP uses."""
+    """Return a port that neither TCP nor UDP uses."""
     while True:
         with socket.socket() as tcp, socket.socket(type=socket.SOCK_DGRAM) as udp:
             tcp.bind((_HOST, 0))

@@ -27,17 +27,17 @@ _NUMBERS, SWITCHES = keys_of_value("number"), keys_of_value("switch")
 """The keys that are on or off. Every text outside `_OFF` means on."""
 _OFF = ("", "false", "no", "off")
 _DIRECTIONS = {"server": "transmit", "client": "receive"}
-"""Of requests, by the side whose node answers."""
+"""Direction of requests, by the side whose node answers."""
 
 
 @dataclass(frozen=True, slots=True)
 class Ends:
-    """The two sides of the link that a topic is for.
+    """The two ends of a topic's link.
 
     Attributes:
         is_server: whether this side is the server.
         client: the client's name.
-        use_name: whether the server's names of its topics have the client's before them.
+        use_name: whether topic names on the server have the client's name as a prefix.
     """
 
     is_server: bool
@@ -46,16 +46,16 @@ class Ends:
 
     @classmethod
     def of(cls, now: Snapshot, client: str) -> Ends:
-        """Make it for a running engine and one of its links, by the client's name."""
+        """Return the ends of a running engine's link, chosen by the client's name."""
         return cls(now.role == "server", client, any(link.use_name for link in now.links if link.name == client))
 
     def client_topic(self, topic: str, *, on_server: bool) -> str | None:
-        """Return a topic's name on the client, or None for a topic of the server that the client has no name for."""
+        """Return a topic's name on the client, or None for a server's topic without this client's prefix."""
         return client_topic(topic, self.client) if on_server and self.use_name else topic
 
 
 def plain(key: str, text: str) -> Any:
-    """Convert a field's text to the value in a session file. What should be a number and is none stays a text."""
+    """Convert a field's text as a session file would; text in place of a number stays, for the rules to refuse."""
     if key == "qos":
         return _plain_qos(text)
     if key == "excepts":
@@ -82,9 +82,9 @@ def _plain_qos(text: str) -> Any:
 
 
 def topic_of(values: Mapping[str, str]) -> Topic:
-    """Make a topic of a form's texts. It may have any of the mistakes that `problems_of` finds.
+    """Build a topic from a form's texts. It may have any of the problems of `problems_of`.
 
-    For calls, the texts may give a ``provider`` instead of the direction.
+    For kinds other than topics, a ``provider`` may replace the direction.
     """
     given = {key: plain(key, text) for key, text in values.items() if text and key not in SWITCHES}
     given |= {key: True for key in SWITCHES if values.get(key, "").lower() not in _OFF}
@@ -94,7 +94,7 @@ def topic_of(values: Mapping[str, str]) -> Topic:
 
 
 def values_of(topic: Topic) -> dict[str, str]:
-    """A topic as a form's texts; what is at its default is empty."""
+    """Convert a topic to a form's texts; defaults are empty."""
     return {key: _text(value) for key, value in msgspec.to_builtins(topic).items()}
 
 
@@ -107,12 +107,12 @@ def _text(value: object) -> str:
 
 
 def problems_of(topic: Topic, session: Session, replaced: Topic | None) -> dict[str, str]:
-    """Return the mistakes in a topic, and its conflicts with the session's other topics.
+    """Return the problems of a topic, by itself and together with the session's others.
 
     Args:
         topic: as the client sees it.
-        session: the session that it is for. A server's has no topics that could conflict.
-        replaced: one of the session's that it takes the place of.
+        session: session of the topic. A server's session has no topics to conflict: the client checks those.
+        replaced: topic of the session that it replaces, or None.
 
     Returns:
         Messages by the key of the field.
@@ -138,7 +138,7 @@ def problems_of(topic: Topic, session: Session, replaced: Topic | None) -> dict[
 
 
 class TypedProblem(Wording):
-    """Reasons why ``KEY=VALUE`` makes no topic."""
+    """Reasons why ``KEY=VALUE`` words make no topic."""
 
     NOT_A_PAIR = "{text}: not KEY=VALUE, as in max_rate=5"
     UNKNOWN_KEY = "{text}: unknown key{hint} (keys: {keys})"
@@ -150,16 +150,16 @@ class TypedError(ValueError):
 
 
 def typed_topic(values: Mapping[str, str], keys: Sequence[str], session: Session, replaced: Topic | None) -> Topic:
-    """Make a topic of its present values and the typed ones.
+    """Build a topic from given values and typed ones.
 
     Args:
-        values: as of `rsb_console.session.draft.values_of`.
-        keys: typed, each ``KEY=VALUE``.
-        session: what it is for.
-        replaced: one of the session's that it takes the place of.
+        values: texts as from `rsb_console.session.draft.values_of`.
+        keys: typed texts, each ``KEY=VALUE``.
+        session: session of the topic.
+        replaced: topic of the session that it replaces, or None.
 
     Raises:
-        TypedError: something is wrong with it.
+        TypedError: the topic is invalid.
     """
     kind = replaced.kind if replaced is not None else next(kind for kind in KEYS if kind == values["kind"])
     known, changed = list(KEYS[kind]), dict(values)
@@ -186,6 +186,6 @@ def _value(key: str, value: str) -> str:
 
 
 def suggestion(name: str, known: Sequence[str]) -> str:
-    """Return a hint at the most similar name, or an empty string."""
+    """Return a hint at the most similar name, or an empty string if none is similar."""
     near = difflib.get_close_matches(name, known, n=1)
     return f"; did you mean {near[0]}?" if near else ""

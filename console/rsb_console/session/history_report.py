@@ -1,4 +1,4 @@
-"""What happened in a span of time, in words and as tables, and the files that panes are exported to."""
+"""Reports of a bridge's history, in words and as tables, and the files that panes are exported to."""
 
 from __future__ import annotations
 
@@ -34,8 +34,8 @@ _KINDS = ("topic", "service", "action", "parameters")
 _FORMULAS = ("=", "+", "-", "@", "\t", "\r", "\n", "\uff1d", "\uff0b", "\uff0d", "\uff20")
 """What a cell begins with that a spreadsheet may take for a formula; the last four are the signs in full width."""
 _SHORT_WAIT = 60.0
-"""s of waiting that are not worth a word beside the time in which it was up or out."""
-# The names are those of `status --json`. A topic has what is in a `Ledger`, all else what is in a `CallsSnapshot`.
+"""Seconds of waiting that are too few to mention."""
+# The names are as in `status --json`. A topic has the fields of `Ledger`, other kinds of `CallsSnapshot`.
 _ROUTE = (
     "topic", "link", "outgoing", "transport", "port", "type_name", "rate", "expected_rate", "bytes_per_second",
     "latency_p50", "latency_p99", "age", "cause", "reason",
@@ -51,19 +51,19 @@ class ReportText(Wording):
     """Sentences of a report on a bridge's last hours."""
 
     NO_TIME = "{span!r} is not a time like 8h, 30m or 90s"
-    TOO_LONG_AGO = "{span}: at most 24h are remembered"
+    TOO_LONG_AGO = "{span}: the history has at most 24h"
     RAN_ALL_THE_TIME = "The bridge ran all the time.{stopped}"
-    RAN_PARTLY = "The bridge ran for {watched} of it ({share}); nothing is known of {gaps}{more}.{stopped}"
+    RAN_PARTLY = "The bridge ran for {watched} of it ({share}); no record of {gaps}{more}.{stopped}"
     STOPPED = " It does not run now."
     NO_OUTAGES = "No outages."
-    OUTAGES_LEFT_OUT = "  At least {count:,} more, for which there was no room."
+    OUTAGES_LEFT_OUT = "  At least {count:,} more, dropped for lack of room."
     ACTIONS = "Operators, and the bridge itself"
     ACTIONS_LEFT_OUT = "  {count:,} more before these."
     CAUSE_WITH_FOLLOWERS = "{cause} ({followers} with it)"
 
 
 def parse_span(text: str) -> float:
-    """A span of time as people write it: ``8h``, ``30m``, ``90s``.
+    """Parse a span of time: ``8h``, ``30m``, ``90s``.
 
     Returns:
         s.
@@ -81,7 +81,7 @@ def parse_span(text: str) -> float:
 
 
 def length(seconds: float) -> str:
-    """A duration in the two largest units: ``12 s``, ``3 min 40 s``, ``7 h 52 min``."""
+    """Format a duration in the two largest units: ``12 s``, ``3 min 40 s``, ``7 h 52 min``."""
     whole = round(seconds)
     if whole < 60:
         return f"{whole} s" if whole or not seconds else "under 1 s"
@@ -92,7 +92,7 @@ def length(seconds: float) -> str:
 
 
 def percent(ratio: float | None) -> str:
-    """A part of the time. It is 100 % only if nothing is missing; a dash where it was neither up nor out."""
+    """Format a part of the time: 100 % only if nothing is missing, a dash if it was neither up nor out."""
     if ratio is None:
         return "—"
     if ratio >= 1:
@@ -101,12 +101,12 @@ def percent(ratio: float | None) -> str:
 
 
 def own(outages: Iterable[Outage]) -> list[Outage]:
-    """Those that do not just come and go with their link's."""
+    """Return the outages that have a cause of their own rather than the link's."""
     return [outage for outage in outages if not outage.with_link]
 
 
 def followers(report: HistoryReport, outage: Outage) -> str:
-    """What was out because its link was, in one of a link's outages: ``2 topics, 1 service``; or empty."""
+    """Count the topics and services that a link's outage took down: ``2 topics, 1 service``; or empty."""
     if outage.topic:
         return ""
     end = outage.start + outage.seconds
@@ -119,13 +119,13 @@ def followers(report: HistoryReport, outage: Outage) -> str:
 
 
 def what(one: Outage | Track) -> str:
-    """What was out: ``→ /scan``, ``→ service /load_map``, or ``link``."""
+    """Name the subject of an outage: ``→ /scan``, ``→ service /load_map``, or ``link``."""
     kind = "" if one.kind == "topic" else f"{one.kind} "
     return f"{'→' if one.outgoing else '←'} {kind}{one.topic}" if one.topic else "link"
 
 
 def how_long(outage: Outage) -> str:
-    """How long it was out, and what is not known of that."""
+    """Return the duration of an outage, with the part that has no record."""
     if outage.ongoing:
         return f"{length(outage.seconds)}, still so"
     if outage.cut_off:
@@ -134,21 +134,21 @@ def how_long(outage: Outage) -> str:
 
 
 def why(report: HistoryReport, outage: Outage) -> str:
-    """The cause, and what else was out for it."""
+    """Return the cause of an outage, and the topics and services that it took down."""
     also = followers(report, outage)
     cause = outage.cause or "no cause known"
     return ReportText.CAUSE_WITH_FOLLOWERS(cause=cause, followers=also) if also else cause
 
 
 def who(event: Event) -> str:
-    """Who did it, in a word or two; of an operator of the other side, which side says so."""
+    """Return the operator in a word or two; for one of the other side, with that side's name."""
     if event.from_peer:
         return f"{event.link} says"
     return event.who.partition(" ")[0] or "bridge"
 
 
 def did(event: Event) -> str:
-    """What an operator did, with the old and the new value; of a pause, the words say both."""
+    """Describe an operator's action with the old and the new value; the words for a pause include both."""
     if event.code in (EventCode.OPERATOR_PAUSED, EventCode.OPERATOR_RESUMED) or not (event.old or event.new):
         return event.text
     if event.old and event.new:
@@ -160,7 +160,7 @@ def did(event: Event) -> str:
 
 
 def text_report(report: HistoryReport) -> Iterator[str]:
-    """Lines for the shift's hand-over: totals first, then outages by robot and topic, then what operators did."""
+    """Return lines for a hand-over: totals, then outages by robot and topic, then operators' actions."""
     yield f"{report.name} ({report.role}): the last {length(report.span)}, {_from_to(report)}"
     yield from _totals(report)
     yield ""
@@ -187,7 +187,7 @@ def text_report(report: HistoryReport) -> Iterator[str]:
 
 
 def totals(report: HistoryReport) -> list[str]:
-    """How much of the time everything was up, in a few sentences."""
+    """Describe the share of the time in which everything was up, in a few sentences."""
     return list(_totals(report))
 
 
@@ -201,7 +201,7 @@ def _totals(report: HistoryReport) -> Iterator[str]:
 
 
 def _totals_of(report: HistoryReport, kind: str, tracks: Sequence[Track]) -> Iterator[str]:
-    """Of one kind; the worst ones by name."""
+    """Yield the sentences about one kind; the worst ones by name."""
     none_yet = f"without any {'message' if kind == 'topic' else 'call'} yet"
     bad = [track for track in tracks if track.outages]
     waited = [track for track in tracks if not track.outages and track.waiting and not track.up]
@@ -227,7 +227,7 @@ def _by_kind(kinds: Iterable[str]) -> list[tuple[str, int]]:
 
 
 def _counted(kind: str, count: int) -> str:
-    """``3 topics``, ``parameters of 1 node``."""
+    """Format a count: ``3 topics``, ``parameters of 1 node``."""
     return (
         f"parameters of {count} {plural(count, 'node')}" if kind == "parameters" else f"{count} {plural(count, kind)}"
     )
@@ -247,7 +247,7 @@ def _ran(report: HistoryReport) -> str:
 
 
 def _up(word: str, track: Track) -> str:
-    """How much of the time it was up; while it waited, it was neither up nor out."""
+    """Describe the share of the time in which it was up; waiting counts as neither up nor out."""
     up = "" if track.up_ratio is None else f"{word} {percent(track.up_ratio)} of the time"
     if track.waiting < _SHORT_WAIT and (up or not track.waiting):
         return up or f"not known how long it was {word}"
@@ -264,7 +264,7 @@ def _count(report: HistoryReport, track: Track) -> str:
 
 
 def _by_topic(outages: Sequence[Outage]) -> list[tuple[str, list[Outage]]]:
-    """By topic and kind, the link itself first."""
+    """Return a sort key: the link itself first, then by topic and kind."""
     grouped: dict[tuple[str, str, bool], list[Outage]] = {}
     for outage in outages:
         grouped.setdefault((outage.topic, outage.kind, outage.outgoing), []).append(outage)
@@ -278,7 +278,7 @@ def _from_to(report: HistoryReport) -> str:
 
 
 def _moment(report: HistoryReport, moment: float) -> str:
-    """The time of day; with the day of the week, if it is not that of the report's end."""
+    """Format the time of day, with the day of the week if it is not the day of the report's end."""
     then, end = time.localtime(moment), time.localtime(report.time)
     return time.strftime("%H:%M:%S" if then.tm_yday == end.tm_yday else "%a %H:%M:%S", then)
 
@@ -287,7 +287,7 @@ def _moment(report: HistoryReport, moment: float) -> str:
 
 
 def json_report(report: HistoryReport) -> str:
-    """All of it as one object."""
+    """Convert the report to one object."""
     tracks = [{**asdict(track), "up_ratio": track.up_ratio} for track in report.tracks]
     return escape_json(json.dumps({**asdict(report), "start": report.start, "tracks": tracks}, ensure_ascii=False))
 
@@ -317,7 +317,7 @@ def csv_report(report: HistoryReport) -> str:
 
 
 def cell(value: object) -> object:
-    """A value for a spreadsheet, which must not take text from elsewhere for a formula, without control characters."""
+    """Escape a value for a spreadsheet: no formula in foreign text, and no control characters."""
     if not isinstance(value, str):
         return value
     text = one_line(value)

@@ -18,8 +18,8 @@ class Kind(NamedTuple):
 
     Attributes:
         number: rcl_interfaces/msg/ParameterType.
-        name: as `ros2 param describe` and ``--type`` call it.
-        words: of one, in a sentence.
+        name: name in `ros2 param describe` and ``--type``.
+        words: words for a value, in a sentence.
     """
 
     number: int
@@ -28,7 +28,7 @@ class Kind(NamedTuple):
 
     @property
     def field(self) -> str:
-        """Of rcl_interfaces/msg/ParameterValue: what has the value."""
+        """Field of rcl_interfaces/msg/ParameterValue with the value."""
         return f"{self.name}_value"
 
 
@@ -69,7 +69,7 @@ class ValueText(Wording):
     """Texts about a parameter's value."""
 
     NO_INTEGER = "{value} is no integer of {bits} bits; a double has a point, a text quotation marks"
-    NO_REASON = "it does not say why"
+    NO_REASON = "it gives no reason"
 
 
 class ParameterRequest(NamedTuple):
@@ -85,15 +85,15 @@ class ParameterRequest(NamedTuple):
 
 
 def set_request(name: str, value: str, kind: str = "") -> ParameterRequest:
-    """Make the request that sets one parameter.
+    """Return the request that sets one parameter.
 
     Args:
-        name: of the parameter.
-        value: as YAML: ``5`` is an integer, ``5.0`` a double, ``true`` a bool, ``[1, 2]`` an array, else text.
-        kind: one of `KIND_NAMES`, that the value must have; empty: the one that it shows.
+        name: name of the parameter.
+        value: as YAML: ``5`` is an integer, ``5.0`` a double, ``true`` a bool, ``[1, 2]`` an array, otherwise text.
+        kind: one of `KIND_NAMES` that the value must have, or empty to take the kind that the value shows.
 
     Raises:
-        FieldError: it is no value of a parameter; the message names the parameter where the value looks like one.
+        FieldError: it is not a parameter value; if the value looks like a name, the message names the parameter.
     """
     try:
         meant, plain = _meant(_node(value), kind)
@@ -152,7 +152,7 @@ def _plain(node: yaml.Node) -> Any:
 
 
 def _integer(text: str) -> int:
-    """An integer of 64 bits.
+    """Parse an integer of 64 bits.
 
     Raises:
         OverflowError: it is none, and would be another number as a double.
@@ -180,13 +180,13 @@ def _kind(plain: Any) -> Kind:
 
 
 def value_of(fields: dict[str, Any]) -> Any:
-    """What a rcl_interfaces/msg/ParameterValue says; None: the parameter has no value, or a type unknown here."""
+    """Return the value of a rcl_interfaces/msg/ParameterValue, or None if it has no value or an unknown type."""
     number = int(fields["type"])
     return fields[KINDS[number - 1].field] if 1 <= number <= len(KINDS) else None
 
 
 def refusal(answer: str) -> str | None:
-    """Why the node did not set a parameter, in its words; None: it did.
+    """Return the node's reason for not setting a parameter, or None if it was set.
 
     Args:
         answer: the response of ``set_parameters``, as YAML.

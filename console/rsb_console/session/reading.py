@@ -1,4 +1,4 @@
-"""A message that an operator looks at: decoded where its type is known, as lines of YAML, else as hex."""
+"""A message for an operator: as lines of YAML if its type is available, otherwise as hex."""
 
 from __future__ import annotations
 
@@ -58,14 +58,14 @@ class ArrivalText(Wording):
 
 @dataclass(frozen=True, slots=True)
 class StampAge:
-    """How old a message's ``header.stamp`` was when the message came.
+    """The age of a message's ``header.stamp`` at its arrival.
 
     Attributes:
         stamp: ns since the epoch.
-        latency: s; None: the clocks differ, or it is no latency.
-        why_none: why there is no latency.
-        clocks: whose clocks the latency is between.
-        guessed: the type is not known, and the bytes look like a stamp.
+        latency: s, or None if the clocks differ or the age is not a latency.
+        why_none: reason why `latency` is None.
+        clocks: the two clocks that the latency compares.
+        guessed: whether the stamp is a guess: the type is unavailable, and the bytes look like a stamp.
     """
 
     stamp: int
@@ -77,13 +77,13 @@ class StampAge:
 
 @dataclass(frozen=True, slots=True)
 class ReadMessage:
-    """A message, as far as it could be read.
+    """A message and its decoded content.
 
     Attributes:
         peeked: the message.
-        decoded: None: its type is not known.
-        problem: why it was not read to its end; empty: it was.
-        age: of its stamp; None: it has none.
+        decoded: its content, or None if the type is unavailable.
+        problem: reason why it was not read to its end, or an empty string.
+        age: age of its stamp, or None without a stamp.
     """
 
     peeked: PeekedMessage
@@ -93,7 +93,7 @@ class ReadMessage:
 
 
 class KnownTypes:
-    """The descriptions that a looker has; for some seconds also that there is none.
+    """A cache of type descriptions; a missing one is remembered for some seconds.
 
     Args:
         now: a clock, in s.
@@ -105,13 +105,12 @@ class KnownTypes:
         self._ask_at: dict[str, float] = {}
 
     def get(self, type_hash: str) -> tuple[str | None, str] | None:
-        """A type's description, or why there is none; None: somebody has to be asked."""
+        """Return a type's description or the reason for its lack, or None if it has to be requested."""
         if self._now() >= self._ask_at.get(type_hash, math.inf):
             return None
         return self._known.get(type_hash)
 
     def put(self, type_hash: str, description: str | None, why: str) -> tuple[str | None, str]:
-        """Keep what the engine says."""
         self._ask_at[type_hash] = math.inf if description is not None else self._now() + _ASK_AGAIN_AFTER
         self._known[type_hash] = description, why
         return description, why
@@ -122,9 +121,9 @@ def read_message(peeked: PeekedMessage, description: str | None, why: str = "", 
 
     Args:
         peeked: the message.
-        description: the text of its type's description; None: it is not known.
-        why: why it is not.
-        limits: as of `rsb_bridge.cdr.decoder.decode`.
+        description: the text of its type's description, or None if unavailable.
+        why: reason why `description` is None.
+        limits: limits of `rsb_bridge.cdr.decoder.decode`.
     """
     decoded = None
     if description is not None:
@@ -144,7 +143,7 @@ def read_message(peeked: PeekedMessage, description: str | None, why: str = "", 
 
 
 def _stamp(message: Message) -> int | None:
-    """The stamp of a message's header, or its own, in ns."""
+    """Return the stamp of a message's header, or its own, in ns."""
     header: Value = message.get("header", message)
     stamp = header.get("stamp") if isinstance(header, dict) else None
     if not isinstance(stamp, dict):
@@ -156,7 +155,7 @@ def _stamp(message: Message) -> int | None:
 
 
 def _guessed_stamp(peeked: PeekedMessage) -> int | None:
-    """The stamp that a message of an unknown type begins with, if it looks like one: a time of today, and a frame."""
+    """Guess the stamp of a message of an unknown type, if it begins with a time of today and a frame."""
     order = {b"\x00\x00": ">", b"\x00\x01": "<"}.get(peeked.payload[:2])
     if order is None or len(peeked.payload) < HEADER_LENGTH + 12:
         return None
@@ -194,7 +193,7 @@ def _age(peeked: PeekedMessage, stamp: int, *, guessed: bool = False) -> StampAg
 
 
 def age_text(age: StampAge) -> str:
-    """The age of a stamp in words."""
+    """Return the age of a stamp in words."""
     name = StampText.GUESSED() if age.guessed else "header.stamp"
     if age.latency is None:
         return f"{name}: {age.why_none}"
@@ -213,19 +212,19 @@ def how_it_came(peeked: PeekedMessage) -> str:
 
 
 def message_lines(message: Message, width: int, *, arrays: bool = True) -> Iterator[Line]:
-    """A message as YAML. Text in it is escaped: it may come from anywhere.
+    """Format a message as YAML. Its text is escaped, as it is not trusted.
 
     Args:
-        message: decoded.
+        message: a decoded message.
         width: cells at which arrays and strings are wrapped.
-        arrays: show the elements of arrays; False: only their type and length.
+        arrays: show the elements of arrays rather than only their type and length.
     """
     for name, value in message.items():
         yield from _field(f"{escape_text(name)}: ", "", value, width, arrays=arrays)
 
 
 def _field(label: str, before: str, value: Value, width: int, *, arrays: bool) -> Iterator[Line]:
-    """A value behind its label; its further lines stand under it."""
+    """Yield a value after its label, with further lines below."""
     indent = " " * len(before)
     if isinstance(value, dict):
         yield ((before, ""), (label.rstrip(), "key"), ("" if value else " {}", ""))
@@ -272,7 +271,7 @@ def _items(label: str, before: str, items: Items, width: int, *, arrays: bool) -
 
 
 def _element(message: Message, indent: str, width: int, *, arrays: bool) -> Iterator[Line]:
-    """A message in an array: its first field stands behind a dash."""
+    """Yield a message in an array: its first field follows a dash."""
     before = indent + _ITEM
     for name, value in message.items():
         yield from _field(f"{escape_text(name)}: ", before, value, width, arrays=arrays)
@@ -298,7 +297,7 @@ def _chunks(text: str, room: int) -> list[str]:
 
 
 def scalar(value: Value) -> str:
-    """One value, as YAML has it."""
+    """Format one value as YAML."""
     if isinstance(value, bool):
         return "true" if value else "false"
     if isinstance(value, float):
@@ -307,7 +306,7 @@ def scalar(value: Value) -> str:
 
 
 def number_text(value: float) -> str:
-    """A floating-point number with as few digits as tell it from its neighbours; of a 32-bit one, among those."""
+    """Format a floating-point number with the fewest digits that identify it, among 32-bit ones if it is one."""
     if math.isnan(value):
         return ".nan"
     if math.isinf(value):
@@ -326,7 +325,7 @@ def _as_32_bits(value: float) -> float:
 
 
 def hex_lines(payload: bytes, most: int) -> Iterator[Line]:
-    """The first `most` bytes, sixteen a line, with what of them is ASCII."""
+    """Yield the first `most` bytes, sixteen a line, with their ASCII characters."""
     for at in range(0, min(most, len(payload)), _BYTES_IN_LINE):
         row = payload[at : at + _BYTES_IN_LINE]
         characters = "".join(chr(byte) if 0x20 <= byte < 0x7F else "." for byte in row)
@@ -337,5 +336,4 @@ def hex_lines(payload: bytes, most: int) -> Iterator[Line]:
 
 
 def plain(line: Line) -> str:
-    """A line's text."""
     return "".join(text for text, _ in line).rstrip()

@@ -1,4 +1,4 @@
-"""What saving a session takes: what is not saved yet, and where its key files are from another folder."""
+"""Saving a session: the unsaved changes, and the paths of its key files from another folder."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class PathProblem(Wording):
 
 
 def unsaved(saved: Session, now: Session) -> str:
-    """Describe how the session differs from its file; empty: it does not."""
+    """Describe the differences between the session and its file; empty if there are no differences."""
     before, after = _parts(saved), _parts(now)
     kinds = {
         "added": [part for part in after if part not in before],
@@ -45,7 +45,7 @@ def unsaved(saved: Session, now: Session) -> str:
 
 
 def _parts(session: Session) -> dict[tuple[str, ...], object]:
-    """What can differ between two sessions, by its name for people and what else tells it from the others."""
+    """Return the comparable parts of a session, each by its name for people and further identification."""
     parts: dict[tuple[str, ...], object] = {
         (name,): getattr(session, name) for name in session.__struct_fields__ if name not in ("topics", "clients")
     }
@@ -57,13 +57,13 @@ def _parts(session: Session) -> dict[tuple[str, ...], object]:
 
 
 def difference(before: str, after: str) -> list[str]:
-    """The lines of a unified diff of two texts, without file names."""
+    """Return the lines of a unified diff of two texts, without file names."""
     lines = difflib.unified_diff(before.splitlines(), after.splitlines(), lineterm="", n=2)
     return list(lines)[2:]
 
 
 def text_of(path: Path) -> str:
-    """What is in a file that may be anything; empty: no text."""
+    """Return the text of a file, or an empty string if it is not text."""
     try:
         return read_text(path)
     except SessionError:
@@ -80,7 +80,7 @@ def is_changed(opened: SessionFile) -> bool:
 
 
 def reopened(path: Path) -> SessionFile | None:
-    """A session file as it is on disk now; None: it has mistakes, or there is none."""
+    """Open a session file as it is on disk now, or return None if it is missing or has mistakes."""
     try:
         return load_file(path)
     except SessionError:
@@ -91,7 +91,7 @@ def moved(session: Session, old: Path, new: Path) -> Session:
     """Make a session's key files relative to another folder.
 
     Args:
-        session: names its key files relative to `old`.
+        session: session whose key files are relative to `old`.
         old: a folder.
         new: the folder of its new file.
     """
@@ -102,10 +102,10 @@ def moved(session: Session, old: Path, new: Path) -> Session:
 
 
 def rescued(session: Session, old: Path, new: Path) -> tuple[Session, dict[Path, Key]]:
-    """As `moved`, for a folder that is deleted with the session: its keys are to be copied beside the new file.
+    """Do as `moved` for a folder that is deleted with the session: its keys move to the new file's folder.
 
     Args:
-        session: names its key files relative to `old`.
+        session: session whose key files are relative to `old`.
         old: the folder that is deleted.
         new: the folder of its new file.
 
@@ -144,8 +144,6 @@ def _is_free_for(key: Key, path: Path) -> bool:
 
 
 def _renamed(session: Session, rename: Callable[[str], str]) -> Session:
-    """Rename a session's relative key files."""
-
     def name(key_file: str | None) -> str | None:
         return key_file if key_file is None or typed_path(key_file).is_absolute() else rename(key_file)
 
@@ -156,7 +154,7 @@ def _renamed(session: Session, rename: Callable[[str], str]) -> Session:
 
 
 def path_problem(text: str) -> str:
-    """Say why a session cannot be written to a path that was typed; empty: nothing seems to prevent it."""
+    """Return the reason why a session cannot be written to a typed path, or an empty string."""
     path = typed_path(text)
     if not text:
         return PathProblem.MISSING()
@@ -169,6 +167,6 @@ def path_problem(text: str) -> str:
 
 
 def file_of(path: Path, session: Session) -> SessionFile | None:
-    """The file at a path if it says just this session; None: it says something else, or is no session file."""
+    """Return the file at a path if it holds exactly this session, or None."""
     file = reopened(path)
     return file if file is not None and same(file.session, session) else None

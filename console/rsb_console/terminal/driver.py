@@ -62,7 +62,7 @@ CLOSE_TIMEOUT = 1.0  # s; then a terminal that does not read is given up
 
 @contextlib.contextmanager
 def terminal_to_itself(log: Path) -> Iterator[int]:
-    """Reserve the terminal for the app: whatever else writes to descriptors 1 and 2, as Fast DDS does, goes to a file.
+    """Reserve the terminal for the app: other output to descriptors 1 and 2, such as that of Fast DDS, goes to a file.
 
     Args:
         log: the file, which is emptied first. If it cannot be written, that output is discarded.
@@ -142,7 +142,7 @@ class ConsoleDriver(LinuxDriver):
         self._continuing = False
 
     def _get_terminal_size(self) -> tuple[int, int]:
-        """The terminal's columns and lines. Textual asks standard output, which need not be the terminal."""
+        """Return the terminal's columns and lines. Textual asks standard output, which may not be the terminal."""
         with contextlib.suppress(OSError):
             columns, lines = os.get_terminal_size(self._file.fileno())
             if columns and lines:
@@ -243,7 +243,7 @@ def copy(app: App[object], text: str) -> str:
         What to tell the operator.
     """
     tmux = shutil.which("tmux") if os.environ.get("TMUX") else None
-    if tmux is not None:  # tmux passes OSC 52 on only where set-clipboard says so; this always fills its own buffer
+    if tmux is not None:  # tmux passes OSC 52 on only if set-clipboard is on; this always fills its own buffer
         command = [tmux, "load-buffer", "-w", "-"]
         try:
             subprocess.run(command, input=text.encode(), timeout=2, check=True, capture_output=True)  # noqa: S603 -- no shell; the program is tmux

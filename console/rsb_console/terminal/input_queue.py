@@ -40,8 +40,8 @@ class InputQueue:
     dialog. A worker that waits for an open dialog's answer holds nothing back: the input is for that dialog.
 
     Args:
-        app: whose input it is.
-        groups: of the workers that may open a dialog, besides `DIALOG`.
+        app: app that gets the input.
+        groups: groups of the workers that may open a dialog, besides `DIALOG`.
     """
 
     def __init__(self, app: App[Any], groups: Collection[str]) -> None:
@@ -87,7 +87,7 @@ class InputQueue:
             self._task = asyncio.create_task(self._deliver())
 
     def waits_for(self, dialog: Screen[Any]) -> None:
-        """The current worker waits for the answer of `dialog`."""
+        """Note that the current worker waits for the answer of `dialog`."""
         self._dialogs[get_current_worker()] = dialog
 
     async def _deliver(self) -> None:
@@ -110,7 +110,7 @@ class InputQueue:
             await asyncio.sleep(_LOOK_EVERY)
 
     def _has_settled(self) -> bool:
-        """Whether the app, but for the message that it handles now, has finished."""
+        """Whether the app has finished all work except the message that it handles now."""
         app = self._app
         if not app._message_queue.empty():
             return False
@@ -124,7 +124,7 @@ class InputQueue:
         )
 
     def _opening(self) -> Iterator[Worker[Any]]:
-        """The workers that may open a dialog before they do anything else that concerns input."""
+        """Yield the workers that may open a dialog before they do anything else that concerns input."""
         shown = self._app.screen_stack
         return (
             worker

@@ -22,8 +22,6 @@ if TYPE_CHECKING:
 
 
 class ShutdownReason(Enum):
-    """Why the app ended."""
-
     QUIT = "quit"
     TERMINATED = "terminated"
     HANGUP = "hangup"
@@ -52,7 +50,7 @@ class ForcedEnd:
         self._timer: threading.Timer | None = None
 
     def begin(self) -> None:
-        """The app shuts down: it has `ENDS_WITHIN`, from the first call on."""
+        """Give the app `ENDS_WITHIN` to shut down, counted from the first call."""
         if self._timer is None:
             self._timer = threading.Timer(ENDS_WITHIN, self._end)
             self._timer.daemon = True
@@ -82,12 +80,12 @@ def shut_down_on_signals(shut_down: Callable[[ShutdownReason], None]) -> None:
 
 
 def crash_path() -> Path:
-    """The file that describes the last crash."""
+    """Return the file that describes the last crash."""
     return user_log_path("rsb-console") / "crash.txt"
 
 
 def output_path() -> Path:
-    """The file that libraries' own output goes to while the app has the terminal."""
+    """Return the file that libraries' own output goes to while the app has the terminal."""
     return user_log_path("rsb-console") / "output.txt"
 
 

@@ -30,12 +30,12 @@ class View:
     """The console's own state, as the status bar shows it.
 
     Attributes:
-        session: the session file's name; empty: the session is not saved.
+        session: the session file's name, or empty if the session is not saved.
         refresh: Hz.
-        frozen_since: s since the epoch; None: the view is live.
+        frozen_since: s since the epoch, or None while the view is live.
         readonly: whether actions that change something are disabled.
-        note: shown instead of the link's state while no engine runs; empty: an engine runs.
-        cause: why the engine ended by itself; empty: not known, or it runs.
+        note: text in place of the link's state while no engine runs, otherwise empty.
+        cause: reason why the engine ended by itself, or empty.
         attached: whether the engine runs in another process.
     """
 
@@ -49,7 +49,7 @@ class View:
 
 
 class StatusBar(LiveLines):
-    """Both lines. Their counts are of all topics, whatever filter the table has."""
+    """The two lines of the status bar. They count all topics, even if the table's filter hides some."""
 
     can_focus = False
 
@@ -122,8 +122,8 @@ def state_counts(
 
     Args:
         things: topics, or links.
-        states: to count, in this order.
-        words: name each state.
+        states: states to count, in this order.
+        words: name of each state.
     """
     counts = faults.state_counts(things)
     return tuple(
@@ -176,7 +176,7 @@ def _as_many(groups: list[Line], width: int) -> Line:
 
 
 def _identity(snapshot: Snapshot, view: View) -> list[tuple[int, tuple[str, str]]]:
-    """Whose link it is and how it is, in pieces; those of the highest number are left out first."""
+    """Return the link's name and state in pieces; pieces with the highest number are left out first."""
     if not snapshot.name:
         return [(0, (" rsb-console", "strong")), (0, (f"  {view.note}", "dim"))]
     state = [(f"   {view.note}", "alarm")] if view.note else link_state(snapshot, view.cause)
@@ -192,7 +192,7 @@ def _identity(snapshot: Snapshot, view: View) -> list[tuple[int, tuple[str, str]
 
 
 def link_state(snapshot: Snapshot, cause: str) -> list[tuple[str, str]]:
-    """The state of the link, or how many of a server's links are up, and whether they are encrypted."""
+    """Return the state of the link, or how many of a server's links are up, and whether they are encrypted."""
     if not snapshot.running:
         return [(f"   ✗ STOPPED{f': {cause}' if cause else ''}", "down")]
     if not snapshot.links:
@@ -249,11 +249,11 @@ class KeyEntry(NamedTuple):
     """One key.
 
     Attributes:
-        key: as it is written for people.
-        label: what it does.
-        action: that a click runs.
-        rank: on a narrow screen, those of a lower one come first.
-        counts: stand behind the label; or in its place on a screen without room for both.
+        key: name of the key for people.
+        label: its effect.
+        action: action that a click runs.
+        rank: order on a narrow screen, lower ranks first.
+        counts: figures after the label, or in its place on a screen without room for both.
     """
 
     key: str
@@ -284,7 +284,7 @@ class KeyBar(LiveLines):
         return tuple(piece for _, pieces in self._fitting() for piece in pieces)
 
     def _fitting(self) -> list[tuple[KeyEntry, Line]]:
-        """The entries that there is room for, as they are drawn: with label and counts if all of them fit so."""
+        """Return the entries that fit, with labels and counts if all fit that way."""
         whole = [(entry, _pieces(entry, entry.label)) for entry in self._entries]
         if sum(width_of(pieces) for _, pieces in whole) <= self.width:
             return whole

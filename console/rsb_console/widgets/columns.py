@@ -1,4 +1,4 @@
-"""The columns of the table of topics, and which of them a table of some width has."""
+"""The columns of the table of topics, and the choice of columns that fit a width."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ HISTORY = 12  # s
 _STATE_WIDTH = 10  # cells
 TOTAL_FROM = 92  # cells from which on there is room for the bytes in all
 _SHORT_NAMES = {"zenoh-drop": "DROP"}
-_BESIDE_CALLS = 100  # cells from which on there is room for a topic's bytes beside what is to be known of calls
+_BESIDE_CALLS = 100  # cells; wider tables have room for both topics' bytes and figures of calls
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -32,13 +32,13 @@ class Column(Generic[R]):
 
     Attributes:
         title: its heading.
-        width: cells; 0: all that the other columns leave.
-        text: the cell of a route, or whatever else a line shows.
+        width: cells, or 0 for all remaining ones.
+        text: formats the cell of a route or another row.
         order: its sort key.
         right: whether cells are aligned to the right.
-        from_width: cells; in a narrower table the column is left out.
-        beside_calls: likewise, where the table has more than topics; None: as `from_width`.
-        only_calls: it is left out where the table has only topics.
+        from_width: cells; a narrower table leaves the column out.
+        beside_calls: the same for a table with calls, or None to use `from_width`.
+        only_calls: whether a table with only topics leaves it out.
     """
 
     title: str
@@ -81,12 +81,12 @@ def _sign(route: RouteSnapshot) -> str:
 
 
 def is_armed(route: RouteSnapshot) -> bool:
-    """Whether a topic that has to be armed is armed."""
+    """Whether a topic requires arming and is armed."""
     return route.arming is not None and route.arming.armed
 
 
 def via(route: RouteSnapshot) -> str:
-    """The way of a topic, or of requests, and what carries it."""
+    """Return the direction of a topic or of requests, and the transport."""
     way = OUT if route.outgoing else IN
     if isinstance(route, PatternRow):
         return f"{way} match"
@@ -105,7 +105,7 @@ def _rate(route: RouteSnapshot) -> str:
 
 
 def present_rate(route: RouteSnapshot) -> float:
-    """A topic's rate in Hz. One that has stopped has 0: the measured mean still covers seconds in which it flowed."""
+    """Return a topic's rate in Hz, 0 after it has stopped: the mean still covers seconds in which it flowed."""
     return 0.0 if route.state in {State.STALE, State.STOPPED} else route.rate
 
 
@@ -117,7 +117,7 @@ def carries(route: RouteSnapshot) -> bool:
 
 
 def _way(route: RouteSnapshot) -> float | None:
-    """The time on the way, s: a message's, or a call's there and back."""
+    """Return the time in transit (s): a message's, or a call's there and back."""
     return route.latency_p50 if route.calls is None else route.calls.way_p50
 
 
@@ -194,10 +194,10 @@ STATE, SIGN, TOPIC, PEER, HISTORY_COLUMN = (
 def layout(
     width: int, *, peers: bool, grouped: bool = False, calls: bool = False
 ) -> tuple[tuple[Column[RouteSnapshot], int], ...]:
-    """The columns that fit, each with its width in cells.
+    """Return the columns that fit, each with its width in cells.
 
     Args:
-        width: of the table, cells.
+        width: width of the table in cells.
         peers: whether there are several peers, so that the table needs a column for them.
         grouped: whether that column comes first, however narrow the table is.
         calls: whether the table has more than topics.

@@ -1,4 +1,4 @@
-"""The details of the route under the cursor: why it does not flow, and what became of its messages or calls."""
+"""The details of the route under the cursor: the reason why it does not flow, and the ledger of messages or calls."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _OVER = {
     "succeeded": (DONE, "ok"), "canceled": (UNKNOWN, "dim"), "aborted": (FAILED, "down"), "rejected": (FAILED, "stale"),
 }  # fmt: skip
 _NOT_KNOWN = "unknown"
-"""What became of it: its server has gone, say."""
+"""State of a goal whose end is unknown, for instance because its server has gone."""
 
 
 class DetailPane(LiveLines, can_focus=True):
@@ -40,17 +40,17 @@ class DetailPane(LiveLines, can_focus=True):
 
     @property
     def line_count(self) -> int:
-        """How many lines the topic's details take."""
+        """Number of lines of the topic's details."""
         return len(self._lines)
 
     def line(self, index: int) -> Line:
         return self._lines[index]
 
     def show(self, route: RouteSnapshot | None, peer: str = "") -> None:
-        """Show a topic. If it is another one than before, scroll to its first line.
+        """Show a topic. If the topic changed, scroll to its first line.
 
         Args:
-            route: the topic's route; None: no topic is selected.
+            route: the topic's route, or None without a selection.
             peer: the other side's name or address.
         """
         if (route and route.key) != (self._route and self._route.key):
@@ -82,12 +82,12 @@ class DetailPane(LiveLines, can_focus=True):
 
 
 def detail_lines(route: RouteSnapshot, peer: str, width: int) -> Iterator[Line]:
-    """Lay out the details of a topic, or of what has calls.
+    """Lay out the details of a topic, a service, an action or parameters.
 
     Args:
         route: the topic's route.
         peer: the other side's name or address.
-        width: of the pane, cells.
+        width: width of the pane in cells.
     """
     if isinstance(route, PatternRow):
         return _pattern_lines(route, width)
@@ -164,13 +164,13 @@ def _figures(route: RouteSnapshot, width: int) -> Iterator[Line]:
 
 
 def call_lines(route: RouteSnapshot, calls: CallsSnapshot, peer: str, width: int) -> Iterator[Line]:
-    """Lay out the details of what has calls.
+    """Lay out the details of a service, an action or parameters.
 
     Args:
-        route: what it is about.
+        route: route to describe.
         calls: its calls.
         peer: the other side's name or address.
-        width: of the pane, cells.
+        width: width of the pane in cells.
     """
     yield from parts.heading(route, "call", width)
     yield from parts.crossing(route, f"{f'{OUT} answered by' if route.outgoing else f'{IN} called by'} {peer}", width)
@@ -192,7 +192,7 @@ def call_lines(route: RouteSnapshot, calls: CallsSnapshot, peer: str, width: int
 
 
 def _calls_ledger(calls: CallsSnapshot) -> Iterator[Line]:
-    """The ledger. The share answered is of what is not still under way."""
+    """Yield the ledger of calls. The share answered leaves out pending calls."""
     rows = [
         ("asked", calls.asked, "", ""),
         ("answered", calls.answered, "", parts.share(calls.answered, calls.asked - calls.in_flight)),
@@ -208,7 +208,7 @@ def _calls_ledger(calls: CallsSnapshot) -> Iterator[Line]:
 
 
 def _goals(goals: Sequence[GoalSnapshot], width: int) -> Iterator[Line]:
-    """Those that are not over first, as they come."""
+    """Yield the goals: pending ones first, in order of arrival."""
     under_way = sum(goal.state not in (*_OVER, _NOT_KNOWN) for goal in goals)
     yield ((" Goals", "head"), (f"  {under_way} under way", "strong"))
     for goal in goals[:_MOST_GOALS]:

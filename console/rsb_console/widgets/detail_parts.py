@@ -44,12 +44,12 @@ class DetailText(Wording):
 
 
 def heading(route: RouteSnapshot, last: str, width: int) -> Iterator[Line]:
-    """State, arming, and why it is not fine.
+    """Yield the state, the arming and the reason of a fault.
 
     Args:
-        route: what it is about.
-        last: what came last: ``message``.
-        width: of the pane, cells.
+        route: route to describe.
+        last: word for the last arrival: ``message``.
+        width: width of the pane in cells.
     """
     look = route.state.value
     yield (
@@ -75,7 +75,7 @@ def acknowledged_by(record: Acknowledgement) -> str:
 
 
 def _until(arming: ArmingSnapshot) -> str:
-    """The conditions that disarm it."""
+    """Return the conditions that disarm it."""
     if not arming.deadman:
         return "until it is disarmed, the link drops or that console ends"
     return f"until no key is pressed on that console for {arming.deadman:g} s"
@@ -89,12 +89,12 @@ def carrier_of(route: RouteSnapshot) -> str:
 
 
 def crossing(route: RouteSnapshot, way: str, width: int) -> Iterator[Line]:
-    """The type, where it goes, what carries it, its name there, and the pattern that it matches.
+    """Yield the type, the direction, the transport, the name on the other side and the pattern.
 
     Args:
-        route: what it is about.
-        way: from or to whom.
-        width: of the pane, cells.
+        route: route to describe.
+        way: direction and peer in words.
+        width: width of the pane in cells.
     """
     yield ((f" {_type(route)}", "strong" if route.type_name else "dim"),)
     carrier = carrier_of(route)
@@ -107,20 +107,20 @@ def crossing(route: RouteSnapshot, way: str, width: int) -> Iterator[Line]:
 
 
 def _type(route: RouteSnapshot) -> str:
-    """The type, as far as the bridge knows it. Types of parameters are ROS's own."""
+    """Return the type, if the bridge knows it. Parameters have ROS's own types."""
     if route.type_name or route.spec.type != AUTO:
         return route.type_name or f"{route.spec.type} (as configured)"
     return DetailText.ALL_PARAMETERS() if route.spec.kind == "parameters" else DetailText.UNKNOWN_TYPE()
 
 
 def stages(route: RouteSnapshot, question: str, nothing: str, width: int) -> Iterator[Line]:
-    """The stages: those passed on one line, the first that fails with its reason, and the others on one line.
+    """Yield the stages: those passed on one line, the first that fails with its reason, and the others on one line.
 
     Args:
-        route: whose they are.
-        question: that they answer where it does not work.
-        nothing: what is so where all have passed, and it does not work any more.
-        width: of the pane, cells.
+        route: route with the stages.
+        question: question that they answer if it does not work.
+        nothing: text for a route that passed all stages but no longer works.
+        width: width of the pane in cells.
     """
     of_route = route.stages
     waiting = [index for index, stage in enumerate(of_route) if not stage.done]
@@ -149,19 +149,19 @@ def _listed(sign: str, look: str, of_route: Sequence[Stage], width: int) -> Iter
 
 
 def wrapped(text: str, width: int, look: str) -> Iterator[Line]:
-    """A text over as many lines as it takes."""
+    """Wrap a text over as many lines as it takes."""
     for line in textwrap.wrap(text, max(10, width - 3)):
         yield ((f"   {line}", look),)
 
 
 def plot(route: RouteSnapshot, title: str, unit: str, width: int) -> Iterator[Line]:
-    """The rate now, and a curve of the last seconds.
+    """Yield the present rate and a curve of the last seconds.
 
     Args:
-        route: whose rate.
-        title: of it.
-        unit: of it.
-        width: of the pane, cells.
+        route: route with the rate.
+        title: title of the curve.
+        unit: unit of the rate.
+        width: width of the pane in cells.
     """
     cells = max(1, min(width - 2, 60))
     shown = route.history[-2 * cells :]
@@ -178,11 +178,11 @@ def plot(route: RouteSnapshot, title: str, unit: str, width: int) -> Iterator[Li
 
 
 def ledger(title: str, rows: Sequence[tuple[str, int, str, str]]) -> Iterator[Line]:
-    """Counts, one a line.
+    """Yield counts, one a line.
 
     Args:
-        title: above them.
-        rows: of each its name, the count, its look where it is not 0, and what stands behind it.
+        title: title above them.
+        rows: name, count, style if the count is not 0, and a remark for each line.
     """
     yield ((f" {title}", "head"),)
     name_width = max(LABEL, *(len(name) for name, _, _, _ in rows)) + 1
@@ -195,24 +195,24 @@ def ledger(title: str, rows: Sequence[tuple[str, int, str, str]]) -> Iterator[Li
 
 
 def share(part: int, whole: int) -> str:
-    """A part in percent, or an empty string if the whole is 0."""
+    """Format a part in percent, or return an empty string if the whole is 0."""
     return f"  {100 * part / whole:.1f} %" if whole > 0 else ""
 
 
 def throughput(route: RouteSnapshot, width: int) -> Iterator[Line]:
-    """The bytes now, and in all."""
+    """Format the present byte rate and the total."""
     total = f"{formats.thousands(route.bytes_total)} in all"
     yield from figure("bytes", [f"{formats.byte_rate(route.bytes_per_second)},", total], width)
 
 
 def nodes(name: str, of_route: Sequence[str], width: int) -> Iterator[Line]:
-    """The known nodes at one end of the route."""
+    """Yield the known nodes at one end of the route."""
     if of_route:
         yield from figure(name, [f"{node}," for node in of_route[:-1]] + [of_route[-1]], width)
 
 
 def figure(name: str, pieces: Sequence[str], width: int) -> Iterator[Line]:
-    """A named figure, wrapped to the pane's width. A piece that fits on a line is not broken."""
+    """Yield a named figure, wrapped to the pane's width without breaking pieces that fit on a line."""
     room = max(10, width - LABEL - 2)
     text = " ".join(pieces)
     if len(text) <= room:  # the usual case, at every refresh
@@ -224,5 +224,5 @@ def figure(name: str, pieces: Sequence[str], width: int) -> Iterator[Line]:
 
 
 def labelled(name: str, text: str) -> Line:
-    """A named figure on one line."""
+    """Format a named figure on one line."""
     return ((f" {name:<{LABEL}} ", "dim"), (text, ""))

@@ -25,7 +25,7 @@ _OWN_NAME = "\0"
 _DURATION = re.compile(r"\b\d+ (?:s|min|h)\b")
 """Durations, which differ a little between topics that failed together."""
 _KEEPS_HEIGHT = 10.0
-"""s for which a fault keeps its number of lines, as a figure with one more digit may wrap differently."""
+"""Seconds for which a fault keeps its number of lines, as a figure with one more digit may wrap differently."""
 _SHOWN_WHILE_WAITING = (Cause.TYPE_UNKNOWN, Cause.SIMILAR_NAME)
 """Causes for which a waiting topic is shown here. One that merely has no publisher yet is not."""
 
@@ -35,13 +35,13 @@ class Fault:
     """One fault of a link or a topic.
 
     Attributes:
-        sign: of its state.
-        look: of that sign.
-        robot: whose topic it is, where there are several robots; or empty.
+        sign: sign of its state.
+        look: style of the sign.
+        robot: robot of the topic if there are several robots, or empty.
         name: the link's, or the topic's.
         cause: in words.
         of_link: whether it is a link's.
-        others: names of others with the same cause, apart from names and durations.
+        others: names of others with the same cause, ignoring names and durations.
         measured: whether the cause has figures that change all the time, so that no other fault shares it for long.
     """
 
@@ -61,21 +61,20 @@ class Fault:
 
     @property
     def text(self) -> str:
-        """All in one sentence."""
         robot = f"{self.robot}: " if self.robot else ""
         too = f" (also {join_first(self.others, _NAMED)})" if self.others else ""
         return f"{robot}{self.name}: {self.cause}{too}"
 
 
 class MoreKeys(NamedTuple):
-    """What to press to see the faults that there is no room for: those of links, and those of topics."""
+    """The keys that show the faults without room in the pane: one for links and one for topics."""
 
     links: str
     topics: str
 
 
 class FaultLines(LiveLines):
-    """The faults, the worst first, each in whole sentences; and how many more there are than fit."""
+    """The faults, the worst first, each in whole sentences, and the number of faults that do not fit."""
 
     can_focus = False
 
@@ -101,7 +100,7 @@ class FaultLines(LiveLines):
         Args:
             faults: the worst first.
             most: lines that fit.
-            keys: that show the others.
+            keys: keys that show the others.
             now: s, the time of the snapshot.
         """
         self._faults, self._most, self._keys, self._now = faults, most, keys, now
@@ -151,11 +150,11 @@ def fault_lines(
     """Return the lines of as many whole faults as fit; the first one is cut if it is too long by itself.
 
     Args:
-        faults: the worst first.
+        faults: faults, the worst first.
         width: cells.
         most: lines.
-        keys: that show what there is no room for.
-        heights: lines that each fault takes at least, or None.
+        keys: keys that show the remaining faults.
+        heights: least number of lines for each fault, or None.
     """
     wrapped = [_wrapped(fault, width, heights.of(fault) if heights else 0) for fault in faults[:most]]
     if len(faults) <= most and sum(map(len, wrapped)) <= most:
@@ -183,14 +182,14 @@ def _cut(line: Line, width: int) -> Line:
 
 
 def _how_many_more(faults: list[Fault], keys: MoreKeys) -> str:
-    """How many faults there is no room for, and what to press to see them."""
+    """Return the line with the number of faults that do not fit, and the keys that show them."""
     press = [keys.links] * any(fault.of_link for fault in faults)
     press += [keys.topics] * any(not fault.of_link for fault in faults)
     return f"and {sum(1 + len(fault.others) for fault in faults)} more: press {' or '.join(press)}"
 
 
 def faults_of(snapshot: Snapshot) -> list[Fault]:
-    """What is wrong: links, then topics, the worst first; then what waits. What a link explains is not repeated."""
+    """Return the faults of links, then of topics, the worst first, then waits; none that a link explains."""
     if not snapshot.running:
         return []
     alike: dict[tuple[str, str, str, bool], list[Fault]] = {}
@@ -203,7 +202,7 @@ def faults_of(snapshot: Snapshot) -> list[Fault]:
 
 
 def _link_faults(snapshot: Snapshot) -> Iterator[Fault]:
-    """The header shows a single link that waits."""
+    """Return the faults of links, without a single waiting link, which the header shows."""
     single = len(snapshot.links) == 1
     for link in sorted(snapshot.links, key=lambda link: (link.state.rank, link.name)):
         if link.acknowledged is not None:
@@ -245,7 +244,7 @@ def _reason(route: RouteSnapshot) -> str:
 
 
 def link_fault(link: LinkSnapshot, *, server: bool) -> str:
-    """Format what is wrong with a link; on a server, who should be there and is not."""
+    """Format the fault of a link; on a server, name the missing client."""
     since = formats.time_of_day(link.since)[:5]
     if link.state is State.OK:
         return link.warning

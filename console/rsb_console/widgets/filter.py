@@ -36,8 +36,8 @@ class _Term(NamedTuple):
     """One term of a filter.
 
     Attributes:
-        column: to search, or an empty string for all columns.
-        regex: to search for.
+        column: column to search, or an empty string for all columns.
+        regex: expression to search for.
         excludes: whether it must not match.
     """
 
@@ -54,7 +54,7 @@ class Pattern:
     otherwise all. A term without text, such as a single ``!``, is ignored.
 
     Attributes:
-        text: as typed, without the slash.
+        text: typed text without the slash.
     """
 
     text: str
@@ -101,7 +101,7 @@ def _term(typed: str) -> _Term | None:
 
 
 class Prompt(Horizontal):
-    """``/`` and an input. What is typed filters at once; enter keeps it, escape takes it back.
+    """``/`` and an input. Typing filters at once; enter keeps the filter, escape restores the previous one.
 
     Args:
         columns: those by whose name one may look, as a hint.
@@ -117,7 +117,7 @@ class Prompt(Horizontal):
             self.pattern = pattern
 
     class Closed(Message):
-        """The operator is done with it."""
+        """The operator has left the prompt."""
 
     def __init__(self, columns: str = "state: kind: robot: type: via: why:") -> None:
         super().__init__(id="prompt")
@@ -126,13 +126,13 @@ class Prompt(Horizontal):
         self._before = ""
 
     def compose(self) -> ComposeResult:
-        """The slash, the input, and room for what is wrong."""
+        """Compose the slash, the input, and room for its problem."""
         yield Static(" /", id="sign")
         yield Input(id="pattern", placeholder=f"terms that match, !terms that do not; {self._columns}")
         yield Static("", id="problem", classes="problem")
 
     def open(self, text: str) -> None:
-        """Ask for a filter, beginning with `text`. The focus moves at once: what is typed next is meant for it."""
+        """Ask for a filter, beginning with `text`. The focus moves at once, so that no key is lost."""
         self._before = text
         self.display = True
         field = self.query_one(Input)
@@ -142,7 +142,6 @@ class Prompt(Horizontal):
         self.screen.set_focus(field)
 
     def on_input_changed(self, event: Input.Changed) -> None:
-        """Filter by the current input."""
         event.stop()
         problem = self.query_one("#problem", Static)
         try:

@@ -43,7 +43,7 @@ ROBOT_LOOK = {
     RobotState.WAITING: "waiting",
     RobotState.OK: "ok",
 }
-"""As of the states of topics that are as bad."""
+"""Styles of robots' states, as for topics' states of the same severity."""
 LOW_BATTERY = 0.2
 HIGH_LOSS = 0.05
 
@@ -80,14 +80,14 @@ def why(row: Row) -> str:
 
 
 def _since(row: Row) -> float:
-    """How long it has been so, or, if it is not there, when it was seen last, s ago."""
+    """Return the seconds in the present state or, for a missing robot, since it was last seen."""
     summary = row.robot.summary
     since = summary.since if summary.state is not RobotState.MISSING or summary.seen is None else summary.seen
     return max(0.0, row.now - since)
 
 
 def percent(share: float) -> str:
-    """A share of 1 in at most four characters: ``12%``, ``0.3%``, ``0``."""
+    """Format a share of 1 in at most four characters: ``12%``, ``0.3%``, ``0``."""
     return "0" if share == 0 else f"{share:.1%}" if share < 0.00995 else f"{share:.0%}"
 
 
@@ -145,7 +145,7 @@ DIM = frozenset({NAME, SERVER, GROUP})
 
 @cache
 def layout(width: int, *, servers: bool, grouped: bool) -> tuple[tuple[Column[Row], int], ...]:
-    """The columns that fit, each with its width in cells.
+    """Return the columns that fit, each with its width in cells.
 
     Args:
         width: cells.
@@ -161,7 +161,6 @@ def layout(width: int, *, servers: bool, grouped: bool) -> tuple[tuple[Column[Ro
 
 
 def cell(column: Column[Row], row: Row, text: str) -> str:
-    """The look of a cell."""
     summary = row.robot.summary
     if column in {STATE, SIGN}:
         return ROBOT_LOOK[summary.state]
@@ -181,17 +180,17 @@ _EDGE = 2  # cells: the cursor, and the mark
 
 @dataclass
 class FleetView:
-    """What the operator has made of the table. It outlives the screen, which closes while a robot's console is open.
+    """The operator's settings of the table. They outlive the screen, which closes while a robot's console is open.
 
     Attributes:
-        cursor: the key under the cursor; None: it has not been moved.
+        cursor: the key under the cursor, or None before it has moved.
         pattern: the filter.
-        faults_only: show only what is wrong.
+        faults_only: show only robots with a fault.
         grouped: keep the robots of a group together.
         folded: groups of which only the heading is shown.
-        marked: keys of robots.
-        sort_column: by which it is sorted.
-        reversed: the other way round.
+        marked: keys of the marked robots.
+        sort_column: column to sort by.
+        reversed: whether the order is reversed.
     """
 
     cursor: str | None = None
@@ -205,10 +204,10 @@ class FleetView:
 
 
 class FleetTable(SelectableList):
-    """One line a robot, and one for each group. The cursor stays on its robot when the order changes.
+    """One line for each robot and each group. The cursor stays on its robot when the order changes.
 
     Args:
-        view: what the operator has made of it.
+        view: the operator's settings of the table.
     """
 
     sticky = 1
@@ -226,10 +225,10 @@ class FleetTable(SelectableList):
     # -- what is listed -----------------------------------------------------------------------------------------------
 
     def show(self, fleet: Fleet, now: float) -> None:
-        """Show the robots as they are now.
+        """Show the present state of the robots.
 
         Args:
-            fleet: of them.
+            fleet: fleet of the robots.
             now: s since the epoch.
         """
         self.rows = {robot.key: Row(robot, fleet.rates(robot), now) for robot in fleet.robots()}
@@ -248,7 +247,7 @@ class FleetTable(SelectableList):
         if self.grouped:
             for row in shown:
                 self._groups.setdefault(row.robot.summary.group, []).append(row)
-            # A group stands where it is sought, whatever happens to its robots; those of no group stand last.
+            # A group keeps its place even if the state of its robots changes; robots without a group come last.
             keys = []
             for group in sorted(self._groups, key=lambda name: (not name, name)):
                 keys.append(f"{_GROUP}{group}")
@@ -293,7 +292,6 @@ class FleetTable(SelectableList):
 
     @property
     def selected(self) -> Robot | None:
-        """The robot under the cursor."""
         row = self.rows.get(self.cursor_key or "")
         return None if row is None else row.robot
 
@@ -314,7 +312,7 @@ class FleetTable(SelectableList):
 
     @property
     def meant(self) -> list[Robot]:
-        """The robots that an action is about: those that are marked, else the one under the cursor, or its group's."""
+        """The robots that an action affects: the marked ones, or the one under the cursor, or its group's."""
         if self.view.marked:
             return [row.robot for row in self.rows.values() if row.robot.key in self.view.marked]
         if (group := self.selected_group) is not None:
@@ -322,7 +320,7 @@ class FleetTable(SelectableList):
         return [] if self.selected is None else [self.selected]
 
     def mark(self) -> None:
-        """Mark what is under the cursor, or take the mark away; of a group, of all that are shown."""
+        """Mark or unmark the robot under the cursor, or all shown robots of a group."""
         if (group := self.selected_group) is not None:
             keys = {row.robot.key for row in self._groups.get(group, ())}
         else:
@@ -377,7 +375,7 @@ class FleetTable(SelectableList):
 
     @property
     def line_count(self) -> int:
-        """The heading and a line a robot or a group, or the lines that say why there is none."""
+        """Number of lines: the heading and the robots and groups, or a text for an empty table."""
         return self.sticky + (len(self.keys) or len(self._empty))
 
     def is_cursor(self, index: int) -> bool:
@@ -430,7 +428,7 @@ def _cell(column: Column[Row], row: Row, width: int) -> tuple[str, str]:
 
 
 def state_counts(robots: Iterable[Robot]) -> Line:
-    """How many are in each state, the worst first."""
+    """Return the number of robots in each state, the worst first."""
     counts = Counter(robot.summary.state for robot in robots)
     return tuple(
         (f"  {counts[state]} {ROBOT_SIGN[state]} {ROBOT_WORD[state]}", ROBOT_LOOK[state])
@@ -456,7 +454,7 @@ class FleetStatus(LiveLines):
         return fit(self._lines[index], self.width)
 
     def show(self, table: FleetTable, fleet: Fleet, *, readonly: bool) -> None:
-        """Show the state of all robots, even of those that the filter hides."""
+        """Show the state of all robots, even if the filter hides some."""
         robots = [row.robot for row in table.rows.values()]
         names = ", ".join(source.name for source in fleet.sources)
         # Over Zenoh a server is a line, too: what crosses its links is counted where its clients are.
@@ -504,11 +502,11 @@ class RobotDetail(LiveLines):
         return fit(self._lines[index], self.width)
 
     def show(self, title: str, rows: Sequence[Row]) -> None:
-        """Show a robot, or those of a group with something wrong.
+        """Show a robot, or the faulty robots of a group.
 
         Args:
-            title: its name.
-            rows: the worst first.
+            title: name of the robot or the group.
+            rows: rows, the worst first.
         """
         if len(rows) == 1:
             self._lines = list(_detail(rows[0], max(20, self.size.width)))
@@ -532,7 +530,7 @@ def _in_a_line(row: Row) -> Line:
 def _detail(row: Row, width: int) -> Iterator[Line]:
     summary = row.robot.summary
     sign = (f" {ROBOT_SIGN[summary.state]} {ROBOT_WORD[summary.state]} ", ROBOT_LOOK[summary.state])
-    why = summary.why or ("it has not been here yet" if summary.seen is None else "nothing is wrong")
+    why = summary.why or ("never connected" if summary.seen is None else "nothing is wrong")
     since = f"for {formats.clock(row.now - summary.since)}: " if summary.since else ""
     wrapped = textwrap.wrap(f"{since}{why}", max(10, width - len(sign[0]) - 1), max_lines=2, placeholder=" …")
     for number, text in enumerate(wrapped or [""]):
@@ -555,5 +553,5 @@ def _detail(row: Row, width: int) -> Iterator[Line]:
     if summary.battery is not None:
         figures.append(f"battery {summary.battery.charge:.0%}, {formats.age(row.now - summary.battery.time)} ago")
     if row.robot.gone:
-        figures = ["it is only remembered: dismiss it, or wait for it"]
+        figures = ["not connected now: dismiss it, or wait for it"]
     yield ((f" {' · '.join(figures)}", "dim"),)

@@ -27,13 +27,13 @@ class Spec:
     """One field of a form.
 
     Attributes:
-        key: names its value.
-        label: stands before it.
+        key: key of its value.
+        label: label to its left.
         help: one or two lines, shown while the field has the focus.
-        value: at first.
-        blank: what an empty field means, shown in it.
-        options: value and label of each, for a choice; empty: text.
-        edited: the value is more often changed than replaced, as a path is.
+        value: initial value.
+        blank: meaning of an empty field, shown in it.
+        options: value and label of each choice, or empty for a text field.
+        edited: whether operators usually edit the value rather than replace it, as with a path.
     """
 
     key: str
@@ -65,18 +65,18 @@ class Field(Vertical):
     """A label, an input or a choice, and its problem.
 
     Attributes:
-        spec: what it is.
-        problem: what is wrong with the value.
-        note: what else is to be known of it.
+        spec: definition of the field.
+        problem: problem of the value.
+        note: further note about the value.
         touched: the operator has typed or chosen here; mistakes are shown only then.
         position: in the form, from the top.
     """
 
     class Changed(Message):
-        """Another value stands in a field.
+        """The value of a field changed.
 
         Attributes:
-            field: which.
+            field: the field.
         """
 
         def __init__(self, field: Field) -> None:
@@ -99,7 +99,7 @@ class Field(Vertical):
         self.note = Notice("hint note")
 
     def compose(self) -> ComposeResult:
-        """Label and control beside each other, what is to be said about the value beneath."""
+        """Compose the label and the control side by side, with notes about the value below."""
         with Horizontal():
             yield self._label
             yield self.control
@@ -108,7 +108,7 @@ class Field(Vertical):
 
     @property
     def _focus_sort_key(self) -> tuple[int, int]:
-        """The order in which tab comes to it (Textual's).
+        """Its place in the order of the tab key (Textual's).
 
         Textual orders widgets by their place on the screen. A field that has just appeared has none yet and would come
         before all others, so that fast typing would go to it.
@@ -116,7 +116,7 @@ class Field(Vertical):
         return self.position, 0
 
     def describe(self, spec: Spec) -> None:
-        """Take another label, help and options, of the same key; the value stays, unless it is no option any more."""
+        """Take another label, help and options for the same key; the value stays if it is still an option."""
         self.spec = spec
         self._label.update(spec.label)
         if isinstance(self.control, Choice):
@@ -156,7 +156,7 @@ class Form(VerticalScroll, can_focus=False):
     """Fields, one below the other. Arrows and tab move between them, enter submits.
 
     Args:
-        fields: from the top.
+        fields: fields from the top.
     """
 
     BINDINGS: ClassVar = [
@@ -186,7 +186,7 @@ class Form(VerticalScroll, can_focus=False):
         return {key: field.value for key, field in self.fields.items() if field.styles.display != "none"}
 
     def show_problems(self, problems: Mapping[str, str]) -> None:
-        """Show what is wrong now: with a field beneath it, else beneath the form.
+        """Show the problems, a field's below the field, others below the form.
 
         Args:
             problems: messages by the field's key; another key is about the form as a whole.
@@ -215,7 +215,6 @@ class Form(VerticalScroll, can_focus=False):
         return next(iter(wrong), None)
 
     def on_descendant_focus(self, event: DescendantFocus) -> None:
-        """Show the focused field's help."""
         for position, field in enumerate(self.fields.values()):
             if field.control is event.widget:
                 self.help.set_text(field.spec.help)
@@ -233,7 +232,7 @@ class Form(VerticalScroll, can_focus=False):
 
 
 class TextField(Field):
-    """As `Field`, of several lines."""
+    """A field with several lines of text."""
 
     def __init__(self, spec: Spec) -> None:
         super().__init__(spec)

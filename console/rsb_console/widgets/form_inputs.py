@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 AT_MOST = 5.0  # s that a form ignores input if no result is ever shown
 LEAVING = ("escape", "ctrl+c")
 _SAME_WORD = 1.0
-"""s after which a typed letter begins a new word."""
+"""Seconds after which a typed letter begins a new word."""
 
 
 class InputGuard:
@@ -39,7 +39,7 @@ class InputGuard:
         self._until = 0.0
 
     def end(self) -> None:
-        """The result is shown."""
+        """Stop guarding, as the result is shown."""
         self._until = time.monotonic()
 
     def covers(self, event: Message) -> bool:
@@ -58,7 +58,7 @@ class FieldInput(Input):
 
     Args:
         value: at first.
-        blank: what an empty one means.
+        blank: meaning of an empty field.
         edited: the focus comes to its end; else what is typed then replaces it.
     """
 
@@ -109,12 +109,11 @@ class TextInput(TextArea):
         super().__init__(value, placeholder=blank, compact=True, highlight_cursor_line=False)
 
     async def _on_paste(self, event: events.Paste) -> None:
-        """Textual calls TextArea's own, too, which would let the event come back by way of the screen."""
+        """Stop the event: Textual also calls TextArea's handler, which would return it through the screen."""
         event.stop()
 
     @property
     def value(self) -> str:
-        """The text."""
         return self.text
 
     @value.setter
@@ -149,7 +148,7 @@ class Choice(Widget, can_focus=True):
         """Enter was pressed."""
 
     class Mistyped(Message):
-        """The typed text is the beginning of no option.
+        """The typed text matches the beginning of no option.
 
         Attributes:
             text: the typed text.
@@ -171,7 +170,7 @@ class Choice(Widget, can_focus=True):
         self.set_reactive(Choice.value, value or self._options[0][0])
 
     def offer(self, options: Sequence[tuple[str, str]]) -> None:
-        """Have other options; one that is there no longer gives way to the first."""
+        """Replace the options; choose the first if the present choice is gone."""
         if tuple(options) != self._options:
             self._options = tuple(options)
             if self.value not in dict(options):
@@ -186,7 +185,7 @@ class Choice(Widget, can_focus=True):
         return [value for value, _ in self._options].index(self.value)
 
     def action_choose(self, step: int) -> None:
-        """Choose the option `step` places on, round the end."""
+        """Choose the option `step` places further, wrapping around."""
         self.value = self._options[(self._at + step) % len(self._options)][0]
 
     def on_key(self, event: events.Key) -> None:

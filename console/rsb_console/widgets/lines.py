@@ -30,7 +30,7 @@ LOOKS = (
 
 
 def look_class(look: str) -> str:
-    """The CSS component class of a look."""
+    """Return the CSS component class of a look."""
     return f"line--{look}"
 
 
@@ -57,7 +57,7 @@ class LiveLines(ScrollView):
 
     @property
     def line_count(self) -> int:
-        """How many lines there are, the sticky ones included."""
+        """Number of lines, including the sticky ones."""
         raise NotImplementedError
 
     def line(self, index: int) -> Line:
@@ -69,11 +69,11 @@ class LiveLines(ScrollView):
         return False
 
     def index_at(self, y: int) -> int:
-        """The line at screen row `y` of this pane."""
+        """Return the line at screen row `y` of this pane."""
         return y if y < self.sticky else y + self._top
 
     def sync(self) -> None:
-        """Redraw what differs from what is on screen."""
+        """Redraw the lines that differ from the screen."""
         yield_gil()
         self.measure_lines()
         self._measure()
@@ -86,7 +86,7 @@ class LiveLines(ScrollView):
                 self.refresh(Region(0, y, changed_width(old, new, width), 1))
 
     def measure_lines(self) -> None:
-        """Make the scrollable height that of all lines."""
+        """Set the scrollable height to that of all lines."""
         size = Size(0, self.line_count)
         if size != self.virtual_size:
             self.virtual_size = size
@@ -106,7 +106,7 @@ class LiveLines(ScrollView):
         return super().refresh(*regions, repaint=repaint, layout=layout, recompose=recompose)
 
     def notify_style_update(self) -> None:
-        """Forget how the looks look (Textual's)."""
+        """Forget the cached styles (Textual's)."""
         self._looks.clear()
         super().notify_style_update()
 
@@ -155,12 +155,12 @@ def yield_gil() -> None:
 
 
 def changed_width(old: Line, new: Line, width: int) -> int:
-    """The cells from the left edge beyond which two lines look the same; Textual draws from a pane's left edge anyway.
+    """Return how many cells from the left edge two lines differ; Textual draws from a pane's left edge anyway.
 
     Args:
-        old: what is on screen.
-        new: what is to be there.
-        width: of the pane.
+        old: the line on screen.
+        new: the new line.
+        width: width of the pane.
     """
     cells = width_of(new)
     if width_of(old) != cells:
@@ -177,7 +177,7 @@ def width_of(line: Line) -> int:
 
 
 def fit(line: Line, width: int) -> Line:
-    """`line` cut to `width` cells, with an ellipsis where something is missing."""
+    """Cut `line` to `width` cells, with an ellipsis in place of the missing part."""
     if width_of(line) <= width:
         return line
     kept: list[tuple[str, str]] = []
@@ -192,7 +192,7 @@ def fit(line: Line, width: int) -> Line:
 
 
 def fit_middle(text: str, width: int) -> str:
-    """`text` cut to `width` cells in its middle: names that begin alike often differ at their ends."""
+    """Cut `text` to `width` cells in its middle: names that begin alike often differ at their ends."""
     if cell_len(text) <= width:
         return text
     tail = clip(text[::-1], (width - 1) // 2)[::-1]
@@ -200,7 +200,7 @@ def fit_middle(text: str, width: int) -> str:
 
 
 def clip(text: str, width: int) -> str:
-    """The start of `text` that fits into `width` cells."""
+    """Return the start of `text` that fits into `width` cells."""
     if text.isascii():
         return text[: max(0, width)]
     while cell_len(text) > max(0, width):
@@ -209,7 +209,7 @@ def clip(text: str, width: int) -> str:
 
 
 class ScrolledLines(LiveLines, can_focus=True):
-    """Some lines that are replaced as a whole."""
+    """Lines that are replaced as a whole."""
 
     BINDINGS: ClassVar = [
         Binding("j", "scroll_down", show=False),
@@ -224,7 +224,6 @@ class ScrolledLines(LiveLines, can_focus=True):
 
     @property
     def line_count(self) -> int:
-        """As many as there are."""
         return len(self._lines)
 
     def line(self, index: int) -> Line:

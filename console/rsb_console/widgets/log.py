@@ -39,7 +39,6 @@ class LogPane(SelectableList):
         """Cells of a line that no scrollbar covers."""
 
     def add(self, events: Iterable[Event]) -> None:
-        """Append `events`, oldest first."""
         events = list(events)
         if events:
             self.events.extend(events)
@@ -47,7 +46,6 @@ class LogPane(SelectableList):
 
     @property
     def follows_top(self) -> bool:
-        """At the top it follows."""
         return self.position == 0
 
     def clear(self) -> None:
@@ -81,7 +79,7 @@ class LogPane(SelectableList):
         self.relist()
 
     def next_match(self, step: int) -> None:
-        """To the next line, or without a filter to the next warning or error."""
+        """Move to the next line, or without a filter to the next warning or error."""
         shown = list(self._shown.values())
         position = self.position + step
         while 0 <= position < len(shown):
@@ -100,13 +98,13 @@ class LogPane(SelectableList):
         return list(self._shown.values())[::-1]
 
     def on_blur(self) -> None:
-        """Back to the newest; not for the filter's prompt, nor when the terminal's window loses the focus."""
+        """Return to the newest line, except for the filter's prompt or when the terminal's window loses the focus."""
         super().on_blur()
         if isinstance(self.screen.focused, LiveLines):
             self.move_to(0)
 
     def is_cursor(self, index: int) -> bool:
-        """Only while the log has the focus."""
+        """Whether the cursor is on a line and the log has the focus."""
         return self.has_focus and super().is_cursor(index)
 
     def _measure(self) -> None:
@@ -126,10 +124,10 @@ class LogPane(SelectableList):
 
 
 def plain(event: Event) -> str:
-    """An event as one line of text."""
+    """Format an event as one line of text."""
     return f"{formats.time_of_day(event.time)} {WORD[event.level]:<5} {event.source:<6} {_named(event)}"
 
 
 def _named(event: Event) -> str:
-    """An event's text, with its link before it."""
+    """Return an event's text, with its link before it."""
     return f"{event.link}: {event.text}" if event.link and not event.text.startswith(f"{event.link}: ") else event.text

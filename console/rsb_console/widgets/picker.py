@@ -26,12 +26,12 @@ WHOLE = 1000  # cells in which nothing is cut
 
 
 class Suggestion(NamedTuple):
-    """One thing to pick.
+    """One suggestion.
 
     Attributes:
-        key: unlike all others.
-        value: what stands in the field once it is picked.
-        line: as it is listed in so many cells.
+        key: unique key.
+        value: value for the field once it is picked.
+        line: formats its line for a width in cells.
         fills: values for other fields of the form, by their keys.
     """
 
@@ -65,7 +65,7 @@ class SuggestionList(SelectableList, can_focus=False):
 
     @property
     def line_count(self) -> int:
-        """One for each suggestion, or the lines that say why there is none."""
+        """Number of lines: one for each suggestion, or a text for an empty list."""
         return len(self.keys) or len(self._empty_lines)
 
     @property
@@ -94,7 +94,7 @@ class PickField(Field):
     operator has gone into the list.
 
     Args:
-        spec: what it is.
+        spec: definition of the field.
         is_literal: whether a text is a value rather than something to look for.
     """
 
@@ -106,10 +106,10 @@ class PickField(Field):
     ]
 
     class Picked(Field.Changed):
-        """A suggestion was picked, or a text was kept as it stands.
+        """A suggestion was picked, or a text was kept as it is.
 
         Attributes:
-            suggestion: what was picked; None: the text in the field.
+            suggestion: the picked suggestion, or None for the text in the field.
         """
 
         def __init__(self, field: Field, suggestion: Suggestion | None) -> None:
@@ -136,7 +136,7 @@ class PickField(Field):
 
         Args:
             suggestions: in the order of the list.
-            empty: what to say where nothing matches the text that it is given.
+            empty: returns the text for an input without a match.
         """
         self._suggestions, self._empty = suggestions, empty
         self._relist()
@@ -147,7 +147,7 @@ class PickField(Field):
         self.list.show(self._suggestions, Pattern.or_plain(self.filter_text()), self._empty(self.value))
 
     def filter_text(self) -> str:
-        """The text that narrows the list of suggestions."""
+        """Return the text that narrows the list of suggestions."""
         return self.value
 
     @property
@@ -172,7 +172,6 @@ class PickField(Field):
         self.post_message(self.Picked(self, self.picked))
 
     def on_selectable_list_chosen(self) -> None:
-        """A second click picks too."""
         self.post_message(self.Picked(self, self.list.current))
 
     def action_move(self, step: int) -> None:

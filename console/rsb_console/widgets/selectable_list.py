@@ -59,7 +59,7 @@ class SelectableList(LiveLines, can_focus=True):
 
     @property
     def line_count(self) -> int:
-        """The heading and one line an item."""
+        """Number of lines: the heading and one for each item."""
         return self.sticky + len(self.keys)
 
     def is_cursor(self, index: int) -> bool:
@@ -108,7 +108,6 @@ class SelectableList(LiveLines, can_focus=True):
 
     @property
     def page(self) -> int:
-        """Items on screen."""
         return max(1, self.size.height - self.sticky)
 
     def action_move_down(self) -> None:
@@ -144,10 +143,10 @@ class SelectableList(LiveLines, can_focus=True):
             self.move_to(position)
 
     def heading_clicked(self, x: int) -> None:
-        """The heading was clicked, `x` cells from its left edge."""
+        """Handle a click on the heading, `x` cells from its left edge."""
 
     def on_focus(self) -> None:
-        """The cursor's line looks different in the focused pane."""
+        """Redraw the cursor's line, which looks different in the focused pane."""
         self._refresh_cursor()
 
     def on_blur(self) -> None:

@@ -1,4 +1,4 @@
-"""The table of what is bridged: topics, services, actions and nodes' parameters."""
+"""The table of bridged topics, services, actions and nodes' parameters."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ class TopicsTable(SelectableList):
 
     @property
     def line_count(self) -> int:
-        """The heading and a line per route, or the lines that say why there is no route."""
+        """Number of lines: the heading and a line for each route, or a text for an empty table."""
         return self.sticky + (len(self.keys) or len(self._empty))
 
     @property

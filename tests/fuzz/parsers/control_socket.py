@@ -19,8 +19,8 @@ from rsb_bridge.control.protocol import (
     Goodbye,
     Hello,
     History,
-    Look,
     Pause,
+    PollState,
     ProtocolError,
     Reply,
     Request,
@@ -81,7 +81,7 @@ _TO_BRIDGE = (
     Request(3, Restart()),
     Request(4, Topics()),
     Request(5, History(3600.0)),
-    Look(),
+    PollState(),
     Follow(7),
     Watch(),
 )
