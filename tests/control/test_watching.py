@@ -33,7 +33,7 @@ INFO = BridgeInfo("robot1", "client", "10.0.0.20:49152", 1, 0.0, "x", "0.1.0")
 class Taking:
     """A connection that takes everything at once."""
 
-    operator, only_looks, of_this_machine, closing = "anna", "", True, False
+    operator, read_only_reason, of_this_machine, closing = "anna", "", True, False
 
     def __init__(self) -> None:
         self.buffered = 0

@@ -4,28 +4,24 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-from typing import TYPE_CHECKING, Protocol, TypeAlias, TypeVar
+from typing import TYPE_CHECKING, Protocol
 
 import msgspec
 
 from rsb_bridge.api import EngineError, InvalidRequestError
 from rsb_bridge.control import protocol
 from rsb_bridge.control.features import FEATURES, known_features, knows_all, with_unknown_kept, without_unknown
-from rsb_bridge.control.protocol import CHANGING, ArmTopic, Bench, ProtocolError
+from rsb_bridge.control.protocol import ProtocolError
 from rsb_bridge.control.states import EncodedRoutes, Sender
-from rsb_bridge.model.benchmark import Outcome
 from rsb_bridge.model.command_origin import acting, on_console, undoing
-from rsb_bridge.model.history import HistoryReport
-from rsb_bridge.model.snapshot import PeekedMessage, Reloaded, TopicInfo
+from rsb_bridge.model.commands import ArmTopic, Right, Stop
 from rsb_bridge.model.wording import Wording
 from rsb_bridge.tasks import Tasks
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-    from concurrent.futures import Future
-
     from rsb_bridge.api import EngineApi
-    from rsb_bridge.control.protocol import BridgeInfo, Command, ToBridge, ToConsole
+    from rsb_bridge.control.protocol import BridgeInfo, ToBridge, ToConsole
+    from rsb_bridge.model.commands import AnyCommand
 
 _TICK = 0.25
 _HELLO_WITHIN = 5.0
@@ -56,7 +52,7 @@ class Connection(Protocol):
         ...
 
     @property
-    def only_looks(self) -> str:
+    def read_only_reason(self) -> str:
         """The reason this operator may change nothing, or an empty string."""
         ...
 
@@ -106,7 +102,7 @@ class ConsoleHost(Protocol):
         ...
 
     def stop_process(self) -> None:
-        """Do what `rsb_bridge.control.protocol.Stop` asks for."""
+        """End the process, as `rsb_bridge.model.commands.Stop` asks."""
         ...
 
 
@@ -135,8 +131,8 @@ class Console:
         self._watching = False
         self._summary = b""
         self._summed_at = float("-inf")
-        self._may_not = ""
-        self._refused: tuple[type, ...] = CHANGING
+        self._denied: dict[Right, str] = {}
+        """The reason that this console lacks a right, or an empty string; from the welcome on."""
         self._operator = ""
         self._welcomed = False
         self._tasks = Tasks(self._loop, self.abort)
@@ -162,7 +158,7 @@ class Console:
         if self._has_armed:
             self._has_armed = False
             with acting(self._operator), on_console(self):
-                self._engine.arming.release()
+                self._engine.release_armed()
 
     def send(self, message: ToConsole) -> None:
         """Hand a message to the connection, or keep it until that takes it."""
@@ -216,14 +212,14 @@ class Console:
             return
         self._welcomed = True
         self._operator = self._connection.operator
-        only_looks = self._connection.only_looks
-        self._may_not = only_looks or (RequestRefused.ATTACHED_READ_ONLY() if hello.read_only else "")
-        self._refused = (*CHANGING, Bench) if only_looks else CHANGING  # a measurement takes what a link carries
+        read_only = self._connection.read_only_reason
+        attached_read_only = RequestRefused.ATTACHED_READ_ONLY() if hello.read_only else ""
+        self._denied = {Right.MEASURE: read_only, Right.CHANGE: read_only or attached_read_only}
         self._features = known_features(hello.features)
         self._sender = Sender(self._features)
         if info.file is not None and self._hides_fields:
             info = msgspec.structs.replace(info, file=None)  # the console would save it without the hidden fields
-        self.send(protocol.Welcome(info, bool(self._may_not), FEATURES))
+        self.send(protocol.Welcome(info, bool(self._denied[Right.CHANGE]), FEATURES))
 
     @property
     def _hides_fields(self) -> bool:
@@ -232,8 +228,8 @@ class Console:
         return without_unknown(session, self._features) is not session
 
     def _request(self, request: protocol.Request) -> None:
-        if self._may_not and isinstance(request.command, self._refused):
-            self.send(protocol.Failed(request.id, RequestRefused.READ_ONLY(reason=self._may_not)))
+        if reason := self._denied.get(request.command.right):
+            self.send(protocol.Failed(request.id, RequestRefused.READ_ONLY(reason=reason)))
         elif self._requests >= protocol.REQUESTS_WAITING:
             self.send(protocol.Failed(request.id, RequestRefused.TOO_MANY_WAITING(count=protocol.REQUESTS_WAITING)))
         else:
@@ -247,20 +243,23 @@ class Console:
             command = with_unknown_kept(command, self._features, engine.snapshot(), engine.session)
         try:
             with acting(self._operator), undoing(request.undo), on_console(self):
-                answer = await _execute(
-                    command,
-                    engine,
-                    step=lambda text: self._step(request.id, text),
-                    stop_process=self._served.stop_process,
-                )
-            reply: ToConsole = _reply(request.id, answer)
+                result = await self._execute(request.id, command)
+            reply: ToConsole = protocol.reply(request.id, result)
         except EngineError as error:
             reply = protocol.Failed(request.id, str(error), isinstance(error, InvalidRequestError))
         finally:
             self._requests -= 1
-        if isinstance(request.command, CHANGING) and self._sender.sent is not None and self._buffered == 0:
+        if command.right is Right.CHANGE and self._sender.sent is not None and self._buffered == 0:
             await self._send_state()  # whoever waits for the command wants to see its effect
         self.send(reply)
+
+    async def _execute(self, request: int, command: AnyCommand) -> object:
+        done = asyncio.wrap_future(self._engine.do(command, lambda text: self._step(request, text)))
+        # The engine finishes most commands even if nobody waits for the result any more.
+        result = await (done if command.cancellable else asyncio.shield(done))
+        if isinstance(command, Stop):
+            self._served.stop_process()
+        return result
 
     def _step(self, request: int, text: str) -> None:
         """Tell a step of a restart; called on the engine's thread."""
@@ -335,90 +334,3 @@ class Console:
                 if state.more:
                     await asyncio.sleep(_PAUSE)
             encoded.keep_only(snapshot)
-
-
-def _reply(request: int, answer: Answer) -> protocol.Reply:
-    if isinstance(answer, Reloaded):
-        return protocol.Reply(request, reloaded=answer)
-    if isinstance(answer, HistoryReport):
-        return protocol.Reply(request, history=answer)
-    if isinstance(answer, Outcome):
-        return protocol.Reply(request, bench=answer)
-    return protocol.Reply(request, answer)
-
-
-T = TypeVar("T")
-Answer: TypeAlias = str | tuple[TopicInfo, ...] | PeekedMessage | Reloaded | HistoryReport | Outcome | None
-
-
-async def _execute(
-    command: Command, engine: EngineApi, *, step: Callable[[str], None], stop_process: Callable[[], None]
-) -> Answer:
-    """Have the engine do it.
-
-    Args:
-        command: what to do.
-        engine: does it.
-        step: is told each step of a restart, on the engine's thread.
-        stop_process: does what `rsb_bridge.control.protocol.Stop` asks for.
-
-    Raises:
-        EngineError: it does not.
-    """
-    match command:
-        case protocol.AddTopic():
-            return await _done(engine.add_topic(command.topic, command.link))
-        case protocol.EditTopic():
-            return await _done(engine.edit_topic(command.key, command.topic, drop_arm=command.drop_arm))
-        case protocol.RemoveTopic():
-            await _done(engine.remove_topic(command.key, drop_arm=command.drop_arm))
-        case protocol.Pause():
-            await _done(engine.pause(command.key, command.paused))
-        case protocol.Acknowledge():
-            await _done(engine.acknowledge(command.key, command.acknowledged, link=command.link))
-        case protocol.ArmTopic():
-            await _done(engine.arming.arm(command.key))
-        case protocol.DisarmTopic():
-            await _done(engine.arming.disarm(command.key))
-        case protocol.KeepArmed():
-            await _done(engine.arming.keep(pressed=command.pressed))
-        case protocol.ReleaseArmed():
-            await _done(engine.arming.release())
-        case protocol.AddClient():
-            await _done(engine.add_client(command.client))
-        case protocol.ChangeClient():
-            await _done(engine.change_client(command.client))
-        case protocol.RemoveClient():
-            await _done(engine.remove_client(command.name))
-        case protocol.Retry():
-            await _done(engine.retry(command.link))
-        case protocol.ShutDown():
-            await _done(engine.shut_down())
-        case protocol.Topics():
-            found = await _done(engine.topics(command.link))
-            return tuple(found)
-        case protocol.Peek():
-            return await asyncio.wrap_future(engine.peek(command.key, kept=command.kept))
-        case protocol.Describe():
-            return await asyncio.wrap_future(engine.describe(command.key))
-        case protocol.Template():
-            return await asyncio.wrap_future(engine.template(command.key, command.lane))
-        case protocol.Call():
-            return await asyncio.wrap_future(engine.call(command.key, command.request, command.lane))
-        case protocol.History():
-            return await _done(engine.history(command.seconds))
-        case protocol.Bench():
-            return await _done(engine.bench(command.order))
-        case protocol.Restart():
-            await _done(engine.restart(step))
-        case protocol.Reload():
-            return await _done(engine.reload(dry_run=command.dry_run))
-        case protocol.Stop():
-            engine.told_to_stop()
-            stop_process()
-    return None
-
-
-async def _done(future: Future[T]) -> T:
-    """Wait for the engine, which finishes what it has begun even if nobody waits any more."""
-    return await asyncio.shield(asyncio.wrap_future(future))

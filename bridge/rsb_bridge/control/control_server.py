@@ -90,7 +90,7 @@ class ControlServer:
         self._thread.join(_CLOSED_WITHIN)
 
     def stop_process(self) -> None:
-        """Do what `rsb_bridge.control.protocol.Stop` asks for."""
+        """End the process, as `rsb_bridge.model.commands.Stop` asks."""
         self._on_stop()
 
     # --- on the thread
@@ -191,7 +191,7 @@ def _not_yours() -> str:
 class _OfThisMachine:
     """A console's connection through the control socket, of whose other end the kernel knows who it is."""
 
-    only_looks = ""
+    read_only_reason = ""
     of_this_machine = True
 
     def __init__(self, writer: asyncio.StreamWriter) -> None:

@@ -12,13 +12,15 @@ names the feature (`rsb_bridge.control.features`).
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING, Generic, TypeAlias, TypeVar
+from typing import TYPE_CHECKING, Final, Generic, TypeAlias, TypeVar, cast, get_args, get_origin
 
 import msgspec
 
-from rsb_bridge.model.benchmark import Order, Outcome
+from rsb_bridge.api import EngineError
+from rsb_bridge.model.benchmark import Outcome
+from rsb_bridge.model.commands import AnyCommand
 from rsb_bridge.model.history import HistoryReport
-from rsb_bridge.model.session import Client, Session, Topic
+from rsb_bridge.model.session import Session
 from rsb_bridge.model.snapshot import (
     Event,
     LinkSnapshot,
@@ -34,190 +36,7 @@ from rsb_bridge.model.wording import Wording
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-
-class _Command(msgspec.Struct, frozen=True, tag_field="is", omit_defaults=True):
-    """A command, named by its tag."""
-
-
-class AddTopic(_Command, frozen=True, tag="add"):
-    """As the methods of `rsb_bridge.api.EngineApi`, likewise those below."""
-
-    topic: Topic
-    link: str = ""
-
-
-class EditTopic(_Command, frozen=True, tag="edit"):
-    """See `AddTopic`."""
-
-    key: str
-    topic: Topic
-    drop_arm: bool = False
-
-
-class RemoveTopic(_Command, frozen=True, tag="remove"):
-    """See `AddTopic`."""
-
-    key: str
-    drop_arm: bool = False
-
-
-class Pause(_Command, frozen=True, tag="pause"):
-    """See `AddTopic`."""
-
-    key: str
-    paused: bool
-
-
-class Acknowledge(_Command, frozen=True, tag="acknowledge"):
-    """See `AddTopic`."""
-
-    key: str = ""
-    acknowledged: bool = True
-    link: str = ""
-
-
-class ArmTopic(_Command, frozen=True, tag="arm"):
-    """As the methods of `rsb_bridge.api.ArmingApi`, likewise those below: for the console that asks."""
-
-    key: str
-
-
-class DisarmTopic(_Command, frozen=True, tag="disarm"):
-    """See `ArmTopic`."""
-
-    key: str
-
-
-class KeepArmed(_Command, frozen=True, tag="keep_armed"):
-    """See `ArmTopic`."""
-
-    pressed: bool
-
-
-class ReleaseArmed(_Command, frozen=True, tag="release_armed"):
-    """See `ArmTopic`."""
-
-
-class AddClient(_Command, frozen=True, tag="add_client"):
-    """See `AddTopic`."""
-
-    client: Client
-
-
-class ChangeClient(_Command, frozen=True, tag="change_client"):
-    """See `AddTopic`."""
-
-    client: Client
-
-
-class RemoveClient(_Command, frozen=True, tag="remove_client"):
-    """See `AddTopic`."""
-
-    name: str
-
-
-class Retry(_Command, frozen=True, tag="retry"):
-    """See `AddTopic`."""
-
-    link: str = ""
-
-
-class ShutDown(_Command, frozen=True, tag="shut_down"):
-    """See `AddTopic`."""
-
-
-class Restart(_Command, frozen=True, tag="restart"):
-    """See `AddTopic`. Its steps come as `Step`."""
-
-
-class Reload(_Command, frozen=True, tag="reload"):
-    """See `AddTopic`."""
-
-    dry_run: bool = False
-
-
-class Topics(_Command, frozen=True, tag="topics"):
-    """See `AddTopic`."""
-
-    link: str | None = None
-
-
-class Peek(_Command, frozen=True, tag="peek"):
-    """See `AddTopic`."""
-
-    key: str
-    kept: bool = False
-
-
-class Describe(_Command, frozen=True, tag="describe"):
-    """See `AddTopic`."""
-
-    key: str
-
-
-class Template(_Command, frozen=True, tag="template"):
-    """See `AddTopic`."""
-
-    key: str
-    lane: str = ""
-
-
-class Call(_Command, frozen=True, tag="call"):
-    """See `AddTopic`."""
-
-    key: str
-    request: str
-    lane: str = ""
-
-
-class History(_Command, frozen=True, tag="history"):
-    """See `AddTopic`."""
-
-    seconds: float
-
-
-class Bench(_Command, frozen=True, tag="bench"):
-    """See `AddTopic`."""
-
-    order: Order
-
-
-class Stop(_Command, frozen=True, tag="stop"):
-    """End the bridge's process, as SIGTERM does."""
-
-
-Command: TypeAlias = (
-    AddTopic
-    | EditTopic
-    | RemoveTopic
-    | Pause
-    | Acknowledge
-    | ArmTopic
-    | DisarmTopic
-    | KeepArmed
-    | ReleaseArmed
-    | AddClient
-    | ChangeClient
-    | RemoveClient
-    | Retry
-    | ShutDown
-    | Restart
-    | Reload
-    | Topics
-    | Peek
-    | Describe
-    | Template
-    | Call
-    | History
-    | Bench
-    | Stop
-)
-
-CHANGING = (
-    AddTopic, EditTopic, RemoveTopic, Pause, Acknowledge, ArmTopic, DisarmTopic, AddClient, ChangeClient,
-    RemoveClient, Call, Retry, ShutDown, Restart, Reload, Stop,
-)  # fmt: skip
-"""The commands that are refused to those who only watch."""
+    from rsb_bridge.model.commands import Command, R
 
 
 VERSION = 1
@@ -256,6 +75,13 @@ class VersionProblem(Wording):
         "the bridge speaks version {bridge} (rsb-console {bridge_program}), this console {console} "
         "({console_program}): this console is older; update it"
     )
+
+
+class RequestProblem(Wording):
+    """Reasons why a command does not reach the bridge, or why its reply is useless."""
+
+    TOO_LONG = "it is too long: {length:,} bytes"
+    UNEXPECTED_REPLY = "unexpected reply to this command"
 
 
 class UnexpectedMessage(Wording):
@@ -362,7 +188,7 @@ class Request(_Message, frozen=True, tag="request"):
     """
 
     id: int
-    command: Command
+    command: AnyCommand
     undo: bool = False
 
 
@@ -455,14 +281,14 @@ class Step(_Message, frozen=True, tag="step"):
 
 
 class Reply(_Message, frozen=True, tag="reply"):
-    """A command is done.
+    """The result of a command. `value` has room for one kind of object only, so there is a field for each other kind.
 
     Attributes:
         id: of the request.
-        value: a route's key, topics, a message, the description of a type, or nothing.
-        reloaded: the answer to `Reload`; `value` has room for one kind of object only.
-        history: the answer to `History`, likewise.
-        bench: the answer to `Bench`, likewise.
+        value: a route's key, topics, a message, the description of a type, or None.
+        reloaded: the result of `Reload`.
+        history: the result of `History`.
+        bench: the result of `Bench`.
     """
 
     id: int
@@ -508,6 +334,29 @@ def encode(message: ToBridge | ToConsole) -> bytes:
     """A message as a frame."""
     body = _encoder.encode(message)
     return len(body).to_bytes(_LENGTH_BYTES, "big") + body
+
+
+_FIELD_OF: Final = {Reloaded: "reloaded", HistoryReport: "history", Outcome: "bench"}
+
+
+def reply(request: int, result: object) -> Reply:
+    """Return the message that holds the result of a command."""
+    return msgspec.structs.replace(Reply(request), **{_FIELD_OF.get(type(result), "value"): result})
+
+
+def result_of(command: Command[R], reply: Reply) -> R:
+    """Return the result that a message holds.
+
+    Raises:
+        EngineError: it is no result of this command.
+    """
+    kind = get_args(type(command).__orig_bases__[0])[0]  # type: ignore[attr-defined]
+    if kind is type(None):
+        return cast("R", None)
+    value = reply.reloaded or reply.history or reply.bench or reply.value
+    if not isinstance(value, get_origin(kind) if get_origin(kind) is tuple else kind):
+        raise EngineError(RequestProblem.UNEXPECTED_REPLY())
+    return cast("R", value)
 
 
 def encode_route(route: RouteSnapshot) -> msgspec.Raw:

@@ -352,7 +352,7 @@ class SealedConsole(asyncio.Protocol):
     # --- once it is: the console's connection
 
     @property
-    def only_looks(self) -> str:
+    def read_only_reason(self) -> str:
         """The reason this operator may change nothing, or an empty string."""
         assert self._granted is not None
         may = self._granted.operator.may

@@ -11,11 +11,11 @@ import threading
 from concurrent.futures import Future
 from pathlib import Path
 from random import Random
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING, TypeVar, cast
 
 import msgspec
 
-from rsb_bridge.api import ArmingApi, EngineApi, EngineError, Unable
+from rsb_bridge.api import EngineApi, EngineError, Unable
 from rsb_bridge.config.difference import is_another, kept
 from rsb_bridge.config.session_file import SessionError, demand_places, load
 from rsb_bridge.config.validation import domain_of, validate
@@ -28,7 +28,8 @@ from rsb_bridge.history.recorder import Recorder
 from rsb_bridge.model.clock import Clock
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.command_origin import operator
-from rsb_bridge.model.snapshot import Event, Level, Reloaded, Snapshot, TopicInfo
+from rsb_bridge.model.commands import AddClient, ChangeClient, History, Reload, Stop
+from rsb_bridge.model.snapshot import Event, Level, Reloaded, Snapshot
 from rsb_bridge.ros.ros_interface import RosError, RosInterface
 from rsb_bridge.ros.ros_thread import RosToLoopQueue
 from rsb_bridge.ros.synthetic import ros_side
@@ -40,13 +41,10 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Coroutine, Mapping
 
     from rsb_bridge.config.keys import Key
-    from rsb_bridge.engine.topic_commands import BridgeArming
     from rsb_bridge.link.roles import Keys
-    from rsb_bridge.model.benchmark import Order, Outcome
+    from rsb_bridge.model.commands import Command, R
     from rsb_bridge.model.demands import SourceKey
-    from rsb_bridge.model.history import HistoryReport
-    from rsb_bridge.model.session import Client, Session, Topic
-    from rsb_bridge.model.snapshot import PeekedMessage
+    from rsb_bridge.model.session import Client, Session
 
 
 class PendingCommands:
@@ -193,8 +191,6 @@ class Engine(EngineApi):
         self._starting = threading.Lock()
         """Held by whoever starts or ends the threads."""
         self._stop_wanted = False
-        self._changing = asyncio.Lock()
-        """Held by the command that changes the session, so that the next one sees all of its effect."""
         self._commands = PendingCommands()
         self._thread: threading.Thread | None = None
         self._bridge: Bridge | None = None
@@ -223,10 +219,6 @@ class Engine(EngineApi):
     @property
     def unreachable(self) -> str:
         return ""
-
-    @property
-    def arming(self) -> EngineArming:
-        return EngineArming(lambda work: self._command(lambda bridge: work(bridge.arming)))
 
     def start(self) -> None:
         with self._starting:
@@ -312,49 +304,6 @@ class Engine(EngineApi):
     def wait_for_events(self, after: int, timeout: float) -> list[Event]:
         return self._events.wait(after, timeout)
 
-    def history(self, seconds: float) -> Future[HistoryReport]:
-        if self._bridge is not None:
-            return self._recorder.history(seconds if seconds > 0 else 0.0)  # NaN is not greater than 0, either
-        return not_running()
-
-    # --- commands
-
-    def add_topic(self, topic: Topic, link: str = "") -> Future[str]:
-        return self._change(lambda bridge: bridge.add_topic(topic, link))
-
-    def edit_topic(self, key: str, topic: Topic, *, drop_arm: bool = False) -> Future[str]:
-        return self._change(lambda bridge: bridge.edit_topic(key, topic, drop_arm=drop_arm))
-
-    def remove_topic(self, key: str, *, drop_arm: bool = False) -> Future[None]:
-        return self._change(lambda bridge: bridge.remove_topic(key, drop_arm=drop_arm))
-
-    def pause(self, key: str, paused: bool) -> Future[None]:
-        return self._change(lambda bridge: bridge.pause(key, paused=paused))
-
-    def acknowledge(self, key: str, acknowledged: bool = True, *, link: str = "") -> Future[None]:
-        return self._command(lambda bridge: bridge.acknowledge(key, acknowledged=acknowledged, link=link))
-
-    def add_client(self, client: Client) -> Future[None]:
-        return self._change(lambda bridge: self._with_key(bridge.add_client, client))
-
-    def change_client(self, client: Client) -> Future[None]:
-        return self._change(lambda bridge: self._with_key(bridge.change_client, client))
-
-    def remove_client(self, name: str) -> Future[None]:
-        return self._change(lambda bridge: bridge.remove_client(name))
-
-    def retry(self, link: str = "") -> Future[None]:
-        return self._command(lambda bridge: bridge.retry(link))
-
-    def shut_down(self) -> Future[None]:
-        return self._command(lambda bridge: bridge.shut_down())
-
-    def restart(self, step: Callable[[str], None] | None = None) -> Future[None]:
-        return self._command(lambda bridge: bridge.restart(step))
-
-    def reload(self, *, dry_run: bool = False) -> Future[Reloaded]:
-        return self._change(lambda bridge: self._reload(bridge, dry_run=dry_run))
-
     def use_file(self, path: Path | None) -> None:
         self._file = path
         self._places = {} if path is None else demand_places(path)
@@ -362,41 +311,23 @@ class Engine(EngineApi):
             places = self._places
             bridge.context.call(lambda: bridge.context.demands.set_places(places))
 
-    def told_to_stop(self) -> None:
+    def do(self, command: Command[R], step: Callable[[str], None] | None = None) -> Future[R]:
+        bridge = self._bridge
+        if isinstance(command, Stop):
+            return cast("Future[R]", self._record_stop())
+        if bridge is None:
+            return not_running()
+        if isinstance(command, History):  # which goes on when the bridge has ended
+            seconds = command.seconds if command.seconds > 0 else 0.0  # NaN is not greater than 0, either
+            return cast("Future[R]", self._recorder.history(seconds))
+        return self._commands.run(lambda: bridge.do(command, step))
+
+    def _record_stop(self) -> Future[None]:
         who = operator()
         self._events.add(Level.INFO, EventCode.OPERATOR_STOPPED, f"told to end by {who}", who=who)
-
-    def topics(self, link: str | None = None) -> Future[list[TopicInfo]]:
-        return self._command(lambda bridge: bridge.topics(link))
-
-    def peek(self, key: str, *, kept: bool = False) -> Future[PeekedMessage | None]:
-        return self._command(lambda bridge: bridge.inspector.peek(key, kept=kept))
-
-    def describe(self, key: str) -> Future[str]:
-        return self._command(lambda bridge: bridge.inspector.describe(key))
-
-    def template(self, key: str, lane: str = "") -> Future[str]:
-        return self._command(lambda bridge: bridge.inspector.template(key, lane))
-
-    def call(self, key: str, request: str, lane: str = "") -> Future[str]:
-        return self._command(lambda bridge: bridge.inspector.call(key, request, lane))
-
-    def bench(self, order: Order) -> Future[Outcome]:
-        return self._command(lambda bridge: bridge.bench(order))
-
-    def _command(self, work: Callable[[Bridge], Coroutine[None, None, T]]) -> Future[T]:
-        """Run on the I/O thread."""
-        bridge = self._bridge
-        return not_running() if bridge is None else self._commands.run(lambda: work(bridge))
-
-    def _change(self, work: Callable[[Bridge], Coroutine[None, None, T]]) -> Future[T]:
-        """Run a command that changes the session, once those before it are through."""
-
-        async def change(bridge: Bridge) -> T:
-            async with self._changing:
-                return await work(bridge)
-
-        return self._command(change)
+        done: Future[None] = Future()
+        done.set_result(None)
+        return done
 
     # --- on the I/O thread
 
@@ -418,7 +349,13 @@ class Engine(EngineApi):
             self._session, domain, ros, self._events, queue, loop, self._clock, self._random, self._transports
         )
         context.demands.set_places(self._places)
-        bridge = self._bridge = Bridge(context, keys, self._snapshots, self._folder)
+        bridge = Bridge(context, keys, self._snapshots, self._folder)
+        bridge.handlers |= {
+            AddClient: lambda command: self._put_client(bridge.add_client, command.client),
+            ChangeClient: lambda command: self._put_client(bridge.change_client, command.client),
+            Reload: lambda command: self._reload(bridge, dry_run=command.dry_run),
+        }
+        self._bridge = bridge
         loop.set_exception_handler(bridge.internal_error)
         self._commands.open(loop)
         try:
@@ -432,10 +369,10 @@ class Engine(EngineApi):
             self._commands.end()
             self._transports.close()
 
-    async def _with_key(
+    async def _put_client(
         self, command: Callable[[Client, tuple[Key, ...]], Coroutine[None, None, None]], client: Client
     ) -> None:
-        """Run a command about a client with what is in its key files now.
+        """Add or change a client with the keys that are in its key files now.
 
         Raises:
             EngineError: there is no key, or the command fails.
@@ -497,26 +434,3 @@ class Engine(EngineApi):
         if problems := validate(session):  # what is left as it is may not go with what is new
             raise EngineError("; ".join([*left, *map(str, problems)]))
         return self._file, session, left
-
-
-class EngineArming(ArmingApi):
-    """Arms topics for consoles, from any thread.
-
-    Args:
-        run: runs a command on the bridge's thread.
-    """
-
-    def __init__(self, run: Callable[[Callable[[BridgeArming], Coroutine[None, None, None]]], Future[None]]) -> None:
-        self._run = run
-
-    def arm(self, key: str) -> Future[None]:
-        return self._run(lambda arming: arming.arm(key))
-
-    def disarm(self, key: str) -> Future[None]:
-        return self._run(lambda arming: arming.disarm(key))
-
-    def keep(self, *, pressed: bool) -> Future[None]:
-        return self._run(lambda arming: arming.keep(pressed=pressed))
-
-    def release(self) -> Future[None]:
-        return self._run(lambda arming: arming.release())

@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 from typing import TYPE_CHECKING
 
-from rsb_bridge.api import EngineError
 from rsb_bridge.cdr.decoder import decode
 from rsb_bridge.cdr.description import hash_of_text, read_description
 from rsb_bridge.config.fields_text import ITEMS, STEPS, read_fields, write_fields
@@ -17,18 +16,18 @@ from rsb_bridge.model.limits import REASON_LENGTH
 from rsb_bridge.model.text import sanitize_text
 from rsb_bridge.route.calls.calls_route import CallsRoute
 from rsb_bridge.route.calls.manual_call import CallError
-from rsb_bridge.route.peeking import PeekError, Peeking
+from rsb_bridge.route.peeking import Peeking
 from rsb_bridge.route.topic_route import TopicRoute
 from rsb_bridge.wire.messages import ByHand
 
 if TYPE_CHECKING:
     from collections.abc import Callable
-    from contextlib import AbstractContextManager
 
     from rsb_bridge.cdr.decoder import Decoded
     from rsb_bridge.context import Context
     from rsb_bridge.engine.topic_commands import Recorder
     from rsb_bridge.link.link import Link
+    from rsb_bridge.model.commands import Call, Describe, Peek, Template
     from rsb_bridge.model.snapshot import PeekedMessage
     from rsb_bridge.route.route import Route
     from rsb_bridge.wire.records import LaneEntry
@@ -40,12 +39,11 @@ _GOAL_ID_BYTES = 16
 
 
 class RouteInspector:
-    """Commands of one bridge, on its event loop; what is wrong with one is an `EngineError`.
+    """Executes commands that look at messages and types, or call by hand.
 
     Args:
         context: what every part of the engine shares.
         find: gives a route and its link by the route's key.
-        command: what a command runs in: turns its errors into `EngineError`, and has the snapshot show its effect.
         did: records what an operator has done.
     """
 
@@ -53,58 +51,40 @@ class RouteInspector:
         self,
         context: Context,
         find: Callable[[str], tuple[Link, Route]],
-        command: Callable[[], AbstractContextManager[None]],
         did: Recorder,
     ) -> None:
         self._context = context
         self._find = find
-        self._command = command
         self._did = did
         self._peeking = Peeking(context)
         self._calls = 0
 
-    async def peek(self, key: str, *, kept: bool) -> PeekedMessage | None:
-        """Wait for a topic's next message; nothing that this does changes the snapshot."""
+    async def peek(self, command: Peek) -> PeekedMessage | None:
+        _, route = self._find(command.key)
+        if not isinstance(route, TopicRoute):
+            raise LinkError(f"{route.local_topic} is no topic: it has calls, and no messages to look at")
+        return await self._peeking.peek(route, kept=command.kept)
+
+    async def describe(self, command: Describe) -> str:
+        link, route = self._find(command.key)
+        return await link.type_questions.describe(route, linked=link.linked)
+
+    async def template(self, command: Template) -> str:
+        route = _callable(self._find(command.key)[1])
+        number = _lane_named(route, command.lane)
+        return await asyncio.to_thread(self._defaults, route, number, route.entry(number))
+
+    async def call(self, command: Call) -> str:
+        """Call by hand; both sides record the operator."""
+        link, found = self._find(command.key)
+        route = _callable(found)
+        if self._calls >= CALLS_AT_ONCE:
+            raise LinkError(Denied.TOO_MANY_CALLS(limit=CALLS_AT_ONCE))
+        self._calls += 1
         try:
-            _, route = self._find(key)
-            if not isinstance(route, TopicRoute):
-                raise EngineError(f"{route.local_topic} is no topic: it has calls, and no messages to look at")
-            return await self._peeking.peek(route, kept=kept)
-        except (LinkError, PeekError) as error:
-            raise EngineError(str(error)) from None
-
-    async def describe(self, key: str) -> str:
-        """The text of the description of a route's type."""
-        try:
-            link, route = self._find(key)
-            return await link.type_questions.describe(route, linked=link.linked)
-        except LinkError as error:
-            raise EngineError(str(error)) from None
-
-    async def template(self, key: str, lane: str) -> str:
-        """The fields of a request with their defaults."""
-        with self._command():
-            route = _callable(self._find(key)[1])
-            number = _lane_named(route, lane)
-            try:
-                return await asyncio.to_thread(self._defaults, route, number, route.entry(number))
-            except CallError as error:
-                raise LinkError(str(error)) from None
-
-    async def call(self, key: str, request: str, lane: str) -> str:
-        """Call what a route provides, by hand; both sides record who did."""
-        with self._command():
-            link, found = self._find(key)
-            route = _callable(found)
-            if self._calls >= CALLS_AT_ONCE:
-                raise LinkError(Denied.TOO_MANY_CALLS(limit=CALLS_AT_ONCE))
-            self._calls += 1
-            try:
-                return await self._call(link, route, _lane_named(route, lane), request)
-            except CallError as error:
-                raise LinkError(str(error)) from None
-            finally:
-                self._calls -= 1
+            return await self._call(link, route, _lane_named(route, command.lane), command.request)
+        finally:
+            self._calls -= 1
 
     async def _call(self, link: Link, route: CallsRoute, lane: int, request: str) -> str:
         entry = route.entry(lane)

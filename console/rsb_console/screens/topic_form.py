@@ -237,7 +237,7 @@ class TopicScreen(FormScreen[Draft]):
         self._specs = fields_by_kind(engine.session, Ends.of(now, self._links[0]), route)
         self._kind: Kind = KINDS[0] if route is None else route.spec.kind
         self._kind_chosen = False
-        self._found: dict[str | None, list[TopicInfo]] = {}
+        self._found: dict[str | None, tuple[TopicInfo, ...]] = {}
         self._errors: dict[str | None, str] = {}
         self._awaited: set[str | None] = set()
         self._late: set[str | None] = set()
@@ -292,7 +292,7 @@ class TopicScreen(FormScreen[Draft]):
     def _type_of(self, draft: Draft) -> str:
         """The type that the sending side's graph has; empty: none."""
         sends_here = (draft.topic.direction == "receive") == (self._engine.session.role == "server")
-        found = self._found.get(None if sends_here else draft.link, [])
+        found = self._found.get(None if sends_here else draft.link, ())
         names = {draft.topic.topic, draft.topic.remote_topic, f"/{draft.link}{draft.topic.topic}"}
         return next((info.type_name for info in found if info.topic in names), "")
 
@@ -357,7 +357,7 @@ class TopicScreen(FormScreen[Draft]):
         what = self._kind if self._kind_chosen else "topic, service, action or node with parameters"
         empty = "asking both sides …" if waiting else f"no other {what} on either side; type the full name"
         here, there = (
-            [info for info in self._found.get(side, []) if not self._kind_chosen or info.kind == self._kind]
+            [info for info in self._found.get(side, ()) if not self._kind_chosen or info.kind == self._kind]
             for side in (None, link)
         )
         suggestions = suggestions_for(Ends.of(now, link), here, there, bridged)
