@@ -91,7 +91,7 @@ class EngineApi(ABC):
 
     @abstractmethod
     def wait_for_events(self, after: int, timeout: float) -> list[Event]:
-        """As `events`, but waits up to `timeout` s for one to come."""
+        """The same events as `events`; wait up to `timeout` s for one."""
 
     @abstractmethod
     def use_file(self, path: Path | None) -> None:

@@ -85,12 +85,12 @@ class Connection(Protocol):
 
 
 class ConsoleHost(Protocol):
-    """What all consoles of one engine share.
+    """The engine that all its consoles share, and its process.
 
     Attributes:
-        engine: which.
-        info: who serves it.
-        encoded: what of its state is encoded already.
+        engine: to be shown and commanded.
+        info: describes the bridge.
+        encoded: the parts of the state that are encoded already.
     """
 
     engine: EngineApi
@@ -107,12 +107,12 @@ class ConsoleHost(Protocol):
 
 
 class Console:
-    """One console, from when its connection is made. Whoever has the connection passes on what comes, and the end.
+    """One console, from the start of its connection. The owner of the connection passes on its bytes, and its end.
 
     Args:
-        served: what it is attached to.
+        served: the engine that it is attached to.
         connection: its own.
-        refusal: why it is refused as soon as it says hello; empty: it is not.
+        refusal: the reason to refuse it as soon as it says hello, or an empty string.
     """
 
     def __init__(self, served: ConsoleHost, connection: Connection, refusal: str = "") -> None:
@@ -144,10 +144,10 @@ class Console:
         self._tasks.spawn(self._tick())
 
     def received(self, data: bytes) -> None:
-        """Act on what has come.
+        """Act on bytes from the console.
 
         Raises:
-            ProtocolError: it does not keep to the protocol.
+            ProtocolError: the console breaks the protocol.
         """
         for message in self._frames.feed(data):
             self._handle(message)
@@ -173,7 +173,7 @@ class Console:
         self._connection.abort()
 
     def end(self, reason: str) -> None:
-        """Say the last events, and why this is the end; then close."""
+        """Send the last events and the reason for the end; then close."""
         self._send_events()
         self.send(protocol.Goodbye(reason))
         self._connection.close()
@@ -182,7 +182,7 @@ class Console:
     def _buffered(self) -> int:
         return self._connection.buffered
 
-    # --- what it says
+    # --- messages from it
 
     def _handle(self, message: ToBridge) -> None:
         if isinstance(message, protocol.Hello):
@@ -250,7 +250,7 @@ class Console:
         finally:
             self._requests -= 1
         if command.right is Right.CHANGE and self._sender.sent is not None and self._buffered == 0:
-            await self._send_state()  # whoever waits for the command wants to see its effect
+            await self._send_state()  # before the reply: the operator wants to see the effect
         self.send(reply)
 
     async def _execute(self, request: int, command: AnyCommand) -> object:
@@ -266,7 +266,7 @@ class Console:
         with contextlib.suppress(RuntimeError):
             self._loop.call_soon_threadsafe(self.send, protocol.Step(request, text))
 
-    # --- what it is told
+    # --- messages to it
 
     async def _tick(self) -> None:
         """Send what is new, four times a second, for ever."""

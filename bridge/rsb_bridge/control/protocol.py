@@ -1,12 +1,12 @@
 """The protocol of a control socket: commands, frames, messages, and their limits. Sans-IO.
 
-A frame is four bytes of length, big-endian, and a message in MessagePack. The types below and those of the model are
-the definition: msgspec reads and writes them by their type hints.
+A frame is four bytes of length, big-endian, and a message in MessagePack. The types below and in the model are the
+definition: msgspec reads and writes them by their type hints.
 
 `Hello`, `Welcome` and `Refused` keep their fields in every version, so that two versions can tell each other apart. New
-fields of messages are optional, and an older side ignores them; but it ends the connection if it gets a message or a
-command that it does not know, or a field of a session that it does not know. So these are sent only to a side that
-names the feature (`rsb_bridge.control.features`).
+fields of messages are optional, and an older side ignores them. But an older side ends the connection at an unknown
+message, an unknown command, or an unknown field of a session. So these are sent only if the receiver has named the
+feature (`rsb_bridge.control.features`).
 """
 
 from __future__ import annotations
@@ -113,7 +113,7 @@ class Hello(_Message, frozen=True, tag="hello"):
     Attributes:
         version: of this protocol.
         program: the version of rsb-console.
-        read_only: the bridge is to refuse what would change anything.
+        read_only: whether the bridge is to refuse all changes.
         features: of the console, as in `rsb_bridge.control.features`.
     """
 
@@ -124,7 +124,7 @@ class Hello(_Message, frozen=True, tag="hello"):
 
 
 class BridgeInfo(msgspec.Struct, frozen=True, omit_defaults=True):
-    """Who serves a control socket.
+    """The description of a bridge that serves a control socket.
 
     Attributes:
         name: of its session.
@@ -132,9 +132,9 @@ class BridgeInfo(msgspec.Struct, frozen=True, omit_defaults=True):
         address: that it binds or calls.
         pid: its process.
         started: s since the epoch.
-        instance: differs from one engine to the next, whatever their names.
+        instance: an id that differs from one engine to the next.
         program: its version of rsb-console.
-        file: its session file, absolute; None: its session is in no file.
+        file: the absolute path of its session file, or None if there is no file.
         base: the folder that its key files are relative to, absolute.
         has_console: whether it runs in a console of its own.
     """
@@ -155,8 +155,8 @@ class Welcome(_Message, frozen=True, tag="welcome"):
     """The answer to `Hello`.
 
     Attributes:
-        bridge: who answers.
-        read_only: commands are refused here.
+        bridge: the one that answers.
+        read_only: whether the bridge refuses this console all changes.
         features: of the bridge, as in `rsb_bridge.control.features`.
     """
 
@@ -200,7 +200,7 @@ class Follow(_Message, frozen=True, tag="follow"):
     """Asks for the events from now on.
 
     Attributes:
-        after: number of the last one that is known already.
+        after: the number of the last event that the console has.
     """
 
     after: int
@@ -262,7 +262,7 @@ class Summary(_Message, frozen=True, tag="summary"):
     """The engine in a few figures: at most once a second when it has changed, and every 5 s as a sign of life.
 
     Attributes:
-        content: as whoever made it has encoded it; no version of this protocol knows what is in it.
+        content: encoded by its maker; this protocol does not look inside.
     """
 
     content: bytes
@@ -360,7 +360,7 @@ def result_of(command: Command[R], reply: Reply) -> R:
 
 
 def encode_route(route: RouteSnapshot) -> msgspec.Raw:
-    """A route as it stands in a `State`."""
+    """Return a route as bytes for a `State`."""
     if (state := state_for_any(route.state)) is not route.state:  # an older console would refuse what it does not know
         route = replace(route, state=state)
     return msgspec.Raw(_encoder.encode(route))
@@ -391,7 +391,7 @@ class Frames(Generic[M]):
         self._held = bytearray()
 
     def feed(self, data: bytes) -> Iterator[M]:
-        """The messages that are complete with these bytes.
+        """Yield the messages that are complete with these bytes.
 
         Raises:
             ProtocolError: a message is too large or invalid.
@@ -411,12 +411,12 @@ class Frames(Generic[M]):
 
 
 def frames_to_bridge() -> Frames[ToBridge]:
-    """What a bridge reads."""
+    """Return a reader of messages to a bridge."""
     return Frames(TO_BRIDGE_LIMIT, _to_bridge)
 
 
 def frames_to_console(limit: int = TO_CONSOLE_LIMIT) -> Frames[ToConsole]:
-    """What a console reads; `limit` is in bytes of a frame."""
+    """Return a reader of messages to a console; `limit` is in bytes of a frame."""
     return Frames(limit, _to_console)
 
 
@@ -428,11 +428,11 @@ def _decoded(decoder: msgspec.msgpack.Decoder[M], body: bytes | msgspec.Raw) -> 
 
 
 def version_problem(bridge: tuple[int, str], console: tuple[int, str]) -> str:
-    """Say which side is older; empty: they understand each other.
+    """Return a text that names the older side, or an empty string if both have the same version.
 
     Args:
         bridge: its version of this protocol, and of rsb-console.
-        console: likewise.
+        console: its version of this protocol, and of rsb-console.
     """
     if bridge[0] == console[0]:
         return ""

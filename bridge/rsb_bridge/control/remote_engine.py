@@ -56,17 +56,17 @@ class AttachedAgain(Wording):
 class RemoteEngine(EngineApi):
     """Fulfils `EngineApi` for an engine of another process.
 
-    `start` attaches; when the connection breaks later, it says so (`unreachable`, and an event), shows everything as
-    down, and attaches again as soon as that is possible. `stop` detaches; the engine goes on.
+    `start` attaches. When the connection breaks later, it reports that (`unreachable`, and an event), shows everything
+    as down, and attaches again as soon as possible. `stop` detaches; the engine goes on.
 
     Args:
         where: the path of its control socket, or another way to it.
-        read_only: have the bridge refuse what would change anything.
-        clock: the wall clock; None: the machine's.
+        read_only: whether the bridge is to refuse all changes.
+        clock: the wall clock, or None for the machine's.
 
     Attributes:
-        bridge: who serves it, from `start` on.
-        read_only: whether the bridge refuses what would change anything, from `start` on.
+        bridge: the description of its bridge, from `start` on.
+        read_only: whether the bridge refuses all changes, from `start` on.
         same_machine: whether the files that the bridge names are this machine's.
         features: of the bridge, as in `rsb_bridge.control.features`, from `start` on.
     """

@@ -78,14 +78,14 @@ def watch_shutdown_topic(
     act: Callable[[], None],
     failed: Callable[[str], None],
 ) -> LastingSubscription:
-    """Wait for somebody to publish the word.
+    """Wait for a node to publish the word ``shutdown``.
 
     Args:
-        ros: where.
+        ros: the ROS side.
         loop: the I/O loop.
-        topic: its name.
+        topic: the name of the topic.
         act: called on the ROS thread each time.
-        failed: called on the loop with the reason when the subscription fails; it is opened anew.
+        failed: called on the loop with the reason when the subscription fails; it is opened again.
 
     Raises:
         RosError: the topic can't be subscribed to.
@@ -114,19 +114,19 @@ _logger = logging.getLogger(__name__)
 
 
 class Bridge:
-    """Bridges what a session says: `start`, then `run`, which returns some time after `stop`. Used once.
+    """Carries out a session: `start`, then `run`, which returns some time after `stop`. Used once.
 
     All of it belongs to the thread of the running loop.
 
     Args:
-        context: the session, and what every part shares.
+        context: the session, and the state that all parts share.
         keys: of each client.
-        snapshots: kept up to date for user interfaces.
+        snapshots: kept up to date for consoles.
         folder: gives the folder of the session file.
 
     Attributes:
-        graph_watch: to be told of changes of the ROS graph.
-        handlers: execute commands, by the command's type. The engine adds those of commands that read files.
+        graph_watch: reacts to changes of the ROS graph.
+        handlers: execute commands, by the command's type. The engine adds handlers for commands that read files.
     """
 
     def __init__(
@@ -238,7 +238,7 @@ class Bridge:
             self._exporters.tick(self._snapshots.latest)
 
     def _ros_failed(self, reason: str) -> None:
-        """The ROS side is gone: end, so that whoever supervises the process starts it again."""
+        """End because the ROS side is gone, so that a supervisor starts the process again."""
         self.context.events.add(Level.ERROR, EventCode.ENGINE_ROS_FAILED, f"{reason}: the engine stops; start it again")
         self.stop()
 
@@ -309,7 +309,7 @@ class Bridge:
             except (LinkError, ListenError, RosError, PeekError, CallError, ValueError) as error:
                 raise EngineError(str(error)) from None
             finally:
-                if command.refreshes and not self._stopping.is_set():  # the last snapshot, which says so, stays
+                if command.refreshes and not self._stopping.is_set():  # the last snapshot shows the end, and stays
                     self._snapshots.refresh_now(self._role)
 
     async def _acknowledge(self, command: commands.Acknowledge) -> None:
@@ -431,7 +431,7 @@ class Bridge:
         in_place = (
             (("stale_after", "stale_warnings", "late_after"), self._set_stale_after),
             (("check_messages",), self._set_check),
-            (("group",), lambda: None),  # whoever looks reads it in the session
+            (("group",), lambda: None),  # consoles read it in the session
             (("armed",), self.context.demands.changed),
             (("shutdown_topic",), self._change_shutdown_topic),
             *self._exporters.by_key,
@@ -464,7 +464,7 @@ class Bridge:
         self.context.events.add(Level.INFO, code, text, link=link, topic=topic, who=who, old=old, new=new)
 
     def _followers(self) -> Iterator[Follower]:
-        """Who follows the names of this side's graph."""
+        """Yield the parts that follow the names of this side's graph."""
         for link in self.links():
             yield link.patterns
             yield link.patterns.followed

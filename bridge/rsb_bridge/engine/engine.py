@@ -48,14 +48,14 @@ if TYPE_CHECKING:
 
 
 class PendingCommands:
-    """Runs commands on an event loop from `open` to `refuse`; `end` fails those that are still under way."""
+    """Runs commands on an event loop from `open` to `refuse`; `end` fails the commands that have no result yet."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
         self._loop: asyncio.AbstractEventLoop | None = None
-        """None: commands are refused."""
+        """None while commands are refused."""
         self._futures: set[Future[object]] = set()
-        """Whoever takes a future out gives it its result."""
+        """The code that takes a future out gives it its result."""
         self._tasks: set[asyncio.Task[None]] = set()
 
     def open(self, loop: asyncio.AbstractEventLoop) -> None:
@@ -77,7 +77,7 @@ class PendingCommands:
             self._loop = None
 
     def end(self) -> None:
-        """Take no more commands, and fail those under way. May be called from any thread; the loop cancels the rest."""
+        """Take no more commands, and fail all others. May be called from any thread; the loop cancels their tasks."""
         with self._lock:
             self._loop = None
             left = tuple(self._futures)
@@ -96,11 +96,11 @@ class PendingCommands:
             future.add_done_callback(lambda done: _cancel(task, loop) if done.cancelled() else None)
 
     async def _run(self, work: Callable[[], Coroutine[None, None, T]], future: Future[T]) -> None:
-        # Given a turn later: what the command has begun goes first, so that whoever waits sees it.
+        # The result comes a turn later, so that the caller sees the callbacks that the command has added.
         later = asyncio.get_running_loop().call_soon
         try:
             later(self._succeeded, future, await work())
-        except asyncio.CancelledError:  # by whoever waits for the future, or by what ends with the engine
+        except asyncio.CancelledError:  # by the caller through the future, or at the end of the engine
             later(self._failed, future, _error())
             raise
         except Exception as error:  # noqa: BLE001 — it is the future's
@@ -124,7 +124,7 @@ class PendingCommands:
 
 
 def not_running() -> Future[T]:
-    """What a command gets that is refused."""
+    """Return the future of a refused command."""
     failed: Future[T] = Future()
     failed.set_exception(_error())
     return failed
@@ -148,22 +148,22 @@ T = TypeVar("T")
 
 
 class Engine(EngineApi):
-    """Bridges what a session says, from `start` to `stop`. Used once: after `stop`, `start` raises an error.
+    """Bridges a session from `start` to `stop`. Used once: after `stop`, `start` raises an error.
 
-    All state belongs to the I/O thread; commands go there and return a future, whose exception is an `EngineError`.
+    All state belongs to the I/O thread. Commands run there.
 
     Args:
-        session: what to bridge.
+        session: to be bridged.
         base: the folder that its key files are relative to.
-        ros: the ROS side; None: `rsb_bridge.ros.node.RosNode` in the session's domain.
-        clock: the wall clock; None: the machine's.
-        random: for jitter; None: seeded by the system.
-        transports: what the links run over; None: the kernel's sockets.
-        state: the folder in which events and the time line are kept; None: they are kept in memory only.
+        ros: the ROS side, or None for `rsb_bridge.ros.node.RosNode` in the session's domain.
+        clock: the wall clock, or None for the machine's.
+        random: for jitter, or None for one that the system seeds.
+        transports: carry the links, or None for the kernel's sockets.
+        state: the folder for events and the time line, or None to keep them in memory only.
 
     Attributes:
-        access: which operators may attach over a network.
-        network: the Zenoh network in which it announces itself; None: none.
+        access: the operators that may attach over a network.
+        network: the Zenoh network in which the engine announces itself, or None.
     """
 
     def __init__(
@@ -189,7 +189,7 @@ class Engine(EngineApi):
         self._events = EventLog(self._clock)
         self.access = Access(session.name, self._events, self._clock, self._transports.strangers)
         self._starting = threading.Lock()
-        """Held by whoever starts or ends the threads."""
+        """Held while threads start or end."""
         self._stop_wanted = False
         self._commands = PendingCommands()
         self._thread: threading.Thread | None = None
@@ -232,7 +232,7 @@ class Engine(EngineApi):
 
     def stop(self, timeout: float = _STOP_WITHIN) -> None:
         self._stop_wanted = True
-        # A start that is under way sees this and cleans up, so that nothing is left to do here after a long wait. If it
+        # A start that is still running sees this and cleans up, so that nothing remains to be done here. If it
         # hangs (in the middleware, say), it is not waited for any longer, and cleans up when it returns.
         if not self._starting.acquire(timeout=timeout):
             return
@@ -417,10 +417,10 @@ class Engine(EngineApi):
         return Reloaded(tuple(done), tuple(left), tuple(failed))
 
     def _read_again(self) -> tuple[Path, Session, list[str]]:
-        """The session file as it is now: its path, the session to change to, and what cannot change, in words.
+        """Read the session file: its path, the session to change to, and the differences that cannot take effect.
 
         Raises:
-            EngineError: there is none, or it has mistakes.
+            EngineError: the session is in no file, or the file has mistakes.
         """
         if self._file is None:
             raise EngineError(Unable.NO_FILE())
@@ -431,6 +431,6 @@ class Engine(EngineApi):
         if problem := is_another(self._session, wanted):
             raise EngineError(f"{self._file}: {problem}")
         session, left = kept(self._session, wanted)
-        if problems := validate(session):  # what is left as it is may not go with what is new
+        if problems := validate(session):  # the old and the new parts may contradict each other
             raise EngineError("; ".join([*left, *map(str, problems)]))
         return self._file, session, left

@@ -1,4 +1,4 @@
-"""What routes carry, for operators: they look at its messages, read what its types are, and call it by hand."""
+"""Commands that look into routes: show a message, describe a type, call by hand."""
 
 from __future__ import annotations
 
@@ -42,9 +42,9 @@ class RouteInspector:
     """Executes commands that look at messages and types, or call by hand.
 
     Args:
-        context: what every part of the engine shares.
+        context: the state that all parts share.
         find: gives a route and its link by the route's key.
-        did: records what an operator has done.
+        did: records a command.
     """
 
     def __init__(
@@ -99,7 +99,7 @@ class RouteInspector:
             outcome = f"failed: {error}"
             raise
         except asyncio.CancelledError:
-            outcome = "given up by whoever made it"
+            outcome = "cancelled by its operator"
             raise
         finally:
             outcome = sanitize_text(outcome, REASON_LENGTH)
@@ -107,7 +107,7 @@ class RouteInspector:
         return note + await asyncio.to_thread(self._text_of, f"{entry.type}_Response", response)
 
     def _record(self, link: Link, route: CallsRoute, message: ByHand) -> None:
-        """Have both sides' logs say what an operator here calls, or what became of it."""
+        """Record an operator's call, or its outcome, in the logs of both sides."""
         if message.route:
             link.send(message)
         code = EventCode.OPERATOR_CALL_ENDED if message.outcome else EventCode.OPERATOR_CALLED
@@ -115,7 +115,7 @@ class RouteInspector:
         self._did(code, what, topic=route.local_topic, link=route.peer.name, new=message.outcome or message.request)
 
     def _serialized(self, route: CallsRoute, lane: int, entry: LaneEntry, request: str) -> tuple[bytes, str]:
-        """A request as bytes, and what its operator should know of it; on a thread that may take some time."""
+        """Return a request as bytes, and a note for its operator. Slow: not for the I/O thread."""
         ros, context = self._context.ros, self._context
         installed = ros.installed_service_hash(entry.type)
         if installed is not None and installed != entry.type_hash:
@@ -127,7 +127,7 @@ class RouteInspector:
         return ros.serialize(f"{entry.type}_Request", fields, context.wall_ns()), note
 
     def _defaults(self, route: CallsRoute, lane: int, entry: LaneEntry) -> str:
-        """What a request has where nothing is written, as YAML, likewise; but for the id that a goal gets anyway."""
+        """Return the defaults of a request as YAML, without the id of a goal. Slow: not for the I/O thread."""
         type_name = f"{entry.type}_Request"
         decoded = self._decoded(type_name, self._context.ros.serialize(type_name, {}, self._context.wall_ns()))
         if _is_goal(route, lane):
@@ -135,7 +135,7 @@ class RouteInspector:
         return write_fields(decoded)
 
     def _text_of(self, type_name: str, payload: bytes) -> str:
-        """A message as YAML, likewise."""
+        """Return a message as YAML. Slow: not for the I/O thread."""
         return write_fields(self._decoded(type_name, payload))
 
     def _decoded(self, type_name: str, payload: bytes) -> Decoded:
@@ -155,9 +155,9 @@ def _is_goal(route: CallsRoute, lane: int) -> bool:
 
 
 def _lane_named(route: CallsRoute, name: str) -> int:
-    """A lane's number, by its name among those that can be called."""
+    """Return the number of a lane that can be called, by its name."""
     names = {lane.name: number for number, lane in enumerate(route.lanes) if not lane.is_topic}
     if name in names:
         return names[name]
     shown = ", ".join(filter(None, names))
-    raise LinkError(f"{route.local_topic} has no {name!r} to call" + (f": say which of {shown}" if shown else ""))
+    raise LinkError(f"{route.local_topic} has no {name!r} to call" + (f": choose one of {shown}" if shown else ""))

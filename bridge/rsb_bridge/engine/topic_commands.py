@@ -51,8 +51,8 @@ class TopicCommands:
 
     Args:
         role: has the links.
-        did: records what was done.
-        demands: keep what has to be armed.
+        did: records a command.
+        demands: the names that have to be armed.
     """
 
     def __init__(self, role: BridgeRole, did: Recorder, demands: RunningDemands) -> None:
@@ -97,7 +97,7 @@ class TopicCommands:
 
     def _edit(self, key: str, topic: Topic, *, drop_arm: bool) -> str:
         if drop_arm and topic.arm:
-            raise LinkError(f"{topic.topic} would still have to be armed: set arm=false beside --drop-arm")
+            raise LinkError(f"{topic.topic} would still have to be armed: set arm=false together with --drop-arm")
         if (pattern := self._pattern(key)) is not None:
             link, old = pattern
             if not topic.is_pattern:
@@ -150,7 +150,7 @@ class TopicCommands:
     ) -> None:
         """Drop the demands of an entry, and the demands of `armed` on its name, if an operator wants that.
 
-        The other side is told at once, so it is known that the change itself cannot be refused any more.
+        The peer hears of this at once, so call this only when the change itself can no longer be refused.
 
         Args:
             link: the entry's link.

@@ -91,7 +91,7 @@ class RemoveTopic(Command[None], frozen=True, tag="remove"):
 
 
 class Pause(Command[None], frozen=True, tag="pause"):
-    """Stop or resume carrying a topic's messages on both sides, or those of all topics that a pattern matches."""
+    """Stop or resume carrying the messages of a topic, or of all topics that a pattern matches, on both sides."""
 
     one_at_a_time = True
     key: str
@@ -133,7 +133,7 @@ class KeepArmed(Command[None], frozen=True, tag="keep_armed"):
     A topic disarms if its console is silent for 5 s, or if its operator presses no key within its deadman time.
 
     Attributes:
-        pressed: whether the operator has pressed a key since the last command, so that deadman times begin anew.
+        pressed: whether the operator has pressed a key since the last command, so that deadman times start again.
     """
 
     right = Right.LOOK
