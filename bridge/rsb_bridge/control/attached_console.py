@@ -255,11 +255,10 @@ class Console:
 
     async def _execute(self, request: int, command: AnyCommand) -> object:
         done = asyncio.wrap_future(self._engine.do(command, lambda text: self._step(request, text)))
-        # The engine finishes most commands even if nobody waits for the result any more.
-        result = await (done if command.cancellable else asyncio.shield(done))
         if isinstance(command, Stop):
             self._served.stop_process()
-        return result
+        # The engine finishes most commands even if nobody waits for the result any more.
+        return await (done if command.cancellable else asyncio.shield(done))
 
     def _step(self, request: int, text: str) -> None:
         """Tell a step of a restart; called on the engine's thread."""

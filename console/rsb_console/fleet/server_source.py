@@ -122,9 +122,8 @@ class RobotEngine(RemoteEngine):
         return [event for event in events if event.link in ("", self._robot)]
 
     def do(self, command: Command[R], step: Callable[[str], None] | None = None) -> Future[R]:
-        for kind, what in _CONCERNS_ALL.items():
-            if isinstance(command, kind):
-                return self._concerns_all(what)
+        if what := _CONCERNS_ALL.get(type(command)):
+            return self._concerns_all(what)
         if isinstance(command, AddTopic | Retry) and not command.link:
             command = cast("Command[R]", msgspec.structs.replace(command, link=self._robot))
         future = super().do(command, step)
