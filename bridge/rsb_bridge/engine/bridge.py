@@ -22,7 +22,7 @@ from rsb_bridge.config.keys import shared_key_problem
 from rsb_bridge.config.validation import validate
 from rsb_bridge.engine.exporters import Exporters
 from rsb_bridge.engine.inspector import RouteInspector
-from rsb_bridge.engine.topic_commands import ArmingCommands, TopicCommands
+from rsb_bridge.engine.topic_commands import ArmingCommands, CommandLog, TopicCommands, undo_mark
 from rsb_bridge.link.errors import Denied, LinkError
 from rsb_bridge.link.graph_watch import GraphWatch
 from rsb_bridge.link.name_watch import NameWatch
@@ -34,7 +34,7 @@ from rsb_bridge.model.benchmark import Outcome, Usage
 from rsb_bridge.model.budgets import Backoff
 from rsb_bridge.model.calls import FieldError
 from rsb_bridge.model.codes import EventCode
-from rsb_bridge.model.command_origin import is_undo, operator
+from rsb_bridge.model.command_origin import operator
 from rsb_bridge.model.demands import Demands, sources_of
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.model.snapshot import Level, LinkSnapshot, RouteSnapshot, TopicInfo
@@ -138,9 +138,10 @@ class Bridge:
         self._names = NameWatch(context, self._followers)
         context.names_changed = self._names.changed
         self.graph_watch = GraphWatch(context, self._role.links, self._names.changed)
-        topics = TopicCommands(self._role, self._did, context.demands)
+        self._log = CommandLog(context.events)
+        topics = TopicCommands(self._role, self._log, context.demands)
         self._arming = arming = ArmingCommands(self.links, topics.find)
-        inspector = RouteInspector(context, topics.find, self._did)
+        inspector = RouteInspector(context, topics.find, self._log)
         self.handlers: dict[type[Command[Any]], Handler] = {
             commands.Acknowledge: self._acknowledge,
             commands.AddTopic: topics.add,
@@ -323,10 +324,10 @@ class Bridge:
             acknowledgements.remove(faulty)
             code, what = EventCode.OPERATOR_ACKNOWLEDGEMENT_UNDONE, "acknowledgement taken back"
         if isinstance(faulty, LinkSnapshot):
-            self._did(code, what, link=faulty.name)
+            self._log.add(code, what, link=faulty.name)
         else:
             name = faulty.topic if isinstance(faulty, RouteSnapshot) else faulty.spec.topic
-            self._did(code, what, topic=name, link=faulty.link)
+            self._log.add(code, what, topic=name, link=faulty.link)
 
     async def add_client(self, client: Client, keys: tuple[Key, ...]) -> None:
         """Accept one more client, on a server."""
@@ -358,10 +359,10 @@ class Bridge:
 
     async def _retry(self, command: commands.Retry) -> None:
         self._role.retry(command.link)
-        self._did(EventCode.OPERATOR_RETRIED, "tried again", link=command.link)
+        self._log.add(EventCode.OPERATOR_RETRIED, "tried again", link=command.link)
 
     async def _shut_down(self, _: commands.ShutDown) -> None:
-        self._did(EventCode.OPERATOR_SHUT_DOWN, "shut down on both sides")
+        self._log.add(EventCode.OPERATOR_SHUT_DOWN, "shut down on both sides")
         self._role.shut_down(operator())
 
     async def _restart(self, step: Callable[[str], None] | None, _: commands.Restart) -> None:
@@ -370,7 +371,7 @@ class Bridge:
             if step is not None:
                 step(message)
 
-        self._did(EventCode.OPERATOR_RESTARTED, "restarted: all links are closed and opened again")
+        self._log.add(EventCode.OPERATOR_RESTARTED, "restarted: all links are closed and opened again")
         await self._role.restart(report)
 
     async def reload(self, session: Session, keys: Keys, *, dry_run: bool) -> tuple[list[str], list[str]]:
@@ -416,7 +417,7 @@ class Bridge:
                 )
             else:
                 done.append(step.text)
-                self.context.events.add(Level.INFO, code, f"{why}{step.text}{_undo_mark()}", who=operator())
+                self.context.events.add(Level.INFO, code, f"{why}{step.text}{undo_mark()}", who=operator())
 
         with self.context.demands.changing(operator()):
             dropped = self._dropped_by(session) if is_reload else {}
@@ -455,14 +456,6 @@ class Bridge:
         if before is not None:
             before.close()
 
-    def _did(
-        self, code: EventCode, what: str, *, topic: str = "", link: str = "", old: str = "", new: str = ""
-    ) -> None:
-        """Record what an operator has done; of a topic, by its name on this side."""
-        who = operator()
-        text = f"{f'{topic}: ' if topic else ''}{what} by {who}{_undo_mark()}"
-        self.context.events.add(Level.INFO, code, text, link=link, topic=topic, who=who, old=old, new=new)
-
     def _followers(self) -> Iterator[Follower]:
         """Yield the parts that follow the names of this side's graph."""
         for link in self.links():
@@ -476,11 +469,6 @@ class Bridge:
         if command.link is None:
             return tuple(await asyncio.to_thread(graph_of, self.context.ros, CALLED))
         return tuple(await topics_of_peer(self.links(), command.link))
-
-
-def _undo_mark() -> str:
-    """Return the end of an event's text: a mark if the operator takes back an earlier change."""
-    return " (undo)" if is_undo() else ""
 
 
 async def carry_out(order: Order, links: Sequence[Link]) -> Outcome:

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
     from rsb_bridge.cdr.decoder import Decoded
     from rsb_bridge.context import Context
-    from rsb_bridge.engine.topic_commands import Recorder
+    from rsb_bridge.engine.topic_commands import CommandLog
     from rsb_bridge.link.link import Link
     from rsb_bridge.model.commands import Call, Describe, Peek, Template
     from rsb_bridge.model.snapshot import PeekedMessage
@@ -44,18 +44,18 @@ class RouteInspector:
     Args:
         context: the state that all parts share.
         find: gives a route and its link by the route's key.
-        did: records a command.
+        log: records the commands.
     """
 
     def __init__(
         self,
         context: Context,
         find: Callable[[str], tuple[Link, Route]],
-        did: Recorder,
+        log: CommandLog,
     ) -> None:
         self._context = context
         self._find = find
-        self._did = did
+        self._log = log
         self._peeking = Peeking(context)
         self._calls = 0
 
@@ -112,7 +112,7 @@ class RouteInspector:
             link.send(message)
         code = EventCode.OPERATOR_CALL_ENDED if message.outcome else EventCode.OPERATOR_CALLED
         what = called(route, message.lane, message.outcome)
-        self._did(code, what, topic=route.local_topic, link=route.peer.name, new=message.outcome or message.request)
+        self._log.add(code, what, topic=route.local_topic, link=route.peer.name, new=message.outcome or message.request)
 
     def _serialized(self, route: CallsRoute, lane: int, entry: LaneEntry, request: str) -> tuple[bytes, str]:
         """Return a request as bytes, and a note for its operator. Slow: not for the I/O thread."""

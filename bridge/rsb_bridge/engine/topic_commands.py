@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING
 
 import msgspec
 
 from rsb_bridge.config.difference import changes, described
 from rsb_bridge.link.errors import Denied, LinkError
 from rsb_bridge.model.codes import EventCode
-from rsb_bridge.model.command_origin import console, operator
+from rsb_bridge.model.command_origin import console, is_undo, operator
 from rsb_bridge.model.demands import PEER_DEMANDS, local_name
+from rsb_bridge.model.snapshot import Level
 from rsb_bridge.route.arming import Disarmed
 from rsb_bridge.route.lifecycle import pause_word
 
@@ -32,18 +33,27 @@ if TYPE_CHECKING:
     from rsb_bridge.model.demands import RunningDemands
     from rsb_bridge.model.session import Topic
     from rsb_bridge.route.route import Route
+    from rsb_bridge.telemetry.event_log import EventLog
 
 _INSTEAD = "remove the one, and add the other"
 
 
-class Recorder(Protocol):
-    """Records what an operator has done."""
+class CommandLog:
+    """Records operators' commands in the event log."""
 
-    def __call__(
-        self, code: EventCode, what: str, *, topic: str = "", link: str = "", old: str = "", new: str = ""
-    ) -> None:
-        """Record it; of a topic, by its name on this side."""
-        ...
+    def __init__(self, events: EventLog) -> None:
+        self._events = events
+
+    def add(self, code: EventCode, what: str, *, topic: str = "", link: str = "", old: str = "", new: str = "") -> None:
+        """Record a command; `topic` is its name on this side."""
+        who = operator()
+        text = f"{f'{topic}: ' if topic else ''}{what} by {who}{undo_mark()}"
+        self._events.add(Level.INFO, code, text, link=link, topic=topic, who=who, old=old, new=new)
+
+
+def undo_mark() -> str:
+    """Return the end of an event's text: a mark if the operator takes back an earlier change."""
+    return " (undo)" if is_undo() else ""
 
 
 class TopicCommands:
@@ -51,13 +61,13 @@ class TopicCommands:
 
     Args:
         role: has the links.
-        did: records a command.
+        log: records the commands.
         demands: the names that have to be armed.
     """
 
-    def __init__(self, role: BridgeRole, did: Recorder, demands: RunningDemands) -> None:
+    def __init__(self, role: BridgeRole, log: CommandLog, demands: RunningDemands) -> None:
         self._role = role
-        self._did = did
+        self._log = log
         self._demands = demands
 
     def find(self, key: str) -> tuple[Link, Route]:
@@ -85,7 +95,7 @@ class TopicCommands:
             link, key, topic = self._role.add(command.topic, command.link)
         route = link.routes.get(key)
         topic, name = (topic, topic.topic) if route is None else (route.spec, route.local_topic)
-        self._did(EventCode.OPERATOR_ADDED, "added", topic=name, link=link.name, new=described(topic))
+        self._log.add(EventCode.OPERATOR_ADDED, "added", topic=name, link=link.name, new=described(topic))
         return key
 
     async def edit(self, command: EditTopic) -> str:
@@ -118,7 +128,9 @@ class TopicCommands:
             new = link.proposed.replace(route, topic)
             new_key, name = new.key, new.local_topic
         what = f"changed ({', '.join(changes(old, topic)) or 'nothing differs'})"
-        self._did(EventCode.OPERATOR_EDITED, what, topic=name, link=link.name, old=described(old), new=described(topic))
+        self._log.add(
+            EventCode.OPERATOR_EDITED, what, topic=name, link=link.name, old=described(old), new=described(topic)
+        )
         return new_key
 
     async def remove(self, command: RemoveTopic) -> None:
@@ -143,7 +155,7 @@ class TopicCommands:
             link.bench.removed(route)
             link.table.remove(route, "removed by an operator")
             link.patterns.leave_out(route)
-        self._did(EventCode.OPERATOR_REMOVED, "removed", topic=name, link=link.name, old=described(topic))
+        self._log.add(EventCode.OPERATOR_REMOVED, "removed", topic=name, link=link.name, old=described(topic))
 
     def _drop_demands(
         self, link: Link, entry: Topic, name: str, route: Route | None, *, wanted: bool, names_it: bool = False
@@ -198,7 +210,7 @@ class TopicCommands:
         for route in self._routes_of(key):
             link.table.pause(route, paused=paused)
         word = pause_word(paused=paused)
-        self._did(code, "paused" if paused else "resumed", topic=name, link=link.name, old=old, new=word)
+        self._log.add(code, "paused" if paused else "resumed", topic=name, link=link.name, old=old, new=word)
         await _settled(routes)
 
 
