@@ -64,14 +64,14 @@ class Console(ConsoleShell, Protocol):
     """One engine under one session, shown by one app.
 
     Attributes:
-        engine: the engine that runs or ran last, or None before the first one.
+        engine: the engine that runs or ran last; None: there was none yet.
         base: the folder that the session's key files are relative to.
-        path: the session file, or None if the session is in no file.
-        saved: the session as the file has it, or None if it is in no file.
-        file: that file as it was opened, with its comments, or None if there is no file or it has changed.
-        temporary: whether the session's file is deleted when the session ends, like the demo's.
-        attached_to: the bridge of another process that is shown, or an empty string for the console's own engine.
-        note: the console's present work on the session (``starting``), or an empty string.
+        path: the session file; None: the session is in no file.
+        saved: the session as the file has it; None: it is in no file.
+        file: that file as it was opened, with its comments; None: the session is in no file, or it has changed.
+        temporary: the session's file is deleted when the session ends, as the demo's is.
+        attached_to: the bridge of another process that is shown; empty: the engine is the console's own.
+        note: what the console is doing with the session (``starting``); empty: nothing.
         refresh_rate: Hz.
         changes: this console's changes to the engine that can be undone.
     """
@@ -96,9 +96,9 @@ class Console(ConsoleShell, Protocol):
 
         Args:
             session: to run.
-            path: its file, or None.
+            path: its file; None: it is in no file.
             resources: closed when the session ends.
-            temporary: whether the file is among those resources, so that saving to it keeps nothing.
+            temporary: the file is among those resources, so that saving to it keeps nothing.
         """
         ...
 
@@ -134,7 +134,7 @@ class Console(ConsoleShell, Protocol):
 
         Args:
             future: from the engine.
-            done: shown on success, or an empty string if the log shows it anyway.
+            done: what to tell on success; empty: nothing, because the log does.
 
         Returns:
             Whether it succeeded.

@@ -155,7 +155,7 @@ def _is_goal(route: CallsRoute, lane: int) -> bool:
 
 
 def _lane_named(route: CallsRoute, name: str) -> int:
-    """Return the number of a lane that can be called, by its name."""
+    """A lane's number, by its name among those that can be called."""
     names = {lane.name: number for number, lane in enumerate(route.lanes) if not lane.is_topic}
     if name in names:
         return names[name]

@@ -49,7 +49,7 @@ class ProposedTopics:
         self._profile = profile
 
     def all(self) -> tuple[Topic, ...]:
-        """The topics that this side proposes by name, in a session's order. May be called from any thread."""
+        """What this side proposes by its name, in a session's order. May be called from any thread."""
         routes = tuple(self._table.routes.values())
         proposed = [route.spec for route in routes if route.proposed_here and not route.pattern]
         topics = [topic for topic in proposed if not is_bench_topic(topic.topic)]
