@@ -16,8 +16,8 @@ from rsb_bridge.wire.messages import BenchAnswer, BenchAsk
 if TYPE_CHECKING:
     import pytest
 
-    from rsb_bridge.context import Context
-    from rsb_bridge.link.route_table import RouteOwner, RouteTable
+    from rsb_bridge.link.base_link import BaseLink
+    from rsb_bridge.link.route_table import RouteTable
     from rsb_bridge.route.route import Route
 
 UP, DOWN = bench_topic("tcp", "transmit"), bench_topic("tcp", "receive")
@@ -34,17 +34,20 @@ class Here:
         loop = SimpleNamespace(call_soon=lambda work: work())
         self.routes: dict[str, Any] = {}
         ids = SimpleNamespace(open_route=lambda number: list(self.routes.values())[number])
-        table = SimpleNamespace(routes=self.routes, deny=lambda _, reason: self.denied.append(reason), ids=ids)
+        table = SimpleNamespace(deny=lambda _, reason: self.denied.append(reason))
         context = SimpleNamespace(ros=self.ros, now=lambda: self.time, loop=loop)
-        owner = SimpleNamespace(
+        link = SimpleNamespace(
+            context=context,
+            routes=self.routes,
+            ids=ids,
+            linked=True,
+            carriers=set,
             name=PEER,
             send=lambda _: None,
             spawn=lambda _: None,
             rights=SimpleNamespace(bench=Leave(seconds=10.0, max_rate=100.0, megabytes=1.0)),
         )
-        self.bench = LinkBench(
-            cast("Context", context), cast("RouteOwner", owner), cast("RouteTable", table), cast("Any", None), set
-        )
+        self.bench = LinkBench(cast("BaseLink", link), cast("RouteTable", table), cast("Any", None))
 
     def open(self, topic: str) -> Any:
         """The peer opens a topic, which takes the place of another of its name."""
@@ -147,4 +150,4 @@ def test_no_message_of_any_size_beyond_the_limit_is_taken() -> None:
     assert (drain.messages, drain.bytes) == (10, 1_000_000)
     here.time += 3600.0
     publish(here.open(UP), 1, 900_000)
-    assert not here.bench.refusal(UP, Leave(seconds=10.0, max_rate=100.0, megabytes=1.0))
+    assert not here.bench.refusal(UP)

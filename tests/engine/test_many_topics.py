@@ -142,7 +142,7 @@ def test_a_burst_of_messages_leaves_the_loop_to_others(bridge: Bridge) -> None:
     with Rogue(bridge.port, read_key(bridge.folder / bridge.key_file).secret) as rogue:
         eventually(lambda: linked(server))
         link = link_of(server)
-        loop, handle = link.context.loop, link.message
+        loop, handle = link.context.loop, link.handlers[Ping]
         together = [0]
 
         def counted(message: ControlMessage) -> None:
@@ -153,7 +153,7 @@ def test_a_burst_of_messages_leaves_the_loop_to_others(bridge: Bridge) -> None:
             together.append(0)
             loop.call_soon(turn)
 
-        link.message = counted  # type: ignore[assignment,method-assign]
+        link.handlers[Ping] = counted
         link.context.call(turn)
         rogue.say(*(Ping(n=n, sent=n) for n in range(1, 1001)))
         assert [rogue.wait_for(Pong).n for _ in range(10)] == list(range(1, 11))
@@ -168,13 +168,13 @@ def test_who_sends_ever_more_messages_waits(bridge: Bridge) -> None:
     with Rogue(bridge.port, read_key(bridge.folder / bridge.key_file).secret) as rogue:
         eventually(lambda: linked(server))
         link = link_of(server)
-        handled, handle = [0], link.message
+        handled, handle = [0], link.handlers[Ping]
 
         def counted(message: ControlMessage) -> None:
             handled[0] += isinstance(message, Ping)
             handle(message)
 
-        link.message = counted  # type: ignore[assignment,method-assign]
+        link.handlers[Ping] = counted
         began = time.monotonic()
         rogue.say(*(Ping(n=n, sent=n) for n in range(1, 6001)))
         eventually(lambda: handled[0] == 6000)

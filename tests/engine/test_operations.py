@@ -290,7 +290,7 @@ def test_silence_is_warned_of_so_many_times(bridge: Bridge, robot: Domain, pc: D
 
     expected = [
         "/chat: nothing for 0.5 s (warning 1 of 2)",
-        "/chat: nothing for 1 s (warning 2 of 2); no more will be said until data returns",
+        "/chat: nothing for 1 s (warning 2 of 2); no further warnings until data returns",
     ]
     for engine in (client, server):
         eventually(lambda engine=engine: warnings(engine)[-2:] == expected)  # there may be some of before the message

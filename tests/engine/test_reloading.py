@@ -74,7 +74,7 @@ def test_only_the_topics_that_differ_change(bridge: Bridge, robot: Domain, pc: D
     assert (reloaded.left, reloaded.failed) == ((), ())
     assert reloaded.changed == (
         "/gone (transmit): removed (it was {topic: /gone, direction: transmit})",
-        "/map (transmit): protocol none → udp; opened anew, counted from 0",
+        "/map (transmit): protocol none → udp; reopened, counted from 0",
         "/added (transmit): added: {topic: /added, direction: transmit}",
     )
     assert set(client.session.topics) == set(wanted["topics"])

@@ -81,7 +81,7 @@ def let_time_pass(pair: Pair, loop: VirtualLoop, seconds: float) -> None:
 
 
 def route(side: Side) -> Route:
-    (found,) = side.table.routes.values()
+    (found,) = side.routes.values()
     return found
 
 
@@ -265,7 +265,7 @@ def test_a_lost_link_disarms_both_sides_and_a_new_one_is_disarmed(pair: Pair, lo
     for side in pair:
         side.linked = False
         side.inbox.clear()
-        side.table.disconnected("cut")
+        side.table.disconnected()
     assert passes(*pair) == [False, False]
     loop.run_until_complete(asyncio.sleep(LASTS))
     assert why(robot) == why(pc) == Disarmed.LINK_LOST
@@ -339,11 +339,11 @@ def test_a_side_marks_its_own_topic_whatever_the_peer_proposes(pair: Pair) -> No
     pc.table.handle(Close(route(pc).id, "removed", removed=True))
     robot.inbox.append(Close(route(robot).id, "removed", removed=True))
     hear_all(pair)
-    assert not robot.table.routes
+    assert not robot.routes
     for number, name in enumerate(("/cmd_vel", "/another")):
         robot.table.handle(Propose(route=100 + 2 * number, topic=name, remote_topic="/cmd_vel", from_client=False))
-    assert [each.arming.required for each in robot.table.routes.values()] == [True, True]
-    assert {each.arming.deadman for each in robot.table.routes.values()} == {DEADMAN}
+    assert [each.arming.required for each in robot.routes.values()] == [True, True]
+    assert {each.arming.deadman for each in robot.routes.values()} == {DEADMAN}
 
 
 def test_the_shorter_deadman_of_both_sides_counts(make_armable: Callable[..., Pair], loop: VirtualLoop) -> None:
@@ -352,7 +352,7 @@ def test_the_shorter_deadman_of_both_sides_counts(make_armable: Callable[..., Pa
     propose(robot, Topic("/cmd_vel", "receive", arm=True, deadman=0.0))
     for _ in range(3):
         let_time_pass((robot, pc), loop, 1.0)
-    commands = [each for side in (robot, pc) for each in side.table.routes.values() if "cmd" in each.key]
+    commands = [each for side in (robot, pc) for each in side.routes.values() if "cmd" in each.key]
     assert [(each.arming.required, each.arming.deadman) for each in commands] == [(True, 20.0)] * 2
 
 
@@ -655,7 +655,7 @@ def test_a_peer_that_proposes_and_removes_has_no_demands_counted_anew(
     for _ in range(10):
         propose(robot, Topic("/chat", "transmit"))
         hear_all(pair)
-        robot.table.remove(next(each for each in robot.table.routes.values() if each.spec.topic == "/chat"), "removed")
+        robot.table.remove(next(each for each in robot.routes.values() if each.spec.topic == "/chat"), "removed")
         hear_all(pair)
         turn(loop)
     assert set(counted) == {robot}

@@ -36,15 +36,15 @@ class Ignores:
 
 
 def held(side: Side) -> dict[str, int]:
-    budget, table = side.budget, side.table
+    budget = side.budget
     return {
         "unfinished": budget.unfinished.held,
         "kept": budget.kept.held,
         "unacknowledged": budget.unacknowledged.held,
         "further publishers": budget.further_publishers.held,
         "types": budget.types.used,
-        "routes": len(table.routes),
-        "open": len(table.ids.open_routes()),
+        "routes": len(side.routes),
+        "open": len(side.ids.open_routes()),
         "demands": len(side.context.demands.sources),
     }
 
@@ -66,7 +66,7 @@ def test_after_many_routes_every_count_is_zero(
             sources = tuple(Source((f"node{each}",)) for each in range(random.randint(1, 4)))
             kind = f"made_up_msgs/msg/Type{random.randrange(400)}", "RIHS01_" + "0" * 64
             side.table.handle(Describe(number, *kind, random.choice((VOLATILE, LATCHED)), sources))
-        route = side.table.ids.open_route(number)
+        route = side.ids.open_route(number)
         if isinstance(route, IncomingRoute):
             ros.published.acknowledged = random.random() < 0.5
             route.deliver([(bytes(random.randrange(100_000)), 0, 0), grown(1_000_000), grown(1_000_000)])
@@ -75,13 +75,13 @@ def test_after_many_routes_every_count_is_zero(
         if ending < 3:
             side.table.handle(Close(number, "enough", removed=ending > 0))
         elif ending == 3 and random.random() < 0.05:
-            side.table.disconnected("cut")
-            side.table.ids.take_of_peer(number)
+            side.table.disconnected()
+            side.ids.take_of_peer(number)
         side.inbox.clear()
         loop.jump(0.01)
         assert all(count >= 0 for count in held(side).values())
     assert all(most[name] for name in ("kept", "unacknowledged", "further publishers", "types")), most
-    for route in tuple(side.table.routes.values()):
+    for route in tuple(side.routes.values()):
         side.table.remove(route, "by an operator")
     assert held(side) == nothing
     assert not loop.errors

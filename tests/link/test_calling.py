@@ -163,7 +163,7 @@ class SaysGoodbye(Tcp):
         (link,) = self.role.links()
         link.control = Control(link)  # type: ignore[assignment]
         handler.outcome.set_result(None)
-        self._loop.call_soon(link.on_shutdown, Shutdown(reason="for years", retry_after=self.retry_after))
+        self._loop.call_soon(link.handlers[Shutdown], Shutdown(reason="for years", retry_after=self.retry_after))
         return None  # type: ignore[return-value]
 
 

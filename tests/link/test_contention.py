@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from types import SimpleNamespace
-from typing import TYPE_CHECKING, cast
+from typing import TYPE_CHECKING, Any, cast
 
 import pytest
 
@@ -14,7 +14,7 @@ from rsb_bridge.model.qos import Qos
 from rsb_bridge.model.session import Topic
 from rsb_bridge.ros.ros_interface import RawMessage
 from rsb_bridge.route.ledger import RouteLedger
-from rsb_bridge.route.sending import Sending
+from rsb_bridge.route.sending import OutgoingPath
 from rsb_bridge.route.thinning import Share, Thinning, Traffic
 from rsb_bridge.transport.registry import default_transports
 
@@ -23,7 +23,6 @@ if TYPE_CHECKING:
     from rsb_bridge.route.loop_filter import LoopFilter
     from rsb_bridge.route.outgoing import OutgoingRoute
     from rsb_bridge.route.route import Route
-    from rsb_bridge.route.sending import SendingRoute
 
 ASKED = 100_000.0
 """Bytes/s, by each topic."""
@@ -130,14 +129,12 @@ def test_what_is_held_back_is_looked_at_again_as_often_as_shares_change() -> Non
         thinning=thinning,
         arming=SimpleNamespace(required=False),
         age=SimpleNamespace(is_on=False, is_young=lambda _: True),
-        peer=SimpleNamespace(profile=PLAIN),
-        connected=True,
+        peer=SimpleNamespace(profile=PLAIN, stamp_shift=0),
+        life=SimpleNamespace(accepted=True),
         count=lambda *_: None,
     )
     loop_filter = SimpleNamespace(table=SimpleNamespace(flags={b"": 0}))
-    sending = Sending(
-        cast("Context", clock), cast("SendingRoute", route), RouteLedger(), cast("LoopFilter", loop_filter)
-    )
-    sending.offer([RawMessage(bytes(100_000), 1, b"", number) for number in (1, 2)])
+    path = OutgoingPath(cast("Context", clock), cast("Any", route), RouteLedger(), cast("LoopFilter", loop_filter))
+    path.offer([RawMessage(bytes(100_000), 1, b"", number) for number in (1, 2)])
     assert thinning.wait(1000.0) > 3600.0
     assert delays == [1.0]

@@ -6,6 +6,8 @@ import asyncio
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
+from tests.support.slices import Handlers
+
 from rsb_bridge.link.control_channel import ControlChannel
 from rsb_bridge.wire.events import Received
 from rsb_bridge.wire.messages import Ping
@@ -38,7 +40,6 @@ def test_long_messages_are_taken_in_slowly(loop: VirtualLoop) -> None:
     stream: Any = _Stream()
     connection: Any = SimpleNamespace(receive_data=lambda _: [Received(Ping(1, 0))])
     handled: list[object] = []
-    handler: Any = SimpleNamespace(message=handled.append, lost=lambda *_: None)
 
     async def flood(channel: ControlChannel, seconds: float) -> int:
         """Send as much as is read; the bytes."""
@@ -51,7 +52,7 @@ def test_long_messages_are_taken_in_slowly(loop: VirtualLoop) -> None:
         return taken
 
     async def run() -> tuple[int, int]:
-        channel = ControlChannel(stream, connection, handler)
+        channel = ControlChannel(stream, connection, Handlers(handled.append), lambda *_: None)
         return await flood(channel, _SECONDS), await flood(channel, _SECONDS)
 
     first, then = loop.run_until_complete(run())
@@ -65,10 +66,9 @@ def test_a_peer_whose_messages_wait_here_is_not_silent(loop: VirtualLoop) -> Non
     stream: Any = _Stream()
     connection: Any = SimpleNamespace(receive_data=lambda _: [Received(Ping(1, 0))] * 8000)
     handled: list[object] = []
-    handler: Any = SimpleNamespace(message=handled.append, lost=lambda *_: None)
 
     async def run() -> None:
-        channel = ControlChannel(stream, connection, handler)
+        channel = ControlChannel(stream, connection, Handlers(handled.append), lambda *_: None)
         channel.received(b"all of them")
         while len(handled) < 8000:
             assert stream.paused

@@ -4,19 +4,20 @@ from __future__ import annotations
 
 import asyncio
 from types import SimpleNamespace
-from typing import TYPE_CHECKING, Any, get_args
+from typing import TYPE_CHECKING, Any, cast, get_args
 
 import msgspec
 import pytest
 from msgspec import inspect
 from tests.support.bridge import linked
 from tests.support.rogue import Rogue
+from tests.support.slices import Handlers
 from tests.support.waiting import eventually
 
 from rsb_bridge.config.keys import read_key
 from rsb_bridge.link import control_channel
 from rsb_bridge.link.control_channel import BYTES, ENTRIES, ControlChannel, in_slices
-from rsb_bridge.link.link import take_report
+from rsb_bridge.link.route_reports import RouteReports
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.limits import ROUTES_PER_LINK
 from rsb_bridge.model.qos import Qos
@@ -40,6 +41,8 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from tests.support.bridge import Bridge
+
+    from rsb_bridge.link.base_link import BaseLink
 
 DROPPED = {f"cause_{number:04}": number for number in range(32)}
 
@@ -90,8 +93,7 @@ class Peer:
 
         async def main() -> None:
             connection: Any = SimpleNamespace(receive_data=lambda _: self._events, decodes=True)
-            handler: Any = SimpleNamespace(message=self.message, lost=lambda *_: None)
-            channel = ControlChannel(self.stream, connection, handler)
+            channel = ControlChannel(self.stream, connection, Handlers(self.message), lambda *_: None)
             assert not connection.decodes
             channel.received(b"x")
             before = 0
@@ -164,8 +166,8 @@ def test_entries_come_no_faster_than_a_thousand_routes_report(loop: Any, entries
     async def main() -> tuple[int, int]:
         stream: Any = Stream()
         connection: Any = SimpleNamespace(receive_data=lambda _: [Received(report)])
-        handler: Any = SimpleNamespace(message=lambda each: entries_of(each, done.append), lost=lambda *_: None)
-        channel = ControlChannel(stream, connection, handler)
+        handlers = Handlers(lambda each: entries_of(each, done.append))
+        channel = ControlChannel(stream, connection, handlers, lambda *_: None)
         counts = []
         for _ in range(2):
             until = loop.time() + 10.0
@@ -257,13 +259,14 @@ def test_the_longest_frames_need_no_long_turn() -> None:
     assert len(parts.topics) == many
 
 
-def test_take_report_finds_routes_by_their_ids() -> None:
+def test_a_report_finds_routes_by_their_ids() -> None:
     asked: list[int] = []
 
     def open_route(number: int) -> None:
         asked.append(number)
 
-    work = take_report(Report(sent=(SentReport(route=7),), received=(ReceivedReport(route=8),)), open_route)
+    reports = RouteReports(cast("BaseLink", SimpleNamespace(ids=SimpleNamespace(open_route=open_route))))
+    work: Any = reports.messages[Report](Report(sent=(SentReport(route=7),), received=(ReceivedReport(route=8),)))
     with pytest.raises(StopIteration) as end:
         next(work)
     assert end.value.value == 2

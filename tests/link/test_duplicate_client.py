@@ -59,15 +59,15 @@ def test_the_linked_client_says_little_of_many(loop: VirtualLoop, make_context: 
         return sum(event.code == EventCode.LINK_NAME_TAKEN for event in context.events.after(0))
 
     for second in range(59):
-        link.on_duplicate(Duplicate("10.0.0.9", f"spare{second}"))
+        link.handlers[Duplicate](Duplicate("10.0.0.9", f"spare{second}"))
         loop.jump(1.0)
     assert lines() == 1
     assert "for 50 s now" in link.warning
     loop.jump(1.0)
-    link.on_duplicate(Duplicate("10.0.0.9", "another", 2))
-    link.on_duplicate(Duplicate("10.0.0.9", "one more", 2))
+    link.handlers[Duplicate](Duplicate("10.0.0.9", "another", 2))
+    link.handlers[Duplicate](Duplicate("10.0.0.9", "one more", 2))
     assert lines() == 2
-    link.on_duplicate(Duplicate())
+    link.handlers[Duplicate](Duplicate())
     assert link.warning == ""
-    link.on_duplicate(Duplicate("10.0.0.9", "spare"))
+    link.handlers[Duplicate](Duplicate("10.0.0.9", "spare"))
     assert lines() == 3, "it has begun again"

@@ -7,14 +7,15 @@ from typing import TYPE_CHECKING, Any, cast
 import pytest
 
 from rsb_bridge.link.errors import LinkError
-from rsb_bridge.link.link_patterns import FollowedByPeer, PatternEntry
-from rsb_bridge.link.proposals import Authority, authorized
+from rsb_bridge.link.link_patterns import PatternEntry, PeerSubscription
+from rsb_bridge.link.proposals import authorized
 from rsb_bridge.model.patterns import NAMES_FOLLOWED
 from rsb_bridge.model.session import Session, Topic
 from rsb_bridge.wire.messages import Follow, Followed, FoundName, NamePattern, Propose
 
 if TYPE_CHECKING:
     from rsb_bridge.context import Context
+    from rsb_bridge.link.base_link import BaseLink
     from rsb_bridge.link.name_watch import Names
 
 TYPE = "std_msgs/msg/String"
@@ -26,7 +27,7 @@ class Side:
     def __init__(self) -> None:
         self.sent: list[Followed] = []
         self.changes = 0
-        self.followed = FollowedByPeer(cast("Context", self), lambda name, _: "secret" not in name, self._sent)
+        self.followed = PeerSubscription(cast("Context", self), lambda name, _: "secret" not in name, self._sent)
 
     def _sent(self, message: object) -> None:
         assert isinstance(message, Followed)
@@ -146,4 +147,4 @@ def test_a_peer_proposes_no_patterns(names: tuple[str, str]) -> None:
     session = Session(name="robot1", role="server", server_ip="127.0.0.1", server_port=49152)
     proposal = Propose(route=1, topic=names[0], remote_topic=names[1], from_client=True)
     with pytest.raises(LinkError, match="pattern"):
-        authorized(proposal, cast("Authority", None), session)
+        authorized(proposal, cast("BaseLink", None), session)

@@ -108,9 +108,9 @@ def test_a_warning_begins_when_the_link_becomes_full(loop: VirtualLoop, make_con
         link.fullness.take_record(FullRecord(carried, 15e3), "the server")
         assert link.snapshot().fault_since == pytest.approx(up + 100.0)
         loop.jump(10.0)
-    link.on_duplicate(Duplicate("10.0.0.9", "spare"))
+    link.handlers[Duplicate](Duplicate("10.0.0.9", "spare"))
     assert link.cause is LinkCause.NAME_TAKEN
     assert link.snapshot().fault_since == pytest.approx(up + 130.0)
-    link.on_duplicate(Duplicate())
+    link.handlers[Duplicate](Duplicate())
     link.fullness.take_record(FullRecord(), "the server")
     assert link.snapshot().fault_since == up

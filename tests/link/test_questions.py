@@ -6,7 +6,7 @@ import asyncio
 from typing import TYPE_CHECKING, Any
 
 import pytest
-from tests.support.slices import finish
+from tests.support.slices import take
 from tests.support.wording import pattern
 
 from rsb_bridge.link.errors import Denied, LinkError
@@ -63,14 +63,14 @@ def test_who_lists_topics_meanwhile_shares_the_question(loop: VirtualLoop) -> No
         asking = [asyncio.ensure_future(lists.ask()) for _ in range(3)]
         await asyncio.sleep(0.0)
         assert sent == [ListTopics(1, CALLED)]
-        finish(lists.handle(TopicList(request=1, topics=())))
+        take(lists, TopicList(request=1, topics=()))
         later = asyncio.ensure_future(lists.ask())
         assert await asyncio.gather(*asking) == [[], [], []]
         await asyncio.sleep(0.0)
         assert sent == [ListTopics(1, CALLED), ListTopics(2, CALLED)], "an answer that was there is not used again"
-        finish(lists.handle(TopicList(request=1, topics=())))
+        take(lists, TopicList(request=1, topics=()))
         assert not later.done()
-        finish(lists.handle(TopicList(request=2, topics=())))
+        take(lists, TopicList(request=2, topics=()))
         assert await later == []
 
     loop.run_until_complete(run())

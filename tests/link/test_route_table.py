@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 import msgspec
 import pytest
@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from tests.support.offline import FakePeer
 
 from rsb_bridge.config.rights import Rights
+from rsb_bridge.link.base_link import LinkStatus, RouteIds
 from rsb_bridge.link.errors import LinkError
 from rsb_bridge.link.proposals import proposal_of
 from rsb_bridge.link.route_table import RouteTable
@@ -26,6 +27,7 @@ if TYPE_CHECKING:
     from tests.support.virtual_time import VirtualLoop
 
     from rsb_bridge.context import Context
+    from rsb_bridge.link.base_link import BaseLink
     from rsb_bridge.model.demands import Source
     from rsb_bridge.model.snapshot import Level
     from rsb_bridge.route.route import Route
@@ -47,14 +49,17 @@ class Side(FakePeer):
         self.context = context
         self.inbox: deque[Any] = deque()
         self.other: Side
-        self.table = RouteTable(context, self)
+        self.routes: dict[str, Route] = {}
+        self.ids = RouteIds(is_client=is_client)
+        self.status = LinkStatus(0.0, reason="cut")
+        self.table = RouteTable(cast("BaseLink", self))
         context.demands.register(self)
 
     # --- what has to be armed, as a link does it
 
     def demand_sources(self) -> Iterator[Source]:
-        routes = [route.spec for route in self.table.routes.values() if route.proposed_here]
-        topics = (*routes, *self.table.yielded.values())
+        routes = [route.spec for route in self.routes.values() if route.proposed_here]
+        topics = (*routes, *self.table.superseded.values())
         return sources_of_entries(topics, "robot1", on_server=not self.is_client, use_name=False)
 
     def apply_demands(self) -> None:
@@ -74,21 +79,21 @@ class Side(FakePeer):
             pass  # it is there
 
     def remove(self) -> None:
-        for route in tuple(self.table.routes.values()):
+        for route in tuple(self.routes.values()):
             self.table.remove(route, "by an operator")
 
     def pause(self, paused: bool) -> None:
-        for route in self.table.routes.values():
+        for route in self.routes.values():
             self.table.pause(route, paused=paused)
 
     def limit(self, rate: float | None) -> None:
-        for route in self.table.routes.values():
+        for route in self.routes.values():
             topic = msgspec.structs.replace(route.spec, max_rate=rate)
             proposal = proposal_of(topic, self.context.transports["tcp"], client_name="robot1", use_name=False)
             self.table.amend(route, topic, proposal)
 
     def lose(self) -> None:
-        for route in self.table.routes.values():
+        for route in self.routes.values():
             route.channel_lost("cut")
 
     def hear(self) -> None:
@@ -97,20 +102,17 @@ class Side(FakePeer):
 
     @property
     def state(self) -> dict[str, tuple[bool, float | None, float]]:
-        return {
-            key: (route.paused, route.spec.max_rate, route.proposal.max_rate)
-            for key, route in self.table.routes.items()
-        }
+        return {key: (route.paused, route.spec.max_rate, route.proposal.max_rate) for key, route in self.routes.items()}
 
-    # --- as the table's owner
+    # --- as the table's link
 
     def send(self, message: Any) -> None:
         self.other.inbox.append(message)
 
     def closed(self, route_id: int) -> None:
-        self.table.closed(route_id)
+        self.ids.closed(route_id)
 
-    def bench_refusal(self, topic: str) -> str:
+    def refusal(self, topic: str) -> str:
         return ""
 
     def with_local_name(self, proposal: Propose) -> Propose:
@@ -233,10 +235,10 @@ def test_ids_of_closed_incarnations_are_remembered_within_bounds(
     for _ in range(100):
         server.lose()
         settle_shortly(pair, loop)
-    assert len(client.table.ids._closed) == len(server.table.ids._closed) == 4
+    assert len(client.ids._closed) == len(server.ids._closed) == 4
     client.remove()
     settle_shortly(pair, loop)
-    assert client.table.ids._closed == server.table.ids._closed == {}
+    assert client.ids._closed == server.ids._closed == {}
 
 
 def test_what_the_other_sides_operators_do_is_recorded_within_bounds(
@@ -267,11 +269,11 @@ def test_a_change_of_a_limit_goes_on_with_the_same_opening(
     pair = make_pair()
     pair[0].add()
     settle(pair, loop)
-    routes = [next(iter(side.table.routes.values())) for side in pair]
+    routes = [next(iter(side.routes.values())) for side in pair]
     ids = [route.id for route in routes]
     pair[operator].limit(2.0)
     settle(pair, loop)
-    assert [next(iter(side.table.routes.values())) for side in pair] == routes
+    assert [next(iter(side.routes.values())) for side in pair] == routes
     assert [route.id for route in routes] == ids
     assert [route.spec.max_rate for route in routes] == [2.0, 2.0]
     for side in pair:
@@ -287,15 +289,15 @@ def test_a_limit_that_changed_while_apart_keeps_the_route(
     pair = make_pair()
     pair[apart].add()
     settle(pair, loop)
-    kept = next(iter(pair[1 - apart].table.routes.values()))
+    kept = next(iter(pair[1 - apart].routes.values()))
     for side in pair:
-        side.table.disconnected("cut")
+        side.table.disconnected()
         side.inbox.clear()
     pair[apart].limit(2.0)
     for side in pair:
         side.table.connected()
     settle(pair, loop)
-    assert next(iter(pair[1 - apart].table.routes.values())) is kept
+    assert next(iter(pair[1 - apart].routes.values())) is kept
     assert kept.spec.max_rate == kept.proposal.max_rate == 2.0
 
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import msgspec
 import pytest
-from tests.support.slices import finish
+from tests.support.slices import take
 
 from rsb_bridge.link.questions import TopicLists
 from rsb_bridge.model.qos import Qos
@@ -73,7 +73,7 @@ class Pair:
         self.answering = TopicLists(ros, shows, self._to(lambda: self.asking), self._spawn)
 
     def _to(self, side: Callable[[], TopicLists]) -> Callable[[ControlMessage], None]:
-        return lambda message: finish(side().handle(self._crossed(message)))
+        return lambda message: take(side(), self._crossed(message))
 
     def _spawn(self, work: Any) -> None:
         self._tasks.append(asyncio.ensure_future(work))

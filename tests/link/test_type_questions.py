@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 import zstandard
+from tests.support.slices import take
 from tests.support.wording import pattern
 
 from rsb_bridge.cdr.description import DESCRIPTION_LIMIT, Field, FieldType, MessageType, TypeDescription, hash_of_text
@@ -81,7 +82,7 @@ class Side:
         if answer is None:
             self.questions.disconnected()
         else:
-            self.questions.handle(TypeText(route=3, text=answer))
+            take(self.questions, TypeText(route=3, text=answer))
         return await asking
 
 
@@ -89,7 +90,7 @@ def test_an_answer_that_proves_itself_is_kept() -> None:
     async def run() -> None:
         side = Side()
         assert await side.ask(zstandard.compress(TEXT.encode())) == TEXT
-        side.questions.handle(TypeText(route=3, text=b"late"))
+        take(side.questions, TypeText(route=3, text=b"late"))
         assert await side.questions.describe(Route(), linked=False) == TEXT  # type: ignore[arg-type]
 
     asyncio.run(run())
@@ -122,7 +123,7 @@ def test_answers_are_given_one_at_a_time() -> None:
         side = Side()
         side.ros.nodes = {"/node": TEXT}
         for _ in range(100):
-            side.questions.handle(AskType(route=3))
+            take(side.questions, AskType(route=3))
         await asyncio.gather(*side.tasks)
         (answer,) = side.sent
         assert zstandard.decompress(answer.text).decode() == TEXT

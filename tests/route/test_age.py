@@ -63,7 +63,7 @@ def test_the_receiver_counts_the_uncertainty_against_the_message(
 ) -> None:
     context = make_context()
     age, peer = age_of(context)
-    peer.stamp_offset, peer.stamp_uncertainty = offset, uncertainty
+    peer.stamps.offset, peer.stamps.uncertainty = offset, uncertainty
     assert age.why_old(context.stamps.now() + round(((offset or 0.0) - old) * S)) == expected
 
 
@@ -81,7 +81,7 @@ def test_a_lifespan_drops_what_is_surely_older(
 ) -> None:
     context = make_context()
     age, peer = age_of(context, None, lifespan=1.5)
-    peer.stamp_offset, peer.stamp_uncertainty = offset, uncertainty
+    peer.stamps.offset, peer.stamps.uncertainty = offset, uncertainty
     assert age.why_old(context.stamps.now() - round(old * S)) == expected
 
 

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import asyncio
-from typing import TYPE_CHECKING, Any
+from types import SimpleNamespace
+from typing import TYPE_CHECKING, Any, cast
 
 from tests.route.test_unpacking import OnePublisher, opened
 from tests.support.offline import FakePeer
 
-from rsb_bridge.link.link import EarlyReports
+from rsb_bridge.link.route_reports import RouteReports
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -16,6 +17,7 @@ if TYPE_CHECKING:
     from tests.support.virtual_time import VirtualLoop
 
     from rsb_bridge.context import Context
+    from rsb_bridge.link.base_link import BaseLink
     from rsb_bridge.wire.messages import Report
 
 MESSAGE = (b"x", 0, 0)
@@ -45,7 +47,7 @@ def test_reports_go_together_and_ten_times_a_second_at_most(
 ) -> None:
     context = make_context(ros=OnePublisher())
     sent: list[Report] = []
-    early = EarlyReports(loop, sent.append)
+    early = RouteReports(cast("BaseLink", SimpleNamespace(context=context, send=sent.append)))
     routes = [opened(context, FakePeer(), name) for name in ("/scan", "/odom")]
     for _ in range(100):
         for route in routes:

@@ -7,7 +7,7 @@ from collections import deque
 from dataclasses import dataclass, field
 from itertools import count
 from random import Random
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 import pytest
 from tests.support.virtual_time import VirtualClock, VirtualLoop, virtual_loop
@@ -30,6 +30,7 @@ if TYPE_CHECKING:
 
     from rsb_bridge.ros.ros_interface import Sink
     from rsb_bridge.route.history_depth import Sample
+    from rsb_bridge.route.sending import OutgoingPath
 
 LATCHED = Qos(durability="transient_local", depth=0)
 
@@ -173,7 +174,6 @@ class Route:
         self.offered = self.sent = self.held = 0
         self.topic = self.make_topic()
         self.intake = self.make_intake()
-        self.offer: Any = None
 
     def make_topic(self) -> LatchedTopic:
         return LatchedTopic(self.context.loop, self.far.advertise, self.budget, 1, unexpected)
@@ -182,26 +182,30 @@ class Route:
         subject = SubscriptionSpec("/latched", "std_msgs/msg/String", "", LATCHED, "robot1")
         self.topic.opened()
         intake = TopicSubscription(
-            self.context, self, subject, automatic=True, expected_rate=None, known=self.topic.newest()
+            self.context,
+            subject,
+            cast("OutgoingPath", self),
+            self.meter,
+            lambda *_: pytest.fail("the subscription did not fail"),
+            automatic=True,
+            expected_rate=None,
+            known=self.topic.newest(),
         )
         intake.subscribe()
         return intake
 
-    def admit(self, batch: Sequence[RawMessage]) -> Sequence[RawMessage]:
-        return batch
+    def offer(self, batch: Sequence[RawMessage]) -> None:
+        assert self.intake.histories is not None
+        self.offered += self.intake.histories.take(batch)
 
-    def offer_latched(self, new: int, samples: Sequence[Sample]) -> None:
-        self.offered += new
+    def emit(self, samples: Sequence[Sample]) -> None:
         for header, message, _ in samples:
             self.sent += 1
             content = b"%s %s" % (header.publisher.rstrip(b"\0"), message.payload)
             assert self.topic.publish(header, content), (header, content)
 
-    def too_late(self, messages: int) -> None:
+    def too_late(self, _: Sequence[RawMessage]) -> None:
         pytest.fail("nothing is on its way when an opening ends")
-
-    def log_intake(self, *_: object) -> None:
-        pytest.fail("the subscription did not fail")
 
     def cut(self) -> None:
         self.held += self.intake.close()

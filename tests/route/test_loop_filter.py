@@ -127,9 +127,7 @@ class World(NamedTuple):
 
     def comes(self, gid: bytes, *payloads: bytes) -> None:
         """The subscription takes messages."""
-        intake = self.route._intake
-        assert intake is not None
-        intake.offer([RawMessage(each, 0, gid) for each in payloads])
+        self.route._path.offer([RawMessage(each, 0, gid) for each in payloads])
 
     def wait(self, seconds: float) -> None:
         """Let time pass."""

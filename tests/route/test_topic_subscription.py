@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 import pytest
 
@@ -13,12 +13,13 @@ from rsb_bridge.route.topic_subscription import SubscriptionSpec, TopicSubscript
 from rsb_bridge.telemetry.meters import RateMeter
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable
 
     from tests.support.virtual_time import VirtualLoop
 
     from rsb_bridge.context import Context
-    from rsb_bridge.ros.ros_interface import OnFailure, RawMessage
+    from rsb_bridge.ros.ros_interface import OnFailure
+    from rsb_bridge.route.sending import OutgoingPath
 
 
 class FakeRos:
@@ -50,42 +51,48 @@ class FakeSubscription:
         self.closed = True
 
 
+class Path:
+    """The path that messages would take."""
+
+    def offer(self, batch: object) -> None: ...
+
+    def emit(self, samples: object) -> None: ...
+
+    def too_late(self, batch: object) -> None: ...
+
+
 class Owner:
-    """Who the messages would be for.
+    """The route that subscribes.
 
     Attributes:
         meter: the rates so far.
-        events: codes of what was logged.
+        events: codes of the events.
     """
 
     def __init__(self) -> None:
         self.meter = RateMeter(0.0)
         self.events: list[EventCode] = []
 
-    def admit(self, batch: Sequence[RawMessage]) -> Sequence[RawMessage]:
-        return batch
-
-    def offer(self, batch: object) -> None:
-        """Take nothing."""
-
-    def offer_latched(self, new: int, samples: object) -> None:
-        """Take nothing."""
-
-    def too_late(self, messages: int) -> None:
-        self.late = messages
-
-    def log_intake(self, level: object, code: EventCode, text: str) -> None:
+    def log(self, level: object, code: EventCode, text: str) -> None:
         self.events.append(code)
 
 
-def make_intake(
+def make_subscription(
     context: Context, owner: Owner, qos: Qos, *, automatic: bool, expected_rate: float | None = None
 ) -> TopicSubscription:
-    """An intake that is subscribed."""
-    subject = SubscriptionSpec("/fast", "std_msgs/msg/String", "", qos, "robot1")
-    intake = TopicSubscription(context, owner, subject, automatic=automatic, expected_rate=expected_rate, known={})
-    intake.subscribe()
-    return intake
+    """Return an active subscription."""
+    subscription = TopicSubscription(
+        context,
+        SubscriptionSpec("/fast", "std_msgs/msg/String", "", qos, "robot1"),
+        cast("OutgoingPath", Path()),
+        owner.meter,
+        owner.log,
+        automatic=automatic,
+        expected_rate=expected_rate,
+        known={},
+    )
+    subscription.subscribe()
+    return subscription
 
 
 @pytest.mark.parametrize(
@@ -108,13 +115,13 @@ def test_a_busier_topic_gets_a_deeper_subscription_once_messages_are_lost(
     loop: VirtualLoop, make_context: Callable[..., Context]
 ) -> None:
     ros, owner = FakeRos(), Owner()
-    intake = make_intake(make_context(ros), owner, Qos(depth=0), automatic=True)
+    subscription = make_subscription(make_context(ros), owner, Qos(depth=0), automatic=True)
     assert [each.qos.depth for each in ros.subscriptions] == [500]
 
     def second_passes() -> None:
         owner.meter.add(1000, 100_000, loop.time())
         owner.meter.tick(loop.time())
-        intake.tick()
+        subscription.tick()
         loop.run_until_complete(asyncio.sleep(1))
 
     for _ in range(10):
@@ -127,21 +134,21 @@ def test_a_busier_topic_gets_a_deeper_subscription_once_messages_are_lost(
     ros.subscriptions[1].lost = 2
     second_passes()
     assert len(ros.subscriptions) == 2
-    assert intake.lost == 9
+    assert subscription.lost == 9
     assert owner.events == [EventCode.ROUTE_DEEPENED]
-    assert intake.close() == 0
+    assert subscription.close() == 0
     assert ros.subscriptions[1].closed
 
 
 def test_what_an_operator_gave_stands(make_context: Callable[..., Context]) -> None:
     ros = FakeRos()
-    make_intake(make_context(ros), Owner(), Qos(depth=3), automatic=False, expected_rate=1000.0)
-    make_intake(make_context(ros), Owner(), Qos(depth=0), automatic=True, expected_rate=1000.0)
+    make_subscription(make_context(ros), Owner(), Qos(depth=3), automatic=False, expected_rate=1000.0)
+    make_subscription(make_context(ros), Owner(), Qos(depth=0), automatic=True, expected_rate=1000.0)
     assert [each.qos.depth for each in ros.subscriptions] == [3, 5000]
 
 
 def test_of_latched_topics_all_is_taken_that_publishers_keep(make_context: Callable[..., Context]) -> None:
     ros = FakeRos()
     latched = Qos(durability="transient_local", depth=1)
-    make_intake(make_context(ros), Owner(), latched, automatic=False)
+    make_subscription(make_context(ros), Owner(), latched, automatic=False)
     assert ros.subscriptions[0].qos == Qos(durability="transient_local", history="keep_all", depth=1)

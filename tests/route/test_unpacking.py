@@ -6,6 +6,7 @@ import asyncio
 import itertools
 from typing import TYPE_CHECKING
 
+import pytest
 import zstandard
 from tests.support.offline import FakePeer
 
@@ -94,6 +95,19 @@ def test_each_turn_has_one_that_grows_much(loop: VirtualLoop, make_context: Call
     assert sorted(ros.published.sizes) == [4, 5, LARGE, LARGE + 1, LARGE + 2, LARGE + 3]
     assert [size for size in ros.published.sizes if size not in (LARGE + 2, LARGE + 3)] == [LARGE, LARGE + 1, 5, 4]
     assert not loop.errors
+
+
+def test_what_waits_is_neither_shown_nor_measured(loop: VirtualLoop, make_context: Callable[..., Context]) -> None:
+    """Operators see the last message that was published, and its latency counts."""
+    route = opened(make_context(ros=OnePublisher()), FakePeer(), "/one")
+    now = route.context.stamps.now()
+    looking = loop.create_task(route.peek_slot.next())
+    loop.run_until_complete(asyncio.sleep(1.0))
+    (first, _, flags), (second, _, _) = grown(LARGE), grown(LARGE + 1)
+    route.deliver([(first, now + 700_000_000, flags), (second, now, flags)])
+    shown = loop.run_until_complete(looking)
+    assert shown.size == LARGE
+    assert shown.latency == pytest.approx(0.3, abs=0.01)
 
 
 def test_what_is_refused_waits_for_nothing(loop: VirtualLoop, make_context: Callable[..., Context]) -> None:

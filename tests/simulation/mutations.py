@@ -26,6 +26,7 @@ from rsb_bridge.channel.receipts import WindowedSender
 from rsb_bridge.channel.stream import StreamReceiver, StreamSender
 from rsb_bridge.channel.udp_channel import UdpChannel
 from rsb_bridge.channel.window import Window
+from rsb_bridge.link.base_link import RouteIds
 from rsb_bridge.link.keepalive import Keepalive
 from rsb_bridge.link.route_table import RouteTable
 from rsb_bridge.model.budgets import Backoff
@@ -185,12 +186,12 @@ def _kept(self: Any, work: Coroutine[None, None, None]) -> Any:
 
 async def _unpaused(self: Any, route: Any, route_id: int, who: str, *, edited: bool) -> None:
     """As `RouteTable._propose`, but never paused."""
-    send = self._owner.send
+    send = self._link.send
 
     def unpaused(message: Any) -> None:
         send(msgspec.structs.replace(message, paused=False, pause_revision=0))
 
-    with patch.object(self._owner, "send", unpaused):
+    with patch.object(self._link, "send", unpaused):
         await _propose(self, route, route_id, who, edited=edited)
 
 
@@ -239,7 +240,7 @@ MUTATIONS = (
     ),
     Mutation(
         "the ids of routes that were closed are never forgotten",
-        ((RouteTable, "closed", _nothing),),
+        ((RouteIds, "closed", _nothing),),
         "_by_id", STILL, 1, 3.0, _differs,
     ),
     Mutation(

@@ -58,7 +58,7 @@ def _any_age(self: Any, stamp: int) -> None:
 
 def _exact(self: Any, stamp: int) -> Any:
     """As `MessageAge.why_old`, but the other side's clock is taken for known exactly."""
-    offset = self._peer.stamp_offset
+    offset = self._peer.stamps.offset
     if offset is None:
         return None
     return None if (self._context.stamps.now() - stamp) / 1e9 + offset <= self.max_age else "link_slow"

@@ -17,6 +17,7 @@ from rsb_bridge.ros.stand_in import NoRos
 from rsb_bridge.route.lifecycle import Revisions
 from rsb_bridge.route.peer import PeerBudget
 from rsb_bridge.telemetry.event_log import EventLog
+from rsb_bridge.telemetry.meters import ClockOffset
 from rsb_bridge.transport.registry import Transports, default_transports
 from rsb_bridge.wire.headers import LEASE_FEATURE
 
@@ -67,10 +68,6 @@ class FakePeer:
     name = "robot1"
     is_client = True
     linked = True
-    clock_offset = 0.0
-    clock_uncertainty = 0.001
-    stamp_offset: float | None = 0.0
-    stamp_uncertainty: float | None = 0.001
     stamp_shift = 0
     report_delay = 0.0
     ping_wait = 0.0
@@ -88,6 +85,9 @@ class FakePeer:
         self.bridges: tuple[str, ...] = ("rsb_robot1_fedcba98",)
         self.budget = PeerBudget(0.0)
         self.profile = PLAIN
+        self.clock, self.stamps = ClockOffset(), ClockOffset()
+        for clock in (self.clock, self.stamps):
+            clock.offset, clock.uncertainty = 0.0, 0.001
 
     def send(self, message: ControlMessage) -> None:
         self.sent.append(message)

@@ -116,6 +116,18 @@ def test_each_epoch_has_the_key_that_rekey_gives(suite: Suite) -> None:
             assert stream.open(sealed, b"header") == b"content"
 
 
+@SUITES
+def test_memory_that_is_lent_is_sealed_and_opened_across_an_epoch_as_any_other(suite: Suite) -> None:
+    sealer, opener = Sealer(suite, key_for(suite)), StreamOpener(suite, key_for(suite))
+    sealer.sequence = opener.sequence = EPOCH - 1
+    for sequence in range(EPOCH - 1, EPOCH + 1):
+        sealed, content = bytearray(7 + suite.tag_length), bytearray(7)
+        sealer.seal_into(b"content", b"header", memoryview(sealed))
+        assert sealed == sealed_at(suite, sequence)
+        opener.open_into(bytes(sealed), b"header", memoryview(content))
+        assert content == b"content"
+
+
 @ENCRYPTED
 def test_the_keys_of_past_epochs_are_forgotten(suite: Suite) -> None:
     opener = DatagramOpener(suite, KEY)

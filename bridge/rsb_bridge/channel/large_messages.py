@@ -51,6 +51,9 @@ class LargeMessages:
         writer: seals them.
         scratch: lends memory.
         resume: calls `go_on`, and everything else that has waited meanwhile.
+
+    Attributes:
+        waiting: messages that are not sealed whole yet, oldest first; what is sent now comes after them.
     """
 
     def __init__(self, stream: Stream, writer: DataWriter, scratch: Scratch, resume: Callable[[], None]) -> None:
@@ -58,25 +61,20 @@ class LargeMessages:
         self._writer = writer
         self._piece_size = writer.piece_size(BATCH_BYTES, _CHUNK)
         self._resume = resume
-        self._messages: deque[Message] = deque()
+        self.waiting: deque[Message] = deque()
         self._at = 0  # bytes of the oldest that have been sealed
         self._scratch = scratch
         self._turn: asyncio.Handle | None = None
 
-    @property
-    def waiting(self) -> bool:
-        """Whether anything of them is still to be sealed: what is sent now comes after that."""
-        return bool(self._messages)
-
     def send(self, batch: Sequence[Message]) -> None:
         """Send messages of any size, after the waiting ones."""
-        self._messages += batch
+        self.waiting += batch
         self.go_on()
 
     def go_on(self) -> None:
         """Send while the stream takes pieces, and this turn of the loop is not over."""
         left = _A_TURN
-        while self._messages and not self._stream.congested and self._turn is None:
+        while self.waiting and not self._stream.congested and self._turn is None:
             if left <= 0:
                 self._turn = asyncio.get_running_loop().call_soon(self._next_turn)
                 return
@@ -84,7 +82,7 @@ class LargeMessages:
 
     def close(self) -> None:
         """Drop what waits."""
-        self._messages.clear()
+        self.waiting.clear()
         if self._turn is not None:
             self._turn.cancel()
             self._turn = None
@@ -97,14 +95,14 @@ class LargeMessages:
         """Send as much of what waits as a piece has room for; how many bytes that was."""
         piece = memoryview(self._scratch.lend(self._piece_size))
         used = 0
-        while self._messages:
-            payload, stamp, flags = self._messages[0]
+        while self.waiting:
+            payload, stamp, flags = self.waiting[0]
             room = piece[used:]
             size, self._at = self._writer.write_piece(memoryview(payload), self._at, stamp, flags, _CHUNK, room)
             used += size
             if not size or self._at < len(payload):
                 break
-            self._messages.popleft()
+            self.waiting.popleft()
             self._at = 0
         self._stream.write(piece[:used])
         if self._stream.congested:

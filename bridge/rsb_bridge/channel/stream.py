@@ -81,7 +81,9 @@ class StreamSender(_StreamChannel, WindowedSender):
     @property
     def congested(self) -> bool:
         carrier, window = self.carrier, self._window
-        return carrier.congested or self._large.waiting or (window is not None and carrier.sent_bytes >= window.limit)
+        if carrier.congested or self._large.waiting:
+            return True
+        return window is not None and carrier.sent_bytes >= window.limit
 
     @property
     def batch_bytes(self) -> int:
@@ -96,10 +98,14 @@ class StreamSender(_StreamChannel, WindowedSender):
     def send(self, batch: Sequence[Message]) -> None:
         if self._window is not None and self._book is not None:
             self._window.wrote(self.carrier.sent_bytes, self._book.now())
-        if not self._large.waiting and max([len(message[0]) for message in batch]) < LARGE:
-            self.carrier.write(self._writer.write_many(batch))
-        else:
-            self._large.send(batch)
+        if not self._large.waiting:
+            for payload, _, _ in batch:
+                if len(payload) >= LARGE:
+                    break
+            else:
+                self.carrier.write(self._writer.write_many(batch))
+                return
+        self._large.send(batch)
 
     def writable(self) -> None:
         """The stream takes more again."""

@@ -25,8 +25,8 @@ from rsb_bridge.engine.inspector import RouteInspector
 from rsb_bridge.engine.topic_commands import ArmingCommands, CommandLog, TopicCommands, undo_mark
 from rsb_bridge.link.errors import Denied, LinkError
 from rsb_bridge.link.graph_watch import GraphWatch
+from rsb_bridge.link.link import topics_of_peer
 from rsb_bridge.link.name_watch import NameWatch
-from rsb_bridge.link.questions import topics_of_peer
 from rsb_bridge.link.reloading import Step
 from rsb_bridge.link.roles import BridgeRole, ClientRole, Keys, ServerRole
 from rsb_bridge.model import commands

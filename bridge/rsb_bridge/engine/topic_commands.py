@@ -193,8 +193,8 @@ class TopicCommands:
             lines = ", ".join(map(demands.origin, others)) or PEER_DEMANDS
             raise LinkError(f"{name} still has to be armed: {lines} demands it, too; change that instead")
         demands.permit(own)
-        if route is not None and (listed := link.table.yielded.get(route.key)) is not None:
-            link.table.yielded[route.key] = msgspec.structs.replace(listed, arm=False, deadman=None)
+        if route is not None and (listed := link.table.superseded.get(route.key)) is not None:
+            link.table.superseded[route.key] = msgspec.structs.replace(listed, arm=False, deadman=None)
 
     async def pause(self, command: Pause) -> None:
         key, paused = command.key, command.paused

@@ -13,7 +13,7 @@ from rsb_bridge.config.rights import rights_of_server
 from rsb_bridge.link.connecting import ConnectAttempt, Failure, LetIn
 from rsb_bridge.link.control_channel import ControlChannel
 from rsb_bridge.link.link import Link
-from rsb_bridge.link.refused_clients import ASKED_EVERY, NAME_TRIED_EVERY, DuplicateClients, told_by_server, with_remedy
+from rsb_bridge.link.refused_clients import ASKED_EVERY, NAME_TRIED_EVERY, DuplicateClients, server_refusal, with_remedy
 from rsb_bridge.link.server_search import ServerSearch, failure_of_search, unproven_servers
 from rsb_bridge.model.budgets import Backoff
 from rsb_bridge.model.codes import EventCode
@@ -24,7 +24,7 @@ from rsb_bridge.transport.streams import Stream, os_error_message
 from rsb_bridge.wire import sealing
 from rsb_bridge.wire.connection import ClientConnection, DataConnection
 from rsb_bridge.wire.events import Accepted, Established, Event, RefusalCode
-from rsb_bridge.wire.messages import Welcome
+from rsb_bridge.wire.messages import Duplicate, Shutdown, Welcome
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from rsb_bridge.model.session import Identity, Kind, Topic
     from rsb_bridge.route.route import Route
     from rsb_bridge.transport.transport import DatagramTransport, StreamTransport
-    from rsb_bridge.wire.messages import Duplicate, Hello, Propose, Shutdown
+    from rsb_bridge.wire.messages import Hello, Propose
     from rsb_bridge.wire.sealing import Suite
 
 _HANDSHAKE_TIMEOUT = 5.0
@@ -86,6 +86,7 @@ class ClientLink(Link):
         self._unproven = 0  # servers that were announced when the link was made, and did not prove the key
         self._streams_opening: dict[int, asyncio.Task[None]] = {}
         self._may_open = asyncio.Semaphore(_STREAMS_AT_ONCE)
+        self.handlers |= {Duplicate: self.on_duplicate, Shutdown: self.on_shutdown}
         self._waiting: dict[int, dict[int, Route]] = {}  # by channel and id: for the stream that is being opened
 
     @property
@@ -110,7 +111,7 @@ class ClientLink(Link):
     # --- calling
 
     async def run(self) -> None:
-        """Connect, and reconnect, for ever. A connection that an earlier run left is closed first."""
+        """Connect and reconnect for ever. First close the connection of an earlier run."""
         self.fail()
         while True:
             self._retry.clear()
@@ -128,7 +129,7 @@ class ClientLink(Link):
         self.table.retry()
 
     async def _call(self) -> None:
-        """One attempt; returns when it failed or when the link it made is over."""
+        """Try once to connect; return after a failure, or after the end of the link."""
         key = self.key
         if not self.status.attempts:
             self.log(Level.INFO, EventCode.LINK_CONNECTING, f"connecting to {self.peer_at}", link_status=True)
@@ -140,9 +141,9 @@ class ClientLink(Link):
             return
         self._longest = _LONGEST_DELAY_UNREACHED
         self._backoff.reset()
-        if self._stays_down and self.control is not None:  # decided during the handshake
+        if self._stays_down and self.control is not None:  # an operator did so during the handshake
             self.control.shut_down("shut down", retry_after=None)
-        elif key is not self.key and self.control is not None:  # likewise
+        elif key is not self.key and self.control is not None:  # changed during the handshake
             self.control.shut_down(_KEY_CHANGED, retry_after=0.0)
         await self._ended.wait()
 
@@ -203,7 +204,7 @@ class ClientLink(Link):
         rank: int | None = None,
         sample_secret: bytes | None = None,
     ) -> Failure | None:
-        """Connect, and wait for the server's answer; None: the server accepted the stream."""
+        """Connect, and wait for the answer. Return the failure, or None if the server accepted the stream."""
         remedied = partial(with_remedy, name=self.name, has_key=self.key is not None)
         address = transport.format_address((host, port))
         attempt = ConnectAttempt(connection, address, remedied, let_in, sample_secret)
@@ -225,7 +226,7 @@ class ClientLink(Link):
         self, connection: ClientConnection, stream: Stream, event: Established | Accepted, more: list[Event]
     ) -> None:
         assert isinstance(event, Established)
-        control = ControlChannel(stream, connection, self)
+        control = ControlChannel(stream, connection, self.handlers, self.lost)
         self.up(control, event.peer, event.keys)
         control.take(more)
 
@@ -260,7 +261,7 @@ class ClientLink(Link):
         self.status.retry_at = None
 
     def _delay(self) -> float:
-        """S until the next attempt."""
+        """Return the seconds until the next attempt."""
         if self.status.cause is LinkCause.SHUT_DOWN:
             return self._asking.next()
         return max(self._backoff.next(self._longest), self._retry_after)
@@ -288,7 +289,7 @@ class ClientLink(Link):
         if self.control is None:
             return
         if message.retry_after is None:
-            self.control.abort(told_by_server(message.reason), EventCode.LINK_SHUT_DOWN)
+            self.control.abort(server_refusal(message.reason), EventCode.LINK_SHUT_DOWN)
         else:
             self._retry_after = min(message.retry_after, _LONGEST_RETRY_AFTER)
             self.control.abort(f"the server closed the link: {message.reason}", EventCode.LINK_CLOSED_BY_PEER)
@@ -335,7 +336,7 @@ class ClientLink(Link):
         return rights_of_server(self.context.session, self.table.listed)
 
     def change_listed(self, topics: set[Identity]) -> None:
-        """Go on with the rights of another session, which lists these topics."""
+        """Use the rights of another session, which lists these topics."""
         self.table.listed = topics | {route.spec.identity for route in self.routes.values() if route.pattern}
         self.table.rights_changed()
         self.patterns.renew()

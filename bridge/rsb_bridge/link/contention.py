@@ -1,10 +1,10 @@
-"""Decides whether a link is full, and divides it among this side's topics by their priorities while it is.
+"""Decides whether a link is full, and divides a full link among this side's topics by priority.
 
-Once a second it looks whether more is asked for than crosses: a channel that was never idle for half a second, messages
-dropped from a full queue, or pings held up behind a queue somewhere on the way. Then what arrives now, less a tenth, is
-divided (`rsb_bridge.model.link_budget`). As long as that is enough, what is divided grows again, until nobody has to
-yield. A link that carried everything before may only have stalled: it is soon given everything again, once. Where all
-topics have one priority, nothing is divided: each has its own queue, as ever.
+Once a second it checks for overload: a channel without idle time for half a second, messages dropped from a full queue,
+or pings delayed by a queue on the path. Then it divides the arriving rate less a tenth
+(`rsb_bridge.model.link_budget`). While that suffices, the divided rate grows until no topic is thinned. A link that
+carried everything before may have stalled: it soon gets its full rate back, once. If all topics have the same priority,
+nothing is divided: each has its own queue.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ import math
 from collections import deque
 from typing import TYPE_CHECKING, NamedTuple
 
+from rsb_bridge.model.benchmark import is_bench_topic
 from rsb_bridge.model.capacity import Fullness
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.limits import TEXT_LENGTH
@@ -89,7 +90,7 @@ class Asked(NamedTuple):
 
 
 class LinkFullness:
-    """Whether a link is full: this side judges what it sends, and takes the peer's word for the other direction.
+    """Whether a link is full: this side judges its own direction, and the peer reports the other.
 
     Args:
         log: adds an event about the link.
@@ -227,18 +228,18 @@ def _overflows(asking: _Asking) -> bool:
 
 
 class _Counts(NamedTuple):
-    """Of a route's ledger."""
+    """Figures from a route's ledger."""
 
     delivered: int
     queue_full: int
 
 
 class Contention:
-    """One link's.
+    """Decides for one link whether it is full, and divides it.
 
     Attributes:
-        sending: what the link carries from here.
-        receiving: what it carries to here.
+        sending: throughput of the link from here.
+        receiving: throughput of the link to here.
     """
 
     def __init__(
@@ -269,8 +270,6 @@ class Contention:
         features: Collection[str],
         connection: int,
         peer: str = "",
-        *,
-        measures: bool = False,
     ) -> None:
         """Look once a second, while linked.
 
@@ -279,7 +278,6 @@ class Contention:
             features: of the other side.
             connection: its number.
             peer: the other side's name.
-            measures: whether a measurement fills the link.
         """
         self._warn(features, connection)
         now, at = self._context.now(), self._context.wall()
@@ -297,14 +295,29 @@ class Contention:
         busy = [(route, traffic.bytes_per_second) for route, traffic in asking if traffic.bytes_per_second > 0.0]
         wanted = [Asked(route.topic, route.remote_topic, rate) for route, rate in busy]
         starts = all(route.starts for route, _ in busy)
-        self._fullness.tick(wanted, arrived + parts, full=full and not starts and not measures, peer=peer)
+        measured = any(is_bench_topic(route.local_topic) for route in self._routes())
+        before = self._fullness.out
+        self._fullness.tick(wanted, arrived + parts, full=full and not starts and not measured, peer=peer)
         received = sum(each.received_bytes for each in self._carriers())
         self.receiving.look(received - self._received, now, at, full=False)
         self._received = received
         self._divide(asking, crossed, now, full=full, held_up=held_up)
+        if self._fullness.out != before:
+            self._judge_again(outgoing=True)
+
+    def take_record(self, record: FullRecord, peer: str) -> None:
+        """Take the peer's record of what it sends."""
+        self._fullness.take_record(record, peer)
+        self._judge_again(outgoing=False)
+
+    def _judge_again(self, *, outgoing: bool) -> None:
+        """Judge the routes of one direction again, so that their verdicts agree with the link's."""
+        for route in self._routes():
+            if route.outgoing == outgoing:
+                route.judge_again()
 
     def disconnected(self) -> None:
-        """The connection is over: the next one may go another way."""
+        """Forget the connection: the next one may go another way."""
         self._divided = None
         self._enough_for, self._may_be_stall = _PROBES_AFTER, False
         self._received = 0
@@ -320,7 +333,7 @@ class Contention:
                 route.thinning.told(None, low=False, qos=route.qos, now=self._context.now())
 
     def _looked(self, asking: Collection[_Asking]) -> tuple[float, float, bool]:
-        """Count what has arrived since the last look.
+        """Count what has arrived since the last check.
 
         Returns:
             The bytes of messages, the bytes of datagrams of incomplete messages, and whether more waits to be sent all
@@ -346,7 +359,7 @@ class Contention:
         return asked > _MORE * self._crossed and any(each.route.delay >= _DELAYED for each in asking)
 
     def _calls(self) -> float:
-        """Bytes/s of calls, which go ahead of all topics."""
+        """Return the bytes/s of calls, which go ahead of all topics."""
         return sum(route.meter.bytes_per_second for route in self._routes() if route.duplex)
 
     def _held_up(self, keepalive: Keepalive) -> bool:
@@ -405,7 +418,7 @@ class Contention:
             route.thinning.told(share, low=route.rank < 0, qos=route.qos, now=now)
 
     def _warn(self, features: Collection[str], connection: int) -> None:
-        """Say, once a connection, where the other side is too old to keep to the priorities that are asked for."""
+        """Warn once a connection if the other side is too old for priorities of its topics."""
         if PRIORITY_FEATURE in features or self._told == connection:
             return
         asked = [route for route in self._routes() if not route.outgoing and route.proposal.priority and route.accepted]

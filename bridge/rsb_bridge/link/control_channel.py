@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from collections import deque
-from typing import TYPE_CHECKING, Protocol, TypeAlias, TypeVar
+from typing import TYPE_CHECKING, Any, TypeAlias, TypeVar
 
 import msgspec
 
@@ -21,7 +21,7 @@ from rsb_bridge.wire.protocol_error import ProtocolError
 from rsb_bridge.wire.sealing import SealError
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Generator, Iterable
+    from collections.abc import Callable, Generator, Iterable, Mapping
 
     from rsb_bridge.wire.codec import ReportParts, TopicListParts
     from rsb_bridge.wire.connection import ClientConnection, ServerConnection
@@ -58,7 +58,11 @@ _NOT_TOO_EARLY = 0.001
 
 
 def in_slices(entries: Iterable[tuple[_E, int]], work: Callable[[_E], None]) -> Slices:
-    """Work off a long list of the peer's, each entry given with its bytes; other links have their turn in between.
+    """Process a long list of the peer in slices, between which other links have their turn.
+
+    Args:
+        entries: the entries, each with its bytes.
+        work: processes one entry.
 
     Raises:
         ProtocolError: an entry is invalid.
@@ -77,43 +81,39 @@ def in_slices(entries: Iterable[tuple[_E, int]], work: Callable[[_E], None]) -> 
     return count
 
 
-class ControlHandler(Protocol):
-    """What acts on a control connection: a link."""
-
-    def message(self, message: ControlMessage | ReportParts | TopicListParts) -> Slices | None:
-        """Act on a control message of the peer.
-
-        Returns:
-            The work that is left, to be done in slices before the next message, or None.
-        """
-        ...
-
-    def lost(self, reason: str, code: EventCode) -> None:
-        """The connection is over. Called once; no message comes after it."""
-        ...
-
-
 class ControlChannel(StreamHandler):
     """The stream's handler once the handshake is done.
 
+    Args:
+        stream: the stream.
+        connection: its state machine, which has authenticated the peer.
+        handlers: handlers of control messages, by type. Each may return work to be done in slices before the next
+            message.
+        lost: is called once with reason and code when the connection is over. No message comes after it.
+
     Attributes:
-        stream: what carries it.
-        multiplexer: shares the stream among routes, where the transport is a multiplexed one.
-        over: the connection has ended.
+        stream: the stream.
+        multiplexer: shares the stream among routes, if the transport is a multiplexed one.
+        over: whether the connection has ended.
     """
 
     def __init__(
-        self, stream: Stream, connection: ClientConnection | ServerConnection, handler: ControlHandler
+        self,
+        stream: Stream,
+        connection: ClientConnection | ServerConnection,
+        handlers: Mapping[type, Callable[[Any], Slices | None]],
+        lost: Callable[[str, EventCode], None],
     ) -> None:
         self.stream = stream
         self.multiplexer = Multiplexer(stream)
         self.over = False
-        self._handler = handler
+        self._handlers = handlers
+        self._lost = lost
         self._connection = connection
         self._goodbye = ""
         self._code = EventCode.LINK_LOST
         self._events: deque[Event] = deque()
-        self._unsent = bytearray()  # sealed; the stream's own buffer would have to be counted anew for each message
+        self._unsent = bytearray()  # sealed; to measure the stream's own buffer for each message would cost more
         self._loop = asyncio.get_running_loop()
         self._allowance = TokenBucket(_MESSAGES, _MESSAGES_A_SECOND, self._loop.time())
         self._volume = TokenBucket(_BYTES, _BYTES_A_SECOND, self._loop.time())
@@ -153,7 +153,6 @@ class ControlChannel(StreamHandler):
         self._end(reason)
 
     def received(self, data: bytes) -> None:
-        """Bytes came."""
         self.take(self._connection.receive_data(data))
         if not self.multiplexer.channels:  # else most of them may be messages, which a radio keeps slow enough
             self._charge(len(data))
@@ -222,7 +221,7 @@ class ControlChannel(StreamHandler):
 
     def _go_on(self) -> None:
         if not self.over:
-            self.stream.received_at = self._loop.time()  # who is not read for now is not silent
+            self.stream.received_at = self._loop.time()  # a peer that is not read for now is not silent
             self._act()
             self._resume()
 
@@ -251,7 +250,7 @@ class ControlChannel(StreamHandler):
         return 1
 
     def _take_message(self, message: ControlMessage | ReportParts | TopicListParts) -> int:
-        self._work = self._handler.message(message)
+        self._work = self._handlers[type(message)](message)
         return len(message.sources) if isinstance(message, Describe) else 1
 
     def _broken(self, error: ProtocolError | SealError) -> None:
@@ -260,22 +259,20 @@ class ControlChannel(StreamHandler):
     def _take_data(self, route_id: int, frame: memoryview) -> None:
         channel = self.multiplexer.channels.get(route_id)
         if channel is None:
-            return  # it was closed here while the frame was under way
+            return  # it was closed here before the frame arrived
         try:
             channel.received(frame)
         except (ProtocolError, SealError) as error:
             self._broken(error)
 
     def writable(self) -> None:
-        """The stream takes more again."""
         self._flush()
         self.multiplexer.pump()
 
     def closed(self, reason: str) -> None:
-        """The stream is over."""
         self._end(self._goodbye or reason)
 
     def _end(self, reason: str) -> None:
         if not self.over:
             self.over = True
-            self._handler.lost(reason, self._code)
+            self._lost(reason, self._code)

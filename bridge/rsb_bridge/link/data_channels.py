@@ -1,4 +1,4 @@
-"""What carries the messages of a link's routes, on the present connection."""
+"""The streams and UDP channels that carry the messages of a link's routes."""
 
 from __future__ import annotations
 
@@ -60,13 +60,13 @@ class UdpChannels:
         self._probe(channel)
 
     def _probe(self, channel: UdpChannel, probes: int = 1) -> None:
-        """Probe a new channel every 0.25 s; after 8 probes without an answer, `tick` alone goes on once a second."""
+        """Probe a new channel every 0.25 s; after 8 probes without an answer, only `tick` probes."""
         if probes <= _QUICK_PROBES and not channel.ready and not channel.over:
             channel.tick()
             self._loop.call_later(_PROBE_EVERY, self._probe, channel, probes + 1)
 
     def tick(self) -> None:
-        """Once a second: probe, and say when nothing gets through any more, or again, or a kernel's buffer is small."""
+        """Probe, and log when a path breaks or recovers, or a kernel buffer is too small. Called once a second."""
         self._channels = {port: channel for port, channel in self._channels.items() if not channel.over}
         for channel in self._channels.values():
             before = channel.trouble
@@ -92,7 +92,7 @@ class UdpChannels:
 
 
 def _shortage_message(shortage: BufferShortage) -> str:
-    """What holds large messages up, and the remedy; for the operator of either side."""
+    """Return the reason why large messages are slow, and the remedy, for an operator."""
     whose, where = ("this machine's", "here") if shortage.here else ("the other side's", "there")
     return (
         f"{whose} kernel keeps only {shortage.granted:,} bytes of UDP, and messages have {shortage.message:,}: they "
@@ -157,13 +157,13 @@ class DataChannels:
         self.shared_streams.clear()
 
     def attach(self, route: Route, stream: Stream, beginning: bytes, owner: SharedStreamOwner) -> None:
-        """A stream is let in that was opened for a route.
+        """Use an accepted stream for a route.
 
         Args:
             route: to be carried.
-            stream: by it.
-            beginning: what came behind the stream's preamble.
-            owner: told of further routes on the stream, if its transport is a multiplexed one.
+            stream: opened for the route.
+            beginning: bytes that arrived after the stream's preamble.
+            owner: gets the preambles of further routes if the transport is multiplexed.
         """
         assert self.keys is not None
         handler: StreamHandler
@@ -201,7 +201,7 @@ class DataChannels:
                 channel.check_window()
 
     def carriers(self, routes: Iterable[Route], control: ControlChannel | None) -> set[Carrier]:
-        """All that carries bytes, what carries the control connection among it."""
+        """Return all streams and UDP channels, including the control connection's."""
         carriers: set[Carrier] = {route.channel.carrier for route in routes if route.channel is not None}
         if control is not None:
             carriers.add(control.stream)

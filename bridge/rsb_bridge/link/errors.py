@@ -8,8 +8,8 @@ from rsb_bridge.model.wording import Wording
 class Denied(Wording):
     """Reasons why a link does not do what an operator or the other side asks for."""
 
-    WHICH_CLIENT = "say which client: one of {clients}"
-    RESTARTING = "a restart is under way already"
+    WHICH_CLIENT = "name the client: one of {clients}"
+    RESTARTING = "a restart is already running"
     SERVER_STOPS = "the server stops"
     RESTART_FAILED = "{failure}. The server keeps trying"
     NO_ROUTE = "there is no route {key!r} any more"
@@ -22,11 +22,11 @@ class Denied(Wording):
         "{client} has {count} topics and services of the server's already, which is the limit: "
         "list further ones in the session file of {client}"
     )
-    TOO_MANY_CALLS = "{limit} calls by hand are under way already: wait for one of them"
+    TOO_MANY_CALLS = "{limit} manual calls are already running: wait until one of them ends"
     SHUTDOWN_TOPIC = "{topic} is this side's shutdown topic: only its own domain may publish on it"
     NO_ANSWER = "the other side did not answer"
     TYPE_NOT_INSTALLED = "{type_name} is not installed on either side, and no node of the topic describes it"
 
 
 class LinkError(Exception):
-    """A link cannot do what was asked; the message says why."""
+    """A link denies or fails a command; the message gives the reason."""

@@ -1,4 +1,4 @@
-"""Routes look at the ROS graph when it has changed, few enough at a time that no message waits."""
+"""Has routes look at the ROS graph when it has changed, few enough at a time that no message waits."""
 
 from __future__ import annotations
 
@@ -25,12 +25,12 @@ _ALWAYS_AFTER = 10.0
 
 
 class GraphWatch:
-    """Has every open route look at the graph: soon after a change, once more when it has settled, and now and then.
+    """Advances all open routes: soon after a change of the graph, again when it has settled, and now and then.
 
     Args:
-        context: the engine's.
-        links: gives the links whose routes look.
-        look_for_names: called when a change is looked at.
+        context: context of the engine.
+        links: gives the links.
+        look_for_names: starts the search for names after a change.
     """
 
     def __init__(self, context: Context, links: Callable[[], list[Link]], look_for_names: Callable[[], None]) -> None:
@@ -42,13 +42,13 @@ class GraphWatch:
         self._settled: asyncio.TimerHandle | None = None
 
     def changed(self) -> None:
-        """The graph has changed. May be called from any thread, and as often as it likes."""
+        """Look soon: the graph has changed. May be called from any thread."""
         if not self._noted:
             self._noted = True
             self._context.call(self._look_soon)
 
     async def run(self) -> None:
-        """Look, for ever."""
+        """Look again and again, for ever."""
         try:
             while True:
                 try:
@@ -73,7 +73,7 @@ class GraphWatch:
         self._settled = self._context.loop.call_later(_MATCHED_AFTER, self._due.set)
 
     async def _look(self) -> float:
-        """Have all routes look, a slice at a time; how long (s) that took of the loop."""
+        """Advance all routes in slices; return the seconds that this took of the loop."""
         now, cost = self._context.now, 0.0
         self._context.announcements.look()
         for link in self._links():

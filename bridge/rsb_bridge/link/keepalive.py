@@ -1,4 +1,4 @@
-"""Whether a peer lives, how far away it is, what its clock says, and how much crosses the link."""
+"""Pings a peer: measures silence, round trip and clock offset, and counts the bytes of the link."""
 
 from __future__ import annotations
 
@@ -33,9 +33,9 @@ class Keepalive:
 
     Attributes:
         clock: round trip and clock offset.
-        stamps: the offset of the clock that the peer stamps messages by; nobody sets that.
-        rx_bytes: wire bytes received over this connection and those before it, as of the last second.
-        tx_bytes: sent, likewise.
+        stamps: offset of the clock by which the peer stamps messages, and which nobody sets.
+        rx_bytes: wire bytes received over this and earlier connections, as of the last second.
+        tx_bytes: wire bytes sent over this and earlier connections, as of the last second.
     """
 
     def __init__(
@@ -44,9 +44,9 @@ class Keepalive:
         """Begin.
 
         Args:
-            context: the engine's.
-            carriers: gives all that carries bytes of the connection now.
-            patience: s without a byte until it is given up; None: `DEAD_AFTER`.
+            context: context of the engine.
+            carriers: gives the present carriers of the connection's bytes.
+            patience: seconds without a byte after which the connection is given up, or None for `DEAD_AFTER`.
         """
         self.clock = ClockOffset()
         self.stamps = ClockOffset()
@@ -66,7 +66,7 @@ class Keepalive:
         self._watchdog: asyncio.TimerHandle | None = None
 
     def next(self, patience: float | None) -> Keepalive:
-        """That of the link's next connection, which goes on counting bytes."""
+        """Return the keepalive of the link's next connection, which goes on counting bytes."""
         following = Keepalive(self._context, self._carriers, patience)
         following.rx_bytes, following.tx_bytes = self.rx_bytes, self.tx_bytes
         return following
@@ -83,7 +83,7 @@ class Keepalive:
 
     @property
     def quiet(self) -> float:
-        """How long (s) nothing has come."""
+        """Seconds since the last byte from the peer."""
         return self._context.now() - self._heard
 
     @property
@@ -92,7 +92,7 @@ class Keepalive:
 
     @property
     def round_trip(self) -> float | None:
-        """S of the last ping that was answered, or how long the next one has been waiting for that; None: no figure."""
+        """Seconds of the last answered ping, or of the wait for the next answer if that is longer; None if unknown."""
         if self.clock.rtt is None:
             return None
         return max(self.clock.rtt, self.ping_wait)
@@ -115,18 +115,17 @@ class Keepalive:
             self._ping_delay = min(max(0.0, delay), _LONGEST_PING)
 
     def watch(self, on_silence: Callable[[], None]) -> None:
-        """Call a function once nothing has come for as long as it has patience, until `stop`."""
+        """Call a function once the peer has been silent for as long as the patience lasts, until `stop`."""
         self._on_silence = on_silence
         self._look()
 
     def stop(self) -> None:
-        """Watch no longer."""
+        """Stop watching."""
         self._on_silence = None
         if self._watchdog is not None:
             self._watchdog.cancel()
 
     def _look(self) -> None:
-        """See whether the peer is silent; if not, look again when it could be."""
         if self._on_silence is None:
             return
         # The time at which it is silent, and not how long until then: that could be too short for the clock to move.
@@ -137,7 +136,7 @@ class Keepalive:
             self._on_silence()
 
     def tick(self) -> Ping:
-        """Once a second: note the byte counts so far; the ping to send."""
+        """Note the byte counts once a second, and return the ping to send."""
         now, carriers = self._context.now(), self._carriers()
         received = sum(each.received_bytes for each in carriers)
         sent = sum(each.sent_bytes for each in carriers)
@@ -165,7 +164,7 @@ class Keepalive:
         return Ping(n=self._pings, sent=self._context.wall_ns())
 
     def answer(self, ping: Ping) -> Pong | None:
-        """The answer to the peer's ping; None: it pings too often, and gets none."""
+        """Return the answer to the peer's ping, or None if the peer pings too often."""
         if not self._answers.take(1, self._context.now()):
             return None
         now = self._context.wall_ns()
@@ -173,7 +172,7 @@ class Keepalive:
         return Pong(n=ping.n, sent=ping.sent, received=now, answered=now, shift=self._context.stamps.shift)
 
     def answered(self, pong: Pong) -> None:
-        """The peer answered ours."""
+        """Record the peer's answer to a ping."""
         self._answered = max(self._answered, min(pong.n, self._pings))
         self.clock.add(pong.sent, pong.received, pong.answered, self._context.wall_ns())
         if (sent := self._sent_at.pop(pong.n, None)) is not None:

@@ -41,12 +41,12 @@ class LinkLease:
     Args:
         context: has the clock and the loop.
         peer: the other side.
-        is_needed: whether any route is armed or asked for.
-        lives: called when the two sides hear each other, for the first time or again.
-        disarm: disarms all routes when something stood still.
+        is_needed: whether any route is armed or about to be.
+        lives: is called when the two sides begin to hear each other.
+        disarm: disarms all routes after a standstill.
 
     Attributes:
-        state: what it proves now.
+        state: state of the lease.
     """
 
     def __init__(
@@ -81,7 +81,7 @@ class LinkLease:
             self._timer = self._loop.call_later(BEAT, self._beat)
 
     def handle(self, message: wire.Lease) -> None:
-        """Take a number of the other side's. A side that has not heard any yet is answered at once."""
+        """Take a number of the other side. A side that has not heard any yet is answered at once."""
         state = self.state
         was_alive, had_begun = state.alive, state.begun
         state.hear(message.number, message.echo)
@@ -92,7 +92,7 @@ class LinkLease:
             self._lives()
 
     def stop(self) -> None:
-        """The connection is over."""
+        """Stop: the connection is over."""
         if self._timer is not None:
             self._timer.cancel()
             self._timer = None
@@ -122,14 +122,14 @@ class LinkLease:
 
 
 class LinkArming:
-    """Arms routes for this side's operators and for the other's, and disarms them.
+    """Arms and disarms routes for the operators of both sides.
 
     Args:
         context: has the clock and the log.
         peer: the other side.
-        peer_operators: know how this side's operators call those of the other one.
-        routes: the link's.
-        propose: opens a route anew that this side proposes.
+        peer_operators: names the other side's operators.
+        routes: gives the link's routes.
+        propose: reopens a route that this side proposes.
     """
 
     def __init__(
@@ -157,7 +157,7 @@ class LinkArming:
     # --- which routes have to be armed
 
     def opened(self, route: Route) -> None:
-        """A route is opened anew, disarmed."""
+        """Prepare a new opening of a route, which begins disarmed."""
         proposal = route.proposal
         route.arming.opened(required=proposal.arm, deadman=proposal.deadman)
         route.arming.lease = self.lease.state
@@ -175,7 +175,7 @@ class LinkArming:
         return smallest_max_age((proposal.max_age, route.arming.own.max_age))
 
     def accepted(self, route: Route, *, required: bool, deadman: float) -> None:
-        """The other side accepts an opening, and says whether it has to be armed."""
+        """Note that the other side accepts an opening, and whether it demands arming."""
         route.arming.demand(required=required, deadman=deadman)
         self._say_who_demands(route)
 
@@ -225,7 +225,7 @@ class LinkArming:
     # --- operators of this side
 
     async def arm(self, route: Route, console: Hashable) -> None:
-        """Arm a route for a console of this side; returns once both sides hold it for armed.
+        """Arm a route for a console of this side; return once both sides count it as armed.
 
         Raises:
             LinkError: it cannot be armed now.
@@ -256,7 +256,7 @@ class LinkArming:
             return "it is paused; resume it first"
         if arming.held:
             return f"{arming.by} has armed it already"
-        return "it is being set up anew; try again in a moment" if arming.spent else ""
+        return "it is being set up again; try again in a moment" if arming.spent else ""
 
     def disarm(self, route: Route, why: Disarmed, reason: str = "") -> None:
         """Disarm a route on both sides, if it is armed."""
@@ -269,7 +269,7 @@ class LinkArming:
             route.settling.then(lambda: self._disarmed_by(route, who))
 
     def _ended(self, route: Route, why: Disarmed, reason: str = "") -> None:
-        """It is disarmed: have it opened under another id, so that it can be armed again."""
+        """Disarm it, and reopen it under another id, so that it can be armed again."""
         route.disarm(why, reason)
         if route.proposed_here:
             self._propose(route)
@@ -279,7 +279,7 @@ class LinkArming:
             self._open_if_begun(route)
 
     def _open_if_begun(self, route: Route) -> None:
-        """Let messages cross if both sides have agreed and the lease has begun; else this is called again then."""
+        """Let messages cross once both sides have agreed and the lease has begun."""
         if route.arming.armed and self.lease.state.begun:
             route.arming.opens()
             route.armed()
@@ -291,23 +291,23 @@ class LinkArming:
     # --- consoles of this side
 
     def seen(self, console: Hashable, *, pressed: bool) -> None:
-        """A console is there; `pressed`: its operator has pressed a key."""
+        """Note that a console is attached; `pressed` means that its operator has pressed a key."""
         for route in self._routes():
             route.arming.seen(console, self._context.now(), pressed=pressed)
 
     def gone(self, console: Hashable) -> None:
-        """A console is gone: disarm what it armed. `rsb-console arm` goes because no key came in time, too."""
+        """Disarm the routes that a detached console has armed. `rsb-console arm` detaches if no key comes in time."""
         for route in self._routes():
             if route.arming.held and route.arming.console == console:
                 self.disarm(route, route.arming.overdue(self._context.now()) or Disarmed.CONSOLE_GONE)
 
     def disarm_all(self, why: Disarmed) -> None:
-        """Disarm whatever is armed."""
+        """Disarm all routes."""
         for route in self._routes():
             self.disarm(route, why)
 
     def tick(self) -> None:
-        """Once a second: disarm what is overdue, and tell the other side of keys."""
+        """Disarm overdue routes, and tell the other side of keys, once a second."""
         now = self._context.now()
         for route in self._routes():
             arming = route.arming
@@ -324,7 +324,7 @@ class LinkArming:
             route.settling.answered(message.route)
 
     def handle(self, route: Route, message: ArmingMessage) -> None:
-        """Do what the peer says of an open route."""
+        """Act on the peer's message about an open route."""
         match message:
             case Arm():
                 self._armed_there(route, self._peer_operators.says(message.who))
@@ -347,7 +347,6 @@ class LinkArming:
                     route.settling.answered(route_id)
 
     def _armed_there(self, route: Route, who: str) -> None:
-        """An operator there arms it, or has pressed a key."""
         arming, now = route.arming, self._context.now()
         if arming.held and arming.console is None:
             if arming.stands(now):
@@ -387,11 +386,11 @@ class LinkArming:
         self._record(EventCode.OPERATOR_DISARMED, route, who, "armed", "disarmed", from_peer=from_peer)
 
     def _record(self, code: EventCode, route: Route, who: str, old: str, new: str, *, from_peer: bool) -> None:
-        """An operator's doing. The budget of armings bounds these events; what the other side says is marked so."""
+        """Record an operator's action. The budget of armings bounds these events."""
         text = f"{new}, {who}" if from_peer else f"{new} by {who or 'an operator'}"
         route.log(Level.WARNING, code, text, who=who, old=old, new=new, from_peer=from_peer)
 
 
 def _reason(cause: str) -> Disarmed:
-    """Why the peer disarms; one that is not known is a newer peer's."""
+    """Return the peer's cause; an unknown one comes from a newer version."""
     return Disarmed(cause) if cause in Disarmed.__members__.values() else Disarmed.OPERATOR

@@ -1,7 +1,7 @@
-"""Measuring a link with topics that no node has: for this side's operator, and for the peer with this side's leave.
+"""Measures a link with topics that no node has: for this side's operator, or for the peer if this side permits it.
 
-The side that measures proposes the topics, and orders each run. The other side sends or counts, and says what it has
-used. It needs no DDS for that. `rsb_bridge.ros.synthetic` makes and takes the messages.
+The measuring side proposes the topics and orders each run. The other side sends or counts, and reports its usage,
+without DDS: `rsb_bridge.ros.synthetic` makes and takes the messages.
 """
 
 from __future__ import annotations
@@ -10,6 +10,7 @@ import asyncio
 from typing import TYPE_CHECKING
 
 from rsb_bridge.link.errors import LinkError
+from rsb_bridge.link.extension import Extension
 from rsb_bridge.link.questions import Questions
 from rsb_bridge.model.benchmark import (
     FEATURE,
@@ -33,11 +34,10 @@ if TYPE_CHECKING:
     from collections.abc import Callable
     from typing import Any
 
-    from rsb_bridge.channel.channel import Carrier
     from rsb_bridge.channel.data_keys import Meter
-    from rsb_bridge.context import Context
+    from rsb_bridge.link.base_link import BaseLink
     from rsb_bridge.link.proposed_topics import ProposedTopics
-    from rsb_bridge.link.route_table import RouteOwner, RouteTable
+    from rsb_bridge.link.route_table import RouteTable
     from rsb_bridge.model.benchmark import Leave, Order
     from rsb_bridge.ros.synthetic import Drain, Source
     from rsb_bridge.route.route import Route
@@ -60,10 +60,10 @@ _ENDED = "the benchmark is over"
 
 
 class BenchBudget:
-    """What a peer that measures the link may still cause here, within an hour from the first use on.
+    """Limits a peer that measures the link, within an hour from its first use.
 
     Args:
-        now: the clock that all timers use, in s.
+        now: the clock of all timers, in s.
     """
 
     def __init__(self, now: Callable[[], float]) -> None:
@@ -74,13 +74,13 @@ class BenchBudget:
         self._full = False
 
     def refusal(self, leave: Leave | None, seconds: float = 0.0, size: float = 0.0, rate: float = 0.0) -> str:
-        """Why nothing, or nothing of this kind, may be caused now; empty: it may.
+        """Return why the peer may not cause this now, or an empty string.
 
         Args:
             leave: the limits that the session sets now, or None if nothing is allowed.
-            seconds: s for which is to be sent.
-            size: bytes that are to be sent.
-            rate: Hz at which.
+            seconds: duration of the sending, in s.
+            size: bytes to send.
+            rate: messages per second.
         """
         if leave is None:
             return "there is no leave to measure the link"
@@ -95,7 +95,7 @@ class BenchBudget:
         return ""
 
     def spend(self, seconds: float, size: float) -> None:
-        """So many s were used, and bytes."""
+        """Count used seconds and bytes."""
         self._renew()
         self._begin()
         self._seconds += seconds
@@ -120,7 +120,7 @@ class BenchBudget:
         return True
 
     def _used(self) -> float:
-        """Bytes that were sent for the peer, and of what it sent what is more: as it came, or unpacked."""
+        """Return the bytes sent for the peer plus the larger of the bytes it sent, sealed or unpacked."""
         return self._bytes + max(self._wire, self._payload)
 
     def _begin(self) -> None:
@@ -135,73 +135,55 @@ class BenchBudget:
             self._full = False
 
 
-class LinkBench:
-    """One link's benchmark, in either role.
+class LinkBench(Extension):
+    """One link's benchmark, in either role."""
 
-    Args:
-        context: has the clock and the ROS side.
-        owner: the link.
-        table: its routes.
-        proposed: the topics that this side proposes, those that measure among them.
-        carriers: gives all that carries bytes of the present connection.
-    """
-
-    def __init__(
-        self,
-        context: Context,
-        owner: RouteOwner,
-        table: RouteTable,
-        proposed: ProposedTopics,
-        carriers: Callable[[], set[Carrier]],
-    ) -> None:
-        self._context = context
-        self._owner = owner
+    def __init__(self, link: BaseLink, table: RouteTable, proposed: ProposedTopics) -> None:
+        context = self._context = link.context
+        self._link = link
         self._table = table
         self._proposed = proposed
-        self._carriers = carriers
         self._synthetic = synthetic_of(context.ros)
         self._now = context.now
         self._budget = BenchBudget(self._now)
         self._request = 0
-        self._questions: Questions[BenchAnswer] = Questions(owner.send, owner.spawn, _ANSWERED_WITHIN)
+        self.messages = {BenchAsk: self._asked, BenchAnswer: self._answered}
+        self._questions: Questions[BenchAnswer] = Questions(link.send, link.spawn, _ANSWERED_WITHIN)
         self._used_at = 0.0
         self._stopped_until = float("-inf")
         self._busy = False
         self._seen: dict[Drain, int] = {}
-        """What the peer sends to: messages that had come at the last tick."""
+        """Messages of the peer by drain, as of the last tick."""
         self._own: set[Drain] = set()
-        """What this side has the peer send to, which costs the peer nothing."""
+        """Drains of this side's own runs, which the peer's limits do not cover."""
         self._ends_soon = False
         if self._synthetic is not None:
-            self._synthetic.admits[owner.name] = self._admits
+            self._synthetic.admits[link.name] = self._admits
 
     # --- for the peer
 
-    def refusal(self, topic: str, leave: Leave | None) -> str:
-        """Why the peer may not propose a topic that measures; empty: it may, or it is an ordinary one."""
+    def refusal(self, topic: str) -> str:
         if not is_bench_topic(topic):
             return ""
         if self._synthetic is None:
             return "nothing can be measured here"
         if self._now() < self._stopped_until:
             return "an operator has stopped the benchmark; a minute later it may begin again"
-        return self._budget.refusal(leave)
+        return self._budget.refusal(self._link.rights.bench)
 
     def removed(self, route: Route) -> None:
-        """An operator of this side removes a topic: one that the peer measures with does not come back at once."""
+        """Keep the peer from measuring for a while: an operator of this side has removed one of its topics."""
         if is_bench_topic(route.local_topic) and not route.proposed_here:
             self._stopped_until = self._now() + _STOPPED_FOR
 
-    def handle(self, message: BenchAsk | BenchAnswer) -> None:
-        """Answer the peer's question, or take its answer."""
-        match message:
-            case BenchAsk():
-                self._questions.answer(message.request, lambda: self._answer(message))
-            case BenchAnswer():
-                self._questions.answered(message.request, message)
+    def _asked(self, ask: BenchAsk) -> None:
+        self._questions.answer(ask.request, lambda: self._answer(ask))
+
+    def _answered(self, answer: BenchAnswer) -> None:
+        self._questions.answered(answer.request, answer)
 
     async def _answer(self, ask: BenchAsk) -> BenchAnswer:
-        route = self._table.ids.open_route(ask.route)
+        route = self._link.ids.open_route(ask.route)
         if route is None or not is_bench_topic(route.local_topic):
             return BenchAnswer(ask.request, "there is no such topic that measures")
         source, drain = self._ends(route)
@@ -209,7 +191,7 @@ class LinkBench:
             drain.reset()
         problem = self._send_for_peer(ask, route, source) if ask.count else ""
         usage, arrived = self.usage(), drain.arrived if drain is not None else Arrived(0, (0.0, 0.0, 0.0))
-        leave = self._owner.rights.bench
+        leave = self._link.rights.bench
         busy = source is not None and source.busy
         return BenchAnswer(
             ask.request,
@@ -226,35 +208,34 @@ class LinkBench:
         )
 
     def _send_for_peer(self, ask: BenchAsk, route: Route, source: Source | None) -> str:
-        """Begin to send for the peer; why that is not done, or empty."""
+        """Begin to send for the peer; return why this is not possible, or an empty string."""
         if source is None or route.proposed_here:  # whose topic it is orders the runs
             return "what is sent on that topic comes from the side that asks"
         if any(self._sends_for_peer(each) for each in self._routes()):
-            return "what was asked for before is still being sent"
+            return "the previous order is still being sent"
         size, seconds = max(ask.size, LEAST_SIZE), ask.count / max(ask.rate, 1e-3)
         if seconds > MOST_SECONDS:
             return f"a run takes at most {MOST_SECONDS:g} s"
-        if refused := self._budget.refusal(self._owner.rights.bench, seconds, size * ask.count, ask.rate):
+        if refused := self._budget.refusal(self._link.rights.bench, seconds, size * ask.count, ask.rate):
             return refused
         self._budget.spend(seconds, size * ask.count)
         source.start(size, ask.rate, ask.count)
         return ""
 
     def meter_of(self, route_id: int) -> Meter | None:
-        """The meter of a topic by which the peer measures, or None of any other route."""
-        route = self._table.ids.open_route(route_id)
+        route = self._link.ids.open_route(route_id)
         if route is None or route.proposed_here or route.outgoing or not is_bench_topic(route.local_topic):
             return None
-        return lambda size: self._budget.take(self._owner.rights.bench, wire=size) or self._end_soon()
+        return lambda size: self._budget.take(self._link.rights.bench, wire=size) or self._end_soon()
 
     def _admits(self, drain: Drain, size: int) -> bool:
-        """Whether a message may come to a topic that measures, unpacked."""
+        """Whether an unpacked message may come to a measuring topic."""
         if drain in self._own:
             return True
-        return self._budget.take(self._owner.rights.bench, payload=size) or self._end_soon()
+        return self._budget.take(self._link.rights.bench, payload=size) or self._end_soon()
 
     def _end_soon(self) -> bool:
-        """End the peer's topics at the next turn of the loop: what they have used up has just come through one."""
+        """End the peer's topics at the next turn of the loop: now a message of a topic is being handled."""
         if not self._ends_soon:
             self._ends_soon = True
             self._context.loop.call_soon(self._end_refused)
@@ -262,13 +243,15 @@ class LinkBench:
 
     def _end_refused(self, rate: float = 0.0) -> None:
         self._ends_soon = False
-        if refused := self._budget.refusal(self._owner.rights.bench, rate=rate):
+        if refused := self._budget.refusal(self._link.rights.bench, rate=rate):
             for route in self._routes():
                 if not route.proposed_here:
                     self._table.deny(route, refused)
 
     def tick(self) -> None:
-        """Once a second: count what the peer has caused, and remove the topics of a benchmark that has gone."""
+        """Count the peer's messages, and remove the topics of a benchmark that orders nothing more."""
+        if not self._link.linked:
+            return
         count = self._come()
         if count:
             self._budget.spend(1.0, 0.0)  # its bytes are counted as they come
@@ -279,11 +262,11 @@ class LinkBench:
                 self._table.remove(route, _ENDED)
 
     def _come(self) -> int:
-        """Messages that the peer has sent since the last tick, also on topics that are gone."""
+        """Return how many messages the peer has sent since the last tick, on closed topics, too."""
         if self._synthetic is None:
             return 0
         messages = 0
-        opened = dict.fromkeys(self._synthetic.opened(self._owner.name), 0)
+        opened = dict.fromkeys(self._synthetic.opened(self._link.name), 0)
         for drain, before in (self._seen | opened).items():
             if drain not in self._own:
                 messages += drain.messages - before
@@ -300,7 +283,7 @@ class LinkBench:
     # --- for this side's operator
 
     async def run(self, order: Order) -> Outcome:
-        """Send some messages over the link, wait until no more comes, and say what came.
+        """Send messages over the link, wait until all have arrived or are lost, and return the outcome.
 
         Raises:
             LinkError: it cannot be done, or the peer does not allow it.
@@ -322,26 +305,24 @@ class LinkBench:
                 self._table.remove(route, _ENDED)
 
     def disconnected(self) -> None:
-        """The connection is over."""
         self._questions.disconnected()
 
     def usage(self) -> Usage:
-        """What this process has used so far, with the bytes of this link."""
+        """Return the usage of this process so far, with the bytes of this link."""
         cpu, memory = resources()
         return Usage(cpu, memory, *self.wire_bytes())
 
     def wire_bytes(self) -> tuple[int, int]:
-        """Bytes sent and received by what carries the present connection."""
-        carriers = self._carriers()
+        """Return the bytes sent and received by the carriers of the present connection."""
+        carriers = self._link.carriers()
         return sum(each.sent_bytes for each in carriers), sum(each.received_bytes for each in carriers)
 
     def _check(self, order: Order) -> None:
-        owner = self._owner
         if self._synthetic is None:
             raise LinkError("nothing can be measured here")
-        if not owner.linked:
-            raise LinkError(f"{owner.name} is not linked: {owner.down_reason}")
-        if FEATURE not in owner.features:
+        if not self._link.linked:
+            raise LinkError(f"{self._link.name} is not linked: {self._link.down_reason}")
+        if FEATURE not in self._link.features:
             raise LinkError("the other side's rsb-console is too old to be measured: update it")
         if not LEAST_SIZE <= order.size <= MOST_SIZE:
             raise LinkError(f"a message has {LEAST_SIZE} to {MOST_SIZE:,} bytes")
@@ -381,7 +362,7 @@ class LinkBench:
         now = self.usage()
         mine = _between(ours, now)
         peers = _between(_usage_in(theirs), _usage_in(answer))
-        offset = (self._owner.clock_offset or 0.0) * (-1 if sends else 1)
+        offset = (self._link.clock.offset or 0.0) * (-1 if sends else 1)
         p50, p99, p999 = (each + offset for each in latencies)
         return Outcome(
             now,
@@ -391,14 +372,14 @@ class LinkBench:
             p50,
             p99,
             p999,
-            self._owner.clock_uncertainty,
+            self._link.clock.uncertainty,
             mine if sends else peers,
             peers if sends else mine,
             answer.max_rate,
         )
 
     async def _opened(self, order: Order) -> Route:
-        """The topic's route, once messages can cross on it."""
+        """Return the topic's route, once messages can cross on it."""
         link_transport = self._context.transports.of_link(self._context.session.server_ip)
         transport = order.transport or link_transport.name
         name = bench_topic(transport, order.direction)
@@ -415,7 +396,7 @@ class LinkBench:
         while not self._open(route):
             if route.refusal:
                 raise LinkError(route.refusal)
-            if route.key not in self._table.routes or self._now() > deadline:
+            if route.key not in self._link.routes or self._now() > deadline:
                 raise LinkError(_why_not(route))
             await asyncio.sleep(_LOOK_EVERY)
         return route
@@ -464,28 +445,23 @@ class LinkBench:
                 come, grown = drain.count, self._now()
 
     def _deadline(self, order: Order) -> float:
-        """When a run, or what is still on its way, is waited for no longer."""
+        """Return when to give up waiting for a run and its last messages."""
         return self._now() + 2 * order.count / order.rate + _QUIET
 
     # --- both
 
-    @property
-    def is_measuring(self) -> bool:
-        """Whether a measurement fills the link now."""
-        return bool(self._routes())
-
     def _routes(self) -> list[Route]:
-        return [each for each in self._table.routes.values() if is_bench_topic(each.local_topic)]
+        return [each for each in self._link.routes.values() if is_bench_topic(each.local_topic)]
 
     def _ends(self, route: Route) -> tuple[Source | None, Drain | None]:
         if self._synthetic is None:
             return None, None
-        end = route.local_topic, self._owner.name
+        end = route.local_topic, self._link.name
         return self._synthetic.sources.get(end), self._synthetic.drains.get(end)
 
 
 def _check_opening(route: Route, opening: int) -> None:
-    """See that a topic is open as it was when the run began.
+    """Check that a topic is in the opening in which the run began.
 
     Raises:
         LinkError: it is not.
@@ -493,11 +469,11 @@ def _check_opening(route: Route, opening: int) -> None:
     if route.refusal or not route.id:
         raise LinkError(_why_not(route))
     if route.id != opening:
-        raise LinkError("the topic was opened anew meanwhile, so that not all that came was counted")
+        raise LinkError("the topic was reopened during the run, so that the count is incomplete")
 
 
 def _why_not(route: Route) -> str:
-    """Why nothing crosses on a route that measures."""
+    """Return why no message crosses on a measuring route."""
     if route.refusal:
         return route.refusal
     return f"{STOPPED}: it has removed or paused the topic" if not route.flowing else route.trouble()

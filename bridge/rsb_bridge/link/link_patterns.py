@@ -1,4 +1,4 @@
-"""The patterns that this side of a link proposes: each name that matches gets a route, for as long as it is there."""
+"""Patterns that this side of a link proposes: each matching name has a route for as long as the name exists."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ import msgspec
 
 from rsb_bridge.config.rights import Use, as_if_listed, uses
 from rsb_bridge.link.errors import Denied, LinkError
+from rsb_bridge.link.extension import Extension
 from rsb_bridge.link.proposals import KINDS
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.command_origin import acting
@@ -29,16 +30,17 @@ from rsb_bridge.model.patterns import (
 )
 from rsb_bridge.model.qos import AUTO
 from rsb_bridge.model.snapshot import Level, PatternSnapshot, State
-from rsb_bridge.wire.messages import Follow, Followed, FoundName, NamePattern
+from rsb_bridge.wire.messages import Follow, Followed, FoundName, NamePattern, Welcome
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterable, Iterator
 
     from rsb_bridge.config.rights import Rights
     from rsb_bridge.context import Context
+    from rsb_bridge.link.base_link import BaseLink
     from rsb_bridge.link.name_watch import Named, Names
     from rsb_bridge.link.proposed_topics import ProposedTopics
-    from rsb_bridge.link.route_table import RouteOwner, RouteTable
+    from rsb_bridge.link.route_table import RouteTable
     from rsb_bridge.model.session import Identity, Kind, Topic
     from rsb_bridge.route.route import Route
     from rsb_bridge.wire.messages import ControlMessage
@@ -54,20 +56,20 @@ def _from_client_graph(topic: Topic) -> bool:
 
 
 class PatternEntry:
-    """An entry of a session whose name is a pattern, ready to be held against names.
+    """An entry of a session whose name is a pattern, ready for matching.
 
     Args:
-        topic: whose name is a pattern; validated.
-        client: the client's name: the prefix.
-        prefixed: whether the server's names of what has no `Topic.remote_topic` have the prefix.
-        always_prefixed: whether the others have it, too, unless they begin with it already.
+        topic: the validated entry.
+        client: name of the client, which is the prefix.
+        prefixed: whether the server's names have the prefix if the entry has no `Topic.remote_topic`.
+        always_prefixed: whether other names get the prefix, too, unless they begin with it.
 
     Attributes:
-        topic: likewise.
-        source: the pattern of names in the graph that is followed.
-        from_client: whether that is the client's.
-        left_out: what the last names that matched could not be bridged for, by name.
-        beyond: how many more names match than there is room for.
+        topic: the entry.
+        source: the pattern of names in the followed graph.
+        from_client: whether the client's graph is followed.
+        left_out: reasons why matching names could not be bridged, by name.
+        beyond: number of matching names for which there is no room.
     """
 
     def __init__(self, topic: Topic, *, client: str, prefixed: bool, always_prefixed: bool = False) -> None:
@@ -85,17 +87,17 @@ class PatternEntry:
         self.source = self._here if self.from_client else Pattern(self.server_name(topic.remote_topic or topic.topic))
 
     def server_name(self, name: str) -> str:
-        """The server's name of what the client, or its session's `Topic.remote_topic`, calls so."""
+        """Return the server's name for a name on the client or in `Topic.remote_topic`."""
         if self._prefixed or (self._always and client_topic(name, self._client) is None):
             return server_topic(name, self._client)
         return name
 
     def match(self, name: str, type_name: str | None) -> Topic | None:
-        """What a name of the graph that is followed is to be bridged as; None: it does not match.
+        """Return the topic to bridge for a name of the followed graph, or None if it does not match.
 
         Args:
-            name: in that graph.
-            type_name: its type there; empty: its endpoints disagree; None: whatever it is.
+            name: the name in that graph.
+            type_name: its type there, an empty string if its endpoints disagree, or None for any type.
         """
         parts = self.source.match(name)
         if parts is None or (self._type and type_name is not None and type_name != self._type):
@@ -107,19 +109,19 @@ class PatternEntry:
         return msgspec.structs.replace(self.topic, topic=on_client, remote_topic=remote, excepts=())
 
     def matches_client(self, name: str) -> bool:
-        """Whether a name on the client is one of those that it stands for."""
+        """Whether the pattern matches a name on the client."""
         return self._here.match(name) is not None and not self.excepts(name)
 
     def excepts(self, name: str) -> bool:
-        """Whether it leaves out a name on the client."""
+        """Whether the entry leaves out a name on the client."""
         return any(each.match(name) is not None for each in self._excepts)
 
 
-class FollowedByPeer:
-    """What the peer follows of this side's graph: it is told which names match its patterns.
+class PeerSubscription:
+    """Sends the peer the names of this side's graph that match its patterns.
 
     Args:
-        context: is told when the peer asks for something else.
+        context: looks for names again when the peer asks for others.
         shows: whether the peer may know of a name of a kind.
         send: sends a control message.
     """
@@ -138,18 +140,18 @@ class FollowedByPeer:
         self._answered = False
 
     def disconnected(self) -> None:
-        """The next connection begins with nothing."""
+        """Forget what the peer follows."""
         self._request, self._asked_for, self._patterns, self._told = None, (), [], {}
 
     def asked(self, message: Follow) -> None:
-        """The peer asks."""
+        """Take the peer's patterns, which replace its earlier ones."""
         self.disconnected()
         self._request, self._answered, self._more = message.request, False, 0
         self._asked_for = message.patterns
         self._context.names_changed()
 
     def patterns_here(self) -> Collection[tuple[Kind, Pattern]]:
-        """What the peer asks for. It is compiled when the graph is looked at, not as often as the peer asks."""
+        """Return the peer's patterns. They are compiled when the graph is searched, not each time the peer asks."""
         if self._asked_for:
             self._patterns = [
                 (kind, Pattern(each.pattern))
@@ -160,7 +162,7 @@ class FollowedByPeer:
         return self._patterns
 
     def look(self, names: Names) -> None:
-        """Tell the peer what has changed."""
+        """Send the peer the changes of the matching names."""
         if self._request is None or self._asked_for or not (self._patterns or self._told or not self._answered):
             return
         matching = [(named, type_name) for named, type_name in sorted(names.items()) if self._tells(named, type_name)]
@@ -188,49 +190,33 @@ def _found(named: Named, type_name: str) -> FoundName:
     return FoundName(name, type_name, kind)
 
 
-class LinkPatterns:
+class LinkPatterns(Extension):
     """The patterns of one link.
 
-    Entries that are no patterns win over these, and the first pattern that a name matches wins over the others. What
-    operators remove is an exception from then on, and what they edit an entry of its own.
-
-    Args:
-        context: has the session, and is told when other names are followed.
-        owner: the link.
-        table: its routes.
-        proposed: the topics that this side proposes, those of patterns among them.
-        shows: whether the peer may know of a name of a kind.
-        make_entry: makes the entry of a pattern, as the two sides name topics now.
+    Entries with a plain name win over patterns, and the first pattern that a name matches wins over later ones. A topic
+    that an operator removes becomes an exception of its patterns, and one that an operator edits an entry of its own.
 
     Attributes:
-        followed: what the peer follows of this side's graph.
+        followed: the names of this side's graph that the peer follows.
         entries: the patterns, in order.
-        there: what the peer's graph has of what is followed; None: that is not known now.
-        unseen: how many names it has beyond those that it tells.
-        gone: the identities of what has a route and nobody publishes or provides, each with the time since when.
+        there: the matching names in the peer's graph, or None as long as they are unknown.
+        unseen: number of further matching names that the peer does not tell.
+        gone: routes whose topic or service is gone, by identity, each with the time since when.
     """
 
-    def __init__(
-        self,
-        context: Context,
-        owner: RouteOwner,
-        table: RouteTable,
-        proposed: ProposedTopics,
-        shows: Callable[[str, Kind], bool],
-        make_entry: Callable[[Topic], PatternEntry],
-    ) -> None:
-        self._context = context
-        self._owner = owner
+    def __init__(self, link: BaseLink, table: RouteTable, proposed: ProposedTopics) -> None:
+        context = self._context = link.context
+        self._link = link
         self._table = table
         self._proposed = proposed
-        self._make_entry = make_entry
-        self._transport = context.transports.of_link(context.session.server_ip).name
-        self.followed = FollowedByPeer(context, shows, owner.send)
+        self._transport = link.transport.name
+        self.followed = PeerSubscription(context, link.shows, link.send)
+        self.messages = {Follow: self.followed.asked, Followed: self._take}
         self.entries: list[PatternEntry] = []
-        self._here: Names | None = None  # this side's graph; None: not known yet
+        self._here: Names | None = None  # matching names of this side's graph, or None as long as they are unknown
         self.there: Names | None = None
         self._request = 0
-        self._due = False  # the peer has told something new
+        self._due = False  # the peer has sent other names
         self.unseen = 0
         self.gone: dict[Identity, float] = {}
         self._known: dict[tuple[bool, Kind, str, str], tuple[int, Topic] | None] = {}  # which pattern matches
@@ -240,14 +226,14 @@ class LinkPatterns:
     # --- what operators want
 
     def all(self) -> tuple[Topic, ...]:
-        """The patterns, in order. May be called from any thread."""
+        """Return the patterns, in order. May be called from any thread."""
         return tuple(entry.topic for entry in tuple(self.entries))
 
     def add(self, topic: Topic) -> str:
-        """Follow one more pattern; its key.
+        """Follow one more pattern, and return its key.
 
         Raises:
-            LinkError: it has a mistake, there is such a pattern, or there are too many.
+            LinkError: it has a mistake or exists already, or there are too many patterns.
         """
         self._proposed.check(topic)
         if any(entry.topic.identity == topic.identity for entry in self.entries):
@@ -258,10 +244,10 @@ class LinkPatterns:
         return self.key_of(topic)
 
     def replace(self, identity: Identity, topic: Topic) -> str:
-        """Put another pattern in a pattern's place; its key.
+        """Replace a pattern, and return the new one's key.
 
         Raises:
-            LinkError: it has a mistake, or there is such a pattern at another place.
+            LinkError: the new one has a mistake, or equals another pattern.
         """
         self.check_replace(identity, topic)
         self._set(topic if each.identity == identity else each for each in self.all())
@@ -274,7 +260,7 @@ class LinkPatterns:
             raise LinkError(Denied.FOLLOWED_ALREADY(topic=topic.topic))
 
     def remove(self, identity: Identity) -> None:
-        """Follow a pattern no more: all routes that it has made are removed, unless another one matches."""
+        """Stop following a pattern, and remove its routes unless another pattern matches."""
         self._set(each for each in self.all() if each.identity != identity)
 
     def arrange(self, identities: Iterable[Identity]) -> None:
@@ -283,12 +269,12 @@ class LinkPatterns:
         self._set(known[identity] for identity in identities if identity in known)
 
     def leave_out(self, route: Route) -> None:
-        """An operator removes a route: no pattern brings it back."""
+        """Keep patterns from restoring a route that an operator removes."""
         name = route.spec.topic
         if not any(self._claims(entry, route) for entry in self.entries):
             return
         if problem := self.brings_back(route):
-            self._owner.log(Level.WARNING, EventCode.LINK_PATTERN_FULL, problem, topic=name)
+            self._link.log(Level.WARNING, EventCode.LINK_PATTERN_FULL, problem, topic=name)
             return
         self._set(
             msgspec.structs.replace(each.topic, excepts=(*each.topic.excepts, name))
@@ -298,7 +284,7 @@ class LinkPatterns:
         )
 
     def brings_back(self, route: Route) -> str:
-        """Why a pattern cannot leave out a route's topic; empty: all can."""
+        """Return why a pattern cannot leave out a route's topic, or an empty string if all can."""
         reached = (_exceptions_reached(entry) for entry in self.entries if self._claims(entry, route))
         return next(filter(None, reached), "")
 
@@ -307,20 +293,20 @@ class LinkPatterns:
         return same and route.proposed_here and entry.matches_client(route.spec.topic)
 
     def has_made(self, route: Route, topic: Topic) -> bool:
-        """Whether a route is one of a pattern's."""
+        """Whether a pattern has made a route."""
         return bool(route.pattern) and _identity_of(route) == topic.identity
 
     def key_of(self, topic: Topic) -> str:
-        """What identifies a pattern in commands and snapshots of this side; no route has such a key."""
-        return f"{self._owner.name} {'→' if topic.direction == 'transmit' else '←'} pattern {topic.kind} {topic.topic}"
+        """Return the key of a pattern in commands and snapshots of this side. No route has such a key."""
+        return f"{self._link.name} {'→' if topic.direction == 'transmit' else '←'} pattern {topic.kind} {topic.topic}"
 
     def find(self, key: str) -> Topic | None:
-        """The pattern of that key."""
+        """Return the pattern with a key, or None."""
         return next((topic for topic in self.all() if self.key_of(topic) == key), None)
 
     def _set(self, topics: Iterable[Topic]) -> None:
         before = {entry.topic.identity for entry in self.entries if entry.beyond}
-        self.entries = [self._make_entry(topic) for topic in topics]
+        self.entries = [self._entry(topic) for topic in topics]
         self._context.demands.changed()
         self._known.clear()
         self._told_full &= before & {entry.topic.identity for entry in self.entries}
@@ -328,19 +314,24 @@ class LinkPatterns:
         self._context.names_changed()
         self.reconcile()
 
+    def _entry(self, topic: Topic) -> PatternEntry:
+        peer = self._link.peer
+        always = isinstance(peer, Welcome) and peer.use_name
+        return PatternEntry(topic, client=self._link.name, prefixed=self._link.prefixed, always_prefixed=always)
+
     # --- the two graphs
 
     def connected(self) -> None:
-        """The peer is connected, and is asked for what its graph has. Who is on the server is known from now on."""
+        """Follow the peer's graph; the names on the server are known from now on."""
         self._request = 0
         self.renew()
 
     def renew(self) -> None:
-        """The server may have other names for the client's topics, or the peer other rights."""
+        """Match all names again: the server's names, or the peer's rights, may have changed."""
         self._set(self.all())
 
     def disconnected(self) -> None:
-        """The connection is over: nothing is known of the peer's graph, and nothing of it is taken for gone."""
+        """Forget the peer's names, without counting them as gone."""
         self.followed.disconnected()
         self.there, self.unseen = None, 0
         self.reconcile()
@@ -349,19 +340,14 @@ class LinkPatterns:
         theirs = tuple(
             NamePattern(entry.source.text, entry.topic.kind) for entry in self.entries if not self.is_local(entry)
         )
-        if self._owner.linked and FEATURE in self._owner.features and (theirs or self._request):
+        if self._link.linked and FEATURE in self._link.features and (theirs or self._request):
             self._request += 1
             self.there, self.unseen = None, 0
-            self._owner.send(Follow(self._request, theirs))
-
-    def handle(self, message: Follow | Followed) -> None:
-        """The peer follows this side's graph, or says what has changed in its own."""
-        if isinstance(message, Follow):
-            self.followed.asked(message)
-        elif message.request == self._request:
-            self._take(message)
+            self._link.send(Follow(self._request, theirs))
 
     def _take(self, message: Followed) -> None:
+        if message.request != self._request:
+            return
         names = {} if self.there is None else self.there
         for each in message.gone:
             if (kind := KINDS.get(each.kind)) is not None:
@@ -373,36 +359,36 @@ class LinkPatterns:
         self.there, self.unseen, self._due = names, message.more, True
 
     def patterns_here(self) -> Collection[tuple[Kind, Pattern]]:
-        """What it asks of this side's graph."""
+        """Return the patterns of this side's graph."""
         return [(entry.topic.kind, entry.source) for entry in self.entries if self.is_local(entry)]
 
     def look(self, names: Names) -> None:
-        """See what this side's graph has now."""
+        """Take the present names of this side's graph."""
         if self.entries and names != self._here:
             self._here = names
             self.reconcile()
 
     def is_local(self, entry: PatternEntry) -> bool:
         """Whether an entry follows this side's graph."""
-        return entry.from_client == self._owner.is_client
+        return entry.from_client == self._link.is_client
 
     # --- routes
 
     def routes_of(self, entry: PatternEntry) -> list[Route]:
-        """The routes that a pattern has made."""
-        return [route for route in self._table.routes.values() if self.has_made(route, entry.topic)]
+        """Return the routes that a pattern has made."""
+        return [route for route in self._link.routes.values() if self.has_made(route, entry.topic)]
 
     def reconcile(self) -> None:
-        """Have routes for what matches, and for nothing else."""
-        if not self.entries and not any(route.pattern for route in self._table.routes.values()):
+        """Add and remove routes so that each matching name has one."""
+        if not self.entries and not any(route.pattern for route in self._link.routes.values()):
             return
-        with acting(""):  # whoever has made the graph change is no operator
+        with acting(""):  # a change of the graph is not an operator's action
             self._reconcile(self._wanted())
 
     def _reconcile(self, wanted: dict[Identity, tuple[PatternEntry, Topic]]) -> None:
         for each in self.entries:
             each.beyond, each.left_out = 0, {}
-        routes = {route.spec.identity: route for route in self._table.routes.values()}
+        routes = {route.spec.identity: route for route in self._link.routes.values()}
         self.gone = {identity: at for identity, at in self.gone.items() if identity in routes}
         for identity, route in routes.items():
             if not route.pattern:
@@ -419,8 +405,8 @@ class LinkPatterns:
         self._add(wanted)
 
     def _wanted(self) -> dict[Identity, tuple[PatternEntry, Topic]]:
-        """What matches now, each with the pattern that wins, in the order of patterns and names."""
-        session, rights = self._context.session, as_if_listed(self._owner.rights)
+        """Return the matching topics, each with its winning pattern, in the order of patterns and names."""
+        session, rights = self._context.session, as_if_listed(self._link.rights)
         own = {session.shutdown_topic, session.diagnostics_topic}
         found: list[tuple[int, str, Topic]] = []
         for local, names in ((True, self._here), (False, self.there)):
@@ -440,7 +426,7 @@ class LinkPatterns:
     def _first_match(
         self, local: bool, kind: Kind, name: str, type_name: str, rights: Rights
     ) -> tuple[int, Topic] | None:
-        """The place of the first pattern that matches a name, and what that makes of it."""
+        """Return the index of the first pattern that matches a name, and the topic to bridge."""
         if len(self._known) >= _REMEMBERED:
             self._known.clear()
         for at, entry in enumerate(self.entries):
@@ -451,8 +437,8 @@ class LinkPatterns:
         return None
 
     def _entry_of(self, route: Route) -> PatternEntry | None:
-        """The pattern that would match a route's topic if that was there; None: none does any more."""
-        rights = as_if_listed(self._owner.rights)
+        """Return the pattern that matches a route's topic, which may be gone, or None."""
+        rights = as_if_listed(self._link.rights)
         for entry in self.entries:
             if self._claims(entry, route):
                 name = route.spec.topic
@@ -468,13 +454,13 @@ class LinkPatterns:
         if self.is_local(entry):
             local = name
         else:
-            local = topic.topic if self._owner.is_client else entry.server_name(topic.remote_topic or topic.topic)
+            local = topic.topic if self._link.is_client else entry.server_name(topic.remote_topic or topic.topic)
         sends, takes = uses(topic.kind)
-        may = sends if (topic.direction == "transmit") != self._owner.is_client else takes
+        may = sends if (topic.direction == "transmit") != self._link.is_client else takes
         return rights.refusal(Use(local, may, topic.protocol or self._transport, topic.kind)) is None
 
     def _keep(self, route: Route, entry: PatternEntry, topic: Topic) -> None:
-        """Have a route be as its pattern says now."""
+        """Change a route to the present values of its pattern."""
         if msgspec.structs.replace(topic, paused=route.spec.paused) != route.spec:
             try:
                 route = self._proposed.replace(route, topic)
@@ -483,14 +469,14 @@ class LinkPatterns:
         route.pattern = entry.topic.topic
 
     def _add(self, wanted: dict[Identity, tuple[PatternEntry, Topic]]) -> None:
-        """Make routes for what has none, as far as there is room."""
-        matched = [route for route in self._table.routes.values() if route.pattern]
+        """Add routes for topics without one, within the limits."""
+        matched = [route for route in self._link.routes.values() if route.pattern]
         total = len(matched)
         counts = dict.fromkeys((entry.topic.identity for entry in self.entries), 0)
         for route in matched:
             counts[_identity_of(route)] = counts.get(_identity_of(route), 0) + 1
-        taken = {route.spec.identity for route in self._table.routes.values()}
-        taken |= {topic.identity for topic in self._table.yielded.values()}
+        taken = {route.spec.identity for route in self._link.routes.values()}
+        taken |= {topic.identity for topic in self._table.superseded.values()}
         for identity, (entry, topic) in wanted.items():
             if identity in taken:
                 continue
@@ -514,8 +500,8 @@ class LinkPatterns:
         self._tell_full()
 
     def _longest_gone(self, pattern: Identity | None) -> Route | None:
-        """The route whose topic has been gone for longest, of one pattern or of any."""
-        routes = {route.spec.identity: route for route in self._table.routes.values() if route.pattern}
+        """Return the route whose topic has been gone for longest, of one pattern or of any."""
+        routes = {route.spec.identity: route for route in self._link.routes.values() if route.pattern}
         for identity in sorted(self.gone, key=lambda each: self.gone[each]):
             if identity in routes and pattern in (None, _identity_of(routes[identity])):
                 return routes[identity]
@@ -526,7 +512,7 @@ class LinkPatterns:
         self._table.remove(route, reason, told=False)
 
     def tick(self) -> None:
-        """Once a second: see what the peer has told, however often it has; remove what has been gone for long."""
+        """Take the peer's latest names, and remove routes whose topic has long been gone."""
         if self._due:
             self._due = False
             self.reconcile()
@@ -534,7 +520,7 @@ class LinkPatterns:
             return
         now = self._context.now()
         over = {identity for identity, at in self.gone.items() if now - at >= GONE_AFTER}
-        for route in [route for route in self._table.routes.values() if route.pattern and route.spec.identity in over]:
+        for route in [route for route in self._link.routes.values() if route.pattern and route.spec.identity in over]:
             self._drop(route, f"{_GONE}; {route.pattern} matches it again once it is back")
         if over:
             self.gone = {identity: at for identity, at in self.gone.items() if identity not in over}
@@ -548,14 +534,14 @@ class LinkPatterns:
             if entry.beyond and identity not in self._told_full:
                 self._told_full.add(identity)
                 text = f"pattern {name}: {_limit_reached(entry, len(self.routes_of(entry)))}"
-                self._owner.log(Level.WARNING, EventCode.LINK_PATTERN_FULL, text, topic=name)
+                self._link.log(Level.WARNING, EventCode.LINK_PATTERN_FULL, text, topic=name)
             elif not entry.beyond and identity in self._told_full:
                 self._told_full.discard(identity)
                 text = f"pattern {name}: all that match are bridged"
-                self._owner.log(Level.INFO, EventCode.LINK_PATTERN_ROOM, text, topic=name)
+                self._link.log(Level.INFO, EventCode.LINK_PATTERN_ROOM, text, topic=name)
 
     def snapshots(self) -> Iterator[PatternSnapshot]:
-        """Yield the patterns as user interfaces show them."""
+        """Yield a snapshot of each pattern."""
         for entry in self.entries:
             routes = self.routes_of(entry)
             gone = sum(1 for each in routes if each.spec.identity in self.gone)
@@ -564,7 +550,7 @@ class LinkPatterns:
             here = self.is_local(entry)
             yield PatternSnapshot(
                 key=self.key_of(entry.topic),
-                link=self._owner.name,
+                link=self._link.name,
                 spec=entry.topic,
                 state=state,
                 reason=reason,
@@ -576,7 +562,7 @@ class LinkPatterns:
             )
 
     def _state(self, entry: PatternEntry, count: str) -> tuple[State, str]:
-        owner, here = self._owner, self.is_local(entry)
+        link, here = self._link, self.is_local(entry)
         some = f"{count}; " if count else ""
         if entry.beyond:
             return State.DOWN, f"{some}{_limit_reached(entry, len(self.routes_of(entry)))}"
@@ -587,27 +573,25 @@ class LinkPatterns:
             return State.PAUSED, count
         if not here and self.unseen:
             return State.DOWN, f"{some}the other side does not tell {self.unseen} more that match: narrow the patterns"
-        if not here and owner.linked and FEATURE not in owner.features:
+        if not here and link.linked and FEATURE not in link.features:
             return State.DOWN, f"{some}the other side cannot tell what matches: update rsb-console there"
         if not here and self.there is None:
-            why = (
-                "it has just been asked" if owner.linked else f"not linked: {owner.down_reason or 'not connected yet'}"
-            )
+            why = "it has just been asked" if link.linked else f"not linked: {link.down_reason or 'not connected yet'}"
             return State.WAITING, f"{some}what the other side has is not known: {why}"
         if not count:
             side = f"in domain {self._context.domain_id}" if here else "on the other side"
-            but = ", but for what it leaves out" if entry.topic.excepts else ""
+            but = " except what it leaves out" if entry.topic.excepts else ""
             return State.WAITING, f"nothing {side} matches {entry.source.text}{but}"
         return State.OK, count
 
 
 def _identity_of(route: Route) -> Identity:
-    """Of the pattern that has made a route."""
+    """Return the identity of the pattern that has made a route."""
     return route.spec.kind, route.pattern, route.spec.direction
 
 
 def _exceptions_reached(entry: PatternEntry) -> str:
-    """Why a pattern can leave out no more names, and what to do; empty: it can."""
+    """Return why a pattern can have no more exceptions, with the remedy, or an empty string."""
     if len(entry.topic.excepts) < EXCEPTIONS_PER_PATTERN:
         return ""
     limit = f"pattern {entry.topic.topic} has {EXCEPTIONS_PER_PATTERN} exceptions already, which is the limit"
@@ -615,7 +599,7 @@ def _exceptions_reached(entry: PatternEntry) -> str:
 
 
 def _limit_reached(entry: PatternEntry, routes: int) -> str:
-    """What is left out for a limit, and what to do."""
+    """Return how many names exceed which limit, with the remedy."""
     alone = routes >= ROUTES_PER_PATTERN
     limit = f"{ROUTES_PER_PATTERN} for a pattern" if alone else f"{ROUTES_BY_PATTERNS} for all patterns of a link"
     remedy = "make it narrower, leave some out (except), or list them by name"

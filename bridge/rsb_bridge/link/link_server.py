@@ -116,19 +116,19 @@ class Server:
         self.context.log(Level.WARNING, EventCode.ENGINE_OTHER_SERVERS, message)
 
     def stop(self) -> None:
-        """Stop accepting connections, and reject those that are pending."""
+        """Stop accepting connections, and reject the pending ones."""
         self._ports.close()
         self._pending.close()
 
     def tick(self) -> None:
-        """Once a second."""
+        """Do the regular work once a second."""
         self._pending.tick()
         self.refused_clients.tick()
 
     # --- other clients than before
 
     def add_client(self, entry: ClientEntry) -> None:
-        """Let one more client in."""
+        """Accept one more client."""
         self.entries[entry.client.name] = entry
         self.refused_clients.forget(entry.client.name)
         self._add_link(entry)
@@ -149,7 +149,7 @@ class Server:
         link.destroy()
 
     def change_client(self, entry: ClientEntry) -> None:
-        """Go on with another entry of a client."""
+        """Use another entry of a client."""
         name = entry.client.name
         self.entries[name] = entry
         self._pending.expel(name, _SESSION_CHANGED)
@@ -170,7 +170,7 @@ class Server:
     # --- inbound connections
 
     def streams_awaited(self, host: str = "") -> int:
-        """How many routes' streams linked clients have yet to open; with `host`: those at that host."""
+        """Return how many streams linked clients have yet to open, at one host or at all."""
         return sum(
             link.streams_awaited
             for link in self.links.values()
@@ -178,11 +178,11 @@ class Server:
         )
 
     def connection(self) -> ServerConnection:
-        """The state machine for a stream that comes in."""
+        """Return the state machine for an inbound stream."""
         return ServerConnection(self.credential, self._welcome, self._aes, multiplexed=self._transport.multiplexed)
 
     def credential(self, name: str) -> Credential:
-        """What a client of that name has to prove; raises Refusal where there is none."""
+        """Return what a client by that name has to prove; raise Refusal if the name is unknown."""
         entry = self.entries.get(name)
         if entry is None:
             raise Refusal(RefusalCode.UNKNOWN_NAME, f"unknown client name {name!r}")
@@ -200,7 +200,7 @@ class Server:
         return welcome
 
     def established(self, stream: Stream, connection: ServerConnection, event: Established) -> ControlChannel:
-        """A client is authenticated; it takes the place of an older connection of its name."""
+        """Link an authenticated client; it replaces an older connection of its name."""
         assert isinstance(event.peer, Hello)
         link = self.links[event.peer.name]
         self.refused_clients.forget(link.name)
@@ -213,12 +213,12 @@ class Server:
                 code=EventCode.LINK_REPLACED,
             )
         link.seen(stream, connection.fingerprint)
-        control = ControlChannel(stream, connection, link)
+        control = ControlChannel(stream, connection, link.handlers, link.lost)
         link.up(control, event.peer, event.keys)
         return control
 
     def attach(self, stream: Stream, connection: ServerConnection, event: Attach) -> None:
-        """A stream was opened for a route; raises Refusal where it may not be."""
+        """Attach a stream that was opened for a route; raise Refusal if it may not be."""
         link = self._link_of(event.link_id)
         if link is None:
             raise Refusal(RefusalCode.NO_SUCH_ROUTE, UNKNOWN_ROUTE)

@@ -1,4 +1,4 @@
-"""Finds what programs publish and provide in this side's ROS graph, by patterns, whenever the graph has changed."""
+"""Finds the names in this side's ROS graph that match patterns, whenever the graph has changed."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ if TYPE_CHECKING:
     from rsb_bridge.ros.ros_interface import Endpoint
 
 Named = tuple[Kind, str]
-"""Of what, and its name."""
+"""The kind of a name, and the name."""
 Names = dict[Named, str]
-"""What a graph has, with the types."""
+"""The names of a graph, with their types."""
 
 _LOOK_EVERY = 1.0
 """s between two looks at the least."""
@@ -33,23 +33,23 @@ _LONGEST_PAUSE = 10.0
 _ALWAYS_AFTER = 60.0
 """s after which it looks even without a change, in case one was missed."""
 _REMEMBERED = 10_000
-"""Names of which is known whether a pattern matches."""
+"""Names whose match is remembered."""
 
 
 class Follower(Protocol):
-    """Who follows the graph."""
+    """A user of the graph's names."""
 
     def patterns_here(self) -> Collection[tuple[Kind, Pattern]]:
-        """What it asks for."""
+        """Return the patterns of the names that it wants."""
         ...
 
     def look(self, names: Names) -> None:
-        """See what this graph has now, of what anybody asks for."""
+        """Take the present names of the graph that match any follower's patterns."""
         ...
 
 
 class _Found(NamedTuple):
-    """A name that matches, and who publishes or provides it."""
+    """A name that matches, with its publishers or providers."""
 
     named: Named
     type_name: str
@@ -57,14 +57,14 @@ class _Found(NamedTuple):
 
 
 class NameWatch:
-    """Looks for all followers at once. A name is held against the patterns once, and not again until those change.
+    """Searches the graph for all followers at once. A name is matched once, and again only if the patterns change.
 
-    What only bridges publish or provide is left out, whichever they are, so that no pattern takes back what another
-    one, or another bridge, has brought. Whoever wants to hand it on lists it by its name.
+    Names that only bridges publish or provide are left out, so that no pattern returns what another pattern or another
+    bridge has brought. To pass such a topic on, list it by its name.
 
     Args:
-        context: the engine's.
-        followers: gives who follows.
+        context: context of the engine.
+        followers: gives the followers.
     """
 
     def __init__(self, context: Context, followers: Callable[[], Iterable[Follower]]) -> None:
@@ -76,11 +76,11 @@ class NameWatch:
         self._known: dict[Named, bool] = {}
 
     def changed(self) -> None:
-        """The graph has changed, or what a follower asks for. On the I/O thread, as often as one likes."""
+        """Search soon: the graph or a follower's patterns have changed. Call it on the I/O thread."""
         self._due.set()
 
     async def run(self) -> None:
-        """Look, for ever."""
+        """Search again and again, for ever."""
         now = self._context.now
         while True:
             try:
@@ -106,7 +106,6 @@ class NameWatch:
             follower.look(names)
 
     def _collect(self) -> None:
-        """Ask followers what they ask for."""
         wanted = {(kind, p.text): p for each in self._followers() for kind, p in each.patterns_here()}
         if wanted.keys() != self._asked:
             self._asked = frozenset(wanted)
@@ -116,7 +115,7 @@ class NameWatch:
                 self._patterns.setdefault(kind, []).append(pattern)
 
     def _search(self) -> list[_Found]:
-        """What matches; on another thread."""
+        """Return what matches. Runs on another thread."""
         ros, session = self._context.ros, self._context.session
         own = (session.shutdown_topic, session.diagnostics_topic)
         topics = ros.topics() if "topic" in self._patterns else ()
@@ -143,7 +142,7 @@ class NameWatch:
         return self._known[named]
 
     def _is_a_programs(self, found: _Found) -> bool:
-        """Whether a node has it that is known, and no bridge's."""
+        """Whether a known node that is no bridge has the name."""
         announcements = self._context.announcements
         kind, name = found.named
         if kind == "topic":

@@ -1,4 +1,4 @@
-"""What operators of the other side do to routes, among this side's operators' actions, as the other side's words."""
+"""Records what operators of the other side do to routes, marked as claims of the other side."""
 
 from __future__ import annotations
 
@@ -25,12 +25,12 @@ _AT_ONCE, _A_SECOND = 20.0, 1 / 300
 
 
 def acting_operator() -> str:
-    """Who gives the present command, as the other side is told."""
+    """Return the name of the present command's operator, for the other side."""
     return sanitize_text(operator(), TEXT_LENGTH)
 
 
 def called(route: Route, lane: int, outcome: str = "") -> str:
-    """What an operator has done who calls a lane of a route by hand, in words; a lane beyond all is a newer peer's."""
+    """Return the text on a manual call of a route's lane; an unknown lane comes from a newer version."""
     lanes = LANES[route.spec.kind]
     name = lanes[lane].name if lane < len(lanes) else ""
     what = f"{name} called" if name else "called"
@@ -38,13 +38,13 @@ def called(route: Route, lane: int, outcome: str = "") -> str:
 
 
 class PeerOperators:
-    """Records the actions of one link's other side, within a budget. A log line each of its routes has beside that.
+    """Records the actions of the other side's operators, within a budget; the routes log them as well.
 
-    Who did it is what the other side says, and is marked so: it cannot be taken for an operator of this side.
+    The operator's name is the other side's claim, and is marked so: it cannot be mistaken for one of this side.
 
     Args:
         context: has the log.
-        peer_name: what this side's operators call the other one.
+        peer_name: name of the other side, for this side's operators.
     """
 
     def __init__(self, context: Context, peer_name: str) -> None:
@@ -54,38 +54,38 @@ class PeerOperators:
         self._budget = TokenBucket(_AT_ONCE, _A_SECOND, context.now())
 
     def says(self, who: str) -> str:
-        """Who it was, as the other side says, which may say nothing."""
+        """Return the other side's claim of who it was; `who` may be empty."""
         return f"{self._peer_name} says: {who or 'an operator'}"
 
     def paused(self, route: Route, who: str) -> None:
-        """A route is paused or resumed now because somebody there wants it; `who` may be empty."""
+        """Record that a route was paused or resumed there; `who` may be empty."""
         code = EventCode.OPERATOR_PAUSED if route.paused else EventCode.OPERATOR_RESUMED
         what = "paused" if route.paused else "resumed"
         self._did(code, what, route, who, pause_word(paused=not route.paused), pause_word(paused=route.paused))
 
     def proposed(self, route: Route, proposal: Propose) -> None:
-        """Somebody there bridges one more topic, or has put it in another one's place; or nobody does."""
+        """Record that an operator there has added or edited a topic, if the proposal names one."""
         if proposal.who and proposal.edited:
             self.edited(route, proposal.who, None)
         elif proposal.who:
             self._did(EventCode.OPERATOR_ADDED, "added", route, proposal.who, "", described(route.spec))
 
     def edited(self, route: Route, who: str, old: Topic | None) -> None:
-        """Somebody there has changed a topic, which was `old`; None: that is not known any more."""
+        """Record that an operator there has changed a topic, which was `old`, or None if that is unknown."""
         what = "changed" if old is None else f"changed ({', '.join(changes(old, route.spec)) or 'nothing differs'})"
         before = "" if old is None else described(old)
         self._did(EventCode.OPERATOR_EDITED, what, route, who, before, described(route.spec))
 
     def removed(self, route: Route, who: str) -> None:
-        """Somebody there no longer bridges a topic."""
+        """Record that an operator there has removed a topic."""
         self._did(EventCode.OPERATOR_REMOVED, "removed", route, who, described(route.spec), "")
 
     def dropped_demand(self, route: Route, who: str) -> None:
-        """Somebody there has dropped the demand that a topic be armed."""
+        """Record that an operator there has dropped the demand to arm a topic."""
         self._did(EventCode.OPERATOR_ARM_DROPPED, "the demand to be armed dropped", route, who, "", "")
 
     def called(self, route: Route, message: ByHand) -> None:
-        """Somebody there calls by hand what a route provides, or has done so."""
+        """Record the begin or the end of a manual call by an operator there."""
         code = EventCode.OPERATOR_CALL_ENDED if message.outcome else EventCode.OPERATOR_CALLED
         new = message.outcome or message.request
         self._did(code, called(route, message.lane, message.outcome), route, message.who, "", new)

@@ -1,14 +1,14 @@
-"""A session's topics as the wire proposes them, and a peer's proposals, held to what the peer may do."""
+"""Converts topics to proposals and back, and checks a peer's proposals against its rights."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING
 
 import msgspec
 from msgspec import UNSET
 
 from rsb_bridge import __version__
-from rsb_bridge.config.rights import Rights, Use, uses
+from rsb_bridge.config.rights import Use, uses
 from rsb_bridge.config.topic_rules import overlap
 from rsb_bridge.config.validation import validate_topic
 from rsb_bridge.link.errors import Denied, LinkError
@@ -24,24 +24,26 @@ from rsb_bridge.wire.messages import Amend, Propose
 if TYPE_CHECKING:
     from collections.abc import Collection, Container, Iterable
 
+    from rsb_bridge.config.rights import Rights
+    from rsb_bridge.link.base_link import BaseLink
     from rsb_bridge.model.profiles import LinkProfile
     from rsb_bridge.model.session import Kind, Session
     from rsb_bridge.route.route import Route
     from rsb_bridge.transport.transport import Transport
 
 KINDS: dict[str, Kind] = {kind: kind for kind in LANES}
-"""The kinds that this version knows, by the names that a peer sends."""
+"""The kinds that this version knows, by their names on the wire."""
 
 
 def proposal_of(
     topic: Topic, transport: Transport, *, client_name: str, use_name: bool, profile: LinkProfile = PLAIN
 ) -> Propose:
-    """What to ask the peer for.
+    """Return the proposal of a topic to the peer.
 
     Args:
-        topic: as the client sees it; validated.
-        transport: what will carry it.
-        client_name: the client's name: the prefix.
+        topic: the validated topic, with the client's names.
+        transport: its transport.
+        client_name: name of the client, which is the prefix.
         use_name: whether the server's name of the topic has the prefix.
         profile: of the link.
     """
@@ -72,10 +74,10 @@ def proposal_of(
 
 
 def topic_of(proposal: Propose) -> Topic:
-    """A peer's proposal as a session file would have it.
+    """Return a peer's proposal as an entry of a session.
 
     Raises:
-        LinkError: it is of a kind that only newer versions have.
+        LinkError: only newer versions know its kind.
     """
     here, there = proposal.topic, proposal.remote_topic
     on_client, on_server = (here, there) if proposal.from_client else (there, here)
@@ -103,10 +105,10 @@ def topic_of(proposal: Propose) -> Topic:
 
 
 def _kind_of(proposal: Propose) -> Kind:
-    """What a peer proposes.
+    """Return the kind of a peer's proposal.
 
     Raises:
-        LinkError: it is something that only newer versions have.
+        LinkError: only newer versions know it.
     """
     kind = KINDS.get(proposal.kind)
     if kind is None:
@@ -137,7 +139,7 @@ def unsupported_change(old: Propose, new: Propose, features: Container[str]) -> 
 
 
 def amended(proposal: Propose, limits: Propose | Amend) -> Propose:
-    """A proposal with the limits of another one, or of a change."""
+    """Return a proposal with the limits of another one, or of a change."""
     new = {name: getattr(limits, name) for name in _AMENDABLE}
     if new["priority"] is None:
         new["priority"] = proposal.priority
@@ -146,12 +148,12 @@ def amended(proposal: Propose, limits: Propose | Amend) -> Propose:
 
 
 def amendment(proposal: Propose, route_id: int, who: str = "") -> Amend:
-    """The message that tells a proposal's limits, and which operator has changed them; empty: it is an answer."""
+    """Return the message with a proposal's limits; `who` has changed them, or is empty in an answer."""
     return Amend(route_id, who=who, **{name: getattr(proposal, name) for name in _AMENDABLE})
 
 
 def amended_topic(topic: Topic, limits: Propose) -> Topic:
-    """A topic with a proposal's limits."""
+    """Return a topic with a proposal's limits."""
     return msgspec.structs.replace(
         topic,
         max_rate=limits.max_rate or None,
@@ -163,40 +165,21 @@ def amended_topic(topic: Topic, limits: Propose) -> Topic:
     )
 
 
-class Authority(Protocol):
-    """What decides about a peer's proposals: its link."""
-
-    is_client: bool
-
-    @property
-    def rights(self) -> Rights:
-        """What the peer may do here."""
-        ...
-
-    def bench_refusal(self, topic: str) -> str:
-        """Why the peer may not measure the link now with a topic; empty: it may, or the topic is an ordinary one."""
-        ...
-
-    def with_local_name(self, proposal: Propose) -> Propose:
-        """The peer's proposal with this side's name for the topic."""
-        ...
-
-
-def authorized(proposal: Propose, authority: Authority, session: Session) -> Propose:
-    """The peer's proposal as this side takes it up, with this side's name for the topic.
+def authorized(proposal: Propose, link: BaseLink, session: Session) -> Propose:
+    """Return the peer's proposal with this side's name for the topic.
 
     Raises:
-        LinkError: the peer may not have it.
+        LinkError: the peer may not have the topic.
     """
     if is_pattern(proposal.topic + proposal.remote_topic):
         raise LinkError(f"{proposal.topic} is a pattern: the other side has to propose each that matches by its name")
     for problem in validate_topic(topic_of(proposal)):  # first: a prefix can make a valid name of an invalid one
         raise LinkError(str(problem))
-    ours = authority.with_local_name(proposal)
-    use = use_of(ours, is_client=authority.is_client)
-    if refusal := authority.rights.refusal(use):
+    ours = link.with_local_name(proposal)
+    use = use_of(ours, is_client=link.is_client)
+    if refusal := link.rights.refusal(use):
         raise LinkError(str(refusal))
-    if refused := authority.bench_refusal(use.topic):
+    if refused := link.refusal(use.topic):
         raise LinkError(refused)
     for problem in validate_topic(topic_of(ours), session):
         raise LinkError(str(problem))
@@ -206,7 +189,7 @@ def authorized(proposal: Propose, authority: Authority, session: Session) -> Pro
 
 
 def use_of(proposal: Propose, *, is_client: bool) -> Use:
-    """What a peer does here with what it proposes, of a proposal that has this side's name for that."""
+    """Return the peer's use of a topic on this side, by a proposal with this side's name."""
     kind = _kind_of(proposal)
     sends, takes = uses(kind)
     if proposal.from_client != is_client:
@@ -240,7 +223,7 @@ def check_overlap(topic: Topic, routes: Iterable[Route]) -> None:
 
 
 def denied(routes: Collection[Route], rights: Rights, *, is_client: bool) -> dict[Route, str]:
-    """The routes that the peer proposed and may not have by these rights, each with the reason."""
+    """Return the routes that the peer proposed and may not have by these rights, each with the reason."""
     found = {
         route: rights.refusal(use_of(route.proposal, is_client=is_client))
         for route in routes
@@ -249,6 +232,6 @@ def denied(routes: Collection[Route], rights: Rights, *, is_client: bool) -> dic
     return {route: str(refusal) for route, refusal in found.items() if refusal}
 
 
-def allow_rate(route: Route, authority: Authority) -> bool:
-    """Have a route keep to the rate that the peer may have; whether that is another one than before."""
-    return route.limit.allow_here(authority.rights.max_rate(use_of(route.proposal, is_client=authority.is_client)))
+def allow_rate(route: Route, link: BaseLink) -> bool:
+    """Limit a route to the rate that the peer may have. Return whether the limit has changed."""
+    return route.limit.allow_here(link.rights.max_rate(use_of(route.proposal, is_client=link.is_client)))

@@ -9,64 +9,43 @@ from rsb_bridge.config.validation import validate_topic
 from rsb_bridge.link.errors import LinkError
 from rsb_bridge.link.proposals import proposal_of, same_route
 from rsb_bridge.model.benchmark import is_bench_topic
-from rsb_bridge.model.profiles import PLAIN
 from rsb_bridge.route.route import route_key
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from rsb_bridge.context import Context
+    from rsb_bridge.link.base_link import BaseLink
     from rsb_bridge.link.route_table import RouteTable
-    from rsb_bridge.model.profiles import LinkProfile
     from rsb_bridge.model.session import Topic
     from rsb_bridge.route.route import Route
     from rsb_bridge.wire.messages import Propose
 
 
 class ProposedTopics:
-    """Adds and changes topics in a link's route table.
+    """Adds and changes topics in a link's route table."""
 
-    Args:
-        context: its session says what is valid.
-        table: the link's routes.
-        client_name: the prefix.
-        prefixed: whether this side knows that the server puts the prefix before the client's topics.
-        profile: gives the link's.
-    """
-
-    def __init__(
-        self,
-        context: Context,
-        table: RouteTable,
-        client_name: str,
-        prefixed: Callable[[], bool],
-        profile: Callable[[], LinkProfile] = lambda: PLAIN,
-    ) -> None:
-        self._context = context
+    def __init__(self, link: BaseLink, table: RouteTable) -> None:
+        self._link = link
+        self._context = link.context
         self._table = table
-        self._client_name = client_name
-        self._prefixed = prefixed
-        self._profile = profile
 
     def all(self) -> tuple[Topic, ...]:
-        """What this side proposes by its name, in a session's order. May be called from any thread."""
-        routes = tuple(self._table.routes.values())
+        """Return the topics that this side proposes by name, in the session's order. May be called from any thread."""
+        routes = tuple(self._link.routes.values())
         proposed = [route.spec for route in routes if route.proposed_here and not route.pattern]
         topics = [topic for topic in proposed if not is_bench_topic(topic.topic)]
-        return (*topics, *tuple(self._table.yielded.values()))
+        return (*topics, *tuple(self._table.superseded.values()))
 
     def add(self, topic: Topic, *, by_pattern: bool = False) -> Route:
-        """Bridge one more topic, which this side proposes; where a pattern has made its route, that is the topic's now.
+        """Bridge one more topic, which this side proposes; it takes over a route that a pattern has made.
 
         Args:
             topic: what to bridge.
-            by_pattern: a pattern wants it, which demands by itself what it demands.
+            by_pattern: whether a pattern adds it, whose entry makes the demands.
 
         Raises:
-            LinkError: the topic has a mistake, or there is such a route.
+            LinkError: the topic has a mistake, or is bridged already.
         """
         proposal = self._proposal(topic)
-        route = self._table.routes.get(route_key(self._client_name, proposal))
+        route = self._link.routes.get(route_key(self._link.name, proposal))
         if route is not None and route.pattern:
             return self.replace(route, topic)
         return self._table.add(topic, proposal, proposed_here=True, by_pattern=by_pattern)
@@ -81,9 +60,9 @@ class ProposedTopics:
             raise LinkError(str(problem))
 
     def is_bridged(self, topic: Topic) -> bool:
-        """Whether there is a route for a topic, which has no mistake, be it under another name on the client."""
+        """Whether a valid topic has a route, possibly under another name on the client."""
         try:
-            return route_key(self._client_name, self._proposal(topic)) in self._table.routes
+            return route_key(self._link.name, self._proposal(topic)) in self._link.routes
         except LinkError:
             return False
 
@@ -96,7 +75,7 @@ class ProposedTopics:
         return _can_amend(route, self._proposal(topic))
 
     def replace(self, route: Route, topic: Topic) -> Route:
-        """Put another topic in a route's place, which is no pattern's then.
+        """Put another topic in a route's place; a pattern no longer controls it.
 
         The route goes on if only limits differ, else there is a new one.
 
@@ -105,14 +84,14 @@ class ProposedTopics:
                 old route stays.
         """
         table, proposal = self._table, self._proposal(topic)
-        if (key := route_key(self._client_name, proposal)) != route.key:
+        if (key := route_key(self._link.name, proposal)) != route.key:
             table.keep_demand(topic, key)
         self._check_replace(route, topic, proposal)
         if _can_amend(route, proposal):
             route.pattern = ""
             table.amend(route, topic, proposal)
             return route
-        at = list(table.routes).index(route.key)
+        at = list(self._link.routes).index(route.key)
         table.remove(route, "edited", told=False)
         new = table.add(topic, proposal, proposed_here=True, edited=True)
         table.move(new, at)
@@ -124,16 +103,16 @@ class ProposedTopics:
 
     def _check_replace(self, route: Route, topic: Topic, proposal: Propose) -> None:
         if not _can_amend(route, proposal):
-            self._table.check_add(topic, proposal, route_key(self._client_name, proposal), instead_of=route)
+            self._table.check_add(topic, proposal, route_key(self._link.name, proposal), instead_of=route)
         elif not route.proposed_here and (problem := self._table.unsupported_change(route, proposal)):
             raise LinkError(problem)
 
     def _proposal(self, topic: Topic) -> Propose:
-        name, prefixed, transports = self._client_name, self._prefixed(), self._context.transports
+        name, prefixed, transports = self._link.name, self._link.prefixed, self._context.transports
         for problem in validate_topic(topic, self._context.session, client=name if prefixed else None):
             raise LinkError(str(problem))
         transport = transports[transport_of(topic, self._context.session).name]
-        return proposal_of(topic, transport, client_name=name, use_name=prefixed, profile=self._profile())
+        return proposal_of(topic, transport, client_name=name, use_name=prefixed, profile=self._link.profile)
 
 
 def _can_amend(route: Route, proposal: Propose) -> bool:

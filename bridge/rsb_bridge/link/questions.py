@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from functools import partial
 from itertools import groupby, islice
 from operator import attrgetter, itemgetter
-from typing import TYPE_CHECKING, Generic, Protocol, TypeVar
+from typing import TYPE_CHECKING, Generic, TypeVar
 
 import msgspec
 import zstandard
@@ -16,30 +16,30 @@ import zstandard
 from rsb_bridge.cdr.description import DESCRIPTION_LIMIT
 from rsb_bridge.link.control_channel import in_slices
 from rsb_bridge.link.errors import Denied, LinkError
+from rsb_bridge.link.extension import Extension
 from rsb_bridge.link.proposals import KINDS
 from rsb_bridge.model.limits import TEXT_LENGTH
 from rsb_bridge.model.snapshot import TopicInfo
 from rsb_bridge.ros.ros_graph import CALLED, graph_of
-from rsb_bridge.wire.codec import topic_entries
+from rsb_bridge.wire.codec import TopicListParts, topic_entries
 from rsb_bridge.wire.framing import CONTROL_LIMIT
 from rsb_bridge.wire.messages import AskType, ListTopics, TopicList, TypeText
 from rsb_bridge.wire.records import TopicEntry
 
 if TYPE_CHECKING:
-    from collections.abc import Awaitable, Callable, Coroutine, Iterable, Iterator, Sequence
+    from collections.abc import Awaitable, Callable, Coroutine, Iterator, Sequence
 
     from rsb_bridge.link.control_channel import Slices
     from rsb_bridge.model.session import Kind
     from rsb_bridge.ros.ros_interface import RosInterface
     from rsb_bridge.ros.type_descriptions import TypeDescriptions
     from rsb_bridge.route.route import Route
-    from rsb_bridge.wire.codec import TopicListParts
     from rsb_bridge.wire.messages import ControlMessage
 
 T = TypeVar("T")
 
 QUESTIONS_KEPT = 8
-"""The peer's questions of one kind that wait for an answer, with the one that is being answered; others are ignored."""
+"""Unanswered questions of the peer of one kind; further ones are ignored."""
 _ANSWERED_WITHIN = 10.0
 """s: the other side may have to ask several nodes."""
 
@@ -49,9 +49,9 @@ class _Asked(Generic[T]):
     """A question to the peer that has no answer yet.
 
     Attributes:
-        answer: set once it is there.
-        askers: how many wait for it.
-        to_send: whether the next asker sends it: it has not been sent, or an asker has waited for too long.
+        answer: the future answer.
+        askers: number of callers that wait for it.
+        to_send: whether the next caller sends the question: it has not been sent, or a caller has waited for too long.
     """
 
     answer: asyncio.Future[T]
@@ -64,8 +64,8 @@ class Questions(Generic[T]):
 
     Args:
         send: sends a control message.
-        spawn: runs a coroutine beside.
-        answered_within: s that the peer has for an answer.
+        spawn: runs a coroutine as a task.
+        answered_within: seconds that the peer has for an answer.
     """
 
     def __init__(
@@ -82,14 +82,14 @@ class Questions(Generic[T]):
         self._answering = False
 
     async def ask(self, number: int, question: ControlMessage) -> T:
-        """The peer's answer. Who asks the same while it is awaited gets the same answer.
+        """Return the peer's answer. All who ask the same before it arrives share it.
 
         Args:
-            number: by which the answer is known.
-            question: to send.
+            number: number of the question, which the answer repeats.
+            question: message to send.
 
         Raises:
-            LinkError: the link is lost meanwhile, or the peer does not answer.
+            LinkError: the link is lost, or the peer does not answer.
         """
         asked = self._asked.get(number)
         if asked is None:
@@ -110,20 +110,20 @@ class Questions(Generic[T]):
                 del self._asked[number]
 
     def awaited(self, number: int) -> bool:
-        """Whether somebody waits for the answer of that number."""
+        """Whether anybody waits for the answer with a number."""
         return number in self._asked
 
     def answered(self, number: int, answer: T) -> None:
-        """The peer answers a question; nobody may wait for it any more."""
+        """Take the peer's answer; nobody may wait for it any more."""
         asked = self._asked.pop(number, None)
         if asked is not None:
             asked.answer.set_result(answer)
 
     def answer(self, number: int, find: Callable[[], Awaitable[ControlMessage]]) -> None:
-        """Answer the peer's question after those that it asked before.
+        """Answer the peer's question after its earlier ones.
 
-        An answer costs more than a question: one that is asked again meanwhile is answered once, and where too many
-        wait, further ones are ignored.
+        An answer costs more than a question: a question that is repeated before its answer is answered once, and too
+        many waiting questions are ignored.
         """
         if number in self._to_answer or len(self._to_answer) >= QUESTIONS_KEPT:
             return
@@ -137,7 +137,7 @@ class Questions(Generic[T]):
             while self._to_answer:
                 number, find = next(iter(self._to_answer.items()))
                 message = await find()
-                if self._to_answer.get(number) is find:  # else the connection is over on which it was asked
+                if self._to_answer.get(number) is find:  # otherwise the question's connection is over
                     del self._to_answer[number]
                     self._send(message)
         finally:
@@ -145,22 +145,22 @@ class Questions(Generic[T]):
             self._answering = False
 
     def disconnected(self) -> None:
-        """The connection is over: nobody will answer, and nobody waits for this side's answers."""
+        """Fail all questions, and answer none: the connection is over."""
         for asked in self._asked.values():
             asked.answer.set_exception(LinkError("the link was lost"))
-            asked.answer.exception()  # whoever asked may have given up
+            asked.answer.exception()  # the asker may have given up
         self._asked.clear()
         self._to_answer.clear()
 
 
-class TypeQuestions:
-    """Asks the peer what a route's type is, and answers when it asks.
+class TypeQuestions(Extension):
+    """Asks the peer for descriptions of routes' types, and answers the same questions.
 
     Args:
-        known: the descriptions that this side knows.
-        open_route: gives a route by its id.
+        known: descriptions that this side knows.
+        open_route: returns the open route with an id.
         send: sends a control message.
-        spawn: runs a coroutine beside.
+        spawn: runs a coroutine as a task.
     """
 
     def __init__(
@@ -172,19 +172,17 @@ class TypeQuestions:
     ) -> None:
         self._known = known
         self._open_route = open_route
+        self.messages = {AskType: self._asked, TypeText: self._answered}
         self._questions: Questions[bytes] = Questions(send, spawn, _ANSWERED_WITHIN)
 
     def disconnected(self) -> None:
-        """The connection is over: nobody will answer."""
         self._questions.disconnected()
 
-    def handle(self, message: AskType | TypeText) -> None:
-        """Answer the peer's question, or take its answer."""
-        match message:
-            case AskType():
-                self._questions.answer(message.route, partial(self._find, message.route))
-            case TypeText():
-                self._questions.answered(message.route, message.text)
+    def _asked(self, question: AskType) -> None:
+        self._questions.answer(question.route, partial(self._find, question.route))
+
+    def _answered(self, answer: TypeText) -> None:
+        self._questions.answered(answer.route, answer.text)
 
     async def _find(self, route_id: int) -> TypeText:
         text = None
@@ -194,14 +192,14 @@ class TypeQuestions:
         return TypeText(route=route_id, text=zstandard.compress(text.encode()) if text else b"")
 
     async def describe(self, route: Route, *, linked: bool) -> str:
-        """The text of the description of a route's type.
+        """Return the description of a route's type.
 
         Args:
-            route: which.
+            route: the route.
             linked: whether the peer can be asked.
 
         Raises:
-            LinkError: neither side knows it.
+            LinkError: neither side has the description.
         """
         if not route.type_hash:
             raise LinkError("its type is not known yet" if not route.type_name else "its type's version is not known")
@@ -213,20 +211,20 @@ class TypeQuestions:
         return text
 
     async def _ask(self, route_id: int) -> bytes:
-        """The peer's answer; empty: it does not know, or does not answer."""
+        """Return the peer's answer, or empty bytes if it knows none or does not answer."""
         try:
             return await self._questions.ask(route_id, AskType(route=route_id))
         except LinkError:
             return b""
 
     def _checked(self, compressed: bytes, type_hash: str) -> str | None:
-        """The text in an answer, if it is that type's."""
+        """Return the text in an answer if it describes that type, or None."""
         text = description_in(compressed)
         return text if text is not None and self._known.add(text, type_hash) else None
 
 
 def description_in(compressed: bytes) -> str | None:
-    """The text in an answer, whatever it describes; None: there is none."""
+    """Return the text in an answer, without a check of its type, or None if the answer is empty or invalid."""
     try:
         size = zstandard.frame_content_size(compressed) if compressed else 0
         if not 0 < size <= DESCRIPTION_LIMIT:
@@ -238,18 +236,18 @@ def description_in(compressed: bytes) -> str | None:
 
 _LISTED_WITHIN = 5.0
 _MOST_ENTRIES = 4000
-"""Of one list, which is one control frame: it holds some 5,000 of usual names, and 1,400 of the longest."""
+"""Entries of one list, which is one control frame: it holds about 5,000 with usual names, or 1,400 with the longest."""
 _MOST_BYTES = CONTROL_LIMIT - 4096
 
 
-class TopicLists:
-    """Asks the peer for what its graph has, and answers when it asks for ours.
+class TopicLists(Extension):
+    """Asks the peer for the names in its graph, and answers the same question.
 
     Args:
-        ros: this side's graph.
+        ros: ROS interface with this side's graph.
         shows: whether the peer may know of a name of a kind; called on another thread.
         send: sends a control message.
-        spawn: runs a coroutine beside.
+        spawn: runs a coroutine as a task.
     """
 
     def __init__(
@@ -262,18 +260,14 @@ class TopicLists:
         self._ros = ros
         self._shows = shows
         self._request = 0  # the number of the last question
+        self.messages = {ListTopics: self._asked, TopicList: self._answered, TopicListParts: self._answered}
         self._questions: Questions[tuple[TopicEntry, ...]] = Questions(send, spawn, _LISTED_WITHIN)
 
     def disconnected(self) -> None:
-        """The connection is over: nobody will answer."""
         self._questions.disconnected()
 
-    def handle(self, message: ListTopics | TopicList | TopicListParts) -> Slices | None:
-        """Answer the peer's question, or take its answer. Returns the work that is left, or None."""
-        if not isinstance(message, ListTopics):
-            return self._answered(message)
-        self._questions.answer(message.request, partial(self._find, message))
-        return None
+    def _asked(self, question: ListTopics) -> None:
+        self._questions.answer(question.request, partial(self._find, question))
 
     def _answered(self, message: TopicList | TopicListParts) -> Slices:
         if not self._questions.awaited(message.request):
@@ -288,7 +282,7 @@ class TopicLists:
         return TopicList(question.request, tuple(await asyncio.to_thread(self._local_entries, kinds)))
 
     def _local_entries(self, kinds: Sequence[Kind]) -> list[TopicEntry]:
-        """What the peer may know of, as much as one message holds."""
+        """Return the entries that the peer may know, as many as one message holds."""
         shown = [
             entry
             for entry in graph_of(self._ros, kinds)
@@ -305,12 +299,12 @@ class TopicLists:
             most //= 2
 
     async def ask(self) -> list[TopicInfo]:
-        """What the peer's graph has. Who asks while an answer is awaited gets the same answer.
+        """Return the topics and services of the peer's graph. All who ask before the answer arrives share it.
 
         A peer that carries no calls answers with its topics.
 
         Raises:
-            LinkError: the link is lost meanwhile, or the peer does not answer.
+            LinkError: the link is lost, or the peer does not answer.
         """
         if not self._questions.awaited(self._request):
             self._request += 1
@@ -322,42 +316,8 @@ class TopicLists:
         ]
 
 
-class Asked(Protocol):
-    """A link, as far as its peer's graph is asked for."""
-
-    name: str
-    topic_lists: TopicLists
-
-    @property
-    def linked(self) -> bool:
-        """Whether the peer is connected and authenticated."""
-        ...
-
-    @property
-    def down_reason(self) -> str:
-        """Why it isn't linked."""
-        ...
-
-
-async def topics_of_peer(links: Iterable[Asked], name: str) -> list[TopicInfo]:
-    """What can be bridged on the other side of the link of that name.
-
-    Raises:
-        LinkError: there is no such link, or no peer now, or it does not answer.
-    """
-    link = next((each for each in links if each.name == name), None)
-    if link is None:
-        raise LinkError(f"there is no link {name!r}")
-    if not link.linked:
-        raise LinkError(f"{link.name} is not linked: {link.down_reason}")
-    try:
-        return await link.topic_lists.ask()
-    except LinkError as error:
-        raise LinkError(f"{link.name}: {error}") from None
-
-
 def _shared_out(entries: list[TopicInfo], room: int) -> Iterator[TopicInfo]:
-    """At most so many of entries that are by kind: no kind is left out because there is so much of another one."""
+    """Yield a limited number of entries, which are sorted by kind, with a fair share for each kind."""
     shares: dict[str, int] = {}
     counts = sorted(Counter(entry.kind for entry in entries).items(), key=itemgetter(1))
     for kinds_before, (kind, count) in enumerate(counts):

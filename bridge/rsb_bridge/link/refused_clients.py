@@ -33,7 +33,7 @@ CAUSES: dict[RefusalCode | None, LinkCause] = {
 }
 """Why the link is down; with any other code, `LinkCause.REFUSED`."""
 ASKED_EVERY = 30.0
-"""s between the questions of a client whether it may come back; jitter comes on top."""
+"""s between the attempts of a client whose link is shut down, before jitter."""
 _FAILURES = 5
 _FAILURES_WITHIN = 30.0
 _DELAY = 1.0
@@ -43,7 +43,7 @@ _LOGGED_AFTER, _LOGGED_AFTER_AT_LAST = 60.0, 3600.0
 _LINE_FORGOTTEN_AFTER = 60.0
 """s without another one; a client that is refused tries again within 12 s."""
 _OF_ONE_HOST = 8
-"""Different refusals that are logged one by one; whoever tries chooses the words: its name, its key's fingerprint."""
+"""Different refusals that are logged one by one: a stranger chooses their words, such as its name."""
 _MANY = "many different reasons; further ones of its host are not logged one by one"
 _LINES, _LINES_A_SECOND = 256, 0.5
 """Lines about all hosts."""
@@ -55,12 +55,12 @@ FORGOTTEN_AFTER = 30.0
 
 
 def with_remedy(code: RefusalCode, message: str, *, name: str, has_key: bool) -> str:
-    """The server's message, and what the client's operator does about it.
+    """Return the server's message with the remedy for the client's operator.
 
     Args:
-        code: the server's.
-        message: the server's.
-        name: the client's.
+        code: code of the refusal.
+        message: the server's message.
+        name: name of the client.
         has_key: whether the client has a key.
     """
     match code:
@@ -69,7 +69,7 @@ def with_remedy(code: RefusalCode, message: str, *, name: str, has_key: bool) ->
         case RefusalCode.NAME_TAKEN:
             return f"{message}: {REMEDY}"
         case RefusalCode.SHUT_DOWN:
-            return told_by_server(message)
+            return server_refusal(message)
         case RefusalCode.UNKNOWN_NAME:
             add = f"rsb-console client add {shlex.quote(name)}"
             return f"{message}: run {add} on the server, or correct name in this side's session"
@@ -91,30 +91,30 @@ class SameName(Wording):
 
 @dataclass(frozen=True, slots=True)
 class ShutDown:
-    """Who has shut a link down.
+    """A link's shutdown by an operator.
 
     Attributes:
-        by: in words: ``anna on pts/3``.
-        since: s since the epoch.
+        by: name of the operator, such as ``anna on pts/3``.
+        since: time in s since the epoch.
     """
 
     by: str
     since: float
 
     def refusal(self) -> str:
-        """What its client is told; it stays the same as long as the link is shut down."""
+        """Return the refusal for the client, which does not change until the end of the shutdown."""
         since = datetime.fromtimestamp(self.since, UTC)
         return sanitize_text(f"shut down by {self.by}, since {since:%Y-%m-%d %H:%M} UTC")
 
     def reason(self, name: str) -> str:
-        """What the server's operator is told of the link of that name."""
-        return f"{self.refusal()}; `rsb-console retry --link {name}` lets it in again"
+        """Return the reason for the server's operator, for the link by that name."""
+        return f"{self.refusal()}; run `rsb-console retry --link {name}` to accept it again"
 
 
-def told_by_server(refusal: str) -> str:
-    """What the client's operator is told."""
+def server_refusal(refusal: str) -> str:
+    """Return the server's refusal for the client's operator."""
     asks = f"this side asks again every {ASKED_EVERY:g} s"
-    return f"the server says: {refusal}; {asks}, until an operator there lets it in again"
+    return f"the server says: {refusal}; {asks}, until an operator there accepts it again"
 
 
 class _Logged:
@@ -130,7 +130,7 @@ class _Logged:
         self._due = now + self._wait
 
     def due_again(self, now: float) -> bool:
-        """It happens again, at `now` (s): whether to log it."""
+        """Record that it happened again at `now` (s), and return whether to log it."""
         self.tried_at = now
         if now < self._due:
             return False
@@ -140,7 +140,7 @@ class _Logged:
 
 
 class Recording(Protocol):
-    """What refusals are counted on, and recorded in."""
+    """Clock and event log for refusals."""
 
     @property
     def events(self) -> EventLog:
@@ -162,13 +162,13 @@ class Refusals:
         self._lines = TokenBucket(_LINES, _LINES_A_SECOND, context.now())
 
     def failed(self, host: str) -> None:
-        """Somebody at a host failed to authenticate."""
+        """Count a failed authentication of a host."""
         self._failures.setdefault(network(host), deque(maxlen=_FAILURES)).append(self._context.now())
         if len(self._failures) > _HOSTS_REMEMBERED:
             self._failures.pop(next(iter(self._failures)))
 
     def delay(self, host: str) -> float:
-        """How late (s) a host is told that it is refused: failures cost time, but lock nobody out."""
+        """Return the seconds until a host receives its refusal: failures cost time, but lock nobody out."""
         return _DELAY if len(self._failures.get(network(host), ())) >= _FAILURES else 0.0
 
     def log(self, stream: Stream, code: EventCode, message: str, name: str = "", cause: str = "") -> None:
@@ -179,7 +179,7 @@ class Refusals:
         self.log_of(stream.host, f"a client at {stream.peer}", code, message, name, cause)
 
     def log_of(self, host: str, who: str, code: EventCode, message: str, name: str = "", cause: str = "") -> None:
-        """Log that somebody was rejected: ever more rarely for each host and message, and few messages of a host."""
+        """Log a rejection: repetitions for a host ever more rarely, and few different messages of one host."""
         host = network(host)
         if (host, _MANY) in self._logged or self._has_many(host, message):
             message = _MANY
@@ -200,7 +200,7 @@ class Refusals:
         return True
 
     def tick(self) -> None:
-        """Once a second: forget old failures, and which were logged."""
+        """Forget old failures and log entries. Called once a second."""
         now = self._context.now()
         for host, times in tuple(self._failures.items()):
             while times and now - times[0] > _FAILURES_WITHIN:
@@ -211,7 +211,7 @@ class Refusals:
 
 
 def network(host: str) -> str:
-    """What counts as one host: an IPv6 address's /64; any other address, Bluetooth's included, itself."""
+    """Return the network that counts as one host: the /64 of an IPv6 address, and any other address itself."""
     try:
         address = ipaddress.ip_address(host)
     except ValueError:
@@ -288,19 +288,19 @@ REMEDY = "stop one of the two, or give each a name and a key of its own"
 
 @dataclass(slots=True)
 class DuplicateClients:
-    """Further clients of the name of one that is linked, as long as they try.
+    """Clients that try to use the name of a linked client.
 
     Attributes:
-        name: of all.
+        name: the common name.
     """
 
     name: str
-    _since: float = 0.0  # s since the epoch: since then there has always been one
+    _since: float = 0.0  # s since the epoch: there has been at least one since then
     _tried: dict[tuple[str, str], float] = field(default_factory=dict)  # last attempt, by address and host; newest last
-    _others: int = 0  # that the server tells of
+    _others: int = 0  # number in the server's message
 
     def tried(self, address: str, host: str, now: float, wall: float) -> None:
-        """The server has refused one at `now` (s), which is `wall` (s since the epoch). A few are kept."""
+        """Record one that the server has refused at `now` (s), or `wall` (s since the epoch). A few are kept."""
         self._tried = self._fresh(now)
         if not self._tried:
             self._since = wall
@@ -309,14 +309,14 @@ class DuplicateClients:
         self._tried[address, host] = now
 
     def told(self, news: Duplicate, wall: float) -> None:
-        """The server has said which there are; so it is until it says something else."""
+        """Take the server's message about them, which is valid until the next one."""
         if not self._tried:
             self._since = wall
         self._tried = {(news.address, news.host): float("inf")} if news.address else {}
         self._others = news.others
 
     def news(self, now: float) -> Duplicate:
-        """The one that came last, and how many others there are; what the server tells the client that has the name."""
+        """Return the newest one and the number of others, as the server tells the linked client."""
         fresh = self._fresh(now)
         if not fresh:
             return Duplicate()
@@ -325,21 +325,21 @@ class DuplicateClients:
         return Duplicate(sanitize_text(address, TEXT_LENGTH), sanitize_text(host, TEXT_LENGTH), others)
 
     def text(self, now: float) -> str:
-        """What the linked client's log says; empty: there is none."""
+        """Return the text for the linked client's log, or an empty string without duplicates."""
         what, remedy = self._words(now)
         return f"{what}: {remedy}" if what else ""
 
     def over(self) -> str:
-        """What the log says when there is none any more."""
+        """Return the text for the log when the last one has gone."""
         return SameName.NO_MORE(name=self.name)
 
     def warning(self, now: float, wall: float) -> str:
-        """What both sides' screens say at `now` (s), which is `wall` (s since the epoch); empty: there is none."""
+        """Return the warning at `now` (s), or `wall` (s since the epoch), or an empty string without duplicates."""
         what, remedy = self._words(now)
         return f"{what}, for {about(wall - self._since)} now: {remedy}" if what else ""
 
     def _words(self, now: float) -> tuple[str, str]:
-        """What there is, and what to do about it."""
+        """Return the problem and the remedy, or empty strings."""
         news = self.news(now)
         if not news.address:
             return "", ""
@@ -355,7 +355,7 @@ class DuplicateClients:
 
 
 def name_taken(name: str, address: str, host: str, since: float) -> str:
-    """Who has the name, since when (s since the epoch); it stays the same as long as that one is linked."""
+    """Return the text on the client that has a name since a time (s since the epoch); constant during its link."""
     linked = datetime.fromtimestamp(since, UTC)
     return SameName.TAKEN(name=name, since=linked, address=_at(address, host))
 

@@ -1,6 +1,6 @@
-"""What has to be done so that a running bridge does what its session says now, step by step.
+"""Applies a changed session to a running bridge, step by step.
 
-Each step says what it changes and does it, so that what an operator is shown before is what happens after.
+Each step describes its change and makes it, so that operators see in advance exactly what will happen.
 """
 
 from __future__ import annotations
@@ -36,8 +36,8 @@ class Step:
     """One change.
 
     Attributes:
-        text: what changes, for an operator.
-        apply: does it; may raise `LinkError`, then nothing of this step is done.
+        text: description of the change, for an operator.
+        apply: makes the change; if it raises `LinkError`, nothing has changed.
     """
 
     text: str
@@ -45,12 +45,12 @@ class Step:
 
 
 def client_steps(link: ClientLink, session: Session, key: Key | None) -> Iterator[Step]:
-    """What changes on a client.
+    """Yield the changes of a client.
 
     Args:
-        link: its link.
-        session: as it is to be.
-        key: likewise; None: unencrypted.
+        link: the client's link.
+        session: the new session.
+        key: the new key, or None without encryption.
     """
     if link.key != key:
         effect = "the link is closed, and connects again with the new key"
@@ -69,11 +69,11 @@ def client_steps(link: ClientLink, session: Session, key: Key | None) -> Iterato
 
 
 def server_steps(server: Server, entries: list[ClientEntry]) -> Iterator[Step]:
-    """What changes on a server.
+    """Yield the changes of a server.
 
     Args:
-        server: with its clients as they are.
-        entries: as they are to be.
+        server: the running server.
+        entries: the new entries of its clients.
     """
     wanted = {entry.client.name: entry for entry in entries}
     for name, entry in server.entries.items():
@@ -117,7 +117,7 @@ def _client_effect(link: ServerLink, new: ClientEntry) -> str:
 
 
 def _denial_effect(link: Link, rights: Rights) -> str:
-    """Which topics of the peer's end under other rights; empty: none."""
+    """Return the text on the peer's topics that end under other rights, or an empty string."""
     ended = denied(link.routes.values(), rights, is_client=link.is_client)
     return f"{', '.join(route.local_topic for route in ended)} may not cross any more" if ended else ""
 
@@ -130,25 +130,25 @@ def _topic_steps(link: Link, topics: Iterable[Topic]) -> Iterator[Step]:
     yield from _pattern_steps(link, [topic for topic in topics if topic.is_pattern])
     wanted = {topic.identity: topic for topic in topics if not topic.is_pattern}
     routes = {route.spec.identity: route for route in link.routes.values() if route.proposed_here and not route.pattern}
-    yielded = {topic.identity: key for key, topic in link.table.yielded.items()}
+    superseded = {topic.identity: key for key, topic in link.table.superseded.items()}
     for identity, route in routes.items():
         if identity not in wanted:
             yield Step(_removed(route.spec), partial(_remove, link, identity))
-    for identity, key in yielded.items():
+    for identity, key in superseded.items():
         if identity not in wanted:
-            yield Step(_removed(link.table.yielded[key]), partial(_drop_yielded, link, key))
+            yield Step(_removed(link.table.superseded[key]), partial(_drop_superseded, link, key))
     for identity, topic in wanted.items():
         if identity in routes:
             route = routes[identity]
             if route.spec != topic:
-                effect = "" if link.proposed.can_amend(route, topic) else "; opened anew, counted from 0"
+                effect = "" if link.proposed.can_amend(route, topic) else "; reopened, counted from 0"
                 text = f"{named(topic)}: {', '.join(changes(route.spec, topic))}{effect}"
                 yield Step(text, partial(_replace, link, topic))
-        elif identity in yielded:
-            key = yielded[identity]
-            if differs := changes(link.table.yielded[key], topic):
+        elif identity in superseded:
+            key = superseded[identity]
+            if differs := changes(link.table.superseded[key], topic):
                 text = f"{named(topic)}: {', '.join(differs)}; the client's own entry of it counts"
-                yield Step(text, partial(_change_yielded, link, key, topic))
+                yield Step(text, partial(_change_superseded, link, key, topic))
         else:
             yield Step(_added(topic), partial(_add, link, topic))
 
@@ -192,13 +192,13 @@ def _remove(link: Link, identity: Identity) -> None:
         link.table.remove(route, _NOT_IN_FILE)
 
 
-def _drop_yielded(link: Link, key: str) -> None:
-    link.table.yielded.pop(key, None)
+def _drop_superseded(link: Link, key: str) -> None:
+    link.table.superseded.pop(key, None)
     link.context.demands.changed()
 
 
-def _change_yielded(link: Link, key: str, topic: Topic) -> None:
-    link.table.yielded[key] = topic
+def _change_superseded(link: Link, key: str, topic: Topic) -> None:
+    link.table.superseded[key] = topic
     link.context.demands.changed()
 
 
@@ -210,7 +210,7 @@ def _replace(link: Link, topic: Topic) -> None:
 
 
 def _proposed(link: Link, identity: Identity) -> Route | None:
-    """A topic's route as it is now: steps before this one may have made it anew."""
+    """Return a topic's present route, which earlier steps may have replaced, or None."""
     routes = (route for route in link.routes.values() if route.proposed_here)
     return next((route for route in routes if route.spec.identity == identity), None)
 
@@ -219,7 +219,7 @@ def _proposed(link: Link, identity: Identity) -> Route | None:
 
 
 def _key_changes(old: tuple[str, ...], new: tuple[str, ...]) -> list[str]:
-    """What changes in the fingerprints of a client's valid keys."""
+    """Return the changes of the fingerprints of a client's valid keys."""
     names = ("key", "next key")
     pairs = zip_longest(names, old, new, fillvalue="")
     return [f"{name} {before or 'none'} → {after or 'none'}" for name, before, after in pairs if before != after]

@@ -48,41 +48,41 @@ _RESTARTED_AFTER, _LONGEST_PAUSE = 1.0, 10.0
 _BOUND_AFTER, _LONGEST_BIND_PAUSE = 0.5, 5.0
 
 Keys = Mapping[str, tuple[Key, ...]]
-"""Those that are valid, the next one last, by client's name; none: without encryption."""
+"""Valid keys by the client's name, the next one last; an empty tuple means no encryption."""
 FEATURES = (
     calls.FEATURE, PRIORITY_FEATURE, benchmark.FEATURE, patterns.FEATURE, window.FEATURE, LATE_AFTER_FEATURE,
     LEASE_FEATURE,
     MAX_AGE_FEATURE,
     sealing.FEATURE,
 )  # fmt: skip
-"""What this version can do beyond version 2 of the wire format."""
+"""Features of this version beyond version 2 of the wire format."""
 ReportStep = Callable[[str], None]
-"""Is told each step of a restart, as text for an operator."""
+"""Takes each step of a restart, as text for an operator."""
 
 
 class BridgeRole(Protocol):
-    """What the engine does with a client or a server."""
+    """This side's end of the bridge: a client or a server."""
 
     async def start(self) -> None:
-        """Bind or connect; ListenError where that can't be."""
+        """Bind or connect; raise ListenError if a port cannot be bound."""
         ...
 
     async def stop(self) -> None:
-        """Say goodbye and close everything."""
+        """Tell the peers, and close everything."""
         ...
 
     @property
     def session(self) -> Session:
-        """The session as operators have left it: with what this side proposes now. From any thread."""
+        """The session with all changes by operators. May be read from any thread."""
         ...
 
     @property
     def keys(self) -> Keys:
-        """Of each link."""
+        """Keys of all links."""
         ...
 
     def links(self) -> list[Link]:
-        """All links, up or down."""
+        """Return all links, up or down."""
         ...
 
     def refused(self) -> tuple[RefusedClient, ...]:
@@ -90,31 +90,31 @@ class BridgeRole(Protocol):
         ...
 
     def tick(self) -> None:
-        """Once a second, before the links' own ticks."""
+        """Do the regular work once a second, before the links' own ticks."""
         ...
 
     def add(self, topic: Topic, link: str) -> tuple[Link, str, Topic]:
-        """Bridge one more topic, or follow a pattern: its link, its key, and the topic as the client sees it.
+        """Bridge one more topic, or follow a pattern; return its link, its key, and the topic with the client's names.
 
         Raises:
-            LinkError: that can't be.
+            LinkError: the topic has a mistake or exists already, or it is unclear which link is meant.
         """
         ...
 
     def steps_to(self, session: Session, keys: Keys) -> list[Step]:
-        """What to do so that the topics or clients are a session's."""
+        """Return the steps that bring topics and clients in line with a session."""
         ...
 
     def retry(self, link: str) -> None:
-        """Call at once, and open refused routes anew."""
+        """Connect at once, and propose refused routes again."""
         ...
 
     def shut_down(self, who: str) -> None:
-        """Close every link on both sides until an operator restarts; `who` says who shuts down, in words."""
+        """Close every link on both sides until an operator restarts; `who` is the operator's name."""
         ...
 
     async def restart(self, step: ReportStep) -> None:
-        """Close every link on both sides, then begin anew."""
+        """Close every link on both sides, then connect again."""
         ...
 
 
@@ -131,7 +131,7 @@ def _entries(session: Session, keys: Keys) -> list[ClientEntry]:
 
 
 def _own(keys: Keys, session: Session) -> Key | None:
-    """The key of a client's session."""
+    """Return the key of a client's session, or None."""
     return next(iter(keys[session.name]), None)
 
 
@@ -171,7 +171,7 @@ class ClientRole:
         return ()
 
     def tick(self) -> None:
-        """There is nothing to do besides the link's own tick."""
+        """Do nothing: the link has its own tick."""
 
     def add(self, topic: Topic, link: str) -> tuple[Link, str, Topic]:
         return self._link, self._link.add_entry(topic), topic
@@ -271,7 +271,7 @@ class ServerRole:
         return list(server_steps(self._server, _entries(session, keys)))
 
     def _chosen(self, name: str, topic: str) -> ServerLink:
-        """The link of that name; without one, the only link, or the only one whose client's name the topic has."""
+        """Return the named link; without a name, the only link, or the only one whose prefix the topic has."""
         links = self._server.links
         if name in links:
             return links[name]
@@ -285,7 +285,7 @@ class ServerRole:
     def retry(self, link: str) -> None:
         for robot in self._server.links.values():
             if link in ("", robot.name):
-                robot.let_in()
+                robot.readmit()
                 robot.table.retry()
 
     def shut_down(self, who: str) -> None:
@@ -300,7 +300,7 @@ class ServerRole:
     async def _restart(self, step: ReportStep) -> None:
         linked = [link for link in self.links() if link.linked]
         for robot in self._server.links.values():
-            robot.let_in()
+            robot.readmit()
         step(f"closing {len(linked)} links on both sides")
         if self._binding is not None:
             self._binding.cancel()
@@ -319,14 +319,14 @@ class ServerRole:
         step(f"{len(linked)} clients are back")
 
     def _bind_later(self, reason: str) -> None:
-        """Go on trying to bind; `reason` is why it failed."""
+        """Keep trying to bind; `reason` is the last failure."""
         if not self._stopped:
             self._binding = self._tasks.spawn(self._keep_binding(reason))
 
     async def _keep_binding(self, reason: str) -> None:
         backoff, said = Backoff(_BOUND_AFTER, _LONGEST_BIND_PAUSE, self._context.random), ""
         while reason:
-            self._server.stop()  # what it had bound of its ports
+            self._server.stop()  # releases the ports that it has bound
             for link in self.links():
                 link.status.down(LinkCause.UNREACHABLE, f"the server is not listening: {reason}")
             level = Level.DEBUG if reason == said else Level.ERROR
@@ -338,7 +338,7 @@ class ServerRole:
             link.status.down(LinkCause.CLOSED, "not connected since the restart")
 
     async def _bind(self) -> str:
-        """Bind the server's ports; why that failed, or empty."""
+        """Bind the server's ports; return the failure, or an empty string."""
         try:
             await self._server.start()
         except ListenError as error:
@@ -347,14 +347,14 @@ class ServerRole:
 
 
 async def _farewell(links: Iterable[Link], reason: str, *, retry_after: float | None) -> None:
-    """Tell the peers why their links close, close them, and wait up to 0.5 s until that is sent."""
+    """Close links, and wait up to 0.5 s until their peers have been sent the reason."""
     streams = []
     for link in links:
         if link.control is not None:
             streams.append(link.control.stream)
             link.control.shut_down(reason, retry_after=retry_after)
     deadline = asyncio.get_running_loop().time() + _FAREWELL
-    while any(not stream.gone for stream in streams) and asyncio.get_running_loop().time() < deadline:  # noqa: ASYNC110 — plain state, looked at for a moment
+    while any(not stream.gone for stream in streams) and asyncio.get_running_loop().time() < deadline:  # noqa: ASYNC110 -- plain state, polled for a moment
         await asyncio.sleep(0.01)
     for stream in streams:
         stream.abort(reason)
@@ -364,14 +364,14 @@ async def _until(condition: Callable[[], bool], otherwise: Callable[[], str]) ->
     """Wait until a condition holds; after 5 s, raise LinkError with the message that `otherwise` gives."""
     try:
         async with asyncio.timeout(_RESTART_WITHIN):
-            while not condition():  # noqa: ASYNC110 — plain state, looked at for a moment
+            while not condition():  # noqa: ASYNC110 -- plain state, polled for a moment
                 await asyncio.sleep(_LOOK_EVERY)
     except TimeoutError:
         raise LinkError(otherwise()) from None
 
 
 def preferred_suite() -> Suite:
-    """AES-GCM where the processor has AES instructions (a flag in /proc/cpuinfo), else ChaCha20-Poly1305."""
+    """Return AES-GCM if the processor has AES instructions (a flag in /proc/cpuinfo), else ChaCha20-Poly1305."""
     try:
         flags = Path("/proc/cpuinfo").read_text(encoding="ascii", errors="replace").split()
     except OSError:

@@ -1,4 +1,4 @@
-"""One client, as the server sees it: its entry in the session, its link, and what its topics may take of the server."""
+"""The server's end of a client's link: the client's entry, its link, and limits on its topics' ports and streams."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ if TYPE_CHECKING:
 _NAMED = 12
 _SILENT = 1.5
 """s without a byte (pings come every second) after which another process may take a client's name over."""
-UNKNOWN_ROUTE = "unknown route"  # whoever has not authenticated does not learn which links there are
+UNKNOWN_ROUTE = "unknown route"  # the same for all, so that a stranger does not learn which links exist
 
 
 class PortDenied(Wording):
@@ -86,10 +86,10 @@ class ClientEntry:
     """A client that the server accepts.
 
     Attributes:
-        client: its entry in the session.
-        keys: those that are valid, the next one last; none: unencrypted.
-        use_name: whether its topics have its name before them here.
-        rights: what it may do here.
+        client: entry of the session.
+        keys: valid keys, the next one last; empty without encryption.
+        use_name: whether the server prefixes its topics with its name.
+        rights: rights of the client on the server.
     """
 
     client: Client
@@ -99,16 +99,16 @@ class ClientEntry:
 
     @property
     def fingerprints(self) -> tuple[str, ...]:
-        """Of its keys; of none, an empty one."""
+        """Fingerprints of its keys, or one empty string without keys."""
         return tuple(map(fingerprint, self.keys)) or ("",)
 
     def server_name(self, topic: str) -> str:
-        """The server's name of a topic; the client's name may be before it already."""
+        """Return the server's name of a topic, which may have the prefix already."""
         name = self.client.name
         return server_topic(topic, name) if self.use_name and client_topic(topic, name) is None else topic
 
     def client_names(self, topic: Topic) -> Topic:
-        """A topic as the client sees it, though an operator of the server may name it as the server does.
+        """Return a topic with the client's names, though an operator of the server may use the server's.
 
         Where `use_name` is set, ``/robot1/scan`` is robot1's ``/scan``. A topic with a `remote_topic` has both names.
         """
@@ -116,15 +116,15 @@ class ClientEntry:
         return topic if name is None else msgspec.structs.replace(topic, topic=name)
 
     def shows(self, topic: str, kind: Kind = "topic") -> bool:
-        """Whether the client may know of a topic of the server, or of what else there is."""
+        """Whether the client may know of a topic or service of the server."""
         reachable = not self.use_name or client_topic(topic, self.client.name) is not None
         return reachable and self.rights.shows(topic, kind)
 
 
 class TopicPorts:
-    """The ports that one client's topics have here, whichever of its links opened them.
+    """The ports of one client's topics, across all its connections.
 
-    A port counts from when it is asked for, and not only once it is bound: a client may ask for many at once.
+    A port counts from the request, and not only once it is bound: a client may ask for many at once.
     """
 
     def __init__(self, client: str) -> None:
@@ -140,10 +140,10 @@ class TopicPorts:
             port: its number, or channel.
 
         Returns:
-            What to call once when the topic has it no longer.
+            A function to call once when the topic releases it.
 
         Raises:
-            ListenError: the client may not have it, or has too many; the message says what would do.
+            ListenError: the client may not have it, or has too many; the message names a remedy.
         """
         key = (transport.name, port)
         if transport.ip_ports and session.ports is not None:
@@ -164,19 +164,19 @@ class TopicPorts:
 
 
 def _nothing() -> None:
-    """A listed port is not counted."""
+    """Release a listed port, which is not counted."""
 
 
 def check_topic_port(domain: int, transport: TransportTraits, port: int) -> None:
-    """Check that topics may have a port of their own here, whoever asks.
+    """Check that a topic of any client may have this port.
 
     Args:
-        domain: the ROS domain that this side has joined.
-        transport: of the topic.
-        port: its number, or channel.
+        domain: ROS domain of this side.
+        transport: transport of the topic.
+        port: number of the port, or channel.
 
     Raises:
-        ListenError: none may; the message says what would do.
+        ListenError: no topic may; the message names a remedy.
     """
     kind = transport.port_kind
     if port not in transport.topic_ports:
@@ -188,19 +188,18 @@ def check_topic_port(domain: int, transport: TransportTraits, port: int) -> None
 
 
 class DescriptorShare:
-    """The streams and the ports of its own that one client's topics have on the server.
+    """The descriptors that streams and ports of one client's topics hold on the server.
 
-    They hold no more of its descriptors than are left for everyone else. With this rule, one client alone may take half
-    of what there is; of any number that take all they can, none keeps the next one out. It needs no figure, and so fits
-    whatever limit the process has.
+    They are at most as many as remain free for all others. So one client alone may take half of all descriptors, and
+    clients that take as many as they can never keep the next one out. The rule fits any limit of the process.
     """
 
     def __init__(self, client: str, is_only_client: Callable[[], bool]) -> None:
-        """There are none yet.
+        """Begin without descriptors.
 
         Args:
-            client: its name.
-            is_only_client: whether there is nobody else to leave any for.
+            client: name of the client.
+            is_only_client: whether no other client needs any.
         """
         self.held = 0
         self._client = client
@@ -208,13 +207,13 @@ class DescriptorShare:
 
     @property
     def room(self) -> int:
-        """How many more it may have now."""
+        """Number of descriptors that it may still take."""
         left = descriptors.left()
         return left if self._is_only_client() else (left - self.held + 1) // 2
 
     @property
     def refusal(self) -> str:
-        """Why it may have no more now, for the operators of both sides; empty: it may."""
+        """The reason why it may take no more, for the operators of both sides, or an empty string."""
         if descriptors.scarce():
             return descriptors.scarcity_message("server")
         if self.room > 0:
@@ -226,7 +225,7 @@ class DescriptorShare:
         """Count one more.
 
         Returns:
-            What to call once when it is closed.
+            A function to call once when it is closed.
         """
         self.held += 1
         return self._give
@@ -250,6 +249,7 @@ class ServerLink(Link):
         self._seen_key = ""
         self._told = Duplicate()  # on the present connection
         self.shut_down_by: ShutDown | None = None
+        self.handlers |= {Duplicate: self._on_duplicate, Shutdown: self._on_shutdown}
 
     @property
     def address(self) -> str:
@@ -269,13 +269,13 @@ class ServerLink(Link):
         return host == self._seen_host
 
     def seen(self, stream: Stream, fingerprint: bytes) -> None:
-        """The client is at the other end of a stream, and has the key of that fingerprint; empty: unencrypted."""
+        """Record the client's address, and the fingerprint of its key, which is empty without encryption."""
         self._seen_at, self._seen_host = stream.peer, stream.host
         self._seen_key = format_fingerprint(fingerprint)
         self.duplicates, self._told = DuplicateClients(self.name), Duplicate()
 
     def refused(self, stream: Stream, cause: LinkCause, message: str) -> None:
-        """Somebody was refused who calls itself by the client's name, and it is not linked."""
+        """Record the refusal of a client by this name, while the link is down."""
         if self.shut_down_by is not None:
             return
         if self.status.cause is not cause:
@@ -285,7 +285,7 @@ class ServerLink(Link):
     # --- shut down by an operator
 
     def shut_down_for(self, who: str) -> None:
-        """End the link, and refuse the client until `let_in`."""
+        """End the link, and refuse the client until `readmit`."""
         self.shut_down_by = ShutDown(who, self.context.wall())
         if self.control is not None:
             self.control.shut_down(self.shut_down_by.refusal(), retry_after=None, code=EventCode.LINK_SHUT_DOWN)
@@ -294,7 +294,7 @@ class ServerLink(Link):
         self.status.since = self.shut_down_by.since
 
     def asked(self, stream: Stream) -> None:
-        """The client has asked whether it may come back, and may not."""
+        """Record that the client has asked for a link, and was refused."""
         self._seen_at, self._seen_host = stream.peer, stream.host
         self.status.attempts += 1
         self._awaits_question()
@@ -302,11 +302,11 @@ class ServerLink(Link):
     def _awaits_question(self) -> None:
         self.status.retry_at = self.context.now() + ASKED_EVERY
 
-    def let_in(self) -> None:
-        """The client may come back, if an operator had shut its link down."""
+    def readmit(self) -> None:
+        """Accept the client again if an operator has shut its link down."""
         if self.shut_down_by is not None:
             self.shut_down_by = None
-            self.status.down(LinkCause.CLOSED, "an operator lets it in again; the client has not asked yet")
+            self.status.down(LinkCause.CLOSED, "accepted again by an operator; the client has not asked yet")
 
     # --- two clients of one name
 
@@ -317,12 +317,12 @@ class ServerLink(Link):
         return self.keepalive.quiet < _SILENT
 
     def name_taken(self) -> str:
-        """What both sides say of a second client."""
+        """Return the text on a second client, for both sides."""
         first = self.peer.host if isinstance(self.peer, Hello) else ""
         return name_taken(self.name, self.address, first, self.status.since)
 
     def duplicate_tried(self, address: str, host: str) -> None:
-        """A second client was refused, which has proven its key."""
+        """Record that a second client with a valid key was refused."""
         self.duplicates.tried(address, host, self.context.now(), self.context.wall())
 
     def _look_at_network(self) -> None:
@@ -353,14 +353,14 @@ class ServerLink(Link):
     def use_name(self) -> bool:
         return self.entry.use_name
 
-    def on_shutdown(self, message: Shutdown) -> None:
+    def _on_shutdown(self, message: Shutdown) -> None:
         if self.control is not None:
             self.control.abort(f"the client left: {message.reason}", EventCode.LINK_CLOSED_BY_PEER)
 
     def client_names(self, topic: Topic) -> Topic:
         return self.entry.client_names(topic)
 
-    def on_duplicate(self, message: Duplicate) -> None:
+    def _on_duplicate(self, _: Duplicate) -> None:
         self.protocol_error("a client says that there is a second client")
 
     @property
@@ -368,7 +368,7 @@ class ServerLink(Link):
         return self.entry.rights
 
     def with_local_name(self, proposal: Propose) -> Propose:
-        """Put the client's name before the topic's on this side where that is wanted."""
+        """Prefix this side's name of the topic with the client's name if the entry wants that."""
         field = "remote_topic" if proposal.from_client else "topic"
         return msgspec.structs.replace(proposal, **{field: self.entry.server_name(getattr(proposal, field))})
 
@@ -376,9 +376,9 @@ class ServerLink(Link):
         return self.entry.shows(topic, kind)
 
     def change_entry(self, entry: ClientEntry) -> None:
-        """Go on with another entry of the session.
+        """Use another entry of the session.
 
-        The link ends where the client's key is not valid any more, or the names of topics change.
+        The link ends if the client's key is no longer valid, or if the names of topics change.
         """
         old, self.entry = self.entry, entry
         self.context.demands.changed()
@@ -395,28 +395,28 @@ class ServerLink(Link):
         return self._seen_key in entry.fingerprints
 
     def _rename_topics(self) -> None:
-        """Open everything anew, under other names on this side."""
+        """Reopen all routes under other names on this side."""
         if self.control is not None:
             self.control.shut_down("the server has other names for the topics now (use_name)", retry_after=0.0)
         own = self.listed_topics()
-        self.table.destroy()
-        self.table.yielded.clear()
+        self.destroy_routes()
+        self.table.superseded.clear()
         for topic in own:
             if not topic.is_pattern:
                 self.proposed.add(topic)
 
     def open_stream(self, route: Route, transport: StreamTransport) -> None:
-        """The client opens it."""
+        """Do nothing: the client opens it."""
 
     @property
     def streams_awaited(self) -> int:
-        """How many routes wait for the client to open their stream, which may be opened."""
+        """Number of permitted streams that the client has yet to open."""
         awaited = sum(1 for route in self.routes.values() if _stream_awaited(route))
         return min(awaited, max(0, self.descriptors.room)) if awaited else 0
 
     def waiting_route(self, preamble: Attach | DataPreamble) -> tuple[Route, StreamTransport]:
-        """The route that a data preamble names, and its transport; raises Refusal if it does not wait for a stream."""
-        route = self.table.ids.open_route(preamble.route)
+        """Return the route that a data preamble names, and its transport; raise Refusal if it awaits no stream."""
+        route = self.ids.open_route(preamble.route)
         transport = _stream_awaited(route) if route is not None else None
         if self.keys is None or route is None or transport is None:
             raise Refusal(RefusalCode.NO_SUCH_ROUTE, UNKNOWN_ROUTE)
@@ -429,7 +429,7 @@ class ServerLink(Link):
     def join_stream(self, shared: SharedStream, frame: bytes) -> None:
         preamble = parse_further(frame)
         if self.is_closed_id(preamble.route):
-            return  # it was closed here while the frame was under way
+            return  # it was closed here before the frame arrived
         route, transport = self.waiting_route(preamble)
         if not transport.multiplexed or route.proposal.port != shared.channel:
             raise Refusal(RefusalCode.NO_SUCH_ROUTE, f"route {route.id} does not belong on channel {shared.channel}")
@@ -438,7 +438,7 @@ class ServerLink(Link):
         route.advance()
 
     def open_udp_channel(self, transport: DatagramTransport, port: int) -> None:
-        """The client's first probe does."""
+        """Do nothing: the client's first probe opens them."""
 
     async def prepare_port(self, route: Route) -> None:
         port, route_id, transport = route.proposal.port, route.id, route.transport
@@ -457,7 +457,7 @@ class ServerLink(Link):
                 route.release_port = taken.pop_all().close
 
     def new_udp_channel(self, socket: DatagramSocket, address: Address) -> ServerUdpChannel | None:
-        """The link's UDP channel on a socket that its first datagram came to, from `address`; None: it can't be.
+        """Open the link's UDP channel on the socket and from the address of its first datagram, or return None.
 
         A datagram of the other IP version is ignored: a forged one must not take over the UDP channel.
         """
@@ -474,7 +474,7 @@ class ServerLink(Link):
 
 
 def _stream_awaited(route: Route) -> StreamTransport | None:
-    """The transport of the stream that a route waits for; None: it waits for none."""
+    """Return the transport of the stream that a route waits for, or None."""
     if not route.id or route.channel is not None or not isinstance(route.transport, StreamTransport):
         return None
     return route.transport

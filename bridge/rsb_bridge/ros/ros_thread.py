@@ -107,6 +107,7 @@ class RosToLoopQueue:
         self._do_now = do_now or _never
         self._batches: deque[tuple[Receiver[Any], Sequence[Any]]] = deque()
         self._room = threading.Event()
+        self._is_full = False  # the ROS thread waits, or is about to
         self._scheduled = False
 
     def put(self, receiver: Receiver[T], batch: Sequence[T]) -> None:
@@ -118,7 +119,10 @@ class RosToLoopQueue:
             self._schedule()
         if len(self._batches) > _BACKLOG:
             self._room.clear()
-            self._room.wait(_PATIENCE)
+            self._is_full = True
+            if self._batches:  # else they were drained before the drain could see that this thread waits
+                self._room.wait(_PATIENCE)
+            self._is_full = False
 
     def _drain(self) -> None:
         self._scheduled = False
@@ -127,7 +131,8 @@ class RosToLoopQueue:
                 receiver, batch = self._batches.popleft()
                 receiver.offer(batch)
         finally:
-            self._room.set()
+            if self._is_full:
+                self._room.set()
             if self._batches:  # a receiver has failed: the others' go on
                 self._schedule()
 

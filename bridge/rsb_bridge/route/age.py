@@ -215,7 +215,7 @@ class MessageAge:
         Args:
             stamp: ns, by the other side's clock.
         """
-        offset, uncertainty = self._peer.stamp_offset, self._peer.stamp_uncertainty
+        offset, uncertainty = self._peer.stamps.offset, self._peer.stamps.uncertainty
         if offset is None or uncertainty is None:
             return Cause.CLOCK_UNKNOWN if self.max_age else None
         age = (self._context.stamps.now() - stamp) / 1e9 + offset

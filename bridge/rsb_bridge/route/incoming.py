@@ -1,4 +1,4 @@
-"""The receiving half of a route: open, count, publish."""
+"""The receiving half of a topic's route: it counts, checks and publishes the peer's messages."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ import msgspec
 import zstandard
 
 from rsb_bridge.cdr.checker import MalformedError, TooComplexError
+from rsb_bridge.channel.channel import ReceivingChannel
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.demands import full_type
 from rsb_bridge.model.qos import incompatible, match_subscriptions
@@ -44,7 +45,6 @@ from rsb_bridge.wire.records import ReceivedReport, SentReport
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterable
 
-    from rsb_bridge.channel.channel import ReceivingChannel
     from rsb_bridge.context import Context
     from rsb_bridge.model.qos import Qos
     from rsb_bridge.model.session import Topic
@@ -59,14 +59,14 @@ _REPORTS_AFTER = 100
 """Messages after which an early report is sent: if this process is killed, the sender never learns whether the
 unreported messages arrived."""
 _NO_HISTORY = HistoryHeader(bytes(PUBLISHER_ID_LENGTH), number=0, depth=AUTO_DEPTH)
-"""Of messages whose sender does not say whose they are: they count as one publisher's."""
+"""For messages without a history header: they count as messages of one publisher."""
 _LATENCIES = ("latency", "latency_p50", "latency_p99")
 
 
 def _with_latencies(
     told: SentReport | ReceivedReport | None, report: ReceivedReport
 ) -> SentReport | ReceivedReport | None:
-    """Return an earlier report with the latencies of a newer one: without new messages, these are no news."""
+    """Return an earlier report with the latencies of a newer one, which are no news without new messages."""
     if not isinstance(told, ReceivedReport):
         return told
     return msgspec.structs.replace(told, **{name: getattr(report, name) for name in _LATENCIES})
@@ -76,8 +76,8 @@ class _NotPublishedError(Exception):
     """A message that arrived is not published.
 
     Attributes:
-        cause: that it is counted under.
-        code: of the event; None: there is nothing to say.
+        cause: in the ledger.
+        code: of the event, or None for no event.
     """
 
     def __init__(self, cause: str, code: EventCode | None, text: str) -> None:
@@ -86,11 +86,10 @@ class _NotPublishedError(Exception):
         self.code = code
 
 
-class IncomingRoute(TopicRoute):
+class IncomingRoute(TopicRoute[ReceivingChannel]):
     """Publishes here what the peer sends."""
 
     outgoing: ClassVar[bool] = False
-    channel: ReceivingChannel | None
 
     def __init__(self, context: Context, peer: Owner, spec: Topic, proposal: Propose, *, proposed_here: bool) -> None:
         super().__init__(context, peer, spec, proposal, proposed_here=proposed_here)
@@ -117,12 +116,12 @@ class IncomingRoute(TopicRoute):
     # --- setting up
 
     def open(self, route_id: int) -> None:
-        """Begin a new opening, of which the sender has still to report."""
+        """Begin a new opening, without a report of the sender yet."""
         self._is_reported = False
         super().open(route_id)
 
     def close(self, reason: str) -> None:
-        """End the opening. The next one is counted anew, as the sender does, who is told then what came of this one."""
+        """End the opening, and keep its counts: the sender gets them with the next opening, which counts from 0."""
         if self._received:
             self._before = self.instance, self._received_report()
             self._received = self._delivered = 0
@@ -132,7 +131,7 @@ class IncomingRoute(TopicRoute):
         super().close(reason)
 
     def described(self, description: Describe) -> None:
-        """The sender says what it will send: have a publisher for it, or say why not."""
+        """Make the publishers for the messages that the sender describes, or refuse the route."""
         first = not self.life.described
         if not self.life.take(Event.DESCRIBE):
             return
@@ -146,9 +145,9 @@ class IncomingRoute(TopicRoute):
         elif first:
             self._outputs.renumber(description.sources)
         qos = without_history(description.qos) if self.arming.required else description.qos
-        subject = PublicationSpec(self.remote_topic, description.type, description.type_hash, bounded(qos))
+        spec = PublicationSpec(self.remote_topic, description.type, description.type_hash, bounded(qos))
         try:
-            self._outputs.make(subject, description.sources)
+            self._outputs.make(spec, description.sources)
         except (RosError, LatchedFullError) as error:
             self._refuse_type(str(error))
             return
@@ -165,14 +164,14 @@ class IncomingRoute(TopicRoute):
         self.advance()
 
     def _counted_before(self) -> ReceivedReport | None:
-        """What was counted in the last opening in which anything came, if that was with this same process."""
+        """Return the counts of the last opening with messages, or None if it was with another process of the peer."""
         if self._before is None or self._before[0] != self.peer.instance:
             return None  # another one has openings of the same ids
         return self._before[1]
 
     def _type_clash(self, description: Describe) -> str:
         agreed = full_type(self.proposal.type)
-        if agreed and description.type != agreed:  # what has to be armed may depend on the type
+        if agreed and description.type != agreed:  # arming may depend on the type
             return f"the other side sends {description.type}, though {agreed} was agreed on: correct the type"
         installed = self.context.ros.installed_hash(description.type)
         if installed and installed != description.type_hash:
@@ -188,12 +187,12 @@ class IncomingRoute(TopicRoute):
         self.peer.send(Refuse(route=route_id, code="type_differs", reason=sanitize_text(reason)))
 
     def disarm(self, why: Disarmed, reason: str = "") -> None:
-        """Make the publishers anew: what they hold for slow subscribers goes nowhere."""
+        """Close the publishers, and with them the messages that they hold for slow subscribers."""
         self._outputs.close()
         super().disarm(why, reason)
 
     def advance(self) -> None:
-        """Make the path once there is a publisher, and look who listens."""
+        """Open the channel once there is a publisher, and look for subscribers."""
         if not self._outputs:
             self._hint = type_hint(self.context.ros, self.remote_topic)
             return
@@ -221,48 +220,50 @@ class IncomingRoute(TopicRoute):
         self.check.set()
 
     def publishers_present(self, publishers: Collection[bytes]) -> None:
-        """The sending side tells which publishers of a latched topic are there."""
+        """Take the publishers of a latched topic that the sending side has now."""
         self._outputs.present(publishers)
 
     # --- messages
 
     def deliver(self, messages: Iterable[Message]) -> None:
-        """Publish messages that arrived whole and authentic, or have them wait for later turns of the I/O loop."""
+        """Publish messages that arrived whole and authentic, or let them wait for later turns of the I/O loop.
+
+        Each message goes through lease, expansion budget, rate limit and `_publish`, where they are on.
+        """
         if self._later:
             self._later.extend(messages)
             return
-        if not self.arming.passes(self.context.now()):
-            disarmed = len(tuple(messages))
-            self._received += disarmed
-            self._dropped["disarmed"] += disarmed
+        began, arming = self.context.now(), self.arming
+        required = arming.required
+        if required and not arming.passes(began):
+            self._drop_disarmed(len(tuple(messages)))
             return
         if not self._outputs.sinks:
             return
-        now, began = self.context.stamps.now(), self.context.now()
-        count = size = 0
-        stamp, messages = now, iter(messages)
-        required = self.arming.required
-        number = 0  # of the lease
+        now = stamp = self.context.stamps.now()
+        limited, looks = self.limit.here > 0.0, required or self.age.is_on
+        count = size = number = 0
+        messages = iter(messages)
         arrived: Message | None
         for message in messages:
             arrived = message
             if required:
                 number, arrived = self._of_lease(message)
-            if arrived is None:
-                self._received += 1
-                self._dropped["disarmed"] += 1
-                continue
-            if not self._unpacker.begin(arrived):
+                if arrived is None:
+                    self._drop_disarmed(1)
+                    continue
+            if arrived[2] & ZSTD and not self._unpacker.begin(arrived):
                 self._later.extend((message, *messages))
                 self.peer.budget.expansion.wait(self._go_on)
                 break
             payload, stamp, flags = arrived  # the last one's stamp is the batch's latency sample
             self._received += 1
-            if not self.limit.admits(began):
+            if limited and not self.limit.admits(began):
                 self._leave_out()
                 continue
+            look = partial(self._look, stamp, number) if looks else None
             try:
-                self._publish(payload, flags, stamp, number)
+                self._publish(payload, flags, stamp, look)
             except _NotPublishedError as error:
                 self._dropped[error.cause] += 1
                 if error.code is not None:
@@ -275,12 +276,16 @@ class IncomingRoute(TopicRoute):
             self._report_at = self._received + _REPORTS_AFTER
             self.peer.report_soon(self)
         if count:
-            latency = None if (offset := self.peer.stamp_offset) is None else (now - stamp) / 1e9 + offset
+            latency = None if (offset := self.peer.stamps.offset) is None else (now - stamp) / 1e9 + offset
             if latency is not None and latency <= began - self._flows_since:  # else it was kept from before
                 self.latency.add(latency)
             if self.peek_slot.wanted:
                 self._show(payload, flags, self.context.wall_ns(), latency)
             self.count(count, size)
+
+    def _drop_disarmed(self, count: int) -> None:
+        self._received += count
+        self._dropped["disarmed"] += count
 
     def _of_lease(self, message: Message) -> tuple[int, Message | None]:
         """Return the lease's number of an armed route's message, and the rest of it, or None if it is too old."""
@@ -299,8 +304,8 @@ class IncomingRoute(TopicRoute):
         text = f"the other side sends more than the {self.limit.here:g} Hz that this side allows: the rest is left out"
         self.notices.message_error(EventCode.ROUTE_TOO_FAST, text)
 
-    def _publish(self, payload: bytes, flags: int, stamp: int, number: int) -> None:
-        """Publish one message, which has a number of the lease or 0, or raise _NotPublishedError."""
+    def _publish(self, payload: bytes, flags: int, stamp: int, look: Callable[[], None] | None) -> None:
+        """Publish one message, or raise _NotPublishedError; `look` is called right before DDS gets it."""
         try:
             output = self._outputs.sinks[flags >> SOURCE_SHIFT]
         except IndexError:
@@ -314,7 +319,6 @@ class IncomingRoute(TopicRoute):
             content = self._unpacker.unpack(payload) if flags & ZSTD else payload
             if self.check.checker is not None:
                 self.check.check(content)
-            look = partial(self._look, stamp, number) if self.arming.required or self.age.is_on else None
             if not isinstance(output, LatchedTopic):
                 output.publish(content, look)
                 return
@@ -339,7 +343,7 @@ class IncomingRoute(TopicRoute):
     def _look(self, stamp: int, number: int) -> None:
         """Raise _NotPublishedError if a message may not be published now.
 
-        All that takes its time is done before: checks of contents, questions to DDS, new publishers.
+        Called last: content checks, requests to DDS and new publishers take time.
         """
         if not self.arming.admits(number):
             raise _NotPublishedError("disarmed", None, "")
@@ -371,21 +375,21 @@ class IncomingRoute(TopicRoute):
         return self._received
 
     def _show(self, payload: bytes, flags: int, now_ns: int, latency: float | None) -> None:
-        """Show a message to whoever looks, unless it is one that was not published."""
+        """Show a message to the operators who look at the topic."""
         try:
             if flags & HISTORY:
                 _, payload = split_history(payload)
             content = self._unpacker.unpack(payload) if flags & ZSTD else payload
         except (ExpandsTooMuchError, zstandard.ZstdError, ProtocolError):
             return
-        clock = (self.peer.clock_offset, self.peer.clock_uncertainty)
+        clock = (self.peer.clock.offset, self.peer.clock.uncertainty)
         self.peek_slot.put(peeked(self, content, now_ns, latency=latency, clock=clock), self.context.now())
 
     def _failed_later(self, error: Exception) -> None:
         self.notices.message_error(EventCode.ROUTE_PUBLISH_FAILED, str(error))
 
     def _tick_lateness(self, now: float) -> None:
-        uncertainty = self.peer.stamp_uncertainty
+        uncertainty = self.peer.stamps.uncertainty
         if not self.flowing or uncertainty is None or self._held_back:
             self.lateness.reset()
         else:
@@ -416,7 +420,7 @@ class IncomingRoute(TopicRoute):
     # --- the ledger
 
     def reported(self, report: SentReport) -> None:
-        """The sender's ledger, which counts for both sides."""
+        """Take the sender's ledger, which is right for both sides."""
         failed_before = self._failure
         self._report = report
         if not self._is_reported:
@@ -432,19 +436,19 @@ class IncomingRoute(TopicRoute):
             self.log(Level.ERROR, EventCode.ROUTE_SUBSCRIBE_FAILED, f"on the other side: {failure}")
         ledger = reported_ledger(report)
         if ledger is None:
-            self.notices.doubt(self.peer.instance, "the last that could be are shown")
+            self.notices.doubt(self.peer.instance, "the last plausible ones are shown")
         else:
             self._sender_ledger = ledger
 
     def ledger(self) -> Ledger:
-        """As the sender last said."""
+        """Return the ledger of the sender's last report."""
         return self._sender_ledger
 
     def news(self) -> ReceivedReport | None:
-        """The report to send to the peer now; None: it knows everything.
+        """Return the report to send to the peer now, or None if nothing has changed.
 
-        As long as messages are in flight it is told the same counts again: the sender takes what has not arrived after
-        some time for lost.
+        While messages are in flight the same counts are sent again: the sender counts messages as lost that are not in
+        a report after some time.
         """
         report = self._received_report()
         told, self._told_report = self._told_report, report
@@ -481,7 +485,7 @@ class IncomingRoute(TopicRoute):
 
     @property
     def has_kept(self) -> bool:
-        """Whether messages are kept here; the peer's verdict says whether newer ones exist."""
+        """Whether messages are kept here. The peer's verdict tells whether newer ones exist."""
         return self._outputs.has_kept
 
     @property
@@ -491,7 +495,7 @@ class IncomingRoute(TopicRoute):
 
     @property
     def _failure(self) -> str:
-        """Why the other side's subscription failed; empty: it did not."""
+        """The reason why the other side's subscription failed, or an empty string."""
         peer = self.judged.peer
         return peer.text if peer.cause == Cause.SUBSCRIBE_FAILED else ""
 
@@ -506,7 +510,7 @@ class IncomingRoute(TopicRoute):
         return self._report.publisher_qos if self._report else None, self._subscriber_qos
 
     def _stages(self) -> tuple[Stage, ...]:
-        """From the publisher there to the subscriber here."""
+        """Return the stages from the publisher there to the subscriber here."""
         report = self._report if self._is_reported else None
         known = bool(self.type_name)
         publishers = report.publishers if report else 0

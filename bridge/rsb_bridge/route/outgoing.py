@@ -1,4 +1,7 @@
-"""The sending half of a route: describe, subscribe, send; and the ledger, which the sender keeps."""
+"""The sending half of a topic's route: it describes the topic to the peer, subscribes, and keeps the ledger.
+
+Messages don't pass here: `rsb_bridge.route.sending.OutgoingPath` is their path.
+"""
 
 from __future__ import annotations
 
@@ -7,12 +10,12 @@ from typing import TYPE_CHECKING, ClassVar, NamedTuple
 
 import msgspec
 
+from rsb_bridge.channel.channel import SendingChannel
 from rsb_bridge.channel.datagram_channel import DatagramSender
 from rsb_bridge.channel.receipts import WindowedSender
-from rsb_bridge.model.clock import shifted
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.snapshot import Ledger, Level, Stage
-from rsb_bridge.ros.ros_interface import RawMessage, RosError
+from rsb_bridge.ros.ros_interface import RosError
 from rsb_bridge.route.arming import without_history
 from rsb_bridge.route.combined_verdict import lasting, node_names, record_of
 from rsb_bridge.route.lateness import QUEUE, WAY, Unreported, delay_of_sender
@@ -21,7 +24,7 @@ from rsb_bridge.route.lifecycle import Event
 from rsb_bridge.route.loop_filter import LoopFilter
 from rsb_bridge.route.peer import TypeUse
 from rsb_bridge.route.resolving import MessageType, Resolver, qos_clash
-from rsb_bridge.route.sending import Sending
+from rsb_bridge.route.sending import OutgoingPath
 from rsb_bridge.route.topic_route import MEASURED_FOR, TopicRoute
 from rsb_bridge.route.topic_subscription import SubscriptionSpec, TopicSubscription
 from rsb_bridge.route.topic_verdict import LATELY, no_subscriber
@@ -33,40 +36,38 @@ from rsb_bridge.wire.messages import Describe, Propose, Publishers, Ready
 from rsb_bridge.wire.records import ReceivedReport, SentReport
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Sequence
+    from collections.abc import Collection
 
-    from rsb_bridge.channel.channel import SendingChannel
     from rsb_bridge.context import Context
     from rsb_bridge.model.qos import Qos
     from rsb_bridge.model.session import Topic
     from rsb_bridge.route.arming import Disarmed
-    from rsb_bridge.route.history_depth import Sample
     from rsb_bridge.route.route import Owner
     from rsb_bridge.route.topic_verdict import Facts
 
 _REPORTED_LATELY = 2.5
 """s for which a delay that the receiver has reported counts."""
 _LONGEST_DELAY = 3600.0
-"""s; a longer delay is taken for a mistake."""
+"""s; a longer delay counts as a mistake."""
 _LONGEST_UNDER_WAY = 60.0
-"""s; a message that is in transit for longer is lost."""
+"""s; a message that takes longer counts as lost."""
 _JITTERS = 2.0
-"""Times the jitter: that a message takes so much longer says nothing."""
-_LIMITED = "they are limited to what was sent"
+"""Times the jitter by which a message may take longer without a cause."""
+_LIMITED = "they are limited to the messages sent"
 
 
 class Flow(NamedTuple):
-    """A route's messages, as far as they are watched.
+    """The figures of a route's messages that `Health` watches.
 
     Attributes:
-        flowing: messages could cross now.
-        last: s, when the last one was sent, or since when they could cross.
+        flowing: whether messages could cross now.
+        last: time (s) of the last message, or when messages could first cross.
         rate: Hz.
-        given_rate: Hz, that an operator expects; 0: none.
-        usual_rate: Hz, learned; None: not known.
-        limit: Hz that an operator allows; 0: all.
-        publishers: which there are.
-        ledger: where the messages went.
+        given_rate: Hz that an operator expects, or 0 for none.
+        usual_rate: Hz, learned, or None if unknown.
+        limit: Hz that may cross, or 0 for any.
+        publishers: ids of the topic's publishers.
+        ledger: of the route.
     """
 
     flowing: bool
@@ -80,10 +81,10 @@ class Flow(NamedTuple):
 
 
 class Health:
-    """How well a sending half's messages flow, watched once a second.
+    """Watches once a second whether a sending half's messages are slow, stopped or lost.
 
     Attributes:
-        expected_rate: Hz, that the route is judged by; None: it is not known, or messages come at random.
+        expected_rate: Hz that the route is judged by, or None if it is unknown or messages come at random.
     """
 
     def __init__(self) -> None:
@@ -94,7 +95,7 @@ class Health:
         self._lost_in_dds: deque[int] = deque(maxlen=LATELY)
 
     def tick(self, flow: Flow, now: float) -> None:
-        """Once a second, at `now` (s)."""
+        """Watch the flow at `now` (s). Called once a second."""
         ledger = flow.ledger
         self._lost_in_dds.append(ledger.lost_in_dds)
         self._loss.tick(ledger.delivered, ledger.dropped, now)
@@ -113,7 +114,7 @@ class Health:
             self._slow.tick(flow.rate, expected, now)
 
     def added_to(self, facts: Facts) -> Facts:
-        """The facts of a route with what the watches say."""
+        """Return the facts of a route, completed by the watches."""
         lost = self._lost_in_dds
         return facts._replace(
             expected_rate=self.expected_rate,
@@ -124,29 +125,28 @@ class Health:
         )
 
 
-class OutgoingRoute(TopicRoute):
+class OutgoingRoute(TopicRoute[SendingChannel]):
     """Takes a topic's messages here and sends them to the peer.
 
     Attributes:
-        delay: s that messages take at least; needs no clock of the other side.
-        longer: s that messages take beyond the shortest time of this opening and their jitter, as the receiver reports.
+        delay: s that messages take at least, measured without the other side's clock.
+        longer: s that messages take beyond the shortest time of this opening and their jitter, as reported.
     """
 
     outgoing: ClassVar[bool] = True
-    channel: SendingChannel | None
 
     def __init__(self, context: Context, peer: Owner, spec: Topic, proposal: Propose, *, proposed_here: bool) -> None:
         super().__init__(context, peer, spec, proposal, proposed_here=proposed_here)
-        self._intake: TopicSubscription | None = None
+        self._subscription: TopicSubscription | None = None
         self._type = TypeUse(context.ros, peer.budget.types)
-        self._present: frozenset[bytes] | None = None  # the publishers that the peer was told of
+        self._present: frozenset[bytes] | None = None  # the publishers that the peer knows
         self._ledger = RouteLedger(numbered=isinstance(self.transport, DatagramTransport))
         self._report: ReceivedReport | None = None  # of the present opening
         self._kept_there: Collection[bytes] = ()  # publishers of a latched topic whose messages the peer keeps
         self._described: Describe | None = None
         self._loop_filter = LoopFilter(context, peer, self.advance)
-        self._sending = Sending(context, self, self._ledger, self._loop_filter)
-        self.limit.apply = self._sending.limit
+        self._path = OutgoingPath(context, self, self._ledger, self._loop_filter)
+        self.limit.apply = self._path.limit
         self._resolver = Resolver(context, proposal)
         self._health = Health()
         self._unreported = Unreported()
@@ -157,7 +157,7 @@ class OutgoingRoute(TopicRoute):
     # --- setting up
 
     def peer_ready(self, ready: Ready) -> None:
-        """The peer has a publisher for what was described, and says what it counted in the opening before this one."""
+        """Subscribe: the peer has publishers. Its counts of the previous opening settle the ledger."""
         again = self.life.ready
         if not self.life.take(Event.READY):
             return
@@ -166,32 +166,35 @@ class OutgoingRoute(TopicRoute):
         self._loop_filter.table.answered(ready.sources)
         described = self._described
         if described is not None and not again:
-            self._end_intake()
+            self._end_subscription()
             self._kept_there = ready.newest.keys()
             self.age.publishers.since = None if described.qos.latched else self.context.stamps.now()
-            self._intake = TopicSubscription(
+            self._subscription = TopicSubscription(
                 self.context,
-                self,
                 SubscriptionSpec(self.topic, described.type, described.type_hash, described.qos, self.peer.name),
+                self._path,
+                self.meter,
+                self._log_subscription,
                 automatic=self.proposal.qos is None,
                 expected_rate=self.spec.expected_rate,
                 known=ready.newest,
                 marks=lambda: self.arming.lease if self.arming.required else None,
             )
+            self._path.histories = self._subscription.histories
         self.advance()
 
     def advance(self) -> None:
-        """See who publishes; resolve type and QoS, describe them, make the path, subscribe: whatever is next."""
+        """Do the next steps that are possible: look for publishers, describe them, open the channel, subscribe."""
         self._advance()
-        if self._intake is not None and (released := self._loop_filter.release()):
-            self._intake.take(released)
+        if self._subscription is not None and (released := self._loop_filter.release()):
+            self._path.take(released)
 
     def _advance(self) -> None:
         if not self.accepted or self.paused:
             self._unsubscribe()
-            self._lose("paused", self._loop_filter.forget())  # nobody wants them when it is resumed
+            self._path.lose("paused", self._loop_filter.forget())  # nobody wants them when it is resumed
             return
-        self._sending.resume()
+        self._path.resume()
         self.endpoints = self._loop_filter.look(self.topic, self.remote_topic)
         self._resolver.look(self.endpoints)
         if self._described is not None and self._described.sources != self._loop_filter.table.sources:
@@ -237,7 +240,7 @@ class OutgoingRoute(TopicRoute):
         self.peer.send(described)
 
     def _resolve(self) -> Describe | None:
-        """What is sent; None: not known yet."""
+        """Return the description to send, or None if type or QoS is unknown."""
         resolved = self._resolver.resolve(MessageType(self.type_name, self.type_hash), self._loop_filter)
         self.notices.set_warning(resolved.warning if resolved else "")
         if resolved is None:
@@ -252,11 +255,11 @@ class OutgoingRoute(TopicRoute):
         return Describe(route=self.id, type=resolved.type, type_hash=resolved.type_hash, qos=qos, sources=sources)
 
     def _subscribe(self) -> None:
-        if self._intake is None or self._intake.active:
+        if self._subscription is None or self._subscription.active:
             return
         try:
             self._type.begin(self.type_name, self.type_hash)
-            self._intake.subscribe()
+            self._subscription.subscribe()
         except RosError as error:
             self.request_reopen(EventCode.ROUTE_SUBSCRIBE_FAILED, str(error), Level.ERROR)
             return
@@ -266,44 +269,43 @@ class OutgoingRoute(TopicRoute):
         self.log(Level.INFO, EventCode.ROUTE_CONNECTED, f"→ {self.transport.name} connected ({self.type_name})")
 
     def _unsubscribe(self) -> None:
-        if self._intake is not None:
-            self._intake.unsubscribe()
+        if self._subscription is not None:
+            self._subscription.unsubscribe()
             self._type.end()
 
-    def _end_intake(self) -> None:
+    def _end_subscription(self) -> None:
         self._present = None
-        if self._intake is not None:
-            self._ledger.drop("link lost", self._intake.close() + self._sending.clear_later())
-            self._ledger.lost_in_dds += self._intake.lost
-            self._intake = None
+        if self._subscription is not None:
+            self._ledger.drop("link lost", self._subscription.close() + self._path.clear_later())
+            self._ledger.lost_in_dds += self._subscription.lost
+            self._subscription = self._path.histories = None
             self._type.end()
 
     def _look_who_is_present(self) -> None:
-        """Have the histories of publishers that are gone dropped, here and by the peer."""
-        if self._intake is None or self.qos is None or not self.qos.latched:
+        """Drop the histories of publishers that are gone, here and at the peer."""
+        if self._subscription is None or self.qos is None or not self.qos.latched:
             return
         gids = {endpoint.gid for endpoint in self.endpoints}
-        self._intake.look(gids)
+        self._subscription.look(gids)
         present = frozenset(publisher_id(gid) for gid in gids)
         if present != self._present:
             self._present = present
             self.peer.send(Publishers(route=self.id, present=tuple(present)[:MOST_PUBLISHERS]))
 
-    def log_intake(self, level: Level, code: EventCode, text: str) -> None:
-        """Add an event about the subscription."""
+    def _log_subscription(self, level: Level, code: EventCode, text: str) -> None:
         if level is Level.ERROR:
             self.notices.last_error = text
         self.log(level, code, text)
 
     @property
     def _failure(self) -> str:
-        return self._intake.failure if self._intake is not None else ""
+        return self._subscription.failure if self._subscription is not None else ""
 
     def disarm(self, why: Disarmed, reason: str = "") -> None:
-        """Drop what waits, here and on the way."""
+        """Drop the waiting messages, here and at the peer."""
         self._unsubscribe()
-        self._lose("disarmed", self._loop_filter.forget())
-        self._ledger.drop("disarmed", self._sending.clear())
+        self._path.lose("disarmed", self._loop_filter.forget())
+        self._ledger.drop("disarmed", self._path.clear())
         self._ledger.disarmed()
         super().disarm(why, reason)
 
@@ -317,14 +319,14 @@ class OutgoingRoute(TopicRoute):
         self._ledger.opened(route_id, self.peer.instance)
 
     def close(self, reason: str) -> None:
-        """End the opening; what waits is lost, and what is under way is settled when the peer is back."""
+        """End the opening. Waiting messages are lost; messages in flight are settled with the next opening."""
         if self.endpoints and self._subscribed and not self.arming.required:
             self._ledger.missed.lost(self.context.now())
-        self._end_intake()
+        self._end_subscription()
         self._described = None
         self._kept_there = ()
-        self._lose("link lost", self._loop_filter.forget())
-        self._ledger.drop("link lost", self._sending.clear())
+        self._path.lose("link lost", self._loop_filter.forget())
+        self._ledger.drop("link lost", self._path.clear())
         self._loop_filter.clear()
         self._ledger.closed()
         self._report = None
@@ -350,8 +352,8 @@ class OutgoingRoute(TopicRoute):
         )
         self._tick_missed(now, latched=latched)
         super().tick()
-        if self._intake is not None:
-            self._intake.tick()
+        if self._subscription is not None:
+            self._subscription.tick()
 
     def _tick_missed(self, now: float, *, latched: bool) -> None:
         """Learn the rate at which messages cross, or estimate how many are missed now."""
@@ -388,8 +390,8 @@ class OutgoingRoute(TopicRoute):
             self.longer = 0.0
         if not self.transport.reliable:  # unreported datagrams may be lost, unless pings by a stream are held up, too
             unreported = min(unreported, self.peer.ping_wait)
-        own = max(self._sending.waits(now), delay_of_sender(unreported, self.peer.report_delay))
-        self.delay = max(own, (measured or 0.0) - (self.peer.clock_uncertainty or 0.0))
+        own = max(self._path.waits(now), delay_of_sender(unreported, self.peer.report_delay))
+        self.delay = max(own, (measured or 0.0) - (self.peer.clock.uncertainty or 0.0))
         self.lateness.tick(self.delay, 0.0, self.late_after, now, measured, own=own, learns=self.learns)
 
     @property
@@ -400,66 +402,19 @@ class OutgoingRoute(TopicRoute):
         return min(max(0.0, there, back) + back, _LONGEST_UNDER_WAY)
 
     def _held_up_where(self) -> str:
-        return QUEUE if self._sending.waits(self.context.now()) >= self.lateness.seconds / 2 else WAY
-
-    def admit(self, batch: Sequence[RawMessage]) -> Sequence[RawMessage]:
-        """The messages to take now; those that would loop are lost, those whose source is not known yet are held."""
-        if not self.arming.passes(self.context.now()):
-            self._lose("disarmed", len(batch))
-            return ()
-        if self.age.is_on or self.peer.stamp_shift:
-            batch = self._stamped(batch)
-        if self._loop_filter.carries(batch):
-            return batch
-        admitted, unseen = self._loop_filter.admit(batch)
-        if unseen:
-            self.advance()  # see whose they are
-            flags = self._loop_filter.table.flags
-            sent = [message for message in admitted if message.gid in flags]  # what is known of these may have changed
-            self._lose("would loop" if self.id else "link lost", len(admitted) - len(sent))
-            admitted = sent
-        self._lose("queue full", self._loop_filter.give_up())
-        return admitted
-
-    def _stamped(self, batch: Sequence[RawMessage]) -> Sequence[RawMessage]:
-        """Return the messages that are young enough, with the stamps for the other side."""
-        if not self.age.is_on:
-            shift = self.peer.stamp_shift
-            return [each._replace(stamp=shifted(each.stamp, shift)) for each in batch]
-        young = self.age.stamped(batch, keep_old=self.is_latched)
-        expired = len(batch) - len(young)
-        self._ledger.offered += expired
-        self._ledger.expired += expired
-        return young
+        return QUEUE if self._path.waits(self.context.now()) >= self.lateness.seconds / 2 else WAY
 
     @property
     def _came_here(self) -> int:
         return self._ledger.offered
 
-    def too_late(self, messages: int) -> None:
-        """Messages have come after the end of their opening."""
-        self._lose("link lost", messages)
-
-    def _lose(self, cause: str, messages: int) -> None:
-        self._ledger.offered += messages
-        self._ledger.drop(cause, messages)
-
-    def offer(self, batch: Sequence[RawMessage]) -> None:
-        """Take messages from ROS, oldest first."""
-        self._sending.offer(batch)
-
-    def offer_latched(self, new: int, samples: Sequence[Sample]) -> None:
-        """Take messages of a latched topic."""
-        self._sending.offer_latched(new, samples)
-
     def flush(self) -> None:
-        """Send what waits while the path takes it."""
-        self._sending.flush()
+        self._path.flush()
 
     # --- the ledger
 
     def reported(self, report: ReceivedReport) -> None:
-        """The peer said what arrived in the present opening."""
+        """Take the peer's counts of the present opening."""
         self._report = report
         self.judged.take(report.verdict, self.context.now())
         if not self._ledger.reported(report, self.context.now(), self._message_and_report):
@@ -477,12 +432,12 @@ class OutgoingRoute(TopicRoute):
         self.latency.told(report.latency_p50, report.latency_p99, report.jitter)
 
     def ledger(self) -> Ledger:
-        """Where the messages went, by the peer's last report."""
-        lost_in_dds = self._intake.lost if self._intake else 0
+        """Return the ledger, by the peer's last report."""
+        lost_in_dds = self._subscription.lost if self._subscription else 0
         return self._ledger.ledger(lost_in_dds)
 
     def news(self) -> SentReport | None:
-        """The report that the peer has not been sent yet; None: it knows everything."""
+        """Return the report to send to the peer now, or None if nothing has changed."""
         report = self._sent_report()
         if report == self._told_report:
             return None
@@ -511,7 +466,7 @@ class OutgoingRoute(TopicRoute):
 
     @property
     def _subscribed(self) -> bool:
-        return self._intake is not None and self._intake.active and not self._intake.failure
+        return self._subscription is not None and self._subscription.active and not self._subscription.failure
 
     @property
     def has_kept(self) -> bool:
@@ -576,13 +531,13 @@ class OutgoingRoute(TopicRoute):
         return self.channel.arrival_rate() / datagrams
 
     def _datagrams(self) -> int:
-        """How many datagrams one of its messages takes; 0: it goes by none."""
+        """Return the number of datagrams of an average message, or 0 if the channel uses none."""
         if not isinstance(self.channel, DatagramSender) or not self.meter.count or not self.channel.ready:
             return 0
         return self.channel.datagrams(self.meter.bytes // self.meter.count)
 
     def _stages(self) -> tuple[Stage, ...]:
-        """From the publisher here to the subscriber there."""
+        """Return the stages from the publisher here to the subscriber there."""
         report = self._report
         known = self.life.described
         publishers = len(self.endpoints)

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from rsb_bridge.model.profiles import LinkProfile
     from rsb_bridge.ros.ros_interface import RosInterface
     from rsb_bridge.route.lifecycle import Revisions
+    from rsb_bridge.telemetry.meters import ClockOffset
     from rsb_bridge.wire.messages import ControlMessage
 
 TYPES_PER_LINK = 256
@@ -46,6 +47,10 @@ class Peer(Protocol):
     is_client: bool
     budget: PeerBudget
     revisions: Revisions
+    clock: ClockOffset
+    """Offset of the peer's clock."""
+    stamps: ClockOffset
+    """Offset of the clock by which the peer stamps messages."""
 
     @property
     def profile(self) -> LinkProfile:
@@ -75,26 +80,6 @@ class Peer(Protocol):
     @property
     def features(self) -> tuple[str, ...]:
         """What the peer, present or last, can do beyond version 2 of the wire format."""
-        ...
-
-    @property
-    def clock_offset(self) -> float | None:
-        """s, the peer's clock minus ours."""
-        ...
-
-    @property
-    def clock_uncertainty(self) -> float | None:
-        """Seconds by which `clock_offset` may be wrong."""
-        ...
-
-    @property
-    def stamp_offset(self) -> float | None:
-        """s, the clock that the peer stamps messages by minus this side's clock of stamps."""
-        ...
-
-    @property
-    def stamp_uncertainty(self) -> float | None:
-        """Seconds by which `stamp_offset` may be wrong."""
         ...
 
     @property

@@ -1,4 +1,4 @@
-"""How many messages a second of a topic cross at most, who says so, and what an operator reads of changed limits."""
+"""The highest rate of a topic's messages, its origin, and the text of an event about changed limits."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _CLOCKS_DIFFER = 1.01
 
 
 class AllowedRates:
-    """What one link's peer may publish on each topic here, by however many routes and openings it comes."""
+    """The rates at which one link's peer may publish on topics here, over all routes and openings."""
 
     def __init__(self) -> None:
         self._buckets: dict[tuple[str, float], TokenBucket] = {}
@@ -44,7 +44,7 @@ class AllowedRates:
         return bucket.take(1.0, now)
 
     def _sweep(self, now: float) -> None:
-        """Forget the topics that have been quiet for so long that they may begin anew."""
+        """Forget the topics that have been quiet for so long that their buckets are full again."""
         if now < self._swept_at + 1.0:
             return
         self._swept_at = now
@@ -52,17 +52,17 @@ class AllowedRates:
 
 
 class RateLimit:
-    """One route's. The lowest figure counts; the sending side keeps to it, and the receiving side enforces its own.
+    """The rate limit of one route: the lowest one. The sender keeps to it; the receiver enforces its own.
 
     Args:
-        max_rate: Hz, of the topic's entry; 0: any.
+        max_rate: Hz, of the topic's entry, or 0 for any.
         topic: its name on this side.
         rates: of its link.
         log: adds an event.
 
     Attributes:
-        allowed: Hz that the rights of the two sides allow, the lower of the two; 0: any.
-        apply: is told the rate to keep to, in Hz, whenever it may have changed.
+        here: Hz that this side allows, or 0 for any.
+        apply: called with the rate (Hz) to keep to whenever it may have changed.
     """
 
     def __init__(
@@ -70,36 +70,33 @@ class RateLimit:
     ) -> None:
         self.apply: Callable[[float], None] = lambda rate: None
         self._max_rate = max_rate
-        self._here = self._there = self._there_before = self._profile = 0.0
+        self.here = 0.0
+        self._there = self._there_before = self._profile = 0.0
         self._topic = topic
         self._rates = rates
         self._log = log
 
     @property
     def rate(self) -> float:
-        """Hz; 0: all messages cross."""
+        """The rate (Hz), or 0 if all messages cross."""
         return _lowest(self._max_rate, self.allowed, self._profile)
 
     @property
     def allowed(self) -> float:
-        return _lowest(self._here, self._there)
-
-    @property
-    def here(self) -> float:
-        """Hz that this side allows; 0: any."""
-        return self._here
+        """The lower one of the rates (Hz) that the two sides' rights allow, or 0 for any."""
+        return _lowest(self.here, self._there)
 
     @property
     def why(self) -> str:
-        """Who limits it, for an operator."""
+        """The origin of the limit, for an operator."""
         if self.rate == self._max_rate:
             return "set on purpose (max_rate)"
         if self.rate == self._profile:
             return "the session's profile (max_rate overrides it)"
-        return "this side allows no more (allow)" if self.rate == self._here else "the other side allows no more"
+        return "this side allows no more (allow)" if self.rate == self.here else "the other side allows no more"
 
     def opened(self) -> None:
-        """A new opening begins: what the other side allows, it says again."""
+        """Begin a new opening: the other side will send its limit again."""
         self._there = 0.0
         self.apply(self.rate)
 
@@ -110,22 +107,22 @@ class RateLimit:
             self.apply(self.rate)
 
     def set_profile_rate(self, rate: float) -> None:
-        """Take the limit that the link's profile has for it; 0: none."""
+        """Take the limit of the link's profile, or 0 for none."""
         if rate != self._profile:
             self._profile = rate
             self.apply(self.rate)
 
     def allow_here(self, rate: float) -> bool:
-        """Take what this side's rights allow; whether that is news."""
-        if rate == self._here:
+        """Take the rate that this side's rights allow; return whether it is another one than before."""
+        if rate == self.here:
             return False
-        self._here = rate
+        self.here = rate
         self.apply(self.rate)
         self._log(Level.INFO, EventCode.ROUTE_AMENDED, f"this side allows {_figure(rate)} (allow)")
         return True
 
     def allow_there(self, rate: float) -> None:
-        """Take what the other side says that it allows."""
+        """Take the rate that the other side allows."""
         self._there = rate
         self.apply(self.rate)
         if rate != self._there_before:
@@ -133,8 +130,8 @@ class RateLimit:
             self._log(Level.INFO, EventCode.ROUTE_AMENDED, f"the other side allows {_figure(rate)}")
 
     def admits(self, now: float) -> bool:
-        """Whether this side takes one more message of the peer's, at `now` (s)."""
-        return not self._here or self._rates.admits(self._topic, self._here, now)
+        """Whether this side takes one more message of the peer at `now` (s)."""
+        return not self.here or self._rates.admits(self._topic, self.here, now)
 
 
 def _at_once(rate: float) -> float:
@@ -150,7 +147,7 @@ def _figure(rate: float) -> str:
 
 
 def limits_changed(old: Propose, new: Propose) -> str:
-    """What differs between the limits of two proposals, for an operator."""
+    """Return the differences between the limits of two proposals, for an operator."""
     limits = (
         ("max_rate", old.max_rate or None, new.max_rate or None, " Hz"),
         ("expected_rate", old.expected_rate or None, new.expected_rate or None, " Hz"),

@@ -1,4 +1,4 @@
-"""Finding out what a route sends: its type, the type's hash and the QoS.
+"""Finds the type, the type's hash and the QoS of a route's messages.
 
 The session may name the type, publishers have types, and the other side's graph may know one.
 """
@@ -29,11 +29,11 @@ _MOST_TYPES = 4  # named in one sentence
 
 
 class MessageType(NamedTuple):
-    """A message type, and which version of it.
+    """A message type and its version.
 
     Attributes:
-        name: ``pkg/msg/Name``; empty: not known.
-        type_hash: ``RIHS01_...``; empty: not known.
+        name: ``pkg/msg/Name``, or empty if unknown.
+        type_hash: ``RIHS01_...``, or empty if unknown.
     """
 
     name: str = ""
@@ -41,13 +41,13 @@ class MessageType(NamedTuple):
 
 
 class Resolved(NamedTuple):
-    """What a route sends.
+    """Type and QoS of the messages that a route sends.
 
     Attributes:
         type: ``pkg/msg/Name``.
         type_hash: ``RIHS01_...``.
         qos: to publish with.
-        warning: which publishers are left out, for an operator; empty: none.
+        warning: the publishers that are left out, for an operator, or empty.
     """
 
     type: str
@@ -76,12 +76,12 @@ class UnresolvedError(Exception):
 
 
 class Resolver:
-    """Finds out what one route sends, anew whenever the graph may have changed.
+    """Finds type and QoS of one route's messages. Asked again whenever the graph may have changed.
 
     Attributes:
         hint: the type that the topic has on the receiving side.
-        publisher_qos: what the publishers offer together; None: there are none.
-        unresolved: why it is not known what is sent; None: it is.
+        publisher_qos: the QoS that all publishers offer, or None without publishers.
+        unresolved: the reason why type or QoS is unknown, or None if both are known.
     """
 
     def __init__(self, context: Context, proposal: Propose) -> None:
@@ -94,17 +94,17 @@ class Resolver:
         self._had_publishers = False
 
     def look(self, publishers: Sequence[Endpoint]) -> None:
-        """Take who publishes the topic now."""
+        """Take the topic's present publishers."""
         self._publishers = publishers
         self._had_publishers |= bool(publishers)
         self.publisher_qos = match_publishers([each.qos for each in publishers]) if publishers else None
 
     def resolve(self, used: MessageType, loop_filter: LoopFilter) -> Resolved | None:
-        """What is sent; None: not known yet, and `unresolved` says why.
+        """Return type and QoS, or None if one is unknown; `unresolved` then has the reason.
 
         Args:
             used: the type that the route has sent so far.
-            loop_filter: knows by which bridges the messages came.
+            loop_filter: of the route.
         """
         self.unresolved = None
         try:
@@ -117,11 +117,11 @@ class Resolver:
         return resolved
 
     def why(self) -> str:
-        """Why it is not known what is sent; empty: it is."""
+        """Return the reason why type or QoS is unknown, or an empty string."""
         return str(self.unresolved) or self.no_publisher() if self.unresolved else ""
 
     def no_publisher(self) -> str:
-        """Says that nobody publishes the topic."""
+        """Return a text that says that the topic has no publisher."""
         return no_publisher(self._proposal.topic, self._context.domain_id, self.similar)
 
     @property
@@ -138,18 +138,18 @@ def resolve(
     hint: MessageType,
     ros: RosInterface,
 ) -> Resolved:
-    """Find out what a route sends.
+    """Find type and QoS of a route's messages.
 
     Args:
-        proposal: what an operator wants.
+        proposal: of the route.
         publishers: on the topic.
-        publisher_qos: what they offer together; None: there are none.
+        publisher_qos: the QoS that all publishers offer, or None without publishers.
         used: the type that the route has sent so far.
         hint: the type that the topic has on the receiving side.
-        ros: knows the hashes of the types that are installed here.
+        ros: has the hashes of the types that are installed here.
 
     Raises:
-        UnresolvedError: it is not known yet.
+        UnresolvedError: type or QoS is unknown.
     """
     wanted = "" if proposal.type in ("", "auto") else expand_type_name(proposal.type)
     name, type_hash = choose_type(publishers, wanted, used, hint, ros.installed_hash)
@@ -178,17 +178,17 @@ def choose_type(
 ) -> MessageType:
     """Choose the type to send.
 
-    Where the publishers disagree, the type that is in use stays, so that a node with a wrong type stops no topic.
+    If the publishers disagree, the type in use stays, so that a node with a wrong type does not stop the topic.
 
     Args:
         publishers: on the topic.
-        wanted: the type that the session names; empty: none.
+        wanted: the type that the session names, or empty.
         used: the type that the route has sent so far.
-        hint: what the other side's graph has.
+        hint: the type that the topic has on the receiving side.
         installed_hash: gives the hash of a type that is installed here.
 
     Returns:
-        The type; without a name if nobody has one, without a hash if nobody knows that.
+        The type, without a name or a hash if that is unknown.
 
     Raises:
         UnresolvedError: the publishers have no type that can be sent.
@@ -209,7 +209,7 @@ def choose_type(
 
 
 def left_out(publishers: Sequence[Endpoint], wanted: str, sent: str) -> str:
-    """Which publishers are not bridged because their type is not the one that is sent; empty: none.
+    """Return a text about the publishers that are not bridged because of their type, or an empty string.
 
     If the session names the type, publishers of other types are left out on purpose.
     """
@@ -227,7 +227,7 @@ def _clash(why: str) -> UnresolvedError:
 
 
 def _nodes_by(publishers: Iterable[Endpoint], kind: Callable[[Endpoint], str]) -> dict[str, list[str]]:
-    """The publishers' nodes, by something that they have; those that do not have it are left out."""
+    """Return the nodes of the publishers by their `kind`. Publishers of an empty kind are left out."""
     nodes: defaultdict[str, set[str]] = defaultdict(set)
     for publisher in publishers:
         if key := kind(publisher):
@@ -242,7 +242,7 @@ def _named(nodes: dict[str, list[str]]) -> str:
 
 
 def qos_clash(publishers: Iterable[Endpoint], type_name: str, qos: Qos | None) -> str:
-    """Why a subscription with that QoS does not get all messages of a type; empty: it does, or is not known yet."""
+    """Return the reason why a subscription with this QoS misses messages of a type, or an empty string."""
     if qos is None:
         return ""
     clashes = (incompatible(each.qos, qos) for each in publishers if each.type_name == type_name)

@@ -431,11 +431,6 @@ class Route:
         """Whether its rate and delays are as usual now, so that the usual ones are learned from them."""
         return True
 
-    def count(self, messages: int, size: int) -> None:
-        """Note that messages, or calls, passed."""
-        self.notices.flowing()
-        self.meter.add(messages, size, self.context.now())
-
     # --- how it is
 
     def trouble(self) -> str:
@@ -531,7 +526,7 @@ class Route:
             expected_rate=self._expected_rate(),
             bytes_per_second=self.meter.bytes_per_second,
             bytes_total=self.meter.bytes,
-            latency_uncertainty=self.peer.clock_uncertainty,
+            latency_uncertainty=self.peer.clock.uncertainty,
             age=None if self.meter.last is None else now - self.meter.last,
             history=tuple(self.meter.history),
             last_error=self.notices.last_error,

@@ -1,20 +1,21 @@
-"""The sender of a route: messages from ROS are throttled, packed and queued until the channel takes them."""
+"""The path of outgoing messages: from ROS, through limits and the queue, to the channel (`OutgoingPath`)."""
 
 from __future__ import annotations
 
 from collections import Counter, deque
 from itertools import groupby
-from typing import TYPE_CHECKING, NamedTuple, Protocol
+from typing import TYPE_CHECKING, NamedTuple, TypeAlias
 
 import zstandard
 
 from rsb_bridge.channel.receipts import Pace, pace_of
+from rsb_bridge.model.clock import shifted
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.profiles import PLAIN
 from rsb_bridge.model.qos import AUTO_SECONDS
 from rsb_bridge.model.verdict import Cause
-from rsb_bridge.route.peeking import Peekable, peeked
-from rsb_bridge.route.thinning import THINNED, LatestLater, Thinning, Throttle
+from rsb_bridge.route.peeking import peeked
+from rsb_bridge.route.thinning import THINNED, LatestLater, Throttle
 from rsb_bridge.wire.framing import HISTORY, ZSTD, Message
 
 if TYPE_CHECKING:
@@ -27,13 +28,10 @@ if TYPE_CHECKING:
     from rsb_bridge.model.qos import Qos
     from rsb_bridge.ros.ros_interface import RawMessage
     from rsb_bridge.route.age import MessageAge
-    from rsb_bridge.route.arming import Arming
-    from rsb_bridge.route.history_depth import Sample
+    from rsb_bridge.route.history_depth import Histories, Sample
     from rsb_bridge.route.ledger import RouteLedger
     from rsb_bridge.route.loop_filter import LoopFilter
-    from rsb_bridge.route.notices import Notices
-    from rsb_bridge.route.peeking import PeekSlot
-    from rsb_bridge.route.peer import Peer
+    from rsb_bridge.route.topic_route import TopicRoute
     from rsb_bridge.transport.transport import Transport
     from rsb_bridge.wire.messages import Propose
 
@@ -48,10 +46,10 @@ _ZSTD_LEVEL = 3
 
 
 class QueueLimits(NamedTuple):
-    """How much may wait. What is more is dropped, the oldest first; one message always may.
+    """The limits of a queue. Beyond them the oldest messages are dropped, but one message may always wait.
 
     Attributes:
-        depth: messages of one publisher (of all, where publishers are not told apart); 0: any number.
+        depth: messages of one publisher (or of all where publishers are not distinguished), or 0 for any number.
         younger_than: s; younger messages may wait even beyond the depth.
         size: bytes.
     """
@@ -62,24 +60,28 @@ class QueueLimits(NamedTuple):
 
 
 class SendQueue:
-    """A first-in, first-out queue that is bounded in messages and bytes. Every message passes through it."""
+    """A first-in, first-out queue that is bounded in messages and bytes.
+
+    Attributes:
+        waiting: each message, its publisher, and when (s) it was added; oldest first.
+    """
 
     def __init__(self) -> None:
-        self._queue: deque[tuple[Message, bytes, float]] = deque()  # message, publisher, since when (s)
+        self.waiting: deque[tuple[Message, bytes, float]] = deque()
         self._size = 0
-        self._counts: Counter[bytes] = Counter()  # of the publishers that are told apart
+        self._counts: Counter[bytes] = Counter()  # of the publishers that are distinguished
 
     def __len__(self) -> int:
-        return len(self._queue)
+        return len(self.waiting)
 
     @property
     def oldest_since(self) -> float | None:
         """When (s) the oldest message was added, or None if the queue is empty."""
-        return self._queue[0][2] if self._queue else None
+        return self.waiting[0][2] if self.waiting else None
 
     def add(self, messages: Sequence[Message], now: float, publisher: bytes = b"") -> None:
         """Append messages of one publisher, at `now` (s)."""
-        self._queue.extend([(message, publisher, now) for message in messages])
+        self.waiting.extend([(message, publisher, now) for message in messages])
         self._size += sum([len(message[0]) for message in messages])
         if publisher:
             self._counts[publisher] += len(messages)
@@ -90,21 +92,21 @@ class SendQueue:
         Returns:
             How many messages were dropped.
         """
-        before = len(self._queue)
+        before = len(self.waiting)
         if limits.depth:
             while self._count(publisher) > limits.depth:
                 index = self._oldest_of(publisher)
-                if now - self._queue[index][2] < limits.younger_than:
+                if now - self.waiting[index][2] < limits.younger_than:
                     break
-                self._forget(*self._queue[index])
-                del self._queue[index]
-        while self._size > limits.size and len(self._queue) > 1:
-            self._forget(*self._queue.popleft())
-        return before - len(self._queue)
+                self._forget(*self.waiting[index])
+                del self.waiting[index]
+        while self._size > limits.size and len(self.waiting) > 1:
+            self._forget(*self.waiting.popleft())
+        return before - len(self.waiting)
 
     def take(self, most: int, size: int) -> list[Message]:
         """Remove the oldest messages: at most `most`, and no further one once they have `size` bytes."""
-        queue = self._queue
+        queue = self.waiting
         taken: list[Message] = []
         taken_size = 0
         while queue and len(taken) < most and taken_size < size:
@@ -118,19 +120,19 @@ class SendQueue:
 
     def clear(self) -> int:
         """Remove all messages; returns how many they were."""
-        count = len(self._queue)
-        self._queue.clear()
+        count = len(self.waiting)
+        self.waiting.clear()
         self._size = 0
         self._counts.clear()
         return count
 
     def _count(self, publisher: bytes) -> int:
-        return self._counts[publisher] if publisher else len(self._queue)
+        return self._counts[publisher] if publisher else len(self.waiting)
 
     def _oldest_of(self, publisher: bytes) -> int:
         if not publisher:
             return 0
-        return next(index for index, waiting in enumerate(self._queue) if waiting[1] == publisher)
+        return next(index for index, waiting in enumerate(self.waiting) if waiting[1] == publisher)
 
     def _forget(self, message: Message, publisher: bytes, _: float) -> None:
         self._size -= len(message[0])
@@ -186,7 +188,7 @@ class Overload:
 
 
 class Outbox:
-    """Every message passes through it; those that are dropped in it are in the ledger.
+    """The queue before a channel, which counts what it drops in the ledger.
 
     Args:
         transport: what carries the route.
@@ -194,6 +196,9 @@ class Outbox:
         ledger: the route's.
         failed: told of a message that the transport does not carry.
         age: how old the messages may be when they are sent, or None for any age.
+
+    Attributes:
+        largest: bytes of the longest message that the transport carries.
     """
 
     def __init__(
@@ -209,22 +214,15 @@ class Outbox:
         self._automatic = proposal.qos is None
         self._ledger = ledger
         self._failed = failed
-        self._largest = transport.largest_message
-        self._compressor = zstandard.ZstdCompressor(_ZSTD_LEVEL) if proposal.compression == "zstd" else None
+        self.largest = transport.largest_message
         self._queue = SendQueue()
         self._overload = Overload()
 
-    def pack(self, payload: bytes, stamp: int, flags: int) -> Message:
-        """A message as it is sent: compressed, where that is agreed and makes it smaller."""
-        if self._compressor is not None:
-            smaller = self._compressor.compress(payload)
-            if len(smaller) < len(payload):
-                return smaller, stamp, flags | ZSTD
-        return payload, stamp, flags
-
     def pass_on(self, messages: Sequence[Message], size: int, channel: SendingChannel) -> bool:
-        """Send messages, of `size` bytes together, that would only pass through the queue; False: they have to wait."""
-        if self._queue or channel.congested or len(messages) > _BATCH or size > min(self._largest, channel.batch_bytes):
+        """Send messages of `size` bytes together past the empty queue, or return False: they have to wait in it."""
+        if self._queue.waiting or channel.congested or len(messages) > _BATCH:
+            return False
+        if size > self.largest or size > channel.batch_bytes:
             return False
         if self._age is not None and self._age.is_on:
             messages = self._young(messages, self._age)
@@ -233,10 +231,8 @@ class Outbox:
             channel.send(messages)
         return True
 
-    def fitting(self, messages: Sequence[Message], size: int) -> Sequence[Message]:
-        """Return the messages that the transport carries, and drop the others. All together have `size` bytes."""
-        if size <= self._largest:
-            return messages
+    def fitting(self, messages: Sequence[Message]) -> Sequence[Message]:
+        """Return the messages that the transport carries, and drop the others."""
         return [message for message in messages if self._fits(len(message[0]))]
 
     def add(self, messages: Sequence[Message], now: float, publisher: bytes, limits: QueueLimits) -> None:
@@ -247,7 +243,7 @@ class Outbox:
     def flush(self, channel: SendingChannel) -> None:
         """Send while the channel takes messages."""
         queue = self._queue
-        while queue and not channel.congested:
+        while queue.waiting and not channel.congested:
             batch: Sequence[Message] = queue.take(_BATCH, channel.batch_bytes)
             if self._age is not None and self._age.is_on:
                 batch = self._young(batch, self._age)
@@ -287,7 +283,7 @@ class Outbox:
         """
         self._overload.look(now, self._queue.oldest_since, len(self._queue), moves=pace is Pace.SLOW)
         best_effort = qos is not None and qos.reliability == "best_effort"
-        size = _QUEUE_BYTES + self._largest
+        size = _QUEUE_BYTES + self.largest
         if best_effort:
             size = profile.queue_bytes or (_SLOW_QUEUE_BYTES if self._transport.slow else size)
         if qos is None or qos.history == "keep_all" or pace is Pace.FREE:
@@ -301,75 +297,42 @@ class Outbox:
 
     def _fits(self, size: int) -> bool:
         """Whether the transport carries a message of so many bytes; one that it does not is dropped."""
-        if size <= self._largest:
+        if size <= self.largest:
             return True
         self._ledger.drop("too large", 1)
         name = self._transport.name
-        text = f"a message of {size:,} bytes is more than {name} carries here ({self._largest:,}): use tcp"
+        text = f"a message of {size:,} bytes is more than {name} carries here ({self.largest:,}): use tcp"
         self._failed(EventCode.ROUTE_TOO_LARGE, text)
         return False
 
 
-_SHARED_ANEW = 1.0
+_SHARED_AGAIN = 1.0
 """s after which the link's shares may have changed, and with them how long a message is held back."""
+Step: TypeAlias = "Callable[[Sequence[RawMessage]], Sequence[RawMessage]]"
+"""Returns the messages that go on, and counts the others in the ledger."""
 
 
-class SendingRoute(Peekable, Protocol):
-    """Whose messages they are.
+class OutgoingPath:
+    """The path of one route's messages from ROS to its channel, in the order of its methods.
 
-    Attributes:
-        transport: what carries them.
-        proposal: what the two sides have agreed on.
-        channel: the way to the peer; None: there is none now.
-        qos: of the topic; None: not known yet.
-        notices: what an operator is told.
-        peek_slot: takes the next message for whoever looks at the topic.
-        thinning: what it leaves to others of the link.
-        arming: says whether its messages have to carry a number of the lease.
-        age: how old its messages may be.
-    """
-
-    transport: Transport
-    proposal: Propose
-    channel: SendingChannel | None
-    qos: Qos | None
-    notices: Notices
-    peek_slot: PeekSlot
-    thinning: Thinning
-    age: MessageAge
-    arming: Arming
-
-    @property
-    def peer(self) -> Peer:
-        """The other side."""
-        ...
-
-    @property
-    def paused(self) -> bool:
-        """Whether it carries no messages, as an operator wants."""
-        ...
-
-    @property
-    def connected(self) -> bool:
-        """Whether there is a way for messages."""
-        ...
-
-    def count(self, messages: int, size: int) -> None:
-        """Note that messages pass."""
-        ...
-
-
-class Sending:
-    """Counts in the ledger what it leaves out and what it drops.
+    The rate limit and thinning are steps that are on the path only while they are on: see `compose`. Arming and age are
+    checked for each batch instead, so that no missed change can leave them out; age a second time right before the
+    channel gets the messages.
 
     Args:
-        context: what every part of the engine shares.
-        route: whose messages they are.
-        ledger: the route's.
-        loop_filter: the route's; gives each publisher's messages the number of their source.
+        context: shared by all parts of the engine.
+        route: sends the messages.
+        ledger: of the route.
+        loop_filter: of the route; numbers the source of each publisher's messages.
+
+    Attributes:
+        histories: of a latched topic's publishers in the present opening, or None for a volatile topic.
     """
 
-    def __init__(self, context: Context, route: SendingRoute, ledger: RouteLedger, loop_filter: LoopFilter) -> None:
+    def __init__(
+        self, context: Context, route: TopicRoute[SendingChannel], ledger: RouteLedger, loop_filter: LoopFilter
+    ) -> None:
+        self.histories: Histories | None = None
         self._context = context
         self._route = route
         self._ledger = ledger
@@ -379,66 +342,140 @@ class Sending:
         self._latest_later = LatestLater(context.loop, self._throttle, self._send_latched, lambda: route.paused)
         self._later: asyncio.TimerHandle | None = None
         self._outbox = Outbox(route.transport, route.proposal, ledger, route.notices.message_error, route.age)
+        self._compressor = zstandard.ZstdCompressor(_ZSTD_LEVEL) if route.proposal.compression == "zstd" else None
+        self._steps: tuple[Step, ...] = ()
+        route.thinning.changed = self.compose
+        self.compose()
 
-    def limit(self, max_rate: float) -> None:
-        """Let so many Hz pass from now on; 0: all."""
-        if max_rate != self._max_rate:
-            self._max_rate = max_rate
-            self._throttle.limit(max_rate)
+    def compose(self) -> None:
+        """Choose the steps that messages of a volatile topic need now. Called whenever one is switched on or off."""
+        steps: list[Step] = []
+        if self._throttle.is_on:
+            steps.append(self._limit)
+        if self._route.thinning.thins:
+            steps.append(self._thin)
+        self._steps = tuple(steps)
 
-    def resume(self) -> None:
-        """Let pass what has become due while the route was paused."""
-        self._latest_later.resume()
-
-    def clear_later(self) -> int:
-        """Let none of the latched messages pass that wait for the limit; how many they were."""
-        return self._latest_later.clear()
-
-    def clear(self) -> int:
-        """Remove what is queued; how many messages that was."""
-        if self._later is not None:
-            self._later.cancel()
-            self._later = None
-        self._route.thinning.busy(False, self._context.now())
-        return self._outbox.clear()
-
-    def waits(self, now: float) -> float:
-        """Return how long (s) messages have waited for the channel at `now` (s); messages held back do not count."""
-        return 0.0 if self._route.thinning.holds else self._outbox.waits(now)
+    # --- from ROS
 
     def offer(self, batch: Sequence[RawMessage]) -> None:
         """Take messages from ROS, oldest first."""
-        if self._route.peek_slot.wanted:
+        route, context = self._route, self._context
+        if route.arming.required and not route.arming.passes(context.now()):
+            self.lose("disarmed", len(batch))
+            return
+        if route.age.is_on:
+            batch = self._young(batch)
+        elif shift := route.peer.stamp_shift:
+            batch = [each._replace(stamp=shifted(each.stamp, shift)) for each in batch]
+        sources = self._loop_filter.table.flags
+        for message in batch:
+            if message.gid not in sources:
+                batch = self._without_loops(batch)
+                break
+        self.take(batch)
+
+    def _young(self, batch: Sequence[RawMessage]) -> Sequence[RawMessage]:
+        """Return the messages that are young enough, with the stamps for the other side."""
+        young = self._route.age.stamped(batch, keep_old=self._route.is_latched)
+        expired = len(batch) - len(young)
+        self._ledger.offered += expired
+        self._ledger.expired += expired
+        return young
+
+    def _without_loops(self, batch: Sequence[RawMessage]) -> Sequence[RawMessage]:
+        """Return the messages that do not loop, and hold those whose source is not known yet."""
+        admitted, unseen = self._loop_filter.admit(batch)
+        if unseen:
+            self._route.advance()  # finds their publishers, and may change the sources of the others
+            sources = self._loop_filter.table.flags
+            sent = [message for message in admitted if message.gid in sources]
+            self.lose("would loop" if self._route.id else "link lost", len(admitted) - len(sent))
+            admitted = sent
+        self.lose("queue full", self._loop_filter.give_up())
+        return admitted
+
+    def lose(self, cause: str, messages: int) -> None:
+        """Count messages that are dropped before they are counted as offered."""
+        self._ledger.offered += messages
+        self._ledger.drop(cause, messages)
+
+    def too_late(self, batch: Sequence[RawMessage]) -> None:
+        """Drop messages that come after their opening."""
+        self.lose("link lost", len(batch))
+
+    # --- of a volatile topic
+
+    def take(self, batch: Sequence[RawMessage]) -> None:
+        """Take messages that do not loop, oldest first."""
+        if self.histories is not None:
+            self._take_latched(self.histories.take(batch), ())
+            return
+        if not batch:
+            return
+        route = self._route
+        if route.peek_slot.wanted:
             self._show(batch[-1])
         self._ledger.offered += len(batch)
-        passes, pack, flags = self._throttle.passes, self._outbox.pack, self._loop_filter.table.flags
-        passed = [each for each in batch if passes(each.stamp)]
-        self._ledger.throttled += len(batch) - len(passed)
-        kept = self._route.thinning.keep(passed, self._context.now())
-        self._ledger.drop(THINNED, len(passed) - len(kept))
-        messages = [pack(each.payload, each.stamp, flags[each.gid]) for each in kept]
-        if (arming := self._route.arming).required:
-            messages = [arming.pack(message, each.lease) for message, each in zip(messages, kept, strict=True)]
-        self._send(messages)
+        for step in self._steps:
+            batch = step(batch)
+        route.thinning.offered += len(batch)
+        sources, arming = self._loop_filter.table.flags, route.arming
+        plain = self._compressor is None and not arming.required
+        messages: list[Message] = []
+        size = 0
+        for payload, stamp, gid, _, lease, _ in batch:
+            message = payload, stamp, sources[gid]
+            if not plain:
+                message = arming.pack(self._compressed(message), lease)
+            messages.append(message)
+            size += len(message[0])
+        self._send(messages, size)
 
-    def offer_latched(self, new: int, samples: Sequence[Sample]) -> None:
-        """Take messages of a latched topic."""
+    def _show(self, message: RawMessage) -> None:
+        is_shifted = self._route.age.is_on or self._route.peer.stamp_shift
+        time_ns = message.stamp - self._context.stamps.shift if is_shifted else message.stamp
+        self._route.peek_slot.put(peeked(self._route, message.payload, time_ns), self._context.now())
+
+    def _limit(self, batch: Sequence[RawMessage]) -> Sequence[RawMessage]:
+        passed = [message for message in batch if self._throttle.passes(message.stamp)]
+        self._ledger.throttled += len(batch) - len(passed)
+        return passed
+
+    def _thin(self, batch: Sequence[RawMessage]) -> Sequence[RawMessage]:
+        kept = self._route.thinning.keep(batch, self._context.now())
+        self._ledger.drop(THINNED, len(batch) - len(kept))
+        return kept
+
+    def _compressed(self, message: Message) -> Message:
+        """Return a message as it is sent: compressed if both sides agreed on that and it gets smaller."""
+        payload, stamp, flags = message
+        if self._compressor is not None:
+            smaller = self._compressor.compress(payload)
+            if len(smaller) < len(payload):
+                return smaller, stamp, flags | ZSTD
+        return message
+
+    # --- of a latched topic
+
+    def emit(self, samples: Sequence[Sample]) -> None:
+        """Take messages of a latched topic whose histories are known by now."""
+        self._take_latched(0, samples)
+
+    def _take_latched(self, new: int, samples: Sequence[Sample]) -> None:
+        """Take messages of a latched topic. `new` have just come; others have waited in the histories."""
         if self._route.peek_slot.wanted and samples:
             self._show(samples[-1].message)
         self._ledger.offered += new
         admitted, left_out = self._latest_later.admit(samples)
         self._ledger.throttled += left_out
-        self._route.thinning.latched(len(admitted))
+        self._route.thinning.offered += len(admitted)
         self._send_latched(admitted)
-
-    def _show(self, message: RawMessage) -> None:
-        shifted = self._route.age.is_on or self._route.peer.stamp_shift
-        time_ns = message.stamp - self._context.stamps.shift if shifted else message.stamp
-        self._route.peek_slot.put(peeked(self._route, message.payload, time_ns), self._context.now())
 
     def _send_latched(self, samples: Sequence[Sample]) -> None:
         for publisher, group in groupby(samples, key=lambda sample: sample.header.publisher):
-            messages, depth = [], 0
+            messages: list[Message] = []
+            size = depth = 0
             for header, (payload, stamp, gid, *_), replayed in group:
                 depth = header.depth
                 if not self._route.age.is_young(stamp):
@@ -449,37 +486,49 @@ class Sending:
                 if flags is None:  # it has turned out, while the message waited, that it would go in a loop
                     self._ledger.drop("would loop", 1)
                     continue
-                content, _, flags = self._outbox.pack(payload, stamp, flags)
+                content, _, flags = self._compressed((payload, stamp, flags))
                 messages.append((header.pack() + content, stamp, flags | HISTORY))
-            self._send(messages, publisher, depth)
+                size += len(messages[-1][0])
+            self._send(messages, size, publisher, depth)
 
-    def _send(self, messages: Sequence[Message], publisher: bytes = b"", depth: int = 0) -> None:
-        """Send messages, or have them wait; of a latched topic, those of one publisher that keeps `depth` of them."""
-        if not self._route.connected:
+    # --- to the channel
+
+    def _send(self, messages: Sequence[Message], size: int, publisher: bytes = b"", depth: int = 0) -> None:
+        """Send messages, or let them wait.
+
+        Args:
+            messages: as they are sent, oldest first.
+            size: bytes of them all.
+            publisher: of messages of a latched topic.
+            depth: messages that this publisher keeps.
+        """
+        route, thinning, outbox = self._route, self._route.thinning, self._outbox
+        channel = route.channel
+        if channel is None or not channel.ready or not route.life.accepted:
             self._ledger.drop("link lost", len(messages))
             return
-        channel, thinning = self._route.channel, self._route.thinning
-        if messages and channel is not None:
-            size = sum([len(message[0]) for message in messages])
-            self._route.count(len(messages), size)
-            fitting = self._outbox.fitting(messages, size)
-            if len(fitting) < len(messages):
-                thinning.left_out(len(messages) - len(fitting))
-                messages, size = fitting, sum([len(message[0]) for message in fitting])
+        if not messages:
+            return
+        route.count(len(messages), size)
+        if size > outbox.largest:
+            fitting = outbox.fitting(messages)
+            thinning.offered -= len(messages) - len(fitting)
+            messages, size = fitting, sum([len(message[0]) for message in fitting])
             if not messages:
                 return
-            thinning.packed(len(messages), size)
-            holds, now = thinning.holds, self._context.now()
-            if not holds and self._outbox.pass_on(messages, size, channel):
+        thinning.packed(len(messages), size)
+        now = self._context.now()
+        if not thinning.holds and outbox.pass_on(messages, size, channel):
+            if channel.congested or thinning.busy_since is not None:
                 thinning.busy(channel.congested, now)
-                return
-            pace, profile = Pace.STOPPED if holds else pace_of(channel), self._route.peer.profile
-            limits = self._outbox.limits(self._route.qos, depth, pace, now, profile)
-            self._outbox.add(messages, now, publisher, limits)
-            self.flush()
+            return
+        pace = Pace.STOPPED if thinning.holds else pace_of(channel)
+        limits = outbox.limits(route.qos, depth, pace, now, route.peer.profile)
+        outbox.add(messages, now, publisher, limits)
+        self.flush()
 
     def flush(self) -> None:
-        """Send what waits while the path takes it."""
+        """Send the waiting messages while the channel takes them."""
         channel, thinning = self._route.channel, self._route.thinning
         if channel is None:
             return
@@ -488,8 +537,37 @@ class Sending:
         held = thinning.wait(now)
         thinning.busy(channel.congested or (not held and bool(self._outbox)), now)
         if held and self._outbox and self._later is None:
-            self._later = self._context.loop.call_later(min(held, _SHARED_ANEW), self._flush_later)
+            self._later = self._context.loop.call_later(min(held, _SHARED_AGAIN), self._flush_later)
 
     def _flush_later(self) -> None:
         self._later = None
         self.flush()
+
+    # --- switches
+
+    def limit(self, max_rate: float) -> None:
+        """Let messages pass at this rate from now on, in Hz, or all for 0."""
+        if max_rate != self._max_rate:
+            self._max_rate = max_rate
+            self._throttle.limit(max_rate)
+            self.compose()
+
+    def resume(self) -> None:
+        """Send the latched messages that have become due while the route was paused."""
+        self._latest_later.resume()
+
+    def clear_later(self) -> int:
+        """Drop the latched messages that wait for the rate limit, and return their number."""
+        return self._latest_later.clear()
+
+    def clear(self) -> int:
+        """Drop the queued messages, and return their number."""
+        if self._later is not None:
+            self._later.cancel()
+            self._later = None
+        self._route.thinning.busy(False, self._context.now())
+        return self._outbox.clear()
+
+    def waits(self, now: float) -> float:
+        """Return how long (s) messages have waited for the channel at `now` (s); messages held back do not count."""
+        return 0.0 if self._route.thinning.holds else self._outbox.waits(now)

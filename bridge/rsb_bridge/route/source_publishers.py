@@ -1,4 +1,4 @@
-"""What a receiving half publishes with: publishers for the messages of each source (`rsb_bridge.route.loop_filter`)."""
+"""The publishers of a route that receives: one for each source of messages (`rsb_bridge.route.loop_filter`)."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 AUTO_DEPTH = 10
 """Messages, where the QoS names no number."""
 FREE = 1 << 16
-"""Bytes that each publisher may hold uncounted, so that topics of small messages go on whatever the others hold."""
+"""Bytes that each publisher may hold uncounted, so that small messages pass even if large ones fill the budget."""
 BURST_DEPTH = 2000
 """Messages that a publisher keeps at first if nobody has chosen a depth."""
 _BURST_BYTES = 1 << 20
@@ -120,7 +120,28 @@ class VolatileTopic:
             RosError: the middleware refused it.
             SlowSubscriberError: it would take too much memory.
         """
-        size = len(content) + _MESSAGE_COST
+        size, waiting = len(content) + _MESSAGE_COST, self._waiting
+        is_full = len(waiting) >= self._depth
+        memory = waiting[0] if is_full else self._free[-1] if self._free else 0
+        room = self._held_when_asked + FREE - self._held
+        if size <= memory and size - memory <= room and self._successor is None:  # nothing more is held
+            waiting.append(memory)
+            if is_full:
+                waiting.popleft()
+            else:
+                self._free.pop()
+        else:
+            self._make_room(size)
+        if look is not None:
+            try:
+                look()
+            except Exception:
+                self._free.append(self._waiting.pop())  # for the next message
+                raise
+        self._publisher.publish(content)
+
+    def _make_room(self, size: int) -> None:
+        """Take memory for the next message: ask DDS what is acknowledged, or have another publisher, if needed."""
         growth, deep = size - self._memory(), self._depth > self._lasting_depth
         full = deep and growth > 0 and self._held + growth > max(_BURST_BYTES, self._lasting_depth * size)
         if full or self._held + growth > self._held_when_asked + FREE:
@@ -137,13 +158,6 @@ class VolatileTopic:
                 raise
             self._begin_anew(self._renew)
             self._take(size, 0)
-        if look is not None:
-            try:
-                look()
-            except Exception:
-                self._free.append(self._waiting.pop())  # for the next message
-                raise
-        self._publisher.publish(content)
 
     def close(self) -> None:
         """Close the publisher, which frees its memory. May be called twice."""
@@ -190,7 +204,7 @@ class VolatileTopic:
         return self._free[-1] if self._free else 0
 
     def _recycle(self) -> None:
-        """Take note of it where everything has been acknowledged."""
+        """Ask DDS whether all messages are acknowledged; if so, their memory is free."""
         now = self._now()
         if now < self._asks_at:
             return
@@ -217,7 +231,7 @@ class VolatileTopic:
         self._held += growth
 
     def _charge(self, size: int) -> bool:
-        """Count more memory; False: the link's others would not be left as much as this topic has."""
+        """Count more memory, or return False if less than this topic has would be left for the link's other topics."""
         if self._charged + size > self._budget.limit - self._budget.held - size:
             return False
         self._charged += size
@@ -241,7 +255,7 @@ class PublicationSpec(NamedTuple):
 
 
 class _Announced:
-    """A DDS publisher that the other bridges of the domain are told of, for as long as it is open."""
+    """A DDS publisher that is announced to the domain's other bridges while it is open."""
 
     def __init__(self, publisher: Publisher, closed: Callable[[bytes], None]) -> None:
         self.gid = publisher.gid
@@ -266,30 +280,30 @@ class _SourcePublisher:
     """The publishers of one source.
 
     Attributes:
-        sink: what messages are given to.
+        sink: gets the messages.
     """
 
     def __init__(
         self,
         context: Context,
         peer: Peer,
-        subject: PublicationSpec,
+        spec: PublicationSpec,
         origin: Origin,
         failed: Callable[[Exception], None],
     ) -> None:
         self._context = context
         self._peer = peer
-        self._subject = subject
+        self._spec = spec
         self._origin = origin
         self._gids: set[bytes] = set()
         self.came_by = origin.via[:-1]  # without the sender, which may be another process by now
         self.sink: VolatileTopic | LatchedTopic
-        depth = subject.qos.depth
-        if subject.qos.latched:
+        depth = spec.qos.depth
+        if spec.qos.latched:
             self.sink = LatchedTopic(context.loop, self._advertise, peer.budget.kept, depth, failed)
         else:
-            keeps_all = subject.qos.history == "keep_all"
-            burst = depth == 0 and not keeps_all and subject.qos.reliability == "reliable"
+            keeps_all = spec.qos.history == "keep_all"
+            burst = depth == 0 and not keeps_all and spec.qos.reliability == "reliable"
             lasting = depth or AUTO_DEPTH
             first = BURST_DEPTH if burst else lasting
             self.sink = VolatileTopic(
@@ -302,14 +316,14 @@ class _SourcePublisher:
             )
 
     def set_origin(self, origin: Origin) -> None:
-        """Its messages come from elsewhere now, or none come any more; may raise RosError."""
+        """Announce another origin of the source's messages, which may raise RosError."""
         if origin != self._origin:
             self._origin = origin
             for gid in tuple(self._gids):
                 self._announce(gid)
 
     def _advertise(self, depth: int) -> Publisher:
-        topic, type_name, type_hash, qos = self._subject
+        topic, type_name, type_hash, qos = self._spec
         publisher = self._context.ros.advertise(
             topic, type_name, type_hash, msgspec.structs.replace(qos, depth=depth), origin=self._peer.name
         )
@@ -323,7 +337,7 @@ class _SourcePublisher:
         return _Announced(publisher, self._closed)
 
     def _announce(self, gid: bytes) -> None:
-        topic, type_name, type_hash, qos = self._subject
+        topic, type_name, type_hash, qos = self._spec
         endpoint = Endpoint(f"/{self._context.ros.node_name}", type_name, type_hash, qos, gid)
         self._context.announcements.announce(topic, self._peer.name, endpoint, self._origin)
 
@@ -333,19 +347,19 @@ class _SourcePublisher:
 
 
 class SourcePublishers:
-    """A route's outputs, by the numbers of their sources.
+    """The publishers of a route, by the numbers of their sources.
 
     Attributes:
-        sinks: what messages are given to, likewise.
+        sinks: get the messages; in the same order.
     """
 
     def __init__(self, context: Context, peer: Peer, failed: Callable[[Exception], None]) -> None:
-        """There are none yet.
+        """Begin without publishers.
 
         Args:
-            context: what every part of the engine shares.
-            peer: whose messages are published.
-            failed: told of what goes wrong with a message later than it is published.
+            context: shared by all parts of the engine.
+            peer: sends the messages.
+            failed: called if publishing fails after `publish` has returned.
         """
         self._context = context
         self._peer = peer
@@ -357,22 +371,22 @@ class SourcePublishers:
     def __len__(self) -> int:
         return len(self._outputs)
 
-    def make(self, subject: PublicationSpec, sources: Sequence[Source]) -> None:
-        """Have an output for each source, or for the first so many; those that are there have this subject.
+    def make(self, spec: PublicationSpec, sources: Sequence[Source]) -> None:
+        """Have a publisher for each source, or for the first ones if there can't be more. Present ones have this spec.
 
         Raises:
-            RosError: not even the first can be, or the link has too many types.
-            LatchedFullError: likewise.
+            RosError: there can't be a publisher for the first source, or the link has too many types.
+            LatchedFullError: the link's latched topics keep too much for the first source.
         """
         if not self._outputs:
-            self._type.begin(subject.type_name, subject.type_hash)
+            self._type.begin(spec.type_name, spec.type_hash)
         for number, source in enumerate(sources):
             origin = Origin(source.via, source.live)
             try:
                 if number < len(self._outputs):
                     self._outputs[number].set_origin(origin)
                 else:
-                    self._add(subject, origin)
+                    self._add(spec, origin)
             except (RosError, LatchedFullError):
                 self.close(number)  # messages of what cannot be announced could go round
                 if number == 0:
@@ -380,7 +394,7 @@ class SourcePublishers:
                 return
 
     def renumber(self, sources: Sequence[Source]) -> None:
-        """A new opening numbers sources anew: outputs go on with the one whose messages they keep, or are closed."""
+        """Take the source numbers of a new opening: publishers stay with their source, or are closed."""
         count = 0
         for source in sources:
             rest = range(count, len(self._outputs))
@@ -392,12 +406,12 @@ class SourcePublishers:
             count += 1
         self.close(count)
 
-    def _add(self, subject: PublicationSpec, origin: Origin) -> None:
+    def _add(self, spec: PublicationSpec, origin: Origin) -> None:
         further = len(self._outputs) > 0
         if further and not self._peer.budget.further_publishers.take(1):
             raise RosError("this link has too many publishers")
         try:
-            output = _SourcePublisher(self._context, self._peer, subject, origin, self._failed)
+            output = _SourcePublisher(self._context, self._peer, spec, origin, self._failed)
         except (RosError, LatchedFullError):
             if further:
                 self._peer.budget.further_publishers.give(1)
@@ -411,7 +425,7 @@ class SourcePublishers:
         return max((sink.subscriber_count for sink in self.sinks), default=0)
 
     def close(self, first: int = 0) -> None:
-        """Close the outputs from that number on."""
+        """Close the publishers from the number `first` on."""
         while len(self._outputs) > first:
             self.sinks.pop()
             self._outputs.pop().sink.close()
@@ -426,7 +440,7 @@ class SourcePublishers:
         return [sink for sink in self.sinks if isinstance(sink, LatchedTopic)]
 
     def opened(self) -> dict[bytes, int]:
-        """A new opening begins; the number of the newest message of each publisher of the sending side."""
+        """Begin a new opening; return the number of the newest message of each publisher on the sending side."""
         newest: dict[bytes, int] = {}
         for topic in self._latched():
             topic.opened()
@@ -439,7 +453,7 @@ class SourcePublishers:
         return any(topic.has_kept for topic in self._latched())
 
     def present(self, publishers: Collection[bytes]) -> None:
-        """The sending side tells which of its publishers are there."""
+        """Take the publishers that the sending side has now."""
         for topic in self._latched():
             topic.present(publishers)
 

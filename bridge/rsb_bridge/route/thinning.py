@@ -1,8 +1,8 @@
-"""What a topic leaves to others of its link with a higher priority, while the link carries less than is asked for.
+"""Rate limits, and how topics make room for topics of a higher priority while their link is full.
 
-A best-effort topic is thinned: messages are left out evenly before they are packed, so that those that cross are fresh.
-So is one whose entry says ``priority: low``, whatever its QoS: somebody wants it to go first. Any other reliable or
-latched topic is held back: its messages wait in its queue, in order, and what that does not hold is dropped as ever.
+A best-effort topic is thinned: messages are left out evenly before they are packed, so that the others arrive fresh. A
+topic with ``priority: low`` is thinned, too, with any QoS. All other reliable or latched topics are held back: messages
+wait in the queue, in order, and the queue drops the oldest ones once it is full.
 """
 
 from __future__ import annotations
@@ -26,13 +26,13 @@ if TYPE_CHECKING:
 
 _MOST_PUBLISHERS = 4096
 THINNED = "thinned"
-"""The ledger's cause."""
+"""Cause in the ledger."""
 SLOWEST = 0.1
-"""Hz: a topic is never thinned below that, so that it does not seem to have stopped."""
+"""Lowest rate (Hz) to which a topic is thinned, so that it does not seem to have stopped."""
 PER_MESSAGE = 60
-"""Bytes that a message takes on the wire beside its content, about: header, seal and its part of the packets'."""
+"""Bytes on the wire in addition to a message's content: header, seal, and a part of the packets' headers."""
 _SHOWN = 5.0
-"""s that a topic counts as thinned after the last message that was left out."""
+"""Seconds for which a topic counts as thinned after a message was left out."""
 _LESS = 0.95
 """A topic is thinned if less than this share of its demand crosses; smaller differences do not show."""
 _FADES = 0.8
@@ -40,12 +40,10 @@ _FADES = 0.8
 
 
 class Throttle:
-    """Leaves messages out, so that a topic keeps to its highest rate.
-
-    Publishers may be told apart: then each has that rate to itself.
+    """Leaves out messages, so that a topic keeps to its highest rate, or each of its publishers does.
 
     Args:
-        rate: messages a second; 0: all pass.
+        rate: messages a second, or 0 for any number.
     """
 
     def __init__(self, rate: float) -> None:
@@ -58,8 +56,13 @@ class Throttle:
         self._due.clear()
 
     def adjust(self, rate: float) -> None:
-        """As `limit`, without a new beat: no message passes for the change alone."""
+        """Change the rate, but keep the beat: no message passes only because of the change."""
         self._interval = int(1e9 / rate) if rate else 0
+
+    @property
+    def is_on(self) -> bool:
+        """Whether there is a highest rate."""
+        return self._interval > 0
 
     def passes(self, stamp: int, publisher: bytes = b"") -> bool:
         """Whether a message passes that was received at `stamp` (ns)."""
@@ -85,7 +88,7 @@ class Throttle:
 class LatestLater:
     """A throttle for a latched topic: of the messages that come too fast, the last one passes later.
 
-    A late joiner gets what was published last, so that must not be left out for good, however long nothing follows it.
+    Late joiners get the message that was published last, so it must pass, even if no other one follows it.
     """
 
     def __init__(
@@ -101,7 +104,7 @@ class LatestLater:
             loop: the I/O loop.
             throttle: decides.
             send: gets the messages that pass later.
-            paused: whether nothing may pass now; then `resume` lets what is due pass.
+            paused: whether no message may pass now; `resume` then sends the messages that are due.
         """
         self._loop = loop
         self._throttle = throttle
@@ -111,10 +114,10 @@ class LatestLater:
         self._timers: dict[bytes, asyncio.TimerHandle] = {}
 
     def admit(self, samples: Sequence[Sample]) -> tuple[list[Sample], int]:
-        """Take messages, oldest first. A history is never throttled: it is what late joiners get.
+        """Take messages, oldest first. A history is never throttled, because late joiners get it.
 
         Returns:
-            Those that pass now, and how many are left out because a newer one of their publisher has come.
+            The messages that pass now, and the number of messages that newer ones of their publishers replace.
         """
         admitted: list[Sample] = []
         left_out = 0
@@ -133,12 +136,12 @@ class LatestLater:
         return admitted, left_out
 
     def resume(self) -> None:
-        """Let pass what has become due meanwhile."""
+        """Send the messages that have become due."""
         for publisher in self._waiting.keys() - self._timers.keys():
             self._pass(publisher)
 
     def clear(self) -> int:
-        """Let nothing pass any more; how many waited."""
+        """Drop the waiting messages, and return their number."""
         return sum(self._forget(publisher) for publisher in tuple(self._waiting))
 
     def _forget(self, publisher: bytes) -> int:
@@ -159,13 +162,13 @@ class LatestLater:
 
 
 class Share(NamedTuple):
-    """What a topic has of its link for now.
+    """The share of a link that a topic has now.
 
     Attributes:
-        bytes_per_second: its part.
-        carried: what the link carries, in bytes/s.
-        asked: what all its topics want together, likewise.
-        first: a topic that goes first.
+        bytes_per_second: of the topic.
+        carried: bytes/s that the link carries.
+        asked: bytes/s that all topics of the link want to send.
+        first: a topic with a higher priority.
     """
 
     bytes_per_second: float
@@ -175,14 +178,14 @@ class Share(NamedTuple):
 
 
 class ThinningShare(NamedTuple):
-    """What an operator is told of a topic that yields.
+    """The figures of a topic that is thinned or held back, for an operator.
 
     Attributes:
-        share: what it has.
+        share: of the link.
         rate: Hz that cross.
         wanted: Hz that are published, within the topic's own limit.
-        thins: messages are left out; False: they wait.
-        since: s, when it began.
+        thins: whether messages are left out, instead of waiting.
+        since: time (s) when it began.
     """
 
     share: Share
@@ -193,12 +196,12 @@ class ThinningShare(NamedTuple):
 
 
 class Traffic(NamedTuple):
-    """What one topic has sent since the last look.
+    """The traffic of one topic since the last look.
 
     Attributes:
         bytes_per_second: that it wants to send.
-        size: bytes of its messages, on average.
-        busy: s for which its channel has not been idle; 0: it is.
+        size: bytes of an average message on the wire.
+        busy: s for which its channel has been busy, or 0 if it is idle.
     """
 
     bytes_per_second: float
@@ -210,36 +213,42 @@ _IDLE = Traffic(0.0, 0.0, 0.0)
 
 
 class Thinning:
-    """One sending half's.
+    """The thinning of one sending half.
 
     Attributes:
-        share: what it has of its link; None: as much as it likes.
+        share: of the link, or None without a limit.
+        thins: whether messages are left out.
+        holds: whether messages wait for the topic's share of the link.
+        offered: messages that the topic wanted to send since the last look, within its own rate limit.
+        busy_since: time (s) from which on the channel had more to send than it took, or None if it has not.
+        changed: called when `thins` may have changed.
     """
 
     def __init__(self, now: float) -> None:
         self.share: Share | None = None
-        self._thins = True
+        self.thins = self.holds = False
+        self.offered = 0
+        self.busy_since: float | None = None
+        self.changed: Callable[[], object] = bool
         self._throttle = Throttle(0.0)
         self._rate = 0.0
-        self._offered = 0
         self._messages, self._bytes, self._before = 0.0, 0.0, 0.0  # packed lately, and until the last look
         self._gone = 0  # messages that were sent while the topic is held back, since the last look
         self._size = 0.0
         self._wanted = Smoothed(now)
         self._crossed = Smoothed(now)
-        self._busy_since: float | None = None
         self._next_at = 0.0
         self._thinned_at = self._since = float("-inf")
         self._now = now
 
-    # --- what the link says
+    # --- the share of the link
 
     def told(self, share: Share | None, *, low: bool, qos: Qos | None, now: float) -> None:
-        """Take a share, at `now` (s); None: there is enough for all.
+        """Take a share at `now` (s).
 
         Args:
-            share: of the link.
-            low: the topic's entry says that it goes first.
+            share: of the link, or None if the link carries all topics.
+            low: whether the topic has the priority low.
             qos: of the topic.
             now: s.
         """
@@ -247,59 +256,52 @@ class Thinning:
             return
         before, self.share = self.share, share
         if share is None:
+            self.thins = self.holds = False
             self._rate = self._next_at = 0.0
             self._throttle.adjust(0.0)
+            self.changed()
             return
         if before is not None:  # the last message takes as long as it would have with this share
             left = self.wait(now) * max(1.0, before.bytes_per_second)
             self._next_at = now + left / max(1.0, share.bytes_per_second)
         latched = qos is not None and qos.latched
-        self._thins = not latched and (low or qos is None or qos.reliability == "best_effort")
-        rate = max(SLOWEST, share.bytes_per_second / max(1.0, self._size)) if self._thins else 0.0
-        self._rate = rate
-        self._throttle.adjust(rate)
-        if not self._thins and share.bytes_per_second < self._wanted.rate * self._size:
+        self.thins = not latched and (low or qos is None or qos.reliability == "best_effort")
+        self.holds = not self.thins
+        self._rate = max(SLOWEST, share.bytes_per_second / max(1.0, self._size)) if self.thins else 0.0
+        self._throttle.adjust(self._rate)
+        self.changed()
+        if self.holds and share.bytes_per_second < self._wanted.rate * self._size:
             self._mark(now)
 
     def look(self, now: float) -> Traffic:
-        """Once a second: what it wants."""
-        if not self._offered and self._wanted.idle(now) and self._crossed.idle(now):
+        """Return the traffic since the last call. Called once a second."""
+        if not self.offered and self._wanted.idle(now) and self._crossed.idle(now):
             return _IDLE
         if self._messages:
             self._size = PER_MESSAGE + self._bytes / self._messages
-        self._wanted.add(self._offered, now)
+        self._wanted.add(self.offered, now)
         self._crossed.add(self._gone if self.holds else self._messages - self._before, now)
         self._messages *= _FADES
         self._bytes *= _FADES
         self._before = self._messages
-        self._offered = self._gone = 0
+        self.offered = self._gone = 0
         self._now = now
-        busy = 0.0 if self._busy_since is None else now - self._busy_since
+        busy = 0.0 if self.busy_since is None else now - self.busy_since
         return Traffic(self._wanted.rate * self._size, self._size, busy)
 
     # --- messages
 
     def keep(self, batch: Sequence[RawMessage], now: float) -> Sequence[RawMessage]:
-        """Those of some messages of a volatile topic that go, oldest first, at `now` (s)."""
-        self._offered += len(batch)
-        if not self._rate or not self._thins:
-            return batch
+        """Return the messages of a thinned topic that are sent, at `now` (s), and count the others as offered."""
         passes = self._throttle.passes
         kept = [message for message in batch if passes(message.stamp)]
         if len(kept) < len(batch):
+            self.offered += len(batch) - len(kept)
             self._mark(now)
         return kept
 
-    def latched(self, messages: int) -> None:
-        """So many messages of a latched topic go, which never are thinned."""
-        self._offered += messages
-
-    def left_out(self, messages: int) -> None:
-        """Count so many messages less: the transport does not carry them."""
-        self._offered -= messages
-
     def packed(self, messages: int, size: int) -> None:
-        """So many messages go, of so many bytes together."""
+        """Count messages that are sent, of `size` bytes together."""
         self._messages += messages
         self._bytes += size
 
@@ -310,49 +312,44 @@ class Thinning:
 
     # --- being held back
 
-    @property
-    def holds(self) -> bool:
-        """Whether messages have to wait for their part of the link."""
-        return self.share is not None and not self._thins
-
     def wait(self, now: float) -> float:
-        """S until the next message may go, at `now` (s); 0: at once."""
+        """Return the seconds until the next message may be sent at `now` (s)."""
         return max(0.0, self._next_at - now) if self.holds else 0.0
 
     def over(self, channel: SendingChannel, now: float) -> SendingChannel:
-        """The channel, which takes no more than the share while messages are held back."""
+        """Return the channel, or one that takes no more than the share while messages are held back."""
         return _Held(self, channel, now) if self.holds else channel
 
     def sent(self, size: int, now: float) -> None:
-        """Bytes of a topic that is held back go, at `now` (s)."""
+        """Count bytes that a topic sends at `now` (s) although it is held back."""
         assert self.share is not None
         self._gone += 1
         self._next_at = max(self._next_at, now) + size / max(1.0, self.share.bytes_per_second)
 
     def busy(self, busy: bool, now: float) -> None:
-        """Note whether the channel has more to send than it takes, at `now` (s)."""
+        """Note whether the channel has more to send than it takes at `now` (s)."""
         if not busy:
-            self._busy_since = None
-        elif self._busy_since is None:
-            self._busy_since = now
+            self.busy_since = None
+        elif self.busy_since is None:
+            self.busy_since = now
 
-    # --- what is made of it
+    # --- for operators
 
     def limit(self, rate: float) -> float:
-        """The lower one of the topic's own limit and what it is thinned to, in Hz; 0: none."""
+        """Return the lower one of the topic's own limit and the rate it is thinned to (Hz), or 0 for no limit."""
         return min(filter(None, (rate, self._rate)), default=0.0)
 
     def shown(self) -> ThinningShare | None:
-        """What to tell an operator; None: nothing."""
+        """Return the figures to show, or None if messages cross as fast as they are published."""
         if self.share is None or self._now - self._thinned_at > _SHOWN:
             return None
         if self._crossed.rate >= _LESS * self._wanted.rate:
             return None  # it has just recovered
-        return ThinningShare(self.share, self._crossed.rate, self._wanted.rate, self._thins, self._since)
+        return ThinningShare(self.share, self._crossed.rate, self._wanted.rate, self.thins, self._since)
 
 
 def verdict_of(thinned: ThinningShare) -> Verdict:
-    """What an operator is told."""
+    """Return the verdict on a topic that is thinned or held back."""
     link = why(thinned)
     if thinned.thins:
         text = f"thinned to {_hertz(thinned)}: {link}"
@@ -365,7 +362,7 @@ def verdict_of(thinned: ThinningShare) -> Verdict:
 
 
 def why(thinned: ThinningShare) -> str:
-    """Why it yields."""
+    """Return the reason for the thinning, for an operator."""
     share = thinned.share
     return f"the link carries {rates_text(share.carried, share.asked)}, and {share.first} goes first"
 

@@ -1,8 +1,8 @@
-"""One topic in one direction over one link: what its sending and its receiving half share."""
+"""One topic in one direction over one link: the base of its sending and its receiving half."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Generic, TypeVar
 
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.snapshot import Level, State
@@ -17,6 +17,7 @@ from rsb_bridge.telemetry.meters import LatencyMeter, StaleWatch
 if TYPE_CHECKING:
     from collections.abc import Callable
 
+    from rsb_bridge.channel.channel import DataChannel
     from rsb_bridge.context import Context
     from rsb_bridge.model.qos import Qos
     from rsb_bridge.model.session import Session, Topic
@@ -26,6 +27,7 @@ if TYPE_CHECKING:
     from rsb_bridge.wire.messages import Propose
     from rsb_bridge.wire.records import ReceivedReport, SentReport
 
+ChannelT = TypeVar("ChannelT", bound="DataChannel")
 _EXPLAINS = frozenset(
     {
         Cause.NO_PATH,
@@ -75,7 +77,7 @@ class Silence:
         self._watch.times = session.stale_warnings
 
     def rearm(self, now: float) -> None:
-        """Begin anew: no message was due before `now` (s)."""
+        """Begin again: no message was due before `now` (s)."""
         self._watch.rearm(now)
         self._warned = False
 
@@ -91,11 +93,14 @@ class Silence:
             self._warned = True
             text = f"nothing for {self._watch.after * number:g} s (warning {number} of {self._watch.times})"
             if number == self._watch.times:
-                text += "; no more will be said until data returns"
+                text += "; no further warnings until data returns"
             self._log(Level.WARNING, EventCode.ROUTE_STALE, text)
 
     def seen(self, now: float) -> None:
-        """A message came at `now` (s)."""
+        """Note a message that came at `now` (s)."""
+        if not self._watch.warned:
+            self._watch.quiet_since = now
+            return
         quiet = self._watch.seen(now)
         if quiet is not None and self._warned:
             self._log(Level.INFO, EventCode.ROUTE_DATA_AGAIN, f"reinitialized: data again after {quiet:.0f} s")
@@ -103,7 +108,7 @@ class Silence:
 
     @property
     def quiet_since(self) -> float:
-        """s, when the last message came, or when counting began anew."""
+        """Time (s) of the last message, or when counting began again."""
         return self._watch.quiet_since
 
     def stale_since(self, now: float) -> float | None:
@@ -111,17 +116,19 @@ class Silence:
         return self._watch.quiet_since if self._watch.stale(now) else None
 
 
-class TopicRoute(Route):
+class TopicRoute(Route, Generic[ChannelT]):
     """A topic's half on this side.
 
     Attributes:
-        qos: of the bridge's endpoints on both sides; None: not known yet.
+        qos: of the bridge's endpoints on both sides, or None if unknown.
         latency: of its messages, one way.
         silence: warns of a silent topic.
         peek_slot: takes the next message for operators who look at the topic.
         lateness: watches for messages that take too long.
         thinning: its sending half's share of the link.
     """
+
+    channel: ChannelT | None
 
     def __init__(self, context: Context, peer: Owner, spec: Topic, proposal: Propose, *, proposed_here: bool) -> None:
         super().__init__(context, peer, spec, proposal, proposed_here=proposed_here)
@@ -139,15 +146,15 @@ class TopicRoute(Route):
     # --- what the halves do differently
 
     def ledger(self) -> Ledger:
-        """Where the messages went."""
+        """Return the ledger: the number of messages by their fate."""
         raise NotImplementedError
 
     def end_qos(self) -> tuple[Qos | None, Qos | None]:
-        """What the publishers at the beginning offer, and what the subscriptions at the end ask for."""
+        """Return the QoS that the original publishers offer, and the QoS that the final subscriptions request."""
         raise NotImplementedError
 
     def end_nodes(self) -> tuple[tuple[str, ...], tuple[str, ...]]:
-        """The nodes that publish the topic at the beginning, and those that subscribe to it at the end."""
+        """Return the nodes of the original publishers, and the nodes of the final subscriptions."""
         raise NotImplementedError
 
     # --- what is the same for both
@@ -159,7 +166,7 @@ class TopicRoute(Route):
         self._full_at = None
 
     def amend(self, spec: Topic, proposal: Propose) -> None:
-        """Go on with other limits; counts, endpoints and what is under way stay."""
+        """Change the limits; counts, endpoints and messages in flight stay."""
         super().amend(spec, proposal)
         self.set_stale_after()
 
@@ -220,7 +227,7 @@ class TopicRoute(Route):
         raise NotImplementedError
 
     def tick(self) -> None:
-        """Once a second: histories, stale warnings, and what has turned for the worse."""
+        """Update histories, stale warnings and the verdict. Called once a second."""
         self.latency.tick()
         self._tick_lateness(self.context.now())
         self.age.tick(self._came_here, self.context.now())
@@ -234,15 +241,18 @@ class TopicRoute(Route):
         self.silence.tick(self.context.now(), due=shown.state in (State.STALE, State.STOPPED), cause=shown.cause)
 
     def _profile_rate(self) -> float:
-        """Hz that the link's profile allows a topic that says nothing of it, and may lose messages; 0: any."""
+        """Return the link profile's limit (Hz) if this topic has none and may lose messages, else 0."""
         if not self.outgoing or self.qos is None or self.qos.reliability != "best_effort" or self.proposal.max_rate:
             return 0.0
         return self.peer.profile.max_rate or 0.0
 
     def count(self, messages: int, size: int) -> None:
-        """Note that messages passed."""
-        super().count(messages, size)
-        self.silence.seen(self.context.now())
+        """Count messages that pass, of `size` bytes together."""
+        now = self.context.now()
+        if self.notices.last_error:
+            self.notices.flowing()
+        self.meter.add(messages, size, now)
+        self.silence.seen(now)
 
     @property
     def is_latched(self) -> bool:
@@ -274,7 +284,7 @@ class TopicRoute(Route):
         return self.silence.own or (self.meter.regular and not self.is_latched)
 
     def facts(self) -> Facts:
-        """What this half knows; each adds its own."""
+        """Return the facts that both halves know; each half adds its own."""
         known = self.life.described
         return Facts(
             **self.standing()._asdict(),

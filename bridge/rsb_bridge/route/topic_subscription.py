@@ -1,8 +1,9 @@
-"""Taking a topic's messages from ROS, for a route that sends them."""
+"""The subscription of a route that sends: its depth, its failures, and the histories of a latched topic."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple, Protocol
+from functools import partial
+from typing import TYPE_CHECKING, NamedTuple
 
 import msgspec
 
@@ -21,51 +22,20 @@ if TYPE_CHECKING:
     from rsb_bridge.context import Context
     from rsb_bridge.model.qos import Qos
     from rsb_bridge.ros.ros_interface import OnFailure, RawMessage, Subscription
-    from rsb_bridge.ros.ros_thread import Receiver
-    from rsb_bridge.route.history_depth import Sample
     from rsb_bridge.route.lease import Lease
+    from rsb_bridge.route.sending import OutgoingPath
     from rsb_bridge.telemetry.meters import RateMeter
 
 
-class TopicSubscriptionOwner(Protocol):
-    """Who the messages are taken for.
-
-    Attributes:
-        meter: how many there were so far.
-    """
-
-    meter: RateMeter
-
-    def admit(self, batch: Sequence[RawMessage]) -> Sequence[RawMessage]:
-        """The messages to take now; of the others, some may come later, by `TopicSubscription.take`."""
-        ...
-
-    def offer(self, batch: Sequence[RawMessage]) -> None:
-        """Take messages of a volatile topic, oldest first."""
-        ...
-
-    def offer_latched(self, new: int, samples: Sequence[Sample]) -> None:
-        """Take messages of a latched topic, of which `new` are new; of those that wait, some may come now."""
-        ...
-
-    def too_late(self, messages: int) -> None:
-        """So many messages have come after the end of their opening."""
-        ...
-
-    def log_intake(self, level: Level, code: EventCode, text: str) -> None:
-        """Add an event about the subscription."""
-        ...
-
-
 class SubscriptionSpec(NamedTuple):
-    """What is subscribed to.
+    """A topic to subscribe to.
 
     Attributes:
         topic: its name.
         type_name: of its type.
         type_hash: of its type.
         qos: as its publishers offer, or as an operator wants it.
-        origin: what this node publishes under the same origin is left out.
+        origin: messages that this node publishes under the same origin are left out.
     """
 
     topic: str
@@ -76,49 +46,57 @@ class SubscriptionSpec(NamedTuple):
 
 
 class TopicSubscription:
-    """A route's subscription, for one opening.
+    """A route's subscription, for one opening. It hands all messages to `OutgoingPath`, on the I/O loop.
 
     With ``qos: auto`` the depth on a volatile topic follows the topic's rate. On a latched topic messages come with
     what their publishers keep for late joiners, and none that the peer has.
+
+    Attributes:
+        histories: of a latched topic's publishers, or None for a volatile topic.
     """
 
     def __init__(
         self,
         context: Context,
-        owner: TopicSubscriptionOwner,
-        subject: SubscriptionSpec,
+        spec: SubscriptionSpec,
+        path: OutgoingPath,
+        meter: RateMeter,
+        log: Callable[[Level, EventCode, str], None],
         *,
         automatic: bool,
         expected_rate: float | None,
         known: Mapping[bytes, int],
         marks: Callable[[], Lease | None] = lambda: None,
     ) -> None:
-        """Have nothing subscribed yet.
+        """Subscribe to nothing yet.
 
         Args:
-            context: what every part of the engine shares.
-            owner: gets the messages, on the I/O loop.
-            subject: what to subscribe to.
-            automatic: whether depths are chosen here; False: they are as in the QoS.
-            expected_rate: Hz, as an operator gave it; 0 or None: not given.
-            known: of a latched topic's publishers, the number of the newest message that the peer has.
-            marks: gives the lease that messages are marked with, or None if they need not be.
+            context: shared by all parts of the engine.
+            spec: of the topic.
+            path: gets the messages; after `close` it drops messages that are still in the ROS queue.
+            meter: of the topic's messages so far.
+            log: adds an event about the subscription.
+            automatic: whether depths are chosen here instead of by the QoS.
+            expected_rate: Hz, as an operator gave it; 0 or None if not given.
+            known: for each publisher of a latched topic, the number of the newest message that the peer has.
+            marks: gives the lease that messages are marked with, or None if they are not marked.
         """
+        self.histories: Histories | None = None
         self._context = context
-        self._owner = owner
-        self._subject = subject
+        self._spec = spec
+        self._meter = meter
+        self._log = log
         self._automatic = automatic
         self._expected_rate = expected_rate
         self._marks = marks
+        self._too_late = path.too_late
+        self._receiver = _Receiver(path.offer)
         self._subscription: LastingSubscription | None = None
-        self._histories: Histories | None = None
-        if subject.qos.latched:
-            self._histories = Histories(
-                context.loop, self._probe, self._emit, depth=0 if automatic else _kept(subject.qos), known=known
-            )
+        if spec.qos.latched:
+            depth = 0 if automatic else _kept(spec.qos)
+            self.histories = Histories(context.loop, self._probe, path.emit, depth=depth, known=known)
         self._depth = 0
         self._lost_before = self._lost_seen = 0
-        self._closed = False
 
     # --- the subscription
 
@@ -138,14 +116,10 @@ class TopicSubscription:
             self._subscription = None
 
     def close(self) -> int:
-        """Take no more messages, and give out none that waits.
-
-        Returns:
-            How many waited.
-        """
+        """Take no more messages, drop the messages that the histories hold, and return their number."""
         self.unsubscribe()
-        self._closed = True
-        return self._histories.close() if self._histories is not None else 0
+        self._receiver.offer = self._too_late  # they may be older than what arms the next opening
+        return self.histories.close() if self.histories is not None else 0
 
     @property
     def active(self) -> bool:
@@ -154,7 +128,7 @@ class TopicSubscription:
 
     @property
     def failure(self) -> str:
-        """Why no messages are taken now, as an operator reads it; empty: there was no failure."""
+        """The reason why no messages are taken now, for an operator, or an empty string."""
         return self._subscription.failure if self._subscription is not None else ""
 
     @property
@@ -163,23 +137,23 @@ class TopicSubscription:
         return self._lost_before + (self._subscription.lost if self._subscription is not None else 0)
 
     def tick(self) -> None:
-        """Once a second: subscribe anew, where DDS has lost messages that a deeper history would have kept."""
+        """Subscribe again if DDS has lost messages that a deeper history would have kept. Called once a second."""
         if self._subscription is None or self.lost == self._lost_seen:
             return
         self._lost_seen = self.lost
         before, depth = self._depth, self._qos().depth
         if depth >= 2 * before:
             text = f"DDS lost messages: the subscription gets a depth of {depth:,} instead of {before:,}"
-            self._owner.log_intake(Level.INFO, EventCode.ROUTE_DEEPENED, text)
+            self._log(Level.INFO, EventCode.ROUTE_DEEPENED, text)
             self._subscription.reopen()
 
     def look(self, publishers: Collection[bytes]) -> None:
         """Note which publishers the graph has, by their ids."""
-        if self._histories is not None:
-            self._histories.look(publishers)
+        if self.histories is not None:
+            self.histories.look(publishers)
 
     def _qos(self) -> Qos:
-        qos, meter = self._subject.qos, self._owner.meter
+        qos, meter = self._spec.qos, self._meter
         if qos.latched:
             return msgspec.structs.replace(qos, history="keep_all")  # each publisher keeps what it keeps
         if not self._automatic:
@@ -188,69 +162,44 @@ class TopicSubscription:
         return msgspec.structs.replace(qos, depth=auto_depth(rate, meter.bytes / meter.count if meter.count else 0.0))
 
     def _subscribe(self, on_failure: OnFailure | None) -> Subscription:
-        if self._histories is not None:
-            self._histories.resubscribed()
-        return self._subscribe_for(self, on_failure)
+        if self.histories is not None:
+            self.histories.resubscribed()
+        return self._subscribe_for(self._receiver, on_failure)
 
-    def _subscribe_for(self, receiver: Receiver[RawMessage], on_failure: OnFailure | None) -> Subscription:
-        subject, qos = self._subject, self._qos()
+    def _subscribe_for(self, receiver: _Receiver, on_failure: OnFailure | None) -> Subscription:
+        spec, qos = self._spec, self._qos()
         self._depth = qos.depth
-        context, lease = self._context, self._marks()
+        put = partial(self._context.ros_queue.put, receiver)
+        sink: Callable[[Sequence[RawMessage]], None] = put
+        if (lease := self._marks()) is not None:
+            marked = Marker(lease, self._context.ros.turns, BATCH).marked
 
-        def put(batch: Sequence[RawMessage]) -> None:
-            context.ros_queue.put(receiver, batch)
+            def put_marked(batch: Sequence[RawMessage]) -> None:
+                put(marked(batch))
 
-        def put_marked(batch: Sequence[RawMessage]) -> None:
-            put(marker.marked(batch))
-
-        sink = put
-        if lease is not None:
-            marker, sink = Marker(lease, context.ros.turns, BATCH), put_marked
+            sink = put_marked
         return self._context.ros.subscribe(
-            subject.topic,
-            subject.type_name,
-            subject.type_hash,
-            qos,
-            sink,
-            subject.origin,
-            on_failure,
+            spec.topic, spec.type_name, spec.type_hash, qos, sink, spec.origin, on_failure
         )
 
     def _changed(self) -> None:
         if self.failure:
-            self._owner.log_intake(Level.ERROR, EventCode.ROUTE_SUBSCRIBE_FAILED, self.failure)
+            self._log(Level.ERROR, EventCode.ROUTE_SUBSCRIBE_FAILED, self.failure)
         else:
-            text = f"subscribed again ({self._subject.type_name})"
-            self._owner.log_intake(Level.INFO, EventCode.ROUTE_CONNECTED, text)
-
-    # --- messages, on the I/O loop
-
-    def offer(self, batch: Sequence[RawMessage]) -> None:
-        """Take messages from ROS, oldest first."""
-        if self._closed:  # they were on their way here, and may be older than what arms the next opening
-            self._owner.too_late(len(batch))
-        else:
-            self.take(self._owner.admit(batch))
-
-    def take(self, batch: Sequence[RawMessage]) -> None:
-        """Take messages that have been admitted."""
-        if self._histories is None:
-            self._owner.offer(batch)
-        else:
-            self._owner.offer_latched(self._histories.take(batch), ())
-
-    def _emit(self, samples: Sequence[Sample]) -> None:
-        self._owner.offer_latched(0, samples)
+            text = f"subscribed again ({self._spec.type_name})"
+            self._log(Level.INFO, EventCode.ROUTE_CONNECTED, text)
 
     def _probe(self, take: Callable[[Sequence[RawMessage]], None]) -> Subscription:
         if self._subscription is None:
-            raise RosError(f"{self._subject.topic} is not subscribed to")
+            raise RosError(f"{self._spec.topic} is not subscribed to")
         return self._subscribe_for(_Receiver(take), None)
 
 
 class _Receiver:
-    def __init__(self, take: Callable[[Sequence[RawMessage]], None]) -> None:
-        self.offer = take
+    """A receiver of the ROS queue that may change the function that gets the messages."""
+
+    def __init__(self, offer: Callable[[Sequence[RawMessage]], None]) -> None:
+        self.offer = offer
 
 
 def _kept(qos: Qos) -> int:

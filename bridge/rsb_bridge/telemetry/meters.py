@@ -315,43 +315,43 @@ class ClockOffset:
 
 
 class StaleWatch:
-    """The thesis's stale warning: after every `after` s without a message, `times` times, then silence."""
+    """The thesis's stale warning: after every `after` s without a message, `times` times, then silence.
 
-    __slots__ = ("_quiet_since", "after", "times", "warned")
+    Attributes:
+        warned: warnings since the last message.
+        quiet_since: time (s) of the last message, or when counting began again.
+    """
+
+    __slots__ = ("after", "quiet_since", "times", "warned")
 
     def __init__(self, after: float, times: int, now: float) -> None:
         self.after = after
         self.times = times
         self.warned = 0
-        self._quiet_since = now
+        self.quiet_since = now
 
     def seen(self, now: float) -> float | None:
         """A message came at `now`. Returns how long (s) it had been quiet if that had been warned of, else None."""
-        quiet = now - self._quiet_since if self.warned else None
+        quiet = now - self.quiet_since if self.warned else None
         self.warned = 0
-        self._quiet_since = now
+        self.quiet_since = now
         return quiet
 
     def rearm(self, now: float) -> None:
         """Start counting anew: a route that was just opened or resumed is not late yet."""
         self.warned = 0
-        self._quiet_since = now
+        self.quiet_since = now
 
     def check(self, now: float) -> int:
         """The number of the warning that is due at `now`; 0: none is."""
-        if self.after and self.warned < self.times and now - self._quiet_since >= self.after * (self.warned + 1):
+        if self.after and self.warned < self.times and now - self.quiet_since >= self.after * (self.warned + 1):
             self.warned += 1
             return self.warned
         return 0
 
-    @property
-    def quiet_since(self) -> float:
-        """s, when the last message came, or when counting began anew."""
-        return self._quiet_since
-
     def stale(self, now: float) -> bool:
         """Whether it has been quiet for too long."""
-        return bool(self.after) and now - self._quiet_since >= self.after
+        return bool(self.after) and now - self.quiet_since >= self.after
 
 
 class UsualRate:

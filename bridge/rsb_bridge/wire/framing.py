@@ -348,8 +348,12 @@ class DataReader:
             ProtocolError: the format is broken, or the budget is spent.
             SealError: a seal is invalid.
         """
-        open_frame = self.open_frame
-        return [message for frame in self._frames.feed(data) if (message := open_frame(frame)) is not None]
+        open_frame, messages = self.open_frame, list[Message]()
+        for frame in self._frames.feed(data):
+            message = open_frame(frame)
+            if message is not None:
+                messages.append(message)
+        return messages
 
     def open_frame(self, frame: Buffer) -> Message | None:
         """Open one data frame.

@@ -174,21 +174,19 @@ class Sealer(_StreamState):
         Returns:
             The sealed content, `Suite.tag_length` bytes longer.
         """
-        nonce = self._next()
-        return self._current.encrypt(nonce, content, associated)
+        sequence = self.sequence
+        self.sequence = sequence + 1  # used up, whatever happens
+        if sequence >> EPOCH_BITS != self._epoch:
+            self._enter_epoch(sequence >> EPOCH_BITS)
+        return self._current.encrypt(self._nonce(sequence), content, associated)
 
     def seal_into(self, content: Buffer, associated: Buffer, sealed: memoryview) -> None:
         """Seal as `seal`, into memory of exactly the sealed content's length."""
-        nonce = self._next()
-        self._current.encrypt_into(nonce, content, associated, sealed)
-
-    def _next(self) -> bytes:
-        """The nonce of the next sequence number, which is used up with that."""
         sequence = self.sequence
         self.sequence = sequence + 1
         if sequence >> EPOCH_BITS != self._epoch:
             self._enter_epoch(sequence >> EPOCH_BITS)
-        return self._nonce(sequence)
+        self._current.encrypt_into(self._nonce(sequence), content, associated, sealed)
 
 
 class StreamOpener(_StreamState):
@@ -204,28 +202,26 @@ class StreamOpener(_StreamState):
         Raises:
             SealError: the peer did not seal this next; the stream can't be used any more.
         """
-        nonce = self._nonce_now()
+        sequence = self.sequence
+        if sequence >> EPOCH_BITS != self._epoch:
+            self._enter_epoch(sequence >> EPOCH_BITS)
         try:
-            content = self._current.decrypt(nonce, sealed, associated)
+            content = self._current.decrypt(self._nonce(sequence), sealed, associated)
         except InvalidTag:
             raise self._forged() from None
-        self.sequence += 1
+        self.sequence = sequence + 1
         return content
 
     def open_into(self, sealed: Buffer, associated: Buffer, content: memoryview) -> None:
         """Open as `open`, into memory of exactly the content's length, which holds garbage after an error."""
-        nonce = self._nonce_now()
-        try:
-            self._current.decrypt_into(nonce, sealed, associated, content)
-        except InvalidTag:
-            raise self._forged() from None
-        self.sequence += 1
-
-    def _nonce_now(self) -> bytes:
         sequence = self.sequence
         if sequence >> EPOCH_BITS != self._epoch:
             self._enter_epoch(sequence >> EPOCH_BITS)
-        return self._nonce(sequence)
+        try:
+            self._current.decrypt_into(self._nonce(sequence), sealed, associated, content)
+        except InvalidTag:
+            raise self._forged() from None
+        self.sequence = sequence + 1
 
     def _forged(self) -> SealError:
         return SealError(InvalidSeal.FORGED(sequence=self.sequence))

@@ -1,0 +1,140 @@
+"""The path of outgoing messages: its steps are on it while they are on, and the ledger counts every message."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import pytest
+from tests.route.test_loop_filter import FIRST, World, world
+
+from rsb_bridge.model.qos import Qos
+from rsb_bridge.ros.ros_interface import RawMessage
+from rsb_bridge.route.lease import Lease
+from rsb_bridge.route.thinning import Share
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+__all__ = ["world"]
+BEST_EFFORT = Qos(reliability="best_effort")
+SECOND = 10**9
+
+
+def publish(world: World, count: int, rate: int = 100, size: int = 100) -> int:
+    """Publish messages at a rate (Hz), and return the number of those that were sent."""
+    before, now = len(world.sent), world.context.stamps.now()
+    for number in range(count):
+        world.route._path.offer([RawMessage(bytes(size), now + number * SECOND // rate, FIRST)])
+    return len(world.sent) - before
+
+
+def limited(world: World) -> None:
+    world.route.limit.set_max_rate(10.0)
+
+
+def unlimited(world: World) -> None:
+    world.route.limit.set_max_rate(0.0)
+
+
+def thinned(world: World) -> None:
+    world.route.thinning.look(1.0)
+    world.route.thinning.told(Share(1_000.0, 1e4, 1e5, "/first"), low=False, qos=BEST_EFFORT, now=0.0)
+
+
+def not_thinned(world: World) -> None:
+    world.route.thinning.told(None, low=False, qos=BEST_EFFORT, now=0.0)
+
+
+@pytest.mark.parametrize(
+    ("on", "off", "figure"), [(limited, unlimited, "throttled"), (thinned, not_thinned, "thinned")]
+)
+def test_a_step_is_on_the_path_while_it_is_on(
+    on: Callable[[World], None], off: Callable[[World], None], figure: str, world: World
+) -> None:
+    path, ledger = world.route._path, world.route._ledger
+    assert path._steps == ()
+    publish(world, 10)
+    on(world)
+    assert len(path._steps) == 1
+    sent = publish(world, 50)
+    assert 0 < sent < 10
+    left_out = ledger.throttled if figure == "throttled" else ledger.dropped[figure]
+    assert left_out == 50 - sent
+    off(world)
+    assert path._steps == ()
+    assert publish(world, 10) == 10
+    assert ledger.offered == 70 == ledger.sent_now + left_out
+
+
+def test_both_steps_count_what_each_leaves_out(world: World) -> None:
+    publish(world, 10)
+    limited(world)
+    thinned(world)
+    sent = publish(world, 100)
+    ledger = world.route._ledger
+    assert ledger.throttled == 90
+    assert ledger.dropped["thinned"] == 10 - sent
+    assert world.route.thinning.offered == 10  # a topic asks the link for no more than its own limit
+
+
+def test_a_demand_to_arm_holds_from_the_next_message_on(world: World) -> None:
+    """Whoever demands it, and whatever else happens."""
+    assert publish(world, 1) == 1
+    world.route.arming.demand(required=True, deadman=0.0)
+    assert publish(world, 3) == 0
+    assert world.route._ledger.dropped["disarmed"] == 3
+
+
+def test_a_limit_of_age_holds_from_the_next_message_on(world: World) -> None:
+    path, context, ledger = world.route._path, world.context, world.route._ledger
+    old = RawMessage(b"old", context.stamps.now() - SECOND, FIRST)
+    path.offer([old])
+    world.route.age.settle((0.5,), armed=False)
+    path.offer([old])
+    assert (ledger.offered, ledger.sent_now, ledger.expired) == (2, 1, 1)
+
+
+def test_age_is_asked_again_when_a_message_leaves_the_queue(world: World) -> None:
+    ledger = world.route._ledger
+    world.route.age.settle((0.5,), armed=False)
+    world.peer.channel.congested = True
+    assert publish(world, 2) == 0
+    world.wait(1.0)
+    world.peer.channel.congested = False
+    world.route.flush()
+    assert (ledger.offered, ledger.sent_now, ledger.expired) == (2, 0, 2)
+
+
+def test_what_comes_after_its_opening_is_lost_with_the_link(world: World) -> None:
+    """It may be older than what arms the next opening."""
+    subscription, ledger = world.route._subscription, world.route._ledger
+    assert subscription is not None
+    receiver = subscription._receiver
+    world.route.close("over")
+    receiver.offer([RawMessage(b"late", 0, FIRST)])
+    assert (ledger.offered, ledger.dropped["link lost"]) == (1, 1)
+    assert not world.sent
+
+
+def test_messages_that_the_transport_does_not_carry_ask_nothing_of_the_link(world: World) -> None:
+    path, ledger = world.route._path, world.route._ledger
+    path._outbox.largest = 50
+    path.offer([RawMessage(bytes(size), 1, FIRST) for size in (10, 60, 20, 70)])
+    assert world.sent == [bytes(10), bytes(20)]
+    assert (ledger.offered, ledger.dropped["too large"], world.route.thinning.offered) == (4, 2, 2)
+    path.offer([RawMessage(bytes(60), 1, FIRST)])
+    assert (ledger.offered, ledger.dropped["too large"], world.route.thinning.offered) == (5, 3, 2)
+
+
+def test_a_message_without_a_channel_is_lost(world: World) -> None:
+    world.route.channel = None
+    assert publish(world, 3) == 0
+    assert world.route._ledger.dropped["link lost"] == 3
+
+
+def test_nothing_that_is_disarmed_is_shown_to_operators(world: World) -> None:
+    world.route.arming.lease = Lease(world.context.clock.steady, world.context.ros.turns, lambda: None)
+    world.route.arming.demand(required=True, deadman=0.0)
+    world.route.peek_slot.wanted = True
+    assert publish(world, 1) == 0
+    assert world.route.peek_slot.wanted
