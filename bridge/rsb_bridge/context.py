@@ -1,4 +1,4 @@
-"""What every part of a running engine shares."""
+"""The state that all parts of a running engine share."""
 
 from __future__ import annotations
 
@@ -37,26 +37,26 @@ class Context:
     """The parts that routes and links work with.
 
     Attributes:
-        session: for its defaults; its topics and clients are the engine's business.
+        session: for its defaults; the engine looks after its topics and clients.
         domain_id: the ROS domain joined.
         ros: the ROS side.
-        events: what happened.
+        events: the event log.
         ros_queue: from the ROS thread to the I/O loop.
         loop: the I/O loop; all engine state belongs to its thread.
         clock: the wall clock.
         random: for jitter; never for secrets.
-        transports: what links and routes run over.
-        limited: the way to `events` for what a peer may be the cause of.
-        now: seconds on the clock that all timers use; nobody sets it.
+        transports: carry links and routes.
+        limited: adds events that a peer may cause to `events`, up to a rate.
+        now: seconds on the monotonic clock of all timers.
         stamps: the clock by which the age of messages is measured.
-        announcements: what this bridge and the others in its domain tell each other.
-        descriptions: of the message types that somebody looks at.
+        announcements: messages between this bridge and the others in its domain.
+        descriptions: of the message types that operators look at.
         checkers: of the types of peers' messages.
         parameter_events: of the nodes whose parameters are bridged.
-        similar_topics: finds what an operator may have meant.
-        meant: likewise, by the name of something that is called.
+        similar_topics: suggests topics for a misspelt name.
+        meant: suggests services, actions and nodes for a misspelt name.
         demands: the names that have to be armed, as the running session demands it.
-        names_changed: to be called when somebody follows other names of the graph (`rsb_bridge.link.name_watch`).
+        names_changed: to be called when another set of names of the graph is followed (`rsb_bridge.link.name_watch`).
     """
 
     session: Session
@@ -115,7 +115,7 @@ class Context:
     def log(
         self, level: Level, code: EventCode, text: str, *, link_status: bool = False, **about: Unpack[About]
     ) -> None:
-        """Add an event; of a link's, those that are within its share (`RateLimitedEventLog`)."""
+        """Add an event. A link's event is dropped if the link has used up its share (`RateLimitedEventLog`)."""
         if about.get("link"):
             self.limited.add(level, code, text, link_status=link_status, **about)
         else:
@@ -134,5 +134,5 @@ class Context:
         return self.wall_ns() / 1e9
 
     def wall_ns(self) -> int:
-        """As `wall`, in nanoseconds."""
+        """Nanoseconds since the epoch on the wall clock."""
         return self.clock.time_ns()

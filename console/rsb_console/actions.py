@@ -33,7 +33,7 @@ class Action:
     Attributes:
         id: names the handler, ``action_<id>``, and the action in ``keys.yaml``.
         keys: Textual key names, comma-separated; the first is the one that is shown.
-        label: what the footer shows beside the key.
+        label: shown in the footer after the key.
         help: its description in the help and the palette.
         group: its chapter.
         changes: whether it changes the bridge or a file, so that ``--readonly`` disables it.
@@ -75,7 +75,7 @@ ACTIONS: tuple[Action, ...] = (
            Group.OPERATE, changes=True, needs_topic=True, also="known, silence, mute, ack, ignore"),
     Action("undo", "u", "undo", "Take back the last change of this console, after a question",
            Group.OPERATE, changes=True, in_footer=True, also="revert, put back, restore a removed topic"),
-    Action("arm", "A", "arm", "Arm what has to be armed, or disarm it",
+    Action("arm", "A", "arm", "Arm the topic or the service, or disarm it",
            Group.OPERATE, changes=True, needs_topic=True, in_footer=True, also="deadman, safety, enable"),
     Action("call", "C", "call", "Call the service or action by hand; of a node: set a parameter",
            Group.OPERATE, changes=True, needs_topic=True, in_footer=True, also="request, send a goal, param get list"),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import msgspec
 import pytest
@@ -25,7 +25,7 @@ from rsb_bridge.ros.synthetic import synthetic_of
 from rsb_bridge.wire.framing import MORE, ZSTD
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Callable, Coroutine, Iterator
     from pathlib import Path
 
     from rsb_bridge.engine.bridge import Bridge
@@ -33,6 +33,7 @@ if TYPE_CHECKING:
     from rsb_bridge.wire.messages import BenchAnswer
 
 LEAVE = Leave(seconds=60.0, max_rate=5_000.0, megabytes=50.0)
+T = TypeVar("T")
 WITHIN = 60.0
 
 
@@ -60,6 +61,13 @@ class QuietRos(NoRos):
         return Endpoint()
 
     advertise = subscribe
+
+
+def on_bridge(engine: Engine, ask: Callable[[Bridge], Coroutine[None, None, T]]) -> T:
+    """Run a coroutine on the thread of an engine's bridge."""
+    bridge = engine._bridge
+    assert bridge is not None
+    return engine._commands.run(lambda: ask(bridge)).result(WITHIN)
 
 
 class Pair:
@@ -159,7 +167,7 @@ def test_a_run_whose_topic_is_opened_anew_has_no_figures(
         link.table.propose(route)
         return True
 
-    eventually(lambda: both.client._command(open_anew).result(WITHIN), WITHIN)
+    eventually(lambda: on_bridge(both.client, open_anew), WITHIN)
     with pytest.raises(EngineError, match="anew"):
         running.result(WITHIN)
 
@@ -277,7 +285,7 @@ def test_the_peer_orders_no_runs_on_a_topic_that_is_not_its_own(pair: Callable[.
         return await link.bench._ask(route, route.id, size=100, rate=10.0, count=5)
 
     with pytest.raises(LinkError):
-        both.server._command(ask).result(WITHIN)
+        on_bridge(both.server, ask)
 
 
 @pytest.mark.parametrize(
@@ -300,7 +308,7 @@ def let_in(server: Engine) -> tuple[int, int, int]:
         budget = link.bench._budget
         return budget._wire, budget._payload, link.budget.unfinished.held
 
-    return server._command(ask).result(WITHIN)
+    return on_bridge(server, ask)
 
 
 def storm(rogue: Rogue, transport: str, what: str, size: int) -> int:

@@ -4,18 +4,19 @@ from __future__ import annotations
 
 import io
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 import msgspec
 import pytest
 from tests.command.test_remote import Ran
-from tests.console.scripted import SESSION, ScriptedEngine, route
+from tests.console.scripted import SESSION, ScriptedEngine, answered, route
 from tests.support.wording import says
 
 from rsb_bridge.api import EngineError, InvalidRequestError
 from rsb_bridge.config.decoding import ValueMistake
 from rsb_bridge.config.validation import SessionMistake
 from rsb_bridge.model.calls import CallsSnapshot, GoalSnapshot
+from rsb_bridge.model.commands import Call, Command, R
 from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import ArmingSnapshot, Ledger, Stage, State
 from rsb_bridge.model.topic_keys import ForeignKey
@@ -271,17 +272,14 @@ class Node:
         self.asked: list[tuple[str, Any]] = []
         self._answers = answers
 
-        def call(key: str, request: str, lane: str = "") -> Future[str]:
-            from concurrent.futures import Future as MadeFuture
-
+        def do(command: Command[R], step: object = None) -> Future[R]:
             from rsb_bridge.config.fields_text import read_fields
 
-            self.asked.append((lane, read_fields(request)))
-            future: Future[str] = MadeFuture()
-            future.set_result(self._answers[lane])
-            return future
+            assert isinstance(command, Call)
+            self.asked.append((command.lane, read_fields(command.request)))
+            return cast("Future[R]", answered(self._answers[command.lane]))
 
-        monkeypatch.setattr(engine, "call", call)
+        monkeypatch.setattr(engine, "do", do)
 
 
 def test_parameters_are_listed_got_and_set(ran: Any, engine: ScriptedEngine, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -9,6 +9,7 @@ import msgspec
 from tests.console.scripted import ScriptedEngine, route
 
 from rsb_bridge.model.command_origin import is_undo
+from rsb_bridge.model.commands import AddTopic, Command, EditTopic, Pause, R, RemoveTopic
 from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import State
 
@@ -46,18 +47,14 @@ class ChangingEngine(ScriptedEngine):
     def spec(self, key: str) -> Topic:
         return next(each.spec for each in self.now.routes if each.key == key)
 
-    def add_topic(self, topic: Topic, link: str = "") -> Future[str]:
-        self.show(*self.now.routes, route(topic.topic, spec=topic))
-        return super().add_topic(topic, link)
-
-    def edit_topic(self, key: str, topic: Topic, *, drop_arm: bool = False) -> Future[str]:
-        self.put(key, topic)
-        return super().edit_topic(key, topic, drop_arm=drop_arm)
-
-    def remove_topic(self, key: str, *, drop_arm: bool = False) -> Future[None]:
-        self.show(*(each for each in self.now.routes if each.key != key))
-        return super().remove_topic(key, drop_arm=drop_arm)
-
-    def pause(self, key: str, paused: bool) -> Future[None]:
-        self.put(key, msgspec.structs.replace(self.spec(key), paused=paused))
-        return super().pause(key, paused)
+    def do(self, command: Command[R], step: Any = None) -> Future[R]:
+        match command:
+            case AddTopic(topic):
+                self.show(*self.now.routes, route(topic.topic, spec=topic))
+            case EditTopic(key, topic):
+                self.put(key, topic)
+            case RemoveTopic(key):
+                self.show(*(each for each in self.now.routes if each.key != key))
+            case Pause(key, paused):
+                self.put(key, msgspec.structs.replace(self.spec(key), paused=paused))
+        return super().do(command, step)

@@ -5,14 +5,15 @@ from collections.abc import Callable
 from concurrent.futures import Future
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar, cast
 
-from rsb_bridge.api import EngineError
-from rsb_bridge.model.benchmark import Order, Outcome
+from rsb_bridge.api import EngineApi, EngineError
+from rsb_bridge.model import commands
 from rsb_bridge.model.calls import LANES, CallsSnapshot, GoalSnapshot
+from rsb_bridge.model.commands import Command, R
 from rsb_bridge.model.history import HistoryReport, Outage, Track
 from rsb_bridge.model.qos import Qos
-from rsb_bridge.model.session import Client, Kind, Session, Topic
+from rsb_bridge.model.session import Kind, Session, Topic
 from rsb_bridge.model.snapshot import (
     Event,
     Ledger,
@@ -215,11 +216,15 @@ CALL_ROUTES = (
 )  # fmt: skip
 
 
-class ScriptedEngine:
-    """An `EngineApi` that answers from what it was given, and records the commands."""
+SUGGESTION = TopicInfo("/camera/depth", "sensor_msgs/msg/Image", "", Qos(reliability="best_effort", depth=5), 1, 0)
 
-    read_only = False
-    same_machine = True
+
+class ScriptedEngine(EngineApi):
+    """An engine that answers from what it was given, and records the commands."""
+
+    session: Session = SESSION
+    unreachable: str = ""
+    waits_for_operator: bool = False
 
     def __init__(
         self, session: Session = SESSION, base: Path = Path(), routes: tuple[RouteSnapshot, ...] = ROUTES
@@ -231,7 +236,6 @@ class ScriptedEngine:
         self.commands: list[tuple[object, ...]] = []
         self.kept: list[bool] = []
         self.running = False
-        self.unreachable = ""
         self.peeked: list[PeekedMessage] = []
         self.described: str | None = None
         self.called: Future[str] = Future()
@@ -255,119 +259,74 @@ class ScriptedEngine:
     def wait_for_events(self, after: int, timeout: float) -> list[Event]:
         return self.events(after)
 
-    @property
-    def waits_for_operator(self) -> bool:
-        return False
-
-    def _done(self, result: T, *command: object) -> "Future[T]":
+    def _done(self, result: T, *command: object) -> Future[T]:
         self.commands.append(command)
-        future: Future[T] = Future()
-        future.set_result(result)
-        return future
-
-    def add_topic(self, topic: Topic, link: str = "") -> "Future[str]":
-        return self._done(topic.topic, "add", topic, link)
-
-    def edit_topic(self, key: str, topic: Topic, *, drop_arm: bool = False) -> "Future[str]":
-        return self._done(key, "edit", key, topic, *["drop_arm"] * drop_arm)
-
-    def remove_topic(self, key: str, *, drop_arm: bool = False) -> "Future[None]":
-        return self._done(None, "remove", key, *["drop_arm"] * drop_arm)
-
-    def pause(self, key: str, paused: bool) -> "Future[None]":
-        return self._done(None, "pause", key, paused)
-
-    def acknowledge(self, key: str, acknowledged: bool = True, *, link: str = "") -> "Future[None]":
-        return self._done(None, "acknowledge", key or link, acknowledged)
-
-    @property
-    def arming(self) -> "ScriptedArming":
-        return ScriptedArming(self)
-
-    def add_client(self, client: Client) -> "Future[None]":
-        return self._done(None, "add client", client)
-
-    def change_client(self, client: Client) -> "Future[None]":
-        return self._done(None, "change client", client)
-
-    def remove_client(self, name: str) -> "Future[None]":
-        return self._done(None, "remove client", name)
-
-    def retry(self, link: str = "") -> "Future[None]":
-        return self._done(None, "retry", link)
-
-    def shut_down(self) -> "Future[None]":
-        return self._done(None, "shut down")
-
-    def restart(self, step: Callable[[str], None] | None = None) -> "Future[None]":
-        for words in ("telling the peer", "sockets closed", "linked again"):
-            if step is not None:
-                step(words)
-        return self._done(None, "restart")
-
-    def reload(self, *, dry_run: bool = False) -> "Future[Reloaded]":
-        return self._done(self.reloads, "reload", dry_run)
+        return answered(result)
 
     def use_file(self, path: Path | None) -> None:
         self.file = path
 
-    def told_to_stop(self) -> None:
-        self.commands.append(("told to stop",))
+    def do(self, command: Command[R], step: Callable[[str], None] | None = None) -> Future[R]:
+        return cast("Future[R]", self._execute(command, step))
 
-    def history(self, seconds: float) -> "Future[HistoryReport]":
-        return self._done(replace(self.remembered, span=seconds), "history", seconds)
+    def _execute(self, command: Command[Any], step: Callable[[str], None] | None) -> Future[Any]:
+        match command:
+            case commands.AddTopic(topic, link):
+                return self._done(topic.topic, "add", topic, link)
+            case commands.EditTopic(key, topic, drop_arm):
+                return self._done(key, "edit", key, topic, *["drop_arm"] * drop_arm)
+            case commands.RemoveTopic(key, drop_arm):
+                return self._done(None, "remove", key, *["drop_arm"] * drop_arm)
+            case commands.Acknowledge(key, acknowledged, link):
+                return self._done(None, "acknowledge", key or link, acknowledged)
+            case commands.KeepArmed(pressed):  # not noted: a sign of life
+                self.kept.append(pressed)
+                return answered(None)
+            case commands.ReleaseArmed():
+                return self._done(None, "release")
+            case commands.Restart():
+                for words in ("telling the peer", "sockets closed", "linked again"):
+                    if step is not None:
+                        step(words)
+            case commands.Reload(dry_run):
+                return self._done(self.reloads, "reload", dry_run)
+            case commands.History(seconds):
+                return self._done(replace(self.remembered, span=seconds), "history", seconds)
+            case commands.Topics(link):
+                return self._done((SUGGESTION,), "topics", link)
+            case commands.Peek(key, kept):
+                if self.peeked:
+                    return self._done(self.peeked.pop(0), "peek", key, kept)
+                self.looking = Future()  # until a message comes
+                return self.looking
+            case commands.Template(key, lane):
+                if lane in self.templates:
+                    return self._done(self.templates[lane], "template", key, lane)
+                return refused("std_srvs is not installed here: apt install ros-jazzy-std-srvs")
+            case commands.Call(key, request, lane):
+                self.commands.append(("call", key, request, lane))
+                return self.called
+            case commands.Describe(key):
+                if self.described is None:
+                    return refused("neither side knows it")
+                return self._done(self.described, "describe", key)
+            case commands.Bench():
+                raise NotImplementedError
+            case commands.Stop():
+                return self._done(None, "told to stop")
+        name = str(command.__struct_config__.tag).replace("_", " ")
+        return self._done(None, name, *(getattr(command, field) for field in command.__struct_fields__))
 
-    def topics(self, link: str | None = None) -> "Future[list[TopicInfo]]":
-        suggestions = [
-            TopicInfo("/camera/depth", "sensor_msgs/msg/Image", "", Qos(reliability="best_effort", depth=5), 1, 0)
-        ]
-        return self._done(suggestions, "topics", link)
 
-    def peek(self, key: str, *, kept: bool = False) -> "Future[PeekedMessage | None]":
-        if self.peeked:
-            return self._done(self.peeked.pop(0), "peek", key, kept)
-        self.looking = Future()  # until a message comes
-        return self.looking
-
-    def template(self, key: str, lane: str = "") -> Future[str]:
-        if lane in self.templates:
-            return self._done(self.templates[lane], "template", key, lane)
-        future: Future[str] = Future()
-        future.set_exception(EngineError("std_srvs is not installed here: apt install ros-jazzy-std-srvs"))
-        return future
-
-    def bench(self, order: Order) -> Future[Outcome]:
-        raise NotImplementedError
-
-    def call(self, key: str, request: str, lane: str = "") -> Future[str]:
-        self.commands.append(("call", key, request, lane))
-        return self.called
-
-    def describe(self, key: str) -> "Future[str]":
-        if self.described is not None:
-            return self._done(self.described, "describe", key)
-        future: Future[str] = Future()
-        future.set_exception(EngineError("neither side knows it"))
-        return future
+def answered(result: T) -> Future[T]:
+    """Return a future that has its result."""
+    future: Future[T] = Future()
+    future.set_result(result)
+    return future
 
 
-class ScriptedArming:
-    """Notes what a console does about arming, with the engine's other commands; signs of life are not noted."""
-
-    def __init__(self, engine: ScriptedEngine) -> None:
-        self._engine = engine
-
-    def arm(self, key: str) -> "Future[None]":
-        return self._engine._done(None, "arm", key)
-
-    def disarm(self, key: str) -> "Future[None]":
-        return self._engine._done(None, "disarm", key)
-
-    def keep(self, *, pressed: bool) -> "Future[None]":
-        self._engine.kept.append(pressed)
-        future: Future[None] = Future()
-        future.set_result(None)
-        return future
-
-    def release(self) -> "Future[None]":
-        return self._engine._done(None, "release")
+def refused(reason: str) -> Future[Any]:
+    """Return the future of a command that failed."""
+    future: Future[Any] = Future()
+    future.set_exception(EngineError(reason))
+    return future

@@ -46,7 +46,7 @@ class Graphs(ScriptedEngine):
 
     def topics(self, link: str | None = None) -> Any:
         here = super().topics(link).result()
-        return self._done([*here, LOAD, MODE, NAVIGATE, CONTROLLER] if link else here, "topics", link)
+        return self._done((*here, LOAD, MODE, NAVIGATE, CONTROLLER) if link else here, "topics", link)
 
 
 def form(size: tuple[int, int] = (120, 36)) -> Callable[[AppSteps], Callable[[], None]]:

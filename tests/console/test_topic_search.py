@@ -22,9 +22,9 @@ class SlowPeer(ScriptedEngine):
 
     def __init__(self, *args: Any) -> None:
         super().__init__(*args)
-        self.asked: list[Future[list[TopicInfo]]] = []
+        self.asked: list[Future[tuple[TopicInfo, ...]]] = []
 
-    def topics(self, link: str | None = None) -> "Future[list[TopicInfo]]":
+    def topics(self, link: str | None = None) -> "Future[tuple[TopicInfo, ...]]":
         if link is None:
             return super().topics(link)
         self.commands.append(("topics", link))
@@ -55,7 +55,7 @@ def test_an_answer_that_takes_many_looks_fills_the_list() -> None:
         looks = engine_as(app, SlowPeer).looks
         await until(pilot, lambda: engine_as(app, SlowPeer).looks > looks + 3, "it goes on looking at this side")
         assert len(engine_as(app, SlowPeer).asked) == 1
-        engine_as(app, SlowPeer).asked[0].set_result(FAR)
+        engine_as(app, SlowPeer).asked[0].set_result(tuple(FAR))
         await shown(pilot, "/far")
         await shown(pilot, "/camera/depth")
 
@@ -72,7 +72,7 @@ def test_an_answer_that_never_comes_is_said_and_asked_for_again() -> None:
         engine_as(app, SlowPeer).asked[0].set_exception(EngineError("robot1 did not answer"))
         await shown(pilot, "robot1 did not answer")
         await until(pilot, lambda: len(engine_as(app, SlowPeer).asked) > 1, "it asks again")
-        engine_as(app, SlowPeer).asked[1].set_result(FAR)
+        engine_as(app, SlowPeer).asked[1].set_result(tuple(FAR))
         await shown(pilot, "/far")
         await gone(pilot, "robot1 did not answer")
 

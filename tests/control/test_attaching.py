@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import msgspec
 import pytest
-from tests.console.scripted import EVENTS, ScriptedEngine, route
+from tests.console.scripted import EVENTS, ScriptedEngine, refused, route
 from tests.support.waiting import eventually
 from tests.support.wording import pattern, says
 
@@ -24,6 +24,7 @@ from rsb_bridge.control.control_sockets import AttachProblem
 from rsb_bridge.control.protocol import VersionProblem
 from rsb_bridge.control.remote_engine import RemoteEngine
 from rsb_bridge.model.codes import EventCode
+from rsb_bridge.model.commands import AddTopic, Command, Peek, R, Retry
 from rsb_bridge.model.session import Client, Topic
 from rsb_bridge.model.snapshot import Event, Level, State
 
@@ -106,10 +107,9 @@ def test_commands_go_to_the_engine_and_their_results_come_back(machine: Machine)
 class Refusing(ScriptedEngine):
     """Refuses to add topics."""
 
-    def add_topic(self, topic: Topic, link: str = "") -> Future[str]:
-        refused: Future[str] = Future()
-        refused.set_exception(EngineError(f"no such topic: {topic.topic}"))
-        return refused
+    def do(self, command: Command[R], step: Any = None) -> Future[R]:
+        assert isinstance(command, AddTopic)
+        return refused(f"no such topic: {command.topic.topic}")
 
 
 def test_a_refusal_comes_back_in_words(machine: Machine) -> None:
@@ -149,9 +149,10 @@ class Slow(ScriptedEngine):
 
     def __init__(self) -> None:
         super().__init__()
-        self.waiting: list[Future[None]] = []
+        self.waiting: list[Future[Any]] = []
 
-    def retry(self, link: str = "") -> Future[None]:
+    def do(self, command: Command[R], step: Any = None) -> Future[R]:
+        assert isinstance(command, Retry)
         self.waiting.append(Future())
         return self.waiting[-1]
 
@@ -414,7 +415,8 @@ def test_who_leaves_while_looking_at_a_message_looks_no_more(machine: Machine) -
     class Quiet(ScriptedEngine):
         asked: list[Future[Any]]
 
-        def peek(self, key: str, *, kept: bool = False) -> Future[Any]:
+        def do(self, command: Command[R], step: Any = None) -> Future[R]:
+            assert isinstance(command, Peek)
             self.asked.append(Future())
             return self.asked[-1]
 

@@ -20,8 +20,9 @@ from rsb_bridge.control.features import (
     with_unknown_kept,
     without_unknown,
 )
-from rsb_bridge.control.protocol import AddTopic, ChangeClient, Command, EditTopic, State, decode_route
+from rsb_bridge.control.protocol import State, decode_route
 from rsb_bridge.model.benchmark import Leave
+from rsb_bridge.model.commands import AddTopic, AnyCommand, ChangeClient, EditTopic
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.model.session import Client, Grant, Operator, Session, Topic, ZenohSettings
 from rsb_bridge.model.snapshot import PatternSnapshot
@@ -68,7 +69,7 @@ ALL = frozenset(FEATURES)
 
 def test_each_new_command_and_field_has_a_feature() -> None:
     """Without one, the other side would end the connection: enter it in `rsb_bridge.control.features`."""
-    tags = {kind.__struct_config__.tag for kind in get_args(Command)}
+    tags = {kind.__struct_config__.tag for kind in get_args(AnyCommand)}
     assert {kind.__struct_config__.tag for kind in COMMANDS} == tags - FIRST_COMMANDS  # type: ignore[attr-defined]
     for kind, first in FIRST_FIELDS.items():
         assert set(FIELDS.get(kind, {})) == set(kind.__struct_fields__) - set(first.split()), kind
@@ -149,7 +150,7 @@ def test_a_bridge_of_this_version_gets_all(machine: Machine) -> None:
         ),
     ],
 )
-def test_a_command_needs_the_features_of_its_parts(command: Command, missing: str) -> None:
+def test_a_command_needs_the_features_of_its_parts(command: AnyCommand, missing: str) -> None:
     assert missing_feature(command, NOTHING) == missing
     assert missing_feature(command, ALL) == ""
 
@@ -241,7 +242,7 @@ def test_an_edit_by_an_older_console_keeps_what_it_does_not_know() -> None:
     key = engine.now.routes[0].key
     edited = Topic("/scan", "transmit", max_rate=5.0)
 
-    def kept(command: Command, features: frozenset[str] = NOTHING) -> Any:
+    def kept(command: AnyCommand, features: frozenset[str] = NOTHING) -> Any:
         return with_unknown_kept(command, features, engine.now, NEW_SESSION)
 
     assert kept(EditTopic(key, edited)).topic == msgspec.structs.replace(edited, late_after=2.0)

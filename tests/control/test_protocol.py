@@ -42,7 +42,8 @@ def made(kind: Any) -> st.SearchStrategy[Any]:
         return st.dictionaries(made(get_args(kind)[0]), made(get_args(kind)[1]), max_size=3)
     if isinstance(kind, type) and (dataclasses.is_dataclass(kind) or issubclass(kind, msgspec.Struct)):
         hints = typing.get_type_hints(kind)
-        return st.builds(kind, **{name: made(hint) for name, hint in hints.items()})
+        fields = {name: made(hint) for name, hint in hints.items() if get_origin(hint) is not typing.ClassVar}
+        return st.builds(kind, **fields)
     plain = {int: INTEGERS, float: st.floats(allow_nan=False), str: TEXTS, bool: st.booleans(), type(None): st.none()}
     return plain[kind] if kind in plain else st.from_type(kind)
 

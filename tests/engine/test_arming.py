@@ -96,7 +96,7 @@ def test_nothing_crosses_until_it_is_armed_nor_after(
         consoles.arm(engine)
         assert armed(server, client) == [True, True]
         publish_until_heard(joystick, words, motors)
-        engine.arming.disarm(route(engine, "/cmd").key).result(30)
+        engine.disarm(route(engine, "/cmd").key).result(30)
         assert armed(engine) == [False]
         eventually(lambda: is_set_up(server, client))
         for _ in range(20):
@@ -136,7 +136,7 @@ def test_what_was_on_its_way_when_it_disarms_reaches_no_robot_after_it_is_armed_
     for _ in range(50):
         joystick.publish(text("old"))
     eventually(lambda: route(server, "/cmd").ledger.offered >= 50)
-    server.arming.disarm(route(server, "/cmd").key).result(30)
+    server.disarm(route(server, "/cmd").key).result(30)
     relay.stall(False)
     eventually(lambda: is_set_up(server, client) and linked(client))
     # What arrived before its sender's word that it is disarmed was armed on both sides; DDS may still be delivering it.
@@ -163,7 +163,7 @@ def test_the_history_of_a_latched_topic_does_not_cross_on_arming(
     holds(lambda: not motors.payloads, 0.5)
     planner.publish(text("now"))
     assert heard(motors, 1) == [text("now")]
-    client.arming.disarm(route(client, "/cmd").key).result(30)
+    client.disarm(route(client, "/cmd").key).result(30)
     late = robot.listener("/cmd", qos=RELIABLE)
     holds(lambda: not late.payloads, 0.5)
 

@@ -167,7 +167,7 @@ def test_a_cancel_while_the_link_is_down_is_delivered_though_it_is_paused(
 def hold(engine: Engine, how: str) -> None:
     """Pause or disarm the action."""
     key = route(engine, ACTION).key
-    (engine.pause(key, True) if how == "paused" else engine.arming.disarm(key)).result(30)
+    (engine.pause(key, True) if how == "paused" else engine.disarm(key)).result(30)
 
 
 def states(*engines: Engine) -> set[str]:

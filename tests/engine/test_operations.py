@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, get_args
 
 import msgspec
 import pytest
@@ -16,6 +16,7 @@ from rsb_bridge.api import EngineError, Unable
 from rsb_bridge.link.errors import Denied
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.command_origin import acting
+from rsb_bridge.model.commands import AnyCommand, History, Restart, Stop
 from rsb_bridge.model.names import TypeNameProblem
 from rsb_bridge.model.session import Client, Topic
 from rsb_bridge.model.verdict import LinkCause
@@ -394,3 +395,10 @@ def test_commands_after_the_end(bridge: Bridge) -> None:
     assert not client.snapshot().running
     with pytest.raises(EngineError, match=pattern(Unable.NOT_RUNNING)):
         client.retry().result(60)
+
+
+def test_every_command_has_a_handler(bridge: Bridge) -> None:
+    running = bridge.client()._bridge
+    assert running is not None
+    elsewhere = {History, Restart, Stop}
+    assert running.handlers.keys() | elsewhere == set(get_args(AnyCommand))

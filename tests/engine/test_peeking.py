@@ -23,6 +23,7 @@ from rsb_bridge.cdr.decoder import decode
 from rsb_bridge.cdr.description import hash_of_text, read_description
 from rsb_bridge.link.errors import Denied
 from rsb_bridge.link.questions import TypeQuestions
+from rsb_bridge.model.commands import Peek
 from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import PEEK_LIMIT
 from rsb_bridge.route import peeking
@@ -184,7 +185,8 @@ def test_nobody_waits_for_ever_nor_in_numbers(bridge: Bridge, monkeypatch: pytes
     assert last == [None]
     running = client._bridge
     assert running is not None
-    eventually(lambda: running.inspector._peeking._lookers == 0 and not any(wanted(running.links()[0])))
+    inspector: Any = getattr(running.handlers[Peek], "__self__", None)
+    eventually(lambda: inspector._peeking._lookers == 0 and not any(wanted(running.links()[0])))
     with pytest.raises(EngineError, match="no route"):
         client.peek("nonsense").result(10)
 

@@ -360,7 +360,7 @@ def test_what_an_operator_does_is_recorded_with_the_old_and_the_new_value(bridge
         client.pause(key, False).result(60)
         client.remove_topic(key).result(60)
         client.retry().result(60)
-        client.told_to_stop()
+        client.stop_bridge().result(60)
     plain = "{topic: /chat, direction: transmit}"
     limited = "{topic: /chat, direction: transmit, max_rate: 5.0}"
     did = [event for event in client.events() if event.source == "operator"]

@@ -6,10 +6,9 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import pytest
-from tests.console.scripted import ScriptedEngine
+from tests.console.scripted import ScriptedEngine, refused
 from tests.support.fleet import ScriptedSource, fleet_of, robot, topics
 
-from rsb_bridge.api import EngineError
 from rsb_bridge.model.robot_summary import RobotState
 from rsb_bridge.model.session import Topic
 from rsb_console.fleet.rolling import PATIENCE, Outcome, Rollout, Step, report, said, way_back
@@ -18,17 +17,17 @@ if TYPE_CHECKING:
     from collections.abc import Callable
     from concurrent.futures import Future
 
+    from rsb_bridge.model.commands import Command, R
+
 SETTLE = 10.0
 
 
 class RefusingEngine(ScriptedEngine):
     """Refuses every edit."""
 
-    def edit_topic(self, key: str, topic: Topic, *, drop_arm: bool = False) -> Future[str]:
-        future = super().edit_topic(key, topic, drop_arm=drop_arm)
-        future = type(future)()
-        future.set_exception(EngineError("no leave"))
-        return future
+    def do(self, command: Command[R], step: Any = None) -> Future[R]:
+        super().do(command, step)
+        return refused("no leave")
 
 
 class Bed:

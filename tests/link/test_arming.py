@@ -22,8 +22,8 @@ from rsb_bridge.model.session import Armed as ArmedEntry
 from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.verdict import Cause
-from rsb_bridge.route.blocking_rules import blocked
 from rsb_bridge.route.arming import CONSOLE_SILENT_AFTER, DISARM_TEXT, PEER_GRACE, Disarmed
+from rsb_bridge.route.blocking_rules import blocked
 from rsb_bridge.route.lease import LASTS, SLOW
 from rsb_bridge.transport.streams import CLOSED_BY_PEER
 from rsb_bridge.wire.messages import Arm, Armed, Close, Describe, Disarm, Lease, Pause, Propose, Provide

@@ -16,8 +16,8 @@ from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.verdict import EXPIRES, FINE, Cause, Verdict, about, worse
 from rsb_bridge.ros.ros_interface import Endpoint
 from rsb_bridge.route.age import Expired, expired_verdict
-from rsb_bridge.route.blocking_rules import RouteStatus
 from rsb_bridge.route.arming import DISARM_TEXT, Disarmed
+from rsb_bridge.route.blocking_rules import RouteStatus
 from rsb_bridge.route.combined_verdict import CombinedVerdict, lasting, record_of
 from rsb_bridge.route.lateness import QUEUE, WAY, Late, late_verdict
 from rsb_bridge.route.lease import Standstill

@@ -13,6 +13,7 @@ from tests.simulation.action_server import Plan
 from rsb_bridge.engine import bridge
 from rsb_bridge.link import graph_watch, keepalive
 from rsb_bridge.link.refused_clients import ASKED_EVERY
+from rsb_bridge.model.commands import Pause, Retry, ShutDown
 from rsb_bridge.route import route
 
 if TYPE_CHECKING:
@@ -168,7 +169,7 @@ async def _pause_all(world: World, *, paused: bool) -> None:
         for half in tuple(link.routes.values()):
             if run is not None and half.paused != paused:
                 world.robots[0].commanded = world.loop.time()
-                await run.command(run.bridge.pause(half.key, paused=paused))
+                await run.command(run.bridge.do(Pause(half.key, paused=paused)))
 
 
 async def server_restarts(world: World, times: int) -> None:
@@ -193,14 +194,14 @@ async def shut_down_for(world: World, seconds: float, *, cuts: int) -> None:
     server, robot = world.server.run, world.robots[0]
     assert server is not None
     with world.trouble("shut down", *world.robots, fault=False):
-        await server.command(server.bridge.shut_down())
+        await server.command(server.bridge.do(ShutDown()))
         for _ in range(cuts):
             await asyncio.sleep(seconds / cuts - 60.0)
             world.network.cut(robot.station.machine, world.server.machine)
             await asyncio.sleep(60.0)
             world.network.heal(robot.station.machine, world.server.machine)
         await asyncio.sleep(0.0 if cuts else seconds)
-        await server.command(server.bridge.retry())
+        await server.command(server.bridge.do(Retry()))
         await asyncio.sleep(1.2 * ASKED_EVERY)
 
 

@@ -12,6 +12,7 @@ from tests.simulation.sessions import some_topic
 
 from rsb_bridge.api import EngineError
 from rsb_bridge.link.server_link import ServerLink
+from rsb_bridge.model.commands import AddTopic, EditTopic, Pause, RemoveTopic, Restart, Retry, ShutDown, Topics
 
 if TYPE_CHECKING:
     from collections.abc import Coroutine, Iterator
@@ -79,7 +80,7 @@ class Operator:
             flow.appear()
         else:
             return
-        await self._command("add", run, run.bridge.add_topic(topic, self._robot.name))
+        await self._command("add", run, run.bridge.do(AddTopic(topic, self._robot.name)))
 
     async def _edit(self) -> None:
         """Put another topic in a route's place: the same one, carried in another way."""
@@ -90,13 +91,13 @@ class Operator:
                 "compression": self._random.choice((None, "zstd", "none")),
             }
             topic = msgspec.structs.replace(route.spec, **changes)
-            await self._command("edit", run, run.bridge.edit_topic(route.key, topic))
+            await self._command("edit", run, run.bridge.do(EditTopic(route.key, topic)))
             self._world.forget_route(route)
 
     async def _pause(self) -> None:
         run, route = self._some_route()
         if run is not None and route is not None:
-            await self._command("pause", run, run.bridge.pause(route.key, paused=not route.paused))
+            await self._command("pause", run, run.bridge.do(Pause(route.key, paused=not route.paused)))
 
     async def _pause_crossing(self) -> None:
         """Two people at both ends, at the same time."""
@@ -106,25 +107,25 @@ class Operator:
             return
         one, another = self._random.choice(((True, False), (False, True), (True, True), (False, False)))
         await asyncio.gather(
-            self._command("pause", run, run.bridge.pause(route.key, paused=one)),
-            self._command("pause", other, other.bridge.pause(route.key, paused=another)),
+            self._command("pause", run, run.bridge.do(Pause(route.key, paused=one))),
+            self._command("pause", other, other.bridge.do(Pause(route.key, paused=another))),
         )
 
     async def _remove(self) -> None:
         run, route = self._some_route()
         if run is not None and route is not None:
-            await self._command("remove", run, run.bridge.remove_topic(route.key))
+            await self._command("remove", run, run.bridge.do(RemoveTopic(route.key)))
             self._world.forget_route(route)
 
     async def _retry(self) -> None:
         run = self._some_run()
         if run is not None:
-            await self._command("retry", run, run.bridge.retry())
+            await self._command("retry", run, run.bridge.do(Retry()))
 
     async def _list(self) -> None:
         run = self._some_run()
         if run is not None:
-            await self._command("list", run, run.bridge.topics(self._random.choice((None, self._robot.name))))
+            await self._command("list", run, run.bridge.do(Topics(self._random.choice((None, self._robot.name)))))
 
     async def _restart(self) -> None:
         """Close the links and open them again."""
@@ -132,7 +133,7 @@ class Operator:
         if run is not None:
             robots = [self._robot] if run is self._robot.station.run else self._world.robots
             with self._world.trouble("restart", *robots, fault=False):
-                await self._command("restart", run, run.bridge.restart())
+                await self._command("restart", run, run.bridge.do(Restart()))
 
     async def _shut_down(self) -> None:
         """Close the links until somebody wants them again."""
@@ -141,12 +142,12 @@ class Operator:
             return
         robots = [self._robot] if run is self._robot.station.run else self._world.robots
         with self._world.trouble("shut down", *robots, fault=False):
-            await self._command("shut down", run, run.bridge.shut_down())
+            await self._command("shut down", run, run.bridge.do(ShutDown()))
             await asyncio.sleep(duration(self._random))
             for _ in range(_LOOKS):  # one may be told of it later, over a bad network
                 for station in (self._world.server, *(robot.station for robot in robots)):
                     if (shut := station.run) is not None and any(is_shut_down(link) for link in shut.links()):
-                        await self._command("retry", shut, shut.bridge.retry())
+                        await self._command("retry", shut, shut.bridge.do(Retry()))
                 await asyncio.sleep(1.0)
 
     # --- how

@@ -18,6 +18,7 @@ from tests.simulation.services import Server
 from tests.simulation.world import World
 from tests.support.long import long
 
+from rsb_bridge.model.commands import ArmTopic, DisarmTopic
 from rsb_bridge.model.session import Topic
 from rsb_bridge.route.calls import calling_action, kept_calls, providing_action
 from rsb_bridge.route.lease import Lease
@@ -325,14 +326,14 @@ def test_a_goal_right_after_arming_is_accepted(mistaken: bool, play: Play) -> No
         assert run is not None
         for _ in range(6):
             (route,) = [route for link in run.links() for route in link.routes.values()]
-            arms = court.world.loop.create_task(run.command(run.bridge.arming.arm(route.key)))
+            arms = court.world.loop.create_task(run.command(run.bridge.do(ArmTopic(route.key))))
             while (goal := court.errand.send(Plan(runs=0.1))) is None:
                 Server(services, "/passer_by", "/else", "std_srvs/srv/Empty", "", lambda _: None).close()
                 await asyncio.sleep(0.02)  # the providing side has reasons to look at its graph meanwhile
             await arms
             await asyncio.sleep(3.0)
             told.append(goal.told)
-            await run.command(run.bridge.arming.disarm(route.key))
+            await run.command(run.bridge.do(DisarmTopic(route.key)))
             await asyncio.sleep(3.0)
 
     async def troubled() -> None:

@@ -16,6 +16,7 @@ from rsb_bridge.link import roles
 from rsb_bridge.link.link import Link
 from rsb_bridge.link.link_arming import LinkArming
 from rsb_bridge.model.codes import EventCode
+from rsb_bridge.model.commands import ArmTopic, DisarmTopic, Pause
 from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.verdict import Cause
 from rsb_bridge.route.lease import Lease
@@ -237,12 +238,12 @@ def test_a_pause_gives_up_what_is_under_way(play: Play) -> None:
         await until(lambda: teller.asked, 1.0)
         assert booth.far.run is not None
         bridge, key = booth.far.run.bridge, booth.halves()[1].key
-        await booth.far.run.command(bridge.pause(key, paused=True))
+        await booth.far.run.command(bridge.do(Pause(key, paused=True)))
         await until(lambda: not booth.offered, _WITHDRAWN_WITHIN)
         await asyncio.sleep(SETTLED)
         assert [calls.lost for calls in booth.counted()] == [1, 1]
         assert say(booth) == ((State.PAUSED, Cause.PAUSED), (State.PAUSED, Cause.PAUSED))
-        await booth.far.run.command(bridge.pause(key, paused=False))
+        await booth.far.run.command(bridge.do(Pause(key, paused=False)))
         await booth.ready(asker)
         asker.ask()
         await until(lambda: len(teller.asked) == 2, 1.0)
@@ -262,12 +263,12 @@ def test_arming(play: Play) -> None:
         assert not booth.offered
         assert say(booth)[0] == (State.DISARMED, Cause.DISARMED)
         assert booth.near.run is not None
-        arming, key = booth.near.run.bridge.arming, booth.halves()[0].key
-        await booth.near.run.command(arming.arm(key))
+        bridge, key = booth.near.run.bridge, booth.halves()[0].key
+        await booth.near.run.command(bridge.do(ArmTopic(key)))
         await booth.ready(asker)
         asker.ask()
         await until(lambda: asker.right == 1, 1.0)
-        await booth.near.run.command(arming.disarm(key))
+        await booth.near.run.command(bridge.do(DisarmTopic(key)))
         await until(lambda: not booth.offered, _WITHDRAWN_WITHIN)
         await asyncio.sleep(SETTLED)
         assert say(booth)[1] == (State.DISARMED, Cause.DISARMED)
@@ -281,10 +282,10 @@ async def _called_at_once(booth: Booth) -> None:
     booth.world.network.path(booth.near.machine, booth.far.machine).latency = (0.0, 0.6)
     await asyncio.sleep(SETTLED)
     assert booth.near.run is not None
-    run, arming = booth.near.run, booth.near.run.bridge.arming
+    run, bridge = booth.near.run, booth.near.run.bridge
     for number in range(12):
         asker, key = booth.asker(f"/asker{number}"), booth.halves()[0].key
-        arms = booth.world.loop.create_task(run.command(arming.arm(key)))
+        arms = booth.world.loop.create_task(run.command(bridge.do(ArmTopic(key))))
         while not asker.client.ready:  # the providing side has reasons to look at its graph meanwhile
             booth.teller("/passer_by", suffix="_else").server.close()
             await asyncio.sleep(0.02)
@@ -294,7 +295,7 @@ async def _called_at_once(booth: Booth) -> None:
         assert [calls.refused for calls in booth.counted()] == [{}, {}]
         assert asker.right == 1
         asker.client.close()
-        await run.command(arming.disarm(key))
+        await run.command(bridge.do(DisarmTopic(key)))
         await asyncio.sleep(SETTLED)
 
 
@@ -318,7 +319,7 @@ async def _offered_soon(booth: Booth) -> None:
         path.latency = (0.3, 0.3)
     await asyncio.sleep(SETTLED)
     assert booth.near.run is not None
-    arming = booth.near.run.bridge.arming.arm(booth.halves()[0].key)
+    arming = booth.near.run.bridge.do(ArmTopic(booth.halves()[0].key))
     arms = booth.world.loop.create_task(booth.near.run.command(arming))
     await until(lambda: booth.offered, 1.5)
     await arms

@@ -19,6 +19,7 @@ from tests.simulation.test_patterns import Yard, lived
 
 from rsb_bridge.api import EngineError
 from rsb_bridge.link.link_arming import LinkArming
+from rsb_bridge.model.commands import AddTopic, EditTopic, RemoveTopic
 from rsb_bridge.model.demands import NO_DEMAND, Demand, Demands, RunningDemands, Source
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.model.session import Topic
@@ -115,7 +116,7 @@ class Edits(Yard):
         name = self.random.choice([*self.names, "/*", "/cmd*", "/arm_1*", "/free*"])
         remote = f"/{link.name}{name}" if self.random.random() < 0.3 else None
         topic = Topic(name, self.random.choice(_DIRECTIONS), remote_topic=remote)
-        await run.command(run.bridge.add_topic(topic, link.name))
+        await run.command(run.bridge.do(AddTopic(topic, link.name)))
         return True
 
     async def _edit_route(self, run: Run, link: Link) -> bool:
@@ -129,13 +130,13 @@ class Edits(Yard):
             spec = msgspec.structs.replace(spec, direction=self.random.choice(_DIRECTIONS))
         if self.random.random() < 0.2:
             spec = msgspec.structs.replace(spec, arm=False, deadman=None)
-        await run.command(run.bridge.edit_topic(route.key, spec))
+        await run.command(run.bridge.do(EditTopic(route.key, spec)))
         return True
 
     async def _remove_route(self, run: Run, link: Link) -> bool:
         if (route := self._some(link)) is None:
             return False
-        await run.command(run.bridge.remove_topic(route.key))
+        await run.command(run.bridge.do(RemoveTopic(route.key)))
         return True
 
     async def _edit_pattern(self, run: Run, link: Link) -> bool:
@@ -148,13 +149,13 @@ class Edits(Yard):
             {"topic": "/cmd_1*", "remote_topic": None},
         ))  # fmt: skip
         edited = msgspec.structs.replace(pattern, **changes)
-        await run.command(run.bridge.edit_topic(link.patterns.key_of(pattern), edited))
+        await run.command(run.bridge.do(EditTopic(link.patterns.key_of(pattern), edited)))
         return True
 
     async def _remove_pattern(self, run: Run, link: Link) -> bool:
         if not (patterns := link.patterns.all()) or self.random.random() < 0.5:
             return False
-        await run.command(run.bridge.remove_topic(link.patterns.key_of(self.random.choice(patterns))))
+        await run.command(run.bridge.do(RemoveTopic(link.patterns.key_of(self.random.choice(patterns)))))
         return True
 
     def _some(self, link: Link) -> Route | None:

@@ -22,6 +22,7 @@ from tests.simulation.world import Violation, World
 
 from rsb_bridge.api import EngineError
 from rsb_bridge.link.link_arming import LinkLease
+from rsb_bridge.model.commands import ArmTopic, DisarmTopic, KeepArmed
 from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import State
 from rsb_bridge.route.arming import Settling
@@ -203,7 +204,7 @@ class Armed:
         while True:
             await asyncio.sleep(1.0)
             for run in self.runs():
-                await run.command(run.bridge.arming.keep(pressed=True))
+                await run.command(run.bridge.do(KeepArmed(pressed=True)))
 
     async def operate(self) -> None:
         """Arm it again and again, on either side, and disarm it now and then."""
@@ -226,7 +227,7 @@ class Armed:
         self._asking.add(run.station.name)
         self._asked_at = self.world.loop.time()
         try:
-            await run.command(run.bridge.arming.arm(half.key))
+            await run.command(run.bridge.do(ArmTopic(half.key)))
             self.armed += 1
         except EngineError:
             pass
@@ -240,7 +241,7 @@ class Armed:
             return
         asked_at = self.world.loop.time()
         with contextlib.suppress(EngineError):
-            await run.command(run.bridge.arming.disarm(half.key))
+            await run.command(run.bridge.do(DisarmTopic(half.key)))
             self._disarmed_at = max(self._disarmed_at, asked_at)
 
     async def flows(self, station: Station | None = None) -> None:

@@ -19,6 +19,7 @@ from rsb_bridge.link import link_patterns, roles
 from rsb_bridge.link.name_watch import NameWatch
 from rsb_bridge.model import patterns
 from rsb_bridge.model.codes import EventCode
+from rsb_bridge.model.commands import RemoveTopic
 from rsb_bridge.model.patterns import (
     EXCEPTIONS_PER_PATTERN,
     GONE_AFTER,
@@ -259,9 +260,9 @@ def test_operators_of_neither_side_make_a_session_that_cannot_be_read(play: Play
         assert own is not None
         assert other is not None
         with pytest.raises(EngineError):
-            await own.command(own.bridge.remove_topic(yard.routes()["/a/one"].key))
+            await own.command(own.bridge.do(RemoveTopic(yard.routes()["/a/one"].key)))
         assert "/a/one" in yard.routes()
-        await other.command(other.bridge.remove_topic(yard.routes(on_server=True)["/a/two"].key))
+        await other.command(other.bridge.do(RemoveTopic(yard.routes(on_server=True)["/a/two"].key)))
         await until(lambda: EventCode.LINK_PATTERN_FULL in yard.codes(), _SEEN)
         assert yard.link().patterns.all()[0].excepts == full
 
@@ -278,7 +279,7 @@ def test_what_a_pattern_has_made_is_listed_as_long_as_it_is_there(play: Play) ->
         assert yard.link().table.listed == {("topic", "/cmd/vel", "receive")}
         server = yard.server.run
         assert server is not None
-        await server.command(server.bridge.remove_topic(yard.routes(on_server=True)["/cmd/vel"].key))
+        await server.command(server.bridge.do(RemoveTopic(yard.routes(on_server=True)["/cmd/vel"].key)))
         await until(lambda: not yard.routes(), _SEEN)
         assert yard.link().patterns.all()[0].excepts == ("/cmd/vel",)
         assert yard.link().table.listed == set()

@@ -23,12 +23,12 @@ class Consoles:
     def arm(self, engine: Engine, topic: str = "/cmd") -> None:
         """Arm a topic on an engine's console."""
         self._engines.add(engine)
-        engine.arming.arm(route(engine, topic).key).result(30)
+        engine.arm(route(engine, topic).key).result(30)
 
     def _run(self) -> None:
         while not self._ended.wait(0.5):
             for engine in tuple(self._engines):
-                engine.arming.keep(pressed=False)
+                engine.keep_armed(pressed=False)
 
     def close(self) -> None:
         """Give no further signs of life."""

@@ -9,6 +9,7 @@ import msgspec
 from tests.console.scripted import LINK, NOW, ScriptedEngine, route
 
 from rsb_bridge.api import EngineError
+from rsb_bridge.model.commands import Command, EditTopic, R
 from rsb_bridge.model.robot_summary import RobotState, RobotSummary
 from rsb_bridge.model.session import Client, Session, Topic
 from rsb_bridge.model.snapshot import RouteSnapshot, Snapshot
@@ -16,6 +17,7 @@ from rsb_console.fleet.fleet import Fleet, Memory
 
 if TYPE_CHECKING:
     from collections.abc import Callable
+    from concurrent.futures import Future
     from pathlib import Path
 
     from rsb_bridge.control.remote_engine import RemoteEngine
@@ -109,12 +111,12 @@ class ServerEngine(ScriptedEngine):
         links = tuple(replace(LINK, name=name, since=NOW - 300.0) for name in names)
         self.now = Snapshot(NOW, "control", "server", "0.0.0.0:7060", 1, True, links, routes, 0)
 
-    def edit_topic(self, key: str, topic: Topic, *, drop_arm: bool = False) -> Any:
-        def changed(route: RouteSnapshot) -> RouteSnapshot:
-            return self.edited(replace(route, spec=topic)) if route.key == key else route
-
-        self.now = replace(self.now, time=self.now.time + 1, routes=tuple(map(changed, self.now.routes)))
-        return super().edit_topic(key, topic, drop_arm=drop_arm)
+    def do(self, command: Command[R], step: Any = None) -> Future[R]:
+        if isinstance(command, EditTopic):
+            key, topic = command.key, command.topic
+            routes = (self.edited(replace(each, spec=topic)) if each.key == key else each for each in self.now.routes)
+            self.now = replace(self.now, time=self.now.time + 1, routes=tuple(routes))
+        return super().do(command, step)
 
     def link(self, name: str, **changes: Any) -> None:
         """Change a robot's link, and what its topics are with it."""

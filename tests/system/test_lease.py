@@ -192,7 +192,7 @@ def test_nothing_old_is_published_when_a_network_lets_go_what_it_held(
     relay.stall()
     answered_at = float("inf")
     if disarmed:
-        server.arming.disarm(route(server, "/cmd").key).result(30)
+        server.disarm(route(server, "/cmd").key).result(30)
         answered_at = time.monotonic()
     time.sleep(4.0)
     for connection in (data, control) if first == "data" else (control, data):
@@ -216,7 +216,7 @@ def test_a_disarm_is_answered_at_once_where_the_other_side_answers(
     consoles.arm(server)
     eventually(lambda: len(motors.heard) >= RATE)
     began = time.monotonic()
-    server.arming.disarm(route(server, "/cmd").key).result(30)
+    server.disarm(route(server, "/cmd").key).result(30)
     answered_at = time.monotonic()
     time.sleep(1.0)
     assert answered_at - began < LASTS

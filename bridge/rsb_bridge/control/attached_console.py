@@ -4,28 +4,24 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-from typing import TYPE_CHECKING, Protocol, TypeAlias, TypeVar
+from typing import TYPE_CHECKING, Protocol
 
 import msgspec
 
 from rsb_bridge.api import EngineError, InvalidRequestError
 from rsb_bridge.control import protocol
 from rsb_bridge.control.features import FEATURES, known_features, knows_all, with_unknown_kept, without_unknown
-from rsb_bridge.control.protocol import CHANGING, ArmTopic, Bench, ProtocolError
+from rsb_bridge.control.protocol import ProtocolError
 from rsb_bridge.control.states import EncodedRoutes, Sender
-from rsb_bridge.model.benchmark import Outcome
 from rsb_bridge.model.command_origin import acting, on_console, undoing
-from rsb_bridge.model.history import HistoryReport
-from rsb_bridge.model.snapshot import PeekedMessage, Reloaded, TopicInfo
+from rsb_bridge.model.commands import ArmTopic, Right, Stop
 from rsb_bridge.model.wording import Wording
 from rsb_bridge.tasks import Tasks
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-    from concurrent.futures import Future
-
     from rsb_bridge.api import EngineApi
-    from rsb_bridge.control.protocol import BridgeInfo, Command, ToBridge, ToConsole
+    from rsb_bridge.control.protocol import BridgeInfo, ToBridge, ToConsole
+    from rsb_bridge.model.commands import AnyCommand
 
 _TICK = 0.25
 _HELLO_WITHIN = 5.0
@@ -89,12 +85,12 @@ class Connection(Protocol):
 
 
 class ConsoleHost(Protocol):
-    """What all consoles of one engine share.
+    """The engine that all its consoles share, and its process.
 
     Attributes:
-        engine: which.
-        info: who serves it.
-        encoded: what of its state is encoded already.
+        engine: to be shown and commanded.
+        info: describes the bridge.
+        encoded: the parts of the state that are encoded already.
     """
 
     engine: EngineApi
@@ -106,17 +102,17 @@ class ConsoleHost(Protocol):
         ...
 
     def stop_process(self) -> None:
-        """Do what `rsb_bridge.control.protocol.Stop` asks for."""
+        """End the process, as `rsb_bridge.model.commands.Stop` asks."""
         ...
 
 
 class Console:
-    """One console, from when its connection is made. Whoever has the connection passes on what comes, and the end.
+    """One console, from the start of its connection. The owner of the connection passes on its bytes, and its end.
 
     Args:
-        served: what it is attached to.
+        served: the engine that it is attached to.
         connection: its own.
-        refusal: why it is refused as soon as it says hello; empty: it is not.
+        refusal: the reason to refuse it as soon as it says hello, or an empty string.
     """
 
     def __init__(self, served: ConsoleHost, connection: Connection, refusal: str = "") -> None:
@@ -135,8 +131,8 @@ class Console:
         self._watching = False
         self._summary = b""
         self._summed_at = float("-inf")
-        self._denied_reason = ""
-        self._refused: tuple[type, ...] = CHANGING
+        self._denied: dict[Right, str] = {}
+        """The reason that this console lacks a right, or an empty string; from the welcome on."""
         self._operator = ""
         self._welcomed = False
         self._tasks = Tasks(self._loop, self.abort)
@@ -148,10 +144,10 @@ class Console:
         self._tasks.spawn(self._tick())
 
     def received(self, data: bytes) -> None:
-        """Act on what has come.
+        """Act on bytes from the console.
 
         Raises:
-            ProtocolError: it does not keep to the protocol.
+            ProtocolError: the console breaks the protocol.
         """
         for message in self._frames.feed(data):
             self._handle(message)
@@ -162,7 +158,7 @@ class Console:
         if self._has_armed:
             self._has_armed = False
             with acting(self._operator), on_console(self):
-                self._engine.arming.release()
+                self._engine.release_armed()
 
     def send(self, message: ToConsole) -> None:
         """Hand a message to the connection, or keep it until that takes it."""
@@ -177,7 +173,7 @@ class Console:
         self._connection.abort()
 
     def end(self, reason: str) -> None:
-        """Say the last events, and why this is the end; then close."""
+        """Send the last events and the reason for the end; then close."""
         self._send_events()
         self.send(protocol.Goodbye(reason))
         self._connection.close()
@@ -186,7 +182,7 @@ class Console:
     def _buffered(self) -> int:
         return self._connection.buffered
 
-    # --- what it says
+    # --- messages from it
 
     def _handle(self, message: ToBridge) -> None:
         if isinstance(message, protocol.Hello):
@@ -216,14 +212,14 @@ class Console:
             return
         self._welcomed = True
         self._operator = self._connection.operator
-        read_only_reason = self._connection.read_only_reason
-        self._denied_reason = read_only_reason or (RequestRefused.ATTACHED_READ_ONLY() if hello.read_only else "")
-        self._refused = (*CHANGING, Bench) if read_only_reason else CHANGING  # a measurement takes what a link carries
+        read_only = self._connection.read_only_reason
+        attached_read_only = RequestRefused.ATTACHED_READ_ONLY() if hello.read_only else ""
+        self._denied = {Right.MEASURE: read_only, Right.CHANGE: read_only or attached_read_only}
         self._features = known_features(hello.features)
         self._sender = Sender(self._features)
         if info.file is not None and self._hides_fields:
             info = msgspec.structs.replace(info, file=None)  # the console would save it without the hidden fields
-        self.send(protocol.Welcome(info, bool(self._denied_reason), FEATURES))
+        self.send(protocol.Welcome(info, bool(self._denied[Right.CHANGE]), FEATURES))
 
     @property
     def _hides_fields(self) -> bool:
@@ -232,8 +228,8 @@ class Console:
         return without_unknown(session, self._features) is not session
 
     def _request(self, request: protocol.Request) -> None:
-        if self._denied_reason and isinstance(request.command, self._refused):
-            self.send(protocol.Failed(request.id, RequestRefused.READ_ONLY(reason=self._denied_reason)))
+        if reason := self._denied.get(request.command.right):
+            self.send(protocol.Failed(request.id, RequestRefused.READ_ONLY(reason=reason)))
         elif self._requests >= protocol.REQUESTS_WAITING:
             self.send(protocol.Failed(request.id, RequestRefused.TOO_MANY_WAITING(count=protocol.REQUESTS_WAITING)))
         else:
@@ -247,27 +243,29 @@ class Console:
             command = with_unknown_kept(command, self._features, engine.snapshot(), engine.session)
         try:
             with acting(self._operator), undoing(request.undo), on_console(self):
-                answer = await _execute(
-                    command,
-                    engine,
-                    step=lambda text: self._step(request.id, text),
-                    stop_process=self._served.stop_process,
-                )
-            reply: ToConsole = _reply(request.id, answer)
+                result = await self._execute(request.id, command)
+            reply: ToConsole = protocol.reply(request.id, result)
         except EngineError as error:
             reply = protocol.Failed(request.id, str(error), isinstance(error, InvalidRequestError))
         finally:
             self._requests -= 1
-        if isinstance(request.command, CHANGING) and self._sender.sent is not None and self._buffered == 0:
-            await self._send_state()  # whoever waits for the command wants to see its effect
+        if command.right is Right.CHANGE and self._sender.sent is not None and self._buffered == 0:
+            await self._send_state()  # before the reply: the operator wants to see the effect
         self.send(reply)
+
+    async def _execute(self, request: int, command: AnyCommand) -> object:
+        done = asyncio.wrap_future(self._engine.do(command, lambda text: self._step(request, text)))
+        if isinstance(command, Stop):
+            self._served.stop_process()
+        # The engine finishes most commands even if nobody waits for the result any more.
+        return await (done if command.cancellable else asyncio.shield(done))
 
     def _step(self, request: int, text: str) -> None:
         """Tell a step of a restart; called on the engine's thread."""
         with contextlib.suppress(RuntimeError):
             self._loop.call_soon_threadsafe(self.send, protocol.Step(request, text))
 
-    # --- what it is told
+    # --- messages to it
 
     async def _tick(self) -> None:
         """Send what is new, four times a second, for ever."""
@@ -335,90 +333,3 @@ class Console:
                 if state.more:
                     await asyncio.sleep(_PAUSE)
             encoded.keep_only(snapshot)
-
-
-def _reply(request: int, answer: Answer) -> protocol.Reply:
-    if isinstance(answer, Reloaded):
-        return protocol.Reply(request, reloaded=answer)
-    if isinstance(answer, HistoryReport):
-        return protocol.Reply(request, history=answer)
-    if isinstance(answer, Outcome):
-        return protocol.Reply(request, bench=answer)
-    return protocol.Reply(request, answer)
-
-
-T = TypeVar("T")
-Answer: TypeAlias = str | tuple[TopicInfo, ...] | PeekedMessage | Reloaded | HistoryReport | Outcome | None
-
-
-async def _execute(
-    command: Command, engine: EngineApi, *, step: Callable[[str], None], stop_process: Callable[[], None]
-) -> Answer:
-    """Have the engine do it.
-
-    Args:
-        command: what to do.
-        engine: does it.
-        step: is told each step of a restart, on the engine's thread.
-        stop_process: does what `rsb_bridge.control.protocol.Stop` asks for.
-
-    Raises:
-        EngineError: it does not.
-    """
-    match command:
-        case protocol.AddTopic():
-            return await _done(engine.add_topic(command.topic, command.link))
-        case protocol.EditTopic():
-            return await _done(engine.edit_topic(command.key, command.topic, drop_arm=command.drop_arm))
-        case protocol.RemoveTopic():
-            await _done(engine.remove_topic(command.key, drop_arm=command.drop_arm))
-        case protocol.Pause():
-            await _done(engine.pause(command.key, command.paused))
-        case protocol.Acknowledge():
-            await _done(engine.acknowledge(command.key, command.acknowledged, link=command.link))
-        case protocol.ArmTopic():
-            await _done(engine.arming.arm(command.key))
-        case protocol.DisarmTopic():
-            await _done(engine.arming.disarm(command.key))
-        case protocol.KeepArmed():
-            await _done(engine.arming.keep(pressed=command.pressed))
-        case protocol.ReleaseArmed():
-            await _done(engine.arming.release())
-        case protocol.AddClient():
-            await _done(engine.add_client(command.client))
-        case protocol.ChangeClient():
-            await _done(engine.change_client(command.client))
-        case protocol.RemoveClient():
-            await _done(engine.remove_client(command.name))
-        case protocol.Retry():
-            await _done(engine.retry(command.link))
-        case protocol.ShutDown():
-            await _done(engine.shut_down())
-        case protocol.Topics():
-            found = await _done(engine.topics(command.link))
-            return tuple(found)
-        case protocol.Peek():
-            return await asyncio.wrap_future(engine.peek(command.key, kept=command.kept))
-        case protocol.Describe():
-            return await asyncio.wrap_future(engine.describe(command.key))
-        case protocol.Template():
-            return await asyncio.wrap_future(engine.template(command.key, command.lane))
-        case protocol.Call():
-            return await asyncio.wrap_future(engine.call(command.key, command.request, command.lane))
-        case protocol.History():
-            return await _done(engine.history(command.seconds))
-        case protocol.Bench():
-            return await _done(engine.bench(command.order))
-        case protocol.Restart():
-            await _done(engine.restart(step))
-        case protocol.Reload():
-            return await _done(engine.reload(dry_run=command.dry_run))
-        case protocol.Stop():
-            engine.told_to_stop()
-            stop_process()
-    return None
-
-
-async def _done(future: Future[T]) -> T:
-    """Wait for the engine, which finishes what it has begun even if nobody waits any more."""
-    return await asyncio.shield(asyncio.wrap_future(future))

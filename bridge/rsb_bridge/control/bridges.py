@@ -38,8 +38,8 @@ class RunningBridge:
     Attributes:
         path: of its control socket.
         pid: its process.
-        info: what it says of itself; None: it does not answer, or not to this version.
-        problem: why there is no `info`; else empty.
+        info: its description, or None if it does not answer, or not to this version.
+        problem: the reason that `info` is None, or an empty string.
     """
 
     path: Path
@@ -130,16 +130,16 @@ def serve(
     has_console: bool = False,
     environ: Mapping[str, str] = os.environ,
 ) -> ControlServer:
-    """Serve an engine, before it is started: from now on nobody on this machine starts the same session again.
+    """Serve an engine that is not started yet. From now on this machine refuses to start the same session again.
 
     Args:
         engine: not started yet.
         session: that it runs.
         file: the session file.
-        control: the socket; None: one in the user's folder, named after the session.
-        on_stop: ends the process, on another thread; None: SIGTERM does.
-        has_console: the process has a console of its own.
-        environ: says where the user's folder is.
+        control: the path of the socket, or None for one in the user's folder, named after the session.
+        on_stop: ends the process, on another thread, or None to send SIGTERM.
+        has_console: whether the process has a console of its own.
+        environ: names the user's folder.
 
     Raises:
         AlreadyRunningError: another process runs the session.

@@ -1,7 +1,7 @@
-"""What an engine elsewhere says, made fit for a console: its texts reach terminals, its figures are drawn.
+"""Cleans messages of engines on other machines, because their texts reach terminals and their figures are drawn.
 
-An engine on this machine is the user's own process and is trusted. One that is reached over a network may have been
-taken over, and the operator's key is no reason to believe what it says.
+An engine on this machine is the user's own process and is trusted. An engine over a network may have been taken over,
+and the operator's key is no reason to trust it.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ TEXT: Final = 4096
 _EARLIEST, _LATEST = -1e10, 2.5e11
 """Of any figure: as s since the epoch, both are dates that Python can write."""
 _EVENTS, _EVENTS_A_SECOND = 3 * KEPT, 50.0
-"""An engine tells those that it has kept, at each of its starts, and then limits itself to fewer than this."""
+"""At each start an engine sends all events that it has kept; after that, its own limit is lower than this."""
 _MOST_COUNTED = 10**18
 _not_in_lines = re.compile(f"(?![\\n\\t])[{UNPRINTABLE}\\ud800-\\udfff]")
 
@@ -42,10 +42,10 @@ _names: dict[type, tuple[str, ...]] = {}
 
 
 def clean(message: M) -> M:
-    """A decoded message, or a part of one, with nothing in it that does anything to a terminal, or cannot be drawn.
+    """Return a decoded message, or a part of one, that is safe for terminals and drawings.
 
-    Unprintable characters are replaced, texts are cut, figures are finite, and no count is below 0. Of several lines
-    are only the texts that answer a command, and those that say why something is not done.
+    Unprintable characters are replaced, texts are cut, figures are finite, and no count is below 0. Only the results of
+    commands and the reasons of failures may have several lines.
 
     Raises:
         ProtocolError: it lists more than any engine does.
@@ -60,7 +60,7 @@ def clean(message: M) -> M:
 
 
 class UntrustedMessages:
-    """Cleans what one engine says, over all connections to it, and bounds how many events it tells of.
+    """Cleans the messages of one engine over all its connections, and limits the rate of its events.
 
     Args:
         now: s on a monotonic clock.
@@ -70,10 +70,10 @@ class UntrustedMessages:
         self._events = TokenBucket(_EVENTS, _EVENTS_A_SECOND, now)
 
     def __call__(self, message: ToConsole, now: float) -> ToConsole:
-        """A message, cleaned; the routes of a state are not decoded yet.
+        """Return a cleaned message; the routes of a state are not decoded yet.
 
         Raises:
-            ProtocolError: it is more than any engine says.
+            ProtocolError: it is more than any engine sends.
         """
         if isinstance(message, Events) and not self._events.take(len(message.events), now):
             raise ProtocolError(UnexpectedMessage.TOO_MANY_EVENTS())
@@ -102,7 +102,6 @@ def check_length(length: int) -> None:
 
 
 def _clean(value: Any) -> Any:
-    """What is clean is given back as it is."""
     kind = type(value)
     if kind is str:
         is_plain = len(value) <= TEXT and value.isascii() and value.isprintable()

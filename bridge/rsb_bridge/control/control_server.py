@@ -25,12 +25,11 @@ if TYPE_CHECKING:
     from rsb_bridge.control.protocol import BridgeInfo
 
 _TURNS = 10
-"""Turns of the loop: what was accepted last has become a console then, which can be told of the end, and what was
-aborted is closed."""
+"""Turns of the loop after which the last accepted connection is a console, and aborted connections are closed."""
 _SAID_WITHIN = 0.25
 _CLOSED_WITHIN = 2.0
-"""s that `ControlServer.close` waits for its thread, which ends by itself as soon as it has said so: for a machine that
-starves it, where the socket would be left behind."""
+"""s that `ControlServer.close` waits for its thread, so that no socket remains. The thread needs only `_SAID_WITHIN`,
+unless the machine starves it."""
 _READ_SIZE = 64 << 10
 
 
@@ -38,17 +37,17 @@ class ControlServer:
     """Serves one engine from `start` to `close`. Used once.
 
     Args:
-        engine: which; it need not have been started.
-        listener: where; closed with this.
-        info: who serves.
+        engine: to be served, started or not.
+        listener: the socket; closed with this.
+        info: describes the bridge.
         on_stop: called, on this server's thread, when a console asks for the end of the process.
 
     Attributes:
         summarize: makes the engine's figures for consoles that watch (`rsb_bridge.control.protocol.Summary`), on this
-            server's thread; None: nobody does.
+            server's thread, or None to send none.
         engine: as given.
         info: as given.
-        encoded: what of the engine's state is encoded already, for all consoles.
+        encoded: the parts of the engine's state that are encoded already, for all consoles.
         loop: of the server's thread, from `start` on.
     """
 
@@ -90,7 +89,7 @@ class ControlServer:
         self._thread.join(_CLOSED_WITHIN)
 
     def stop_process(self) -> None:
-        """Do what `rsb_bridge.control.protocol.Stop` asks for."""
+        """End the process, as `rsb_bridge.model.commands.Stop` asks."""
         self._on_stop()
 
     # --- on the thread
@@ -108,11 +107,11 @@ class ControlServer:
         return self._ending if self._ends.is_set() else ""
 
     def at_end(self, work: Callable[[], None]) -> None:
-        """Have something done when all consoles have been told of the end. From any thread, before the end."""
+        """Have `work` called once all consoles have received the end. From any thread, before the end."""
         self._at_end.append(work)
 
     def attached(self) -> int:
-        """How many consoles there are, over whatever connection."""
+        """The number of consoles, over all kinds of connection."""
         return len(self._consoles)
 
     def add(self, console: Console) -> None:

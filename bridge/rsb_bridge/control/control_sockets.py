@@ -221,9 +221,9 @@ def connect(path: Path, timeout: float) -> socket.socket:
 
 
 def try_connect(path: Path) -> socket.socket | None:
-    """As `connect`, but never waits. The socket does not block; None: the server has too many to accept, try again.
+    """Connect without waiting. Return a socket that does not block, or None if the server's queue is full: try again.
 
-    A Unix socket cannot be waited for while its server is that busy: the kernel does not say when it has room.
+    Polling is the only choice while the queue is full, because the kernel does not report when it has room.
     """
     with _reported(path):
         try:
@@ -356,10 +356,10 @@ _ENVIRONMENT_LIMIT = 1 << 20
 
 
 def identify(pid: int, uid: int, proc: Path = Path("/proc")) -> str:
-    """Who is behind a process: ``anna on pts/3 from 192.168.1.5``, ``anna (uid 1000, pid 4711)`` without a terminal.
+    """Name the person behind a process: ``anna on pts/3 from 192.168.1.5``, or ``anna (uid 1000, pid 4711)``.
 
-    Who became another user since logging in, as with sudo, is named too: ``root for anna on pts/3``. The address is
-    what the SSH server left in the process's environment; of another user's process, it is not known.
+    A person who became another user since logging in, as with sudo, is named too: ``root for anna on pts/3``. The
+    address comes from the environment that the SSH server gave the process; it is unknown for another user's process.
 
     Args:
         pid: of the process.

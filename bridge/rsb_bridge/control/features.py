@@ -14,13 +14,13 @@ from typing import TYPE_CHECKING, Any, Final, TypeVar, cast
 import msgspec
 
 from rsb_bridge import __version__
-from rsb_bridge.control.protocol import VERSION, Acknowledge, ChangeClient, EditTopic, Hello, RemoveTopic
+from rsb_bridge.control.protocol import VERSION, Hello
+from rsb_bridge.model.commands import Acknowledge, AnyCommand, ChangeClient, Command, EditTopic, RemoveTopic
 from rsb_bridge.model.session import Client, Session, Topic
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
 
-    from rsb_bridge.control.protocol import Command
     from rsb_bridge.model.snapshot import Snapshot
 
 ACKNOWLEDGE = "acknowledge"
@@ -67,7 +67,7 @@ def knows_all(features: frozenset[str]) -> bool:
     return features >= _ALL
 
 
-def missing_feature(command: Command, features: frozenset[str]) -> str:
+def missing_feature(command: Command[object], features: frozenset[str]) -> str:
     """Return a feature that a command needs and the bridge lacks, or an empty string."""
     return next((feature for feature in _features_of(command) if feature not in features), "")
 
@@ -110,7 +110,9 @@ def without_unknown(value: V, features: frozenset[str]) -> V:
     return cast("V", msgspec.structs.replace(value, **changes)) if changes else value
 
 
-def with_unknown_kept(command: Command, features: frozenset[str], snapshot: Snapshot, session: Session) -> Command:
+def with_unknown_kept(
+    command: AnyCommand, features: frozenset[str], snapshot: Snapshot, session: Session
+) -> AnyCommand:
     """Return a command of an older console, in which fields that the console does not know keep their values.
 
     Args:

@@ -1,24 +1,26 @@
 """The protocol of a control socket: commands, frames, messages, and their limits. Sans-IO.
 
-A frame is four bytes of length, big-endian, and a message in MessagePack. The types below and those of the model are
-the definition: msgspec reads and writes them by their type hints.
+A frame is four bytes of length, big-endian, and a message in MessagePack. The types below and in the model are the
+definition: msgspec reads and writes them by their type hints.
 
 `Hello`, `Welcome` and `Refused` keep their fields in every version, so that two versions can tell each other apart. New
-fields of messages are optional, and an older side ignores them; but it ends the connection if it gets a message or a
-command that it does not know, or a field of a session that it does not know. So these are sent only to a side that
-names the feature (`rsb_bridge.control.features`).
+fields of messages are optional, and an older side ignores them. But an older side ends the connection at an unknown
+message, an unknown command, or an unknown field of a session. So these are sent only if the receiver has named the
+feature (`rsb_bridge.control.features`).
 """
 
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING, Generic, TypeAlias, TypeVar
+from typing import TYPE_CHECKING, Final, Generic, TypeAlias, TypeVar, cast, get_args, get_origin
 
 import msgspec
 
-from rsb_bridge.model.benchmark import Order, Outcome
+from rsb_bridge.api import EngineError
+from rsb_bridge.model.benchmark import Outcome
+from rsb_bridge.model.commands import AnyCommand
 from rsb_bridge.model.history import HistoryReport
-from rsb_bridge.model.session import Client, Session, Topic
+from rsb_bridge.model.session import Session
 from rsb_bridge.model.snapshot import (
     Event,
     LinkSnapshot,
@@ -34,190 +36,7 @@ from rsb_bridge.model.wording import Wording
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-
-class _Command(msgspec.Struct, frozen=True, tag_field="is", omit_defaults=True):
-    """A command, named by its tag."""
-
-
-class AddTopic(_Command, frozen=True, tag="add"):
-    """As the methods of `rsb_bridge.api.EngineApi`, likewise those below."""
-
-    topic: Topic
-    link: str = ""
-
-
-class EditTopic(_Command, frozen=True, tag="edit"):
-    """See `AddTopic`."""
-
-    key: str
-    topic: Topic
-    drop_arm: bool = False
-
-
-class RemoveTopic(_Command, frozen=True, tag="remove"):
-    """See `AddTopic`."""
-
-    key: str
-    drop_arm: bool = False
-
-
-class Pause(_Command, frozen=True, tag="pause"):
-    """See `AddTopic`."""
-
-    key: str
-    paused: bool
-
-
-class Acknowledge(_Command, frozen=True, tag="acknowledge"):
-    """See `AddTopic`."""
-
-    key: str = ""
-    acknowledged: bool = True
-    link: str = ""
-
-
-class ArmTopic(_Command, frozen=True, tag="arm"):
-    """As the methods of `rsb_bridge.api.ArmingApi`, likewise those below: for the console that asks."""
-
-    key: str
-
-
-class DisarmTopic(_Command, frozen=True, tag="disarm"):
-    """See `ArmTopic`."""
-
-    key: str
-
-
-class KeepArmed(_Command, frozen=True, tag="keep_armed"):
-    """See `ArmTopic`."""
-
-    pressed: bool
-
-
-class ReleaseArmed(_Command, frozen=True, tag="release_armed"):
-    """See `ArmTopic`."""
-
-
-class AddClient(_Command, frozen=True, tag="add_client"):
-    """See `AddTopic`."""
-
-    client: Client
-
-
-class ChangeClient(_Command, frozen=True, tag="change_client"):
-    """See `AddTopic`."""
-
-    client: Client
-
-
-class RemoveClient(_Command, frozen=True, tag="remove_client"):
-    """See `AddTopic`."""
-
-    name: str
-
-
-class Retry(_Command, frozen=True, tag="retry"):
-    """See `AddTopic`."""
-
-    link: str = ""
-
-
-class ShutDown(_Command, frozen=True, tag="shut_down"):
-    """See `AddTopic`."""
-
-
-class Restart(_Command, frozen=True, tag="restart"):
-    """See `AddTopic`. Its steps come as `Step`."""
-
-
-class Reload(_Command, frozen=True, tag="reload"):
-    """See `AddTopic`."""
-
-    dry_run: bool = False
-
-
-class Topics(_Command, frozen=True, tag="topics"):
-    """See `AddTopic`."""
-
-    link: str | None = None
-
-
-class Peek(_Command, frozen=True, tag="peek"):
-    """See `AddTopic`."""
-
-    key: str
-    kept: bool = False
-
-
-class Describe(_Command, frozen=True, tag="describe"):
-    """See `AddTopic`."""
-
-    key: str
-
-
-class Template(_Command, frozen=True, tag="template"):
-    """See `AddTopic`."""
-
-    key: str
-    lane: str = ""
-
-
-class Call(_Command, frozen=True, tag="call"):
-    """See `AddTopic`."""
-
-    key: str
-    request: str
-    lane: str = ""
-
-
-class History(_Command, frozen=True, tag="history"):
-    """See `AddTopic`."""
-
-    seconds: float
-
-
-class Bench(_Command, frozen=True, tag="bench"):
-    """See `AddTopic`."""
-
-    order: Order
-
-
-class Stop(_Command, frozen=True, tag="stop"):
-    """End the bridge's process, as SIGTERM does."""
-
-
-Command: TypeAlias = (
-    AddTopic
-    | EditTopic
-    | RemoveTopic
-    | Pause
-    | Acknowledge
-    | ArmTopic
-    | DisarmTopic
-    | KeepArmed
-    | ReleaseArmed
-    | AddClient
-    | ChangeClient
-    | RemoveClient
-    | Retry
-    | ShutDown
-    | Restart
-    | Reload
-    | Topics
-    | Peek
-    | Describe
-    | Template
-    | Call
-    | History
-    | Bench
-    | Stop
-)
-
-CHANGING = (
-    AddTopic, EditTopic, RemoveTopic, Pause, Acknowledge, ArmTopic, DisarmTopic, AddClient, ChangeClient,
-    RemoveClient, Call, Retry, ShutDown, Restart, Reload, Stop,
-)  # fmt: skip
-"""The commands that are refused to those who only watch."""
+    from rsb_bridge.model.commands import Command, R
 
 
 VERSION = 1
@@ -258,6 +77,13 @@ class VersionProblem(Wording):
     )
 
 
+class RequestProblem(Wording):
+    """Reasons why a command does not reach the bridge, or why its reply is useless."""
+
+    TOO_LONG = "it is too long: {length:,} bytes"
+    UNEXPECTED_REPLY = "unexpected reply to this command"
+
+
 class UnexpectedMessage(Wording):
     """Messages that break this protocol."""
 
@@ -287,7 +113,7 @@ class Hello(_Message, frozen=True, tag="hello"):
     Attributes:
         version: of this protocol.
         program: the version of rsb-console.
-        read_only: the bridge is to refuse what would change anything.
+        read_only: whether the bridge is to refuse all changes.
         features: of the console, as in `rsb_bridge.control.features`.
     """
 
@@ -298,7 +124,7 @@ class Hello(_Message, frozen=True, tag="hello"):
 
 
 class BridgeInfo(msgspec.Struct, frozen=True, omit_defaults=True):
-    """Who serves a control socket.
+    """The description of a bridge that serves a control socket.
 
     Attributes:
         name: of its session.
@@ -306,9 +132,9 @@ class BridgeInfo(msgspec.Struct, frozen=True, omit_defaults=True):
         address: that it binds or calls.
         pid: its process.
         started: s since the epoch.
-        instance: differs from one engine to the next, whatever their names.
+        instance: an id that differs from one engine to the next.
         program: its version of rsb-console.
-        file: its session file, absolute; None: its session is in no file.
+        file: the absolute path of its session file, or None if there is no file.
         base: the folder that its key files are relative to, absolute.
         has_console: whether it runs in a console of its own.
     """
@@ -329,8 +155,8 @@ class Welcome(_Message, frozen=True, tag="welcome"):
     """The answer to `Hello`.
 
     Attributes:
-        bridge: who answers.
-        read_only: commands are refused here.
+        bridge: the one that answers.
+        read_only: whether the bridge refuses this console all changes.
         features: of the bridge, as in `rsb_bridge.control.features`.
     """
 
@@ -362,7 +188,7 @@ class Request(_Message, frozen=True, tag="request"):
     """
 
     id: int
-    command: Command
+    command: AnyCommand
     undo: bool = False
 
 
@@ -374,7 +200,7 @@ class Follow(_Message, frozen=True, tag="follow"):
     """Asks for the events from now on.
 
     Attributes:
-        after: number of the last one that is known already.
+        after: the number of the last event that the console has.
     """
 
     after: int
@@ -436,7 +262,7 @@ class Summary(_Message, frozen=True, tag="summary"):
     """The engine in a few figures: at most once a second when it has changed, and every 5 s as a sign of life.
 
     Attributes:
-        content: as whoever made it has encoded it; no version of this protocol knows what is in it.
+        content: encoded by its maker; this protocol does not look inside.
     """
 
     content: bytes
@@ -455,14 +281,14 @@ class Step(_Message, frozen=True, tag="step"):
 
 
 class Reply(_Message, frozen=True, tag="reply"):
-    """A command is done.
+    """The result of a command. `value` has room for one kind of object only, so there is a field for each other kind.
 
     Attributes:
         id: of the request.
-        value: a route's key, topics, a message, the description of a type, or nothing.
-        reloaded: the answer to `Reload`; `value` has room for one kind of object only.
-        history: the answer to `History`, likewise.
-        bench: the answer to `Bench`, likewise.
+        value: a route's key, topics, a message, the description of a type, or None.
+        reloaded: the result of `Reload`.
+        history: the result of `History`.
+        bench: the result of `Bench`.
     """
 
     id: int
@@ -510,8 +336,31 @@ def encode(message: ToBridge | ToConsole) -> bytes:
     return len(body).to_bytes(_LENGTH_BYTES, "big") + body
 
 
+_FIELD_OF: Final = {Reloaded: "reloaded", HistoryReport: "history", Outcome: "bench"}
+
+
+def reply(request: int, result: object) -> Reply:
+    """Return the message that holds the result of a command."""
+    return msgspec.structs.replace(Reply(request), **{_FIELD_OF.get(type(result), "value"): result})
+
+
+def result_of(command: Command[R], reply: Reply) -> R:
+    """Return the result that a message holds.
+
+    Raises:
+        EngineError: it is no result of this command.
+    """
+    kind = get_args(type(command).__orig_bases__[0])[0]  # type: ignore[attr-defined]
+    if kind is type(None):
+        return cast("R", None)
+    value = reply.reloaded or reply.history or reply.bench or reply.value
+    if not isinstance(value, get_origin(kind) if get_origin(kind) is tuple else kind):
+        raise EngineError(RequestProblem.UNEXPECTED_REPLY())
+    return cast("R", value)
+
+
 def encode_route(route: RouteSnapshot) -> msgspec.Raw:
-    """A route as it stands in a `State`."""
+    """Return a route as bytes for a `State`."""
     if (state := state_for_any(route.state)) is not route.state:  # an older console would refuse what it does not know
         route = replace(route, state=state)
     return msgspec.Raw(_encoder.encode(route))
@@ -542,7 +391,7 @@ class Frames(Generic[M]):
         self._held = bytearray()
 
     def feed(self, data: bytes) -> Iterator[M]:
-        """The messages that are complete with these bytes.
+        """Yield the messages that are complete with these bytes.
 
         Raises:
             ProtocolError: a message is too large or invalid.
@@ -562,12 +411,12 @@ class Frames(Generic[M]):
 
 
 def frames_to_bridge() -> Frames[ToBridge]:
-    """What a bridge reads."""
+    """Return a reader of messages to a bridge."""
     return Frames(TO_BRIDGE_LIMIT, _to_bridge)
 
 
 def frames_to_console(limit: int = TO_CONSOLE_LIMIT) -> Frames[ToConsole]:
-    """What a console reads; `limit` is in bytes of a frame."""
+    """Return a reader of messages to a console; `limit` is in bytes of a frame."""
     return Frames(limit, _to_console)
 
 
@@ -579,11 +428,11 @@ def _decoded(decoder: msgspec.msgpack.Decoder[M], body: bytes | msgspec.Raw) -> 
 
 
 def version_problem(bridge: tuple[int, str], console: tuple[int, str]) -> str:
-    """Say which side is older; empty: they understand each other.
+    """Return a text that names the older side, or an empty string if both have the same version.
 
     Args:
         bridge: its version of this protocol, and of rsb-console.
-        console: likewise.
+        console: its version of this protocol, and of rsb-console.
     """
     if bridge[0] == console[0]:
         return ""

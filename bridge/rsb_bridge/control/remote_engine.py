@@ -8,51 +8,42 @@ import itertools
 import threading
 import time
 from concurrent.futures import Future
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING, Any, Generic, cast
 
 from rsb_bridge import __version__
-from rsb_bridge.api import ArmingApi, EngineApi, EngineError, InvalidRequestError
+from rsb_bridge.api import EngineApi, EngineError, InvalidRequestError
 from rsb_bridge.control import protocol
 from rsb_bridge.control.cleaning import UntrustedMessages
 from rsb_bridge.control.control_sockets import AttachProblem, ControlError, NotServedError
 from rsb_bridge.control.features import hello, known_features, missing_feature, older_bridge_text
-from rsb_bridge.control.protocol import Failed, ProtocolError, Reply, Request, Step, UnexpectedMessage
+from rsb_bridge.control.protocol import Failed, ProtocolError, Reply, Request, RequestProblem, Step, UnexpectedMessage
 from rsb_bridge.control.states import Receiver, out_of_reach
 from rsb_bridge.control.ways import UnixSocket
-from rsb_bridge.model.benchmark import Outcome
 from rsb_bridge.model.clock import Clock
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.command_origin import is_undo
-from rsb_bridge.model.history import HistoryReport
-from rsb_bridge.model.snapshot import Level, PeekedMessage, Reloaded
+from rsb_bridge.model.commands import R
+from rsb_bridge.model.snapshot import Level
 from rsb_bridge.model.wording import Wording
 from rsb_bridge.telemetry.event_log import EventLog
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from rsb_bridge.control.protocol import BridgeInfo, Command, ToBridge, ToConsole
+    from rsb_bridge.control.protocol import BridgeInfo, ToBridge, ToConsole
     from rsb_bridge.control.ways import Connection, Way
-    from rsb_bridge.model.benchmark import Order
-    from rsb_bridge.model.session import Client, Session, Topic
-    from rsb_bridge.model.snapshot import Event, Snapshot, TopicInfo
+    from rsb_bridge.model.commands import AnyCommand, Command
+    from rsb_bridge.model.session import Session
+    from rsb_bridge.model.snapshot import Event, Snapshot
 
-T = TypeVar("T")
 ANSWERS_WITHIN = 5.0
 """s in which a bridge welcomes a console, and after which one that is silent counts as unreachable."""
 _RETRY_EVERY = 0.5
 _COMES_BEFORE_USE = 0.1
 """s: the next state is asked for so long before it is likely to be used."""
 _USED_REGULARLY = 3.0
-
-
-class RequestProblem(Wording):
-    """Reasons why a command does not reach the bridge, or why its reply is useless."""
-
-    TOO_LONG = "it is too long: {length:,} bytes"
-    UNEXPECTED_REPLY = "unexpected reply to this command"
 
 
 class AttachedAgain(Wording):
@@ -65,17 +56,17 @@ class AttachedAgain(Wording):
 class RemoteEngine(EngineApi):
     """Fulfils `EngineApi` for an engine of another process.
 
-    `start` attaches; when the connection breaks later, it says so (`unreachable`, and an event), shows everything as
-    down, and attaches again as soon as that is possible. `stop` detaches; the engine goes on.
+    `start` attaches. When the connection breaks later, it reports that (`unreachable`, and an event), shows everything
+    as down, and attaches again as soon as possible. `stop` detaches; the engine goes on.
 
     Args:
         where: the path of its control socket, or another way to it.
-        read_only: have the bridge refuse what would change anything.
-        clock: the wall clock; None: the machine's.
+        read_only: whether the bridge is to refuse all changes.
+        clock: the wall clock, or None for the machine's.
 
     Attributes:
-        bridge: who serves it, from `start` on.
-        read_only: whether the bridge refuses what would change anything, from `start` on.
+        bridge: the description of its bridge, from `start` on.
+        read_only: whether the bridge refuses all changes, from `start` on.
         same_machine: whether the files that the bridge names are this machine's.
         features: of the bridge, as in `rsb_bridge.control.features`, from `start` on.
     """
@@ -170,104 +161,21 @@ class RemoteEngine(EngineApi):
             self._log.wait(self._log.last, min(left, _USED_REGULARLY))
         return self._log.after(0)
 
-    # --- commands
-
-    def add_topic(self, topic: Topic, link: str = "") -> Future[str]:
-        return self._request(protocol.AddTopic(topic, link), _as_text)
-
-    def edit_topic(self, key: str, topic: Topic, *, drop_arm: bool = False) -> Future[str]:
-        return self._request(protocol.EditTopic(key, topic, drop_arm), _as_text)
-
-    def remove_topic(self, key: str, *, drop_arm: bool = False) -> Future[None]:
-        return self._request(protocol.RemoveTopic(key, drop_arm), _as_nothing)
-
-    def pause(self, key: str, paused: bool) -> Future[None]:
-        return self._request(protocol.Pause(key, paused), _as_nothing)
-
-    def acknowledge(self, key: str, acknowledged: bool = True, *, link: str = "") -> Future[None]:
-        return self._request(protocol.Acknowledge(key, acknowledged, link), _as_nothing)
-
-    @property
-    def arming(self) -> _RemoteArming:
-        return _RemoteArming(lambda command: self._request(command, _as_nothing))
-
-    def add_client(self, client: Client) -> Future[None]:
-        return self._request(protocol.AddClient(client), _as_nothing)
-
-    def change_client(self, client: Client) -> Future[None]:
-        return self._request(protocol.ChangeClient(client), _as_nothing)
-
-    def remove_client(self, name: str) -> Future[None]:
-        return self._request(protocol.RemoveClient(name), _as_nothing)
-
-    def retry(self, link: str = "") -> Future[None]:
-        return self._request(protocol.Retry(link), _as_nothing)
-
-    def shut_down(self) -> Future[None]:
-        return self._request(protocol.ShutDown(), _as_nothing)
-
-    def restart(self, step: Callable[[str], None] | None = None) -> Future[None]:
-        return self._request(protocol.Restart(), _as_nothing, step)
-
-    def reload(self, *, dry_run: bool = False) -> Future[Reloaded]:
-        return self._request(protocol.Reload(dry_run), _as_reloaded)
-
     def use_file(self, path: Path | None) -> None:
         return  # the bridge keeps to its own
-
-    def told_to_stop(self) -> None:
-        return  # the bridge records it where it is told
-
-    def topics(self, link: str | None = None) -> Future[list[TopicInfo]]:
-        return self._request(protocol.Topics(link), _as_topics)
-
-    def peek(self, key: str, *, kept: bool = False) -> Future[PeekedMessage | None]:
-        return self._request(protocol.Peek(key, kept), _as_peeked)
-
-    def describe(self, key: str) -> Future[str]:
-        return self._request(protocol.Describe(key), _as_text)
-
-    def template(self, key: str, lane: str = "") -> Future[str]:
-        return self._request(protocol.Template(key, lane), _as_text)
-
-    def call(self, key: str, request: str, lane: str = "") -> Future[str]:
-        return self._request(protocol.Call(key, request, lane), _as_text)
-
-    def history(self, seconds: float) -> Future[HistoryReport]:
-        return self._request(protocol.History(seconds), _as_history)
-
-    def bench(self, order: Order) -> Future[Outcome]:
-        return self._request(protocol.Bench(order), _as_outcome)
-
-    def stop_bridge(self) -> Future[None]:
-        """End the bridge's process, as SIGTERM does; done when it has understood."""
-        return self._request(protocol.Stop(), _as_nothing)
 
     def lacks(self, feature: str) -> EngineError:
         """Return the error for a feature that the bridge lacks, with the remedy."""
         program = self.bridge.program
         return EngineError(older_bridge_text(self.bridge.name, feature, "" if program == __version__ else program))
 
-    def _request(
-        self, command: Command, convert: Callable[[object], T], step: Callable[[str], None] | None = None
-    ) -> Future[T]:
-        done: Future[T] = Future()
-        answered: Future[object] = Future()
-
-        def convert_answer(_: Future[object]) -> None:
-            if not done.set_running_or_notify_cancel():
-                return
-            try:
-                done.set_result(convert(answered.result()))
-            except EngineError as refused:
-                done.set_exception(refused)
-
-        answered.add_done_callback(convert_answer)
+    def do(self, command: Command[R], step: Callable[[str], None] | None = None) -> Future[R]:
+        future: Future[R] = Future()
         try:
-            self._loop.call_soon_threadsafe(self._send_request, command, answered, step, is_undo())
+            self._loop.call_soon_threadsafe(self._send_request, _Waiting(command, future, step), is_undo())
         except RuntimeError:
-            answered.set_exception(EngineError(AttachProblem.DETACHED()))
-        return done
+            future.set_exception(EngineError(AttachProblem.DETACHED()))
+        return future
 
     # --- on the thread
 
@@ -414,138 +322,80 @@ class RemoteEngine(EngineApi):
 
     # --- requests
 
-    def _send_request(
-        self, command: Command, answered: Future[object], step: Callable[[str], None] | None, undo: bool
-    ) -> None:
+    def _send_request(self, waiting: _Waiting[R], undo: bool) -> None:
         if self._connection is None:
-            answered.set_exception(EngineError(f"not attached: {self._lost}"))
+            waiting.fail(EngineError(f"not attached: {self._lost}"))
             return
-        if feature := missing_feature(command, self.features):  # the bridge would end the connection
-            answered.set_exception(self.lacks(feature))
+        if feature := missing_feature(waiting.command, self.features):  # the bridge would end the connection
+            waiting.fail(self.lacks(feature))
             return
-        request = self._requests.new(command, answered, step, undo=undo)
+        request = self._requests.new(waiting, undo=undo)
         if (size := len(protocol.encode(request))) > protocol.TO_BRIDGE_LIMIT:  # the bridge would end the connection
-            self._requests.take(protocol.Failed(request.id, RequestProblem.TOO_LONG(length=size)))
+            self._requests.take(Failed(request.id, RequestProblem.TOO_LONG(length=size)))
         else:
             self._send(request)
 
 
+@dataclass(frozen=True, slots=True)
+class _Waiting(Generic[R]):
+    """A command that has no reply yet.
+
+    Attributes:
+        command: as it was given.
+        future: gets the result.
+        step: called with each step of a restart, or None.
+    """
+
+    command: Command[R]
+    future: Future[R]
+    step: Callable[[str], None] | None
+
+    def take(self, reply: Reply) -> None:
+        if not self.future.set_running_or_notify_cancel():
+            return
+        try:
+            self.future.set_result(protocol.result_of(self.command, reply))
+        except EngineError as error:
+            self.future.set_exception(error)
+
+    def fail(self, error: EngineError) -> None:
+        if self.future.set_running_or_notify_cancel():
+            self.future.set_exception(error)
+
+
 class _Requests:
-    """Commands that are not answered yet, by their ids, which count on across connections."""
+    """Commands without a reply, by ids that count on across connections."""
 
     def __init__(self) -> None:
         self._ids = itertools.count(1)
-        self._waiting: dict[int, tuple[Future[object], Callable[[str], None] | None]] = {}
+        self._waiting: dict[int, _Waiting[Any]] = {}
 
-    def new(
-        self, command: Command, answered: Future[object], step: Callable[[str], None] | None, *, undo: bool = False
-    ) -> Request:
-        """Return the message for a command.
-
-        Args:
-            command: to be done.
-            answered: gets the answer.
-            step: called with each step, or None.
-            undo: whether it takes back an earlier command.
-        """
+    def new(self, waiting: _Waiting[Any], *, undo: bool) -> Request:
+        """Return the message for a command; `undo` is whether it takes back an earlier command."""
         number = next(self._ids)
-        self._waiting[number] = (answered, step)
-        return Request(number, command, undo)
+        self._waiting[number] = waiting
+        return Request(number, cast("AnyCommand", waiting.command), undo)
 
     def take(self, message: Reply | Failed | Step) -> None:
-        """Hand on what the bridge says of a command.
+        """Pass on what the bridge reports of a command.
 
         Raises:
             ProtocolError: nobody has asked for that.
         """
         if isinstance(message, Step):
-            _, step = self._waiting.get(message.id, (None, None))
-            if step is not None:
-                step(message.text)
+            if (waiting := self._waiting.get(message.id)) is not None and waiting.step is not None:
+                waiting.step(message.text)
             return
-        answered, _ = self._waiting.pop(message.id, (None, None))
-        if answered is None:
+        waiting = self._waiting.pop(message.id, None)
+        if waiting is None:
             raise ProtocolError(UnexpectedMessage.UNASKED())
         if isinstance(message, Failed):
-            kind = InvalidRequestError if message.invalid else EngineError
-            answered.set_exception(kind(message.reason))
+            waiting.fail((InvalidRequestError if message.invalid else EngineError)(message.reason))
         else:
-            answered.set_result(message.reloaded or message.history or message.bench or message.value)
+            waiting.take(message)
 
     def fail(self, reason: str) -> None:
-        """No answer will come to any of them."""
-        waiting, self._waiting = self._waiting, {}
-        for answered, _ in waiting.values():
-            answered.set_exception(EngineError(f"no answer: {reason}"))
-
-
-# --- what kind of answer a command has
-
-
-def _as_nothing(_: object) -> None:
-    """Return nothing: the command only succeeds or fails."""
-    return
-
-
-def _as_text(value: object) -> str:
-    """Return a key, a type's description, or a message."""
-    return _of(str, value)
-
-
-def _as_peeked(value: object) -> PeekedMessage | None:
-    """Return the answer of `Peek`."""
-    return None if value is None else _of(PeekedMessage, value)
-
-
-def _as_reloaded(value: object) -> Reloaded:
-    """Return the answer of `Reload`."""
-    return _of(Reloaded, value)
-
-
-def _as_history(value: object) -> HistoryReport:
-    """Return the answer of `History`."""
-    return _of(HistoryReport, value)
-
-
-def _as_outcome(value: object) -> Outcome:
-    """Return the answer of `Bench`."""
-    return _of(Outcome, value)
-
-
-def _as_topics(value: object) -> list[TopicInfo]:
-    """Return the answer of `Topics`."""
-    return list(_of(tuple, value))
-
-
-def _of(kind: type[T], value: object) -> T:
-    """An answer of the kind that was asked for.
-
-    Raises:
-        EngineError: it is another one.
-    """
-    if not isinstance(value, kind):
-        raise EngineError(RequestProblem.UNEXPECTED_REPLY())
-    return value
-
-
-class _RemoteArming(ArmingApi):
-    """Arming in an engine of another process.
-
-    Args:
-        request: sends a command.
-    """
-
-    def __init__(self, request: Callable[[Command], Future[None]]) -> None:
-        self._request = request
-
-    def arm(self, key: str) -> Future[None]:
-        return self._request(protocol.ArmTopic(key))
-
-    def disarm(self, key: str) -> Future[None]:
-        return self._request(protocol.DisarmTopic(key))
-
-    def keep(self, *, pressed: bool) -> Future[None]:
-        return self._request(protocol.KeepArmed(pressed))
-
-    def release(self) -> Future[None]:
-        return self._request(protocol.ReleaseArmed())
+        """Fail all commands, because no reply will come."""
+        failed, self._waiting = self._waiting, {}
+        for waiting in failed.values():
+            waiting.fail(EngineError(f"no answer: {reason}"))

@@ -70,12 +70,12 @@ class Sender:
     def differences(
         self, snapshot: Snapshot, session: Session, *, waits_for_operator: bool, encoded: EncodedRoutes
     ) -> Iterator[State]:
-        """What to tell it now, in messages of a size that is soon made. All of them have to be sent.
+        """Yield the changes since `sent`, in messages that take little time to make. All of them have to be sent.
 
         Args:
             snapshot: newer than `sent`.
-            session: as it is now.
-            waits_for_operator: likewise.
+            session: the present one.
+            waits_for_operator: as in `rsb_bridge.api.EngineApi`.
             encoded: shared by all consoles.
         """
         # An object that is the same has not changed: snapshots are immutable.
@@ -116,15 +116,15 @@ class Sender:
 
 
 class Receiver:
-    """What a console has been told by one bridge.
+    """The state of a bridge as a console has received it.
 
     Args:
-        bridge: who tells.
-        trusted: it is on this machine; of another one, what it tells is kept within bounds, and cleaned.
+        bridge: the sender.
+        trusted: whether the bridge is on this machine. Messages of other bridges are limited and cleaned.
 
     Attributes:
-        snapshot: the newest; None: none is complete yet.
-        session: likewise.
+        snapshot: the newest, or None if none is complete yet.
+        session: the newest, or None if none is complete yet.
         waits_for_operator: as in the newest state.
     """
 
@@ -182,12 +182,12 @@ class Receiver:
 
 
 def out_of_reach(shown: Snapshot, reason: str, *, since: float, now: float) -> Snapshot:
-    """What to show of a bridge that is out of reach: nothing is known to flow.
+    """Return the snapshot to show of a bridge that is out of reach: everything is down.
 
     Args:
-        shown: what was shown last.
-        reason: why it is out of reach.
-        since: s since the epoch, when it was reached last.
+        shown: the last snapshot.
+        reason: the reason that the bridge is out of reach.
+        since: s since the epoch of the last contact.
         now: s since the epoch.
     """
     return replace(

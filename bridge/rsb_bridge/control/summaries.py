@@ -44,10 +44,10 @@ class Batteries:
 
     Args:
         engine: that bridges them.
-        of_own_robot: the engine runs on the robot, and sends them; else it receives those of others.
+        of_own_robot: whether the engine runs on the robot and sends the messages, or receives them from robots.
 
     Attributes:
-        known: the newest of each link, by its name.
+        known: the newest battery of each link, by the link's name.
     """
 
     def __init__(self, engine: EngineApi, *, of_own_robot: bool = False) -> None:
@@ -59,7 +59,7 @@ class Batteries:
         self._described: dict[str, Future[str]] = {}
 
     def tick(self, now: Snapshot) -> None:
-        """Take what has come, and look at whatever is due."""
+        """Take the messages that have come, and look at the batteries that are due."""
         routes = {route.link: route for route in now.routes if self._is_battery(route)}
         for link, future in list(self._looking.items()):
             if future.done() and (link not in routes or self._take(link, future, routes[link])):
@@ -82,7 +82,7 @@ class Batteries:
         return of_robot and route.state.flows and route.spec.topic.endswith(_BATTERY_TOPIC)
 
     def _take(self, link: str, future: Future[PeekedMessage | None], route: RouteSnapshot) -> bool:
-        """Read a message; False: what its type is has been asked first."""
+        """Read a message. Return False if the description of its type has to come first."""
         try:
             peeked = future.result()
             if peeked is None:
@@ -104,10 +104,10 @@ class Batteries:
 
 
 def charge_of(description: str, peeked: PeekedMessage) -> float | None:
-    """The charge that a message says, 0 to 1; None: it says none.
+    """Return the charge in a message, from 0 to 1, or None if it has no charge.
 
     Raises:
-        DescriptionError: the description is none.
+        DescriptionError: the description is invalid.
     """
     read = decode(read_description(description, peeked.type_hash), peeked.payload, items=0)
     charge = read.message.get("percentage")
@@ -117,10 +117,10 @@ def charge_of(description: str, peeked: PeekedMessage) -> float | None:
 
 
 class SummaryBuilder:
-    """What a `rsb_bridge.control.control_server.ControlServer` calls to sum its engine up.
+    """Makes the summaries that a `rsb_bridge.control.control_server.ControlServer` sends.
 
     Args:
-        engine: whose.
+        engine: to be summed up.
         version: of this rsb-console.
     """
 
@@ -146,7 +146,7 @@ class SummaryBuilder:
 
 
 async def watch(way: Way, may_open: asyncio.Semaphore | None = None) -> AsyncGenerator[bytes, None]:
-    """An engine's figures, as they change, on the running loop; whoever stops to iterate closes it (`aclose`).
+    """Yield an engine's figures as they change, on the running loop. Close the generator at the end (`aclose`).
 
     Args:
         way: leads to the engine.
@@ -156,7 +156,7 @@ async def watch(way: Way, may_open: asyncio.Semaphore | None = None) -> AsyncGen
         The content of each `rsb_bridge.control.protocol.Summary`. It is the engine's word, and not checked yet.
 
     Raises:
-        ControlError: it cannot be watched, or not any more, and this is why.
+        ControlError: the engine cannot be watched, or not any longer; the text has the reason.
     """
     try:
         connection = await _open(way, may_open)

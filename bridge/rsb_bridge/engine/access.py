@@ -1,4 +1,4 @@
-"""Which operators may attach over a network: what the engine says, and who serves them asks, on any thread."""
+"""The operators that may attach over a network. The engine grants the rights; servers ask for them on any thread."""
 
 from __future__ import annotations
 
@@ -75,14 +75,14 @@ class Access:
             raise EngineError(problem)
 
     def reload(self, granted: Mapping[str, Granted], *, dry_run: bool) -> list[str]:
-        """As `grant`, where somebody has changed the session.
+        """Grant the rights of a changed session.
 
         Args:
-            granted: as it is to be.
-            dry_run: only say what would change.
+            granted: the new rights, by the operators' names.
+            dry_run: whether to report only, and change nothing.
 
         Returns:
-            What changes, in words.
+            The changes in words.
         """
         texts = operator_changes(self.granted, granted)
         if texts and not dry_run:
@@ -93,7 +93,7 @@ class Access:
         return texts
 
     def warn_of(self, keys: Mapping[str, tuple[Key, ...]], granted: Mapping[str, Granted]) -> None:
-        """Record what operators should know of key files, theirs and those of links."""
+        """Record warnings about the key files of operators and links."""
         all_keys = {**keys, **{f"operator {name}": (each.key,) for name, each in granted.items()}}
         for warning in key_warnings(all_keys, self.clock.time_ns() / 1e9):
             self.events.add(Level.WARNING, EventCode.KEY_WARNING, warning)

@@ -11,7 +11,7 @@ import contextlib
 import logging
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, TypeAlias, cast
 
 import msgspec
 
@@ -22,18 +22,19 @@ from rsb_bridge.config.keys import shared_key_problem
 from rsb_bridge.config.validation import validate
 from rsb_bridge.engine.exporters import Exporters
 from rsb_bridge.engine.inspector import RouteInspector
-from rsb_bridge.engine.topic_commands import BridgeArming, TopicCommands
+from rsb_bridge.engine.topic_commands import ArmingCommands, CommandLog, TopicCommands, undo_mark
 from rsb_bridge.link.errors import Denied, LinkError
 from rsb_bridge.link.graph_watch import GraphWatch
 from rsb_bridge.link.link import topics_of_peer
 from rsb_bridge.link.name_watch import NameWatch
 from rsb_bridge.link.reloading import Step
 from rsb_bridge.link.roles import BridgeRole, ClientRole, Keys, ServerRole
+from rsb_bridge.model import commands
 from rsb_bridge.model.benchmark import Outcome, Usage
 from rsb_bridge.model.budgets import Backoff
 from rsb_bridge.model.calls import FieldError
 from rsb_bridge.model.codes import EventCode
-from rsb_bridge.model.command_origin import is_undo, operator
+from rsb_bridge.model.command_origin import operator
 from rsb_bridge.model.demands import Demands, sources_of
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.model.snapshot import Level, LinkSnapshot, RouteSnapshot, TopicInfo
@@ -42,25 +43,30 @@ from rsb_bridge.ros.lasting_subscription import LastingSubscription
 from rsb_bridge.ros.ros_graph import CALLED, graph_of
 from rsb_bridge.ros.ros_interface import RosError
 from rsb_bridge.ros.synthetic import resources
+from rsb_bridge.route.calls.manual_call import CallError
+from rsb_bridge.route.peeking import PeekError
 from rsb_bridge.route.topic_route import TopicRoute
 from rsb_bridge.tasks import Tasks, in_slices
 from rsb_bridge.telemetry.acknowledgements import find_faulty
 from rsb_bridge.transport.transport import ListenError
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator, Sequence
+    from collections.abc import Callable, Coroutine, Iterator, Sequence
 
     from rsb_bridge.config.keys import Key
     from rsb_bridge.context import Context
     from rsb_bridge.link.link import Link
     from rsb_bridge.link.name_watch import Follower
     from rsb_bridge.model.benchmark import Order
+    from rsb_bridge.model.commands import Command, R
     from rsb_bridge.model.demands import Source
-    from rsb_bridge.model.session import Client, Session, Topic
+    from rsb_bridge.model.session import Client, Session
     from rsb_bridge.model.snapshot import RefusedClient
     from rsb_bridge.ros.ros_interface import OnFailure, RawMessage, RosInterface, Subscription
-    from rsb_bridge.route.route import Route
     from rsb_bridge.telemetry.snapshot_publisher import SnapshotPublisher
+
+    Handler: TypeAlias = Callable[[Any], Coroutine[None, None, object]]
+    """Executes a command of one type, and returns its result."""
 
 _WORD = b"shutdown"
 
@@ -72,14 +78,14 @@ def watch_shutdown_topic(
     act: Callable[[], None],
     failed: Callable[[str], None],
 ) -> LastingSubscription:
-    """Wait for somebody to publish the word.
+    """Wait for a node to publish the word ``shutdown``.
 
     Args:
-        ros: where.
+        ros: the ROS side.
         loop: the I/O loop.
-        topic: its name.
+        topic: the name of the topic.
         act: called on the ROS thread each time.
-        failed: called on the loop with the reason when the subscription fails; it is opened anew.
+        failed: called on the loop with the reason when the subscription fails; it is opened again.
 
     Raises:
         RosError: the topic can't be subscribed to.
@@ -108,21 +114,19 @@ _logger = logging.getLogger(__name__)
 
 
 class Bridge:
-    """Bridges what a session says: `start`, then `run`, which returns some time after `stop`. Used once.
+    """Carries out a session: `start`, then `run`, which returns some time after `stop`. Used once.
 
-    All of it belongs to the thread of the running loop. Commands are coroutines; what is wrong with a request is an
-    `EngineError`.
+    All of it belongs to the thread of the running loop.
 
     Args:
-        context: the session, and what every part shares.
+        context: the session, and the state that all parts share.
         keys: of each client.
-        snapshots: kept up to date for user interfaces.
+        snapshots: kept up to date for consoles.
         folder: gives the folder of the session file.
 
     Attributes:
-        graph_watch: to be told of changes of the ROS graph.
-        arming: arms and disarms topics.
-        contents: shows what routes carry, and calls it by hand.
+        graph_watch: reacts to changes of the ROS graph.
+        handlers: execute commands, by the command's type. The engine adds handlers for commands that read files.
     """
 
     def __init__(
@@ -134,9 +138,32 @@ class Bridge:
         self._names = NameWatch(context, self._followers)
         context.names_changed = self._names.changed
         self.graph_watch = GraphWatch(context, self._role.links, self._names.changed)
-        self._topic_commands = TopicCommands(self._role, self._did, context.demands)
-        self.arming = BridgeArming(self.links, self._topic_commands.find, self._command)
-        self.inspector = RouteInspector(context, self._topic_commands.find, self._command, self._did)
+        self._log = CommandLog(context.events)
+        topics = TopicCommands(self._role, self._log, context.demands)
+        self._arming = arming = ArmingCommands(self.links, topics.find)
+        inspector = RouteInspector(context, topics.find, self._log)
+        self.handlers: dict[type[Command[Any]], Handler] = {
+            commands.Acknowledge: self._acknowledge,
+            commands.AddTopic: topics.add,
+            commands.ArmTopic: arming.arm,
+            commands.Bench: self._bench,
+            commands.Call: inspector.call,
+            commands.Describe: inspector.describe,
+            commands.DisarmTopic: arming.disarm,
+            commands.EditTopic: topics.edit,
+            commands.KeepArmed: arming.keep,
+            commands.Pause: topics.pause,
+            commands.Peek: inspector.peek,
+            commands.ReleaseArmed: arming.release,
+            commands.RemoveClient: self._remove_client,
+            commands.RemoveTopic: topics.remove,
+            commands.Retry: self._retry,
+            commands.ShutDown: self._shut_down,
+            commands.Template: inspector.template,
+            commands.Topics: self._topics,
+        }
+        self._changing = asyncio.Lock()
+        """Held by the command that changes the session, so that the next one sees all of its effect."""
         self._tasks = Tasks(context.loop, lambda: None)
         self._stopping = asyncio.Event()
         self._shutdown_watch: LastingSubscription | None = None
@@ -212,7 +239,7 @@ class Bridge:
             self._exporters.tick(self._snapshots.latest)
 
     def _ros_failed(self, reason: str) -> None:
-        """The ROS side is gone: end, so that whoever supervises the process starts it again."""
+        """End because the ROS side is gone, so that a supervisor starts the process again."""
         self.context.events.add(Level.ERROR, EventCode.ENGINE_ROS_FAILED, f"{reason}: the engine stops; start it again")
         self.stop()
 
@@ -263,72 +290,60 @@ class Bridge:
         _logger.error("%s", message, exc_info=exc_info)
         self.context.events.add(Level.ERROR, EventCode.ENGINE_ERROR, message)
 
-    # --- commands: `rsb_bridge.api.EngineApi` says what each does. Those that change the session run one at a time.
+    # --- commands
 
-    async def add_topic(self, topic: Topic, link: str = "") -> str:
-        """Bridge one more topic, or follow one more pattern; its key."""
-        with self._command():
-            return self._topic_commands.add(topic, link)
+    async def do(self, command: Command[R], step: Callable[[str], None] | None = None) -> R:
+        """Execute a command. Its errors become an `EngineError`, and the snapshot shows its effect.
 
-    async def edit_topic(self, key: str, topic: Topic, *, drop_arm: bool = False) -> str:
-        """Put another topic in a route's place, or another pattern in a pattern's; the new key."""
-        with self._command():
-            routes = self._topic_commands.routes_of(key)
-            new_key = self._topic_commands.edit(key, topic, drop_arm=drop_arm)
-            await _settled(routes)
-            return new_key
+        Args:
+            command: to be executed.
+            step: called with each step of a restart, or None.
+        """
+        act: Handler = (
+            partial(self._restart, step) if isinstance(command, commands.Restart) else self.handlers[type(command)]
+        )
+        async with self._changing if command.one_at_a_time else contextlib.nullcontext():
+            try:
+                return cast("R", await act(command))
+            except FieldError as error:
+                raise InvalidRequestError(str(error)) from None
+            except (LinkError, ListenError, RosError, PeekError, CallError, ValueError) as error:
+                raise EngineError(str(error)) from None
+            finally:
+                if command.refreshes and not self._stopping.is_set():  # the last snapshot shows the end, and stays
+                    self._snapshots.refresh_now(self._role)
 
-    async def remove_topic(self, key: str, *, drop_arm: bool = False) -> None:
-        """Stop bridging a topic, or following a pattern."""
-        with self._command():
-            routes = self._topic_commands.routes_of(key)
-            self._topic_commands.remove(key, drop_arm=drop_arm)
-            await _settled(routes)
-
-    async def pause(self, key: str, *, paused: bool) -> None:
-        """Stop or resume carrying a topic's messages, or those of all that a pattern matches."""
-        with self._command():
-            routes = self._topic_commands.routes_of(key)
-            self._topic_commands.pause(key, paused=paused)
-            await _settled(routes)
-
-    async def acknowledge(self, key: str, *, acknowledged: bool, link: str) -> None:
-        """Acknowledge a fault until it changes, or take that back."""
-        with self._command():
-            self._snapshots.refresh_now(self._role)
-            faulty = find_faulty(self._snapshots.latest, key, link)
-            acknowledgements = self._snapshots.acknowledged
-            if acknowledged:
-                acknowledgements.add(faulty, operator())
-            else:
-                acknowledgements.remove(faulty)
-            code = EventCode.OPERATOR_ACKNOWLEDGED if acknowledged else EventCode.OPERATOR_ACKNOWLEDGEMENT_UNDONE
-            what = f"{faulty.state.upper()} acknowledged" if acknowledged else "acknowledgement taken back"
-            if isinstance(faulty, LinkSnapshot):
-                self._did(code, what, link=faulty.name)
-            else:
-                name = faulty.topic if isinstance(faulty, RouteSnapshot) else faulty.spec.topic
-                self._did(code, what, topic=name, link=faulty.link)
+    async def _acknowledge(self, command: commands.Acknowledge) -> None:
+        self._snapshots.refresh_now(self._role)
+        faulty = find_faulty(self._snapshots.latest, command.key, command.link)
+        acknowledgements = self._snapshots.acknowledged
+        if command.acknowledged:
+            acknowledgements.add(faulty, operator())
+            code, what = EventCode.OPERATOR_ACKNOWLEDGED, f"{faulty.state.upper()} acknowledged"
+        else:
+            acknowledgements.remove(faulty)
+            code, what = EventCode.OPERATOR_ACKNOWLEDGEMENT_UNDONE, "acknowledgement taken back"
+        if isinstance(faulty, LinkSnapshot):
+            self._log.add(code, what, link=faulty.name)
+        else:
+            name = faulty.topic if isinstance(faulty, RouteSnapshot) else faulty.spec.topic
+            self._log.add(code, what, topic=name, link=faulty.link)
 
     async def add_client(self, client: Client, keys: tuple[Key, ...]) -> None:
-        """Let one more client in, on a server."""
-        with self._command():
-            await self._change_clients(lambda session: with_client(session, client), {client.name: keys})
+        """Accept one more client, on a server."""
+        await self._change_clients(lambda session: with_client(session, client), {client.name: keys})
 
     async def change_client(self, client: Client, keys: tuple[Key, ...]) -> None:
-        """Put another entry in a client's place. What is proposed to it stays."""
+        """Replace a client's entry. The topics that are proposed to the client stay."""
 
         def change(session: Session) -> Session:
             topics = client_named(session, client.name).topics
             return with_changed_client(session, msgspec.structs.replace(client, topics=topics))
 
-        with self._command():
-            await self._change_clients(change, {client.name: keys})
+        await self._change_clients(change, {client.name: keys})
 
-    async def remove_client(self, name: str) -> None:
-        """Let a client in no more, and end its link."""
-        with self._command():
-            await self._change_clients(lambda session: without_client(session, name), {})
+    async def _remove_client(self, command: commands.RemoveClient) -> None:
+        await self._change_clients(lambda session: without_client(session, command.name), {})
 
     async def _change_clients(self, change: Callable[[Session], Session], keys: Keys) -> None:
         session = change(self.session)
@@ -342,29 +357,22 @@ class Bridge:
         if failed:
             raise LinkError("; ".join(failed))
 
-    async def retry(self, link: str = "") -> None:
-        """Connect now, and open refused topics again."""
-        with self._command():
-            self._role.retry(link)
-            self._did(EventCode.OPERATOR_RETRIED, "tried again", link=link)
+    async def _retry(self, command: commands.Retry) -> None:
+        self._role.retry(command.link)
+        self._log.add(EventCode.OPERATOR_RETRIED, "tried again", link=command.link)
 
-    async def shut_down(self) -> None:
-        """Close the sockets on both sides until an operator restarts."""
-        with self._command():
-            self._did(EventCode.OPERATOR_SHUT_DOWN, "shut down on both sides")
-            self._role.shut_down(operator())
+    async def _shut_down(self, _: commands.ShutDown) -> None:
+        self._log.add(EventCode.OPERATOR_SHUT_DOWN, "shut down on both sides")
+        self._role.shut_down(operator())
 
-    async def restart(self, step: Callable[[str], None] | None = None) -> None:
-        """Close the links on both sides and open them again."""
-
+    async def _restart(self, step: Callable[[str], None] | None, _: commands.Restart) -> None:
         def report(message: str) -> None:
             self.context.events.add(Level.INFO, EventCode.ENGINE_RESTARTING, f"restart: {message}")
             if step is not None:
                 step(message)
 
-        with self._command():
-            self._did(EventCode.OPERATOR_RESTARTED, "restarted: all links are closed and opened again")
-            await self._role.restart(report)
+        self._log.add(EventCode.OPERATOR_RESTARTED, "restarted: all links are closed and opened again")
+        await self._role.restart(report)
 
     async def reload(self, session: Session, keys: Keys, *, dry_run: bool) -> tuple[list[str], list[str]]:
         """Do what another session says.
@@ -377,11 +385,10 @@ class Bridge:
         Returns:
             What has changed, and what failed, in words.
         """
-        with self._command():
-            if dry_run:
-                return [*self._dropped_by(session).values(), *(step.text for step in self._steps_to(session, keys))], []
-            self.arming.reloaded()
-            return await self._reload(session, keys)
+        if dry_run:
+            return [*self._dropped_by(session).values(), *(step.text for step in self._steps_to(session, keys))], []
+        self._arming.reloaded()
+        return await self._reload(session, keys)
 
     def _dropped_by(self, session: Session) -> dict[Source, str]:
         """Return the demands that another session no longer makes, each with a text for operators."""
@@ -410,7 +417,7 @@ class Bridge:
                 )
             else:
                 done.append(step.text)
-                self.context.events.add(Level.INFO, code, f"{why}{step.text}{_undo_mark()}", who=operator())
+                self.context.events.add(Level.INFO, code, f"{why}{step.text}{undo_mark()}", who=operator())
 
         with self.context.demands.changing(operator()):
             dropped = self._dropped_by(session) if is_reload else {}
@@ -425,7 +432,7 @@ class Bridge:
         in_place = (
             (("stale_after", "stale_warnings", "late_after"), self._set_stale_after),
             (("check_messages",), self._set_check),
-            (("group",), lambda: None),  # whoever looks reads it in the session
+            (("group",), lambda: None),  # consoles read it in the session
             (("armed",), self.context.demands.changed),
             (("shutdown_topic",), self._change_shutdown_topic),
             *self._exporters.by_key,
@@ -449,55 +456,19 @@ class Bridge:
         if before is not None:
             before.close()
 
-    def _did(
-        self, code: EventCode, what: str, *, topic: str = "", link: str = "", old: str = "", new: str = ""
-    ) -> None:
-        """Record what an operator has done; of a topic, by its name on this side."""
-        who = operator()
-        text = f"{f'{topic}: ' if topic else ''}{what} by {who}{_undo_mark()}"
-        self.context.events.add(Level.INFO, code, text, link=link, topic=topic, who=who, old=old, new=new)
-
     def _followers(self) -> Iterator[Follower]:
-        """Who follows the names of this side's graph."""
+        """Yield the parts that follow the names of this side's graph."""
         for link in self.links():
             yield link.patterns
             yield link.patterns.followed
 
-    async def bench(self, order: Order) -> Outcome:
-        """Measure a link."""
-        with self._command():
-            return await carry_out(order, self.links())
+    async def _bench(self, command: commands.Bench) -> Outcome:
+        return await carry_out(command.order, self.links())
 
-    async def topics(self, link: str | None = None) -> list[TopicInfo]:
-        """What can be bridged, on this side or on a peer's."""
-        with self._command():
-            if link is None:
-                return await asyncio.to_thread(graph_of, self.context.ros, CALLED)
-            return await topics_of_peer(self.links(), link)
-
-    @contextlib.contextmanager
-    def _command(self) -> Iterator[None]:
-        """Run a command: its errors become an `EngineError`, and the snapshot shows its effect."""
-        try:
-            yield
-        except FieldError as error:
-            raise InvalidRequestError(str(error)) from None
-        except (LinkError, ListenError, RosError, ValueError) as error:
-            raise EngineError(str(error)) from None
-        finally:
-            if not self._stopping.is_set():  # the last snapshot, which says so, stays
-                self._snapshots.refresh_now(self._role)
-
-
-async def _settled(routes: Iterable[Route]) -> None:
-    """Return once nothing can be published any more of what was armed before a command."""
-    for route in routes:
-        await route.settling.wait()
-
-
-def _undo_mark() -> str:
-    """Return the end of an event's text: a mark if the operator takes back an earlier change."""
-    return " (undo)" if is_undo() else ""
+    async def _topics(self, command: commands.Topics) -> tuple[TopicInfo, ...]:
+        if command.link is None:
+            return tuple(await asyncio.to_thread(graph_of, self.context.ros, CALLED))
+        return tuple(await topics_of_peer(self.links(), command.link))
 
 
 async def carry_out(order: Order, links: Sequence[Link]) -> Outcome:

@@ -11,11 +11,11 @@ import threading
 from concurrent.futures import Future
 from pathlib import Path
 from random import Random
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING, TypeVar, cast
 
 import msgspec
 
-from rsb_bridge.api import ArmingApi, EngineApi, EngineError, Unable
+from rsb_bridge.api import EngineApi, EngineError, Unable
 from rsb_bridge.config.difference import is_another, kept
 from rsb_bridge.config.session_file import SessionError, demand_places, load
 from rsb_bridge.config.validation import domain_of, validate
@@ -28,7 +28,8 @@ from rsb_bridge.history.recorder import Recorder
 from rsb_bridge.model.clock import Clock
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.command_origin import operator
-from rsb_bridge.model.snapshot import Event, Level, Reloaded, Snapshot, TopicInfo
+from rsb_bridge.model.commands import AddClient, ChangeClient, History, Reload, Stop
+from rsb_bridge.model.snapshot import Event, Level, Reloaded, Snapshot
 from rsb_bridge.ros.ros_interface import RosError, RosInterface
 from rsb_bridge.ros.ros_thread import RosToLoopQueue
 from rsb_bridge.ros.synthetic import ros_side
@@ -40,24 +41,21 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Coroutine, Mapping
 
     from rsb_bridge.config.keys import Key
-    from rsb_bridge.engine.topic_commands import BridgeArming
     from rsb_bridge.link.roles import Keys
-    from rsb_bridge.model.benchmark import Order, Outcome
+    from rsb_bridge.model.commands import Command, R
     from rsb_bridge.model.demands import SourceKey
-    from rsb_bridge.model.history import HistoryReport
-    from rsb_bridge.model.session import Client, Session, Topic
-    from rsb_bridge.model.snapshot import PeekedMessage
+    from rsb_bridge.model.session import Client, Session
 
 
 class PendingCommands:
-    """Runs commands on an event loop from `open` to `refuse`; `end` fails those that are still under way."""
+    """Runs commands on an event loop from `open` to `refuse`; `end` fails the commands that have no result yet."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
         self._loop: asyncio.AbstractEventLoop | None = None
-        """None: commands are refused."""
+        """None while commands are refused."""
         self._futures: set[Future[object]] = set()
-        """Whoever takes a future out gives it its result."""
+        """The code that takes a future out gives it its result."""
         self._tasks: set[asyncio.Task[None]] = set()
 
     def open(self, loop: asyncio.AbstractEventLoop) -> None:
@@ -79,7 +77,7 @@ class PendingCommands:
             self._loop = None
 
     def end(self) -> None:
-        """Take no more commands, and fail those under way. May be called from any thread; the loop cancels the rest."""
+        """Take no more commands, and fail all others. May be called from any thread; the loop cancels their tasks."""
         with self._lock:
             self._loop = None
             left = tuple(self._futures)
@@ -98,11 +96,11 @@ class PendingCommands:
             future.add_done_callback(lambda done: _cancel(task, loop) if done.cancelled() else None)
 
     async def _run(self, work: Callable[[], Coroutine[None, None, T]], future: Future[T]) -> None:
-        # Given a turn later: what the command has begun goes first, so that whoever waits sees it.
+        # The result comes a turn later, so that the caller sees the callbacks that the command has added.
         later = asyncio.get_running_loop().call_soon
         try:
             later(self._succeeded, future, await work())
-        except asyncio.CancelledError:  # by whoever waits for the future, or by what ends with the engine
+        except asyncio.CancelledError:  # by the caller through the future, or at the end of the engine
             later(self._failed, future, _error())
             raise
         except Exception as error:  # noqa: BLE001 — it is the future's
@@ -126,7 +124,7 @@ class PendingCommands:
 
 
 def not_running() -> Future[T]:
-    """What a command gets that is refused."""
+    """Return the future of a refused command."""
     failed: Future[T] = Future()
     failed.set_exception(_error())
     return failed
@@ -150,22 +148,22 @@ T = TypeVar("T")
 
 
 class Engine(EngineApi):
-    """Bridges what a session says, from `start` to `stop`. Used once: after `stop`, `start` raises an error.
+    """Bridges a session from `start` to `stop`. Used once: after `stop`, `start` raises an error.
 
-    All state belongs to the I/O thread; commands go there and return a future, whose exception is an `EngineError`.
+    All state belongs to the I/O thread. Commands run there.
 
     Args:
-        session: what to bridge.
+        session: to be bridged.
         base: the folder that its key files are relative to.
-        ros: the ROS side; None: `rsb_bridge.ros.node.RosNode` in the session's domain.
-        clock: the wall clock; None: the machine's.
-        random: for jitter; None: seeded by the system.
-        transports: what the links run over; None: the kernel's sockets.
-        state: the folder in which events and the time line are kept; None: they are kept in memory only.
+        ros: the ROS side, or None for `rsb_bridge.ros.node.RosNode` in the session's domain.
+        clock: the wall clock, or None for the machine's.
+        random: for jitter, or None for one that the system seeds.
+        transports: carry the links, or None for the kernel's sockets.
+        state: the folder for events and the time line, or None to keep them in memory only.
 
     Attributes:
-        access: which operators may attach over a network.
-        network: the Zenoh network in which it announces itself; None: none.
+        access: the operators that may attach over a network.
+        network: the Zenoh network in which the engine announces itself, or None.
     """
 
     def __init__(
@@ -191,10 +189,8 @@ class Engine(EngineApi):
         self._events = EventLog(self._clock)
         self.access = Access(session.name, self._events, self._clock, self._transports.strangers)
         self._starting = threading.Lock()
-        """Held by whoever starts or ends the threads."""
+        """Held while threads start or end."""
         self._stop_wanted = False
-        self._changing = asyncio.Lock()
-        """Held by the command that changes the session, so that the next one sees all of its effect."""
         self._commands = PendingCommands()
         self._thread: threading.Thread | None = None
         self._bridge: Bridge | None = None
@@ -224,10 +220,6 @@ class Engine(EngineApi):
     def unreachable(self) -> str:
         return ""
 
-    @property
-    def arming(self) -> EngineArming:
-        return EngineArming(lambda work: self._command(lambda bridge: work(bridge.arming)))
-
     def start(self) -> None:
         with self._starting:
             self._check_not_stopped()
@@ -240,7 +232,7 @@ class Engine(EngineApi):
 
     def stop(self, timeout: float = _STOP_WITHIN) -> None:
         self._stop_wanted = True
-        # A start that is under way sees this and cleans up, so that nothing is left to do here after a long wait. If it
+        # A start that is still running sees this and cleans up, so that nothing remains to be done here. If it
         # hangs (in the middleware, say), it is not waited for any longer, and cleans up when it returns.
         if not self._starting.acquire(timeout=timeout):
             return
@@ -312,49 +304,6 @@ class Engine(EngineApi):
     def wait_for_events(self, after: int, timeout: float) -> list[Event]:
         return self._events.wait(after, timeout)
 
-    def history(self, seconds: float) -> Future[HistoryReport]:
-        if self._bridge is not None:
-            return self._recorder.history(seconds if seconds > 0 else 0.0)  # NaN is not greater than 0, either
-        return not_running()
-
-    # --- commands
-
-    def add_topic(self, topic: Topic, link: str = "") -> Future[str]:
-        return self._change(lambda bridge: bridge.add_topic(topic, link))
-
-    def edit_topic(self, key: str, topic: Topic, *, drop_arm: bool = False) -> Future[str]:
-        return self._change(lambda bridge: bridge.edit_topic(key, topic, drop_arm=drop_arm))
-
-    def remove_topic(self, key: str, *, drop_arm: bool = False) -> Future[None]:
-        return self._change(lambda bridge: bridge.remove_topic(key, drop_arm=drop_arm))
-
-    def pause(self, key: str, paused: bool) -> Future[None]:
-        return self._change(lambda bridge: bridge.pause(key, paused=paused))
-
-    def acknowledge(self, key: str, acknowledged: bool = True, *, link: str = "") -> Future[None]:
-        return self._command(lambda bridge: bridge.acknowledge(key, acknowledged=acknowledged, link=link))
-
-    def add_client(self, client: Client) -> Future[None]:
-        return self._change(lambda bridge: self._with_key(bridge.add_client, client))
-
-    def change_client(self, client: Client) -> Future[None]:
-        return self._change(lambda bridge: self._with_key(bridge.change_client, client))
-
-    def remove_client(self, name: str) -> Future[None]:
-        return self._change(lambda bridge: bridge.remove_client(name))
-
-    def retry(self, link: str = "") -> Future[None]:
-        return self._command(lambda bridge: bridge.retry(link))
-
-    def shut_down(self) -> Future[None]:
-        return self._command(lambda bridge: bridge.shut_down())
-
-    def restart(self, step: Callable[[str], None] | None = None) -> Future[None]:
-        return self._command(lambda bridge: bridge.restart(step))
-
-    def reload(self, *, dry_run: bool = False) -> Future[Reloaded]:
-        return self._change(lambda bridge: self._reload(bridge, dry_run=dry_run))
-
     def use_file(self, path: Path | None) -> None:
         self._file = path
         self._places = {} if path is None else demand_places(path)
@@ -362,41 +311,23 @@ class Engine(EngineApi):
             places = self._places
             bridge.context.call(lambda: bridge.context.demands.set_places(places))
 
-    def told_to_stop(self) -> None:
+    def do(self, command: Command[R], step: Callable[[str], None] | None = None) -> Future[R]:
+        bridge = self._bridge
+        if isinstance(command, Stop):
+            return cast("Future[R]", self._record_stop())
+        if bridge is None:
+            return not_running()
+        if isinstance(command, History):  # which goes on when the bridge has ended
+            seconds = command.seconds if command.seconds > 0 else 0.0  # NaN is not greater than 0, either
+            return cast("Future[R]", self._recorder.history(seconds))
+        return self._commands.run(lambda: bridge.do(command, step))
+
+    def _record_stop(self) -> Future[None]:
         who = operator()
         self._events.add(Level.INFO, EventCode.OPERATOR_STOPPED, f"told to end by {who}", who=who)
-
-    def topics(self, link: str | None = None) -> Future[list[TopicInfo]]:
-        return self._command(lambda bridge: bridge.topics(link))
-
-    def peek(self, key: str, *, kept: bool = False) -> Future[PeekedMessage | None]:
-        return self._command(lambda bridge: bridge.inspector.peek(key, kept=kept))
-
-    def describe(self, key: str) -> Future[str]:
-        return self._command(lambda bridge: bridge.inspector.describe(key))
-
-    def template(self, key: str, lane: str = "") -> Future[str]:
-        return self._command(lambda bridge: bridge.inspector.template(key, lane))
-
-    def call(self, key: str, request: str, lane: str = "") -> Future[str]:
-        return self._command(lambda bridge: bridge.inspector.call(key, request, lane))
-
-    def bench(self, order: Order) -> Future[Outcome]:
-        return self._command(lambda bridge: bridge.bench(order))
-
-    def _command(self, work: Callable[[Bridge], Coroutine[None, None, T]]) -> Future[T]:
-        """Run on the I/O thread."""
-        bridge = self._bridge
-        return not_running() if bridge is None else self._commands.run(lambda: work(bridge))
-
-    def _change(self, work: Callable[[Bridge], Coroutine[None, None, T]]) -> Future[T]:
-        """Run a command that changes the session, once those before it are through."""
-
-        async def change(bridge: Bridge) -> T:
-            async with self._changing:
-                return await work(bridge)
-
-        return self._command(change)
+        done: Future[None] = Future()
+        done.set_result(None)
+        return done
 
     # --- on the I/O thread
 
@@ -418,7 +349,13 @@ class Engine(EngineApi):
             self._session, domain, ros, self._events, queue, loop, self._clock, self._random, self._transports
         )
         context.demands.set_places(self._places)
-        bridge = self._bridge = Bridge(context, keys, self._snapshots, self._folder)
+        bridge = Bridge(context, keys, self._snapshots, self._folder)
+        bridge.handlers |= {
+            AddClient: lambda command: self._put_client(bridge.add_client, command.client),
+            ChangeClient: lambda command: self._put_client(bridge.change_client, command.client),
+            Reload: lambda command: self._reload(bridge, dry_run=command.dry_run),
+        }
+        self._bridge = bridge
         loop.set_exception_handler(bridge.internal_error)
         self._commands.open(loop)
         try:
@@ -432,10 +369,10 @@ class Engine(EngineApi):
             self._commands.end()
             self._transports.close()
 
-    async def _with_key(
+    async def _put_client(
         self, command: Callable[[Client, tuple[Key, ...]], Coroutine[None, None, None]], client: Client
     ) -> None:
-        """Run a command about a client with what is in its key files now.
+        """Add or change a client with the keys that are in its key files now.
 
         Raises:
             EngineError: there is no key, or the command fails.
@@ -480,10 +417,10 @@ class Engine(EngineApi):
         return Reloaded(tuple(done), tuple(left), tuple(failed))
 
     def _read_again(self) -> tuple[Path, Session, list[str]]:
-        """The session file as it is now: its path, the session to change to, and what cannot change, in words.
+        """Read the session file: its path, the session to change to, and the differences that cannot take effect.
 
         Raises:
-            EngineError: there is none, or it has mistakes.
+            EngineError: the session is in no file, or the file has mistakes.
         """
         if self._file is None:
             raise EngineError(Unable.NO_FILE())
@@ -494,29 +431,6 @@ class Engine(EngineApi):
         if problem := is_another(self._session, wanted):
             raise EngineError(f"{self._file}: {problem}")
         session, left = kept(self._session, wanted)
-        if problems := validate(session):  # what is left as it is may not go with what is new
+        if problems := validate(session):  # the old and the new parts may contradict each other
             raise EngineError("; ".join([*left, *map(str, problems)]))
         return self._file, session, left
-
-
-class EngineArming(ArmingApi):
-    """Arms topics for consoles, from any thread.
-
-    Args:
-        run: runs a command on the bridge's thread.
-    """
-
-    def __init__(self, run: Callable[[Callable[[BridgeArming], Coroutine[None, None, None]]], Future[None]]) -> None:
-        self._run = run
-
-    def arm(self, key: str) -> Future[None]:
-        return self._run(lambda arming: arming.arm(key))
-
-    def disarm(self, key: str) -> Future[None]:
-        return self._run(lambda arming: arming.disarm(key))
-
-    def keep(self, *, pressed: bool) -> Future[None]:
-        return self._run(lambda arming: arming.keep(pressed=pressed))
-
-    def release(self) -> Future[None]:
-        return self._run(lambda arming: arming.release())

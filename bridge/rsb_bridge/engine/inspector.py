@@ -1,11 +1,10 @@
-"""What routes carry, for operators: they look at its messages, read what its types are, and call it by hand."""
+"""Commands that look into routes: show a message, describe a type, call by hand."""
 
 from __future__ import annotations
 
 import asyncio
 from typing import TYPE_CHECKING
 
-from rsb_bridge.api import EngineError
 from rsb_bridge.cdr.decoder import decode
 from rsb_bridge.cdr.description import hash_of_text, read_description
 from rsb_bridge.config.fields_text import ITEMS, STEPS, read_fields, write_fields
@@ -17,18 +16,18 @@ from rsb_bridge.model.limits import REASON_LENGTH
 from rsb_bridge.model.text import sanitize_text
 from rsb_bridge.route.calls.calls_route import CallsRoute
 from rsb_bridge.route.calls.manual_call import CallError
-from rsb_bridge.route.peeking import PeekError, Peeking
+from rsb_bridge.route.peeking import Peeking
 from rsb_bridge.route.topic_route import TopicRoute
 from rsb_bridge.wire.messages import ByHand
 
 if TYPE_CHECKING:
     from collections.abc import Callable
-    from contextlib import AbstractContextManager
 
     from rsb_bridge.cdr.decoder import Decoded
     from rsb_bridge.context import Context
-    from rsb_bridge.engine.topic_commands import Recorder
+    from rsb_bridge.engine.topic_commands import CommandLog
     from rsb_bridge.link.link import Link
+    from rsb_bridge.model.commands import Call, Describe, Peek, Template
     from rsb_bridge.model.snapshot import PeekedMessage
     from rsb_bridge.route.route import Route
     from rsb_bridge.wire.records import LaneEntry
@@ -40,71 +39,52 @@ _GOAL_ID_BYTES = 16
 
 
 class RouteInspector:
-    """Commands of one bridge, on its event loop; what is wrong with one is an `EngineError`.
+    """Executes commands that look at messages and types, or call by hand.
 
     Args:
-        context: what every part of the engine shares.
+        context: the state that all parts share.
         find: gives a route and its link by the route's key.
-        command: what a command runs in: turns its errors into `EngineError`, and has the snapshot show its effect.
-        did: records what an operator has done.
+        log: records the commands.
     """
 
     def __init__(
         self,
         context: Context,
         find: Callable[[str], tuple[Link, Route]],
-        command: Callable[[], AbstractContextManager[None]],
-        did: Recorder,
+        log: CommandLog,
     ) -> None:
         self._context = context
         self._find = find
-        self._command = command
-        self._did = did
+        self._log = log
         self._peeking = Peeking(context)
         self._calls = 0
 
-    async def peek(self, key: str, *, kept: bool) -> PeekedMessage | None:
-        """Wait for a topic's next message; nothing that this does changes the snapshot."""
+    async def peek(self, command: Peek) -> PeekedMessage | None:
+        _, route = self._find(command.key)
+        if not isinstance(route, TopicRoute):
+            raise LinkError(f"{route.local_topic} is no topic: it has calls, and no messages to look at")
+        return await self._peeking.peek(route, kept=command.kept)
+
+    async def describe(self, command: Describe) -> str:
+        link, route = self._find(command.key)
+        return await link.type_questions.describe(route, linked=link.linked)
+
+    async def template(self, command: Template) -> str:
+        route = _callable(self._find(command.key)[1])
+        number = _lane_named(route, command.lane)
+        return await asyncio.to_thread(self._defaults, route, number, route.entry(number))
+
+    async def call(self, command: Call) -> str:
+        """Call by hand; both sides record the operator."""
+        link, found = self._find(command.key)
+        route = _callable(found)
+        if self._calls >= CALLS_AT_ONCE:
+            raise LinkError(Denied.TOO_MANY_CALLS(limit=CALLS_AT_ONCE))
+        self._calls += 1
         try:
-            _, route = self._find(key)
-            if not isinstance(route, TopicRoute):
-                raise EngineError(f"{route.local_topic} is no topic: it has calls, and no messages to look at")
-            return await self._peeking.peek(route, kept=kept)
-        except (LinkError, PeekError) as error:
-            raise EngineError(str(error)) from None
-
-    async def describe(self, key: str) -> str:
-        """The text of the description of a route's type."""
-        try:
-            link, route = self._find(key)
-            return await link.type_questions.describe(route, linked=link.linked)
-        except LinkError as error:
-            raise EngineError(str(error)) from None
-
-    async def template(self, key: str, lane: str) -> str:
-        """The fields of a request with their defaults."""
-        with self._command():
-            route = _callable(self._find(key)[1])
-            number = _lane_named(route, lane)
-            try:
-                return await asyncio.to_thread(self._defaults, route, number, route.entry(number))
-            except CallError as error:
-                raise LinkError(str(error)) from None
-
-    async def call(self, key: str, request: str, lane: str) -> str:
-        """Call what a route provides, by hand; both sides record who did."""
-        with self._command():
-            link, found = self._find(key)
-            route = _callable(found)
-            if self._calls >= CALLS_AT_ONCE:
-                raise LinkError(Denied.TOO_MANY_CALLS(limit=CALLS_AT_ONCE))
-            self._calls += 1
-            try:
-                return await self._call(link, route, _lane_named(route, lane), request)
-            except CallError as error:
-                raise LinkError(str(error)) from None
-            finally:
-                self._calls -= 1
+            return await self._call(link, route, _lane_named(route, command.lane), command.request)
+        finally:
+            self._calls -= 1
 
     async def _call(self, link: Link, route: CallsRoute, lane: int, request: str) -> str:
         entry = route.entry(lane)
@@ -119,7 +99,7 @@ class RouteInspector:
             outcome = f"failed: {error}"
             raise
         except asyncio.CancelledError:
-            outcome = "given up by whoever made it"
+            outcome = "cancelled by its operator"
             raise
         finally:
             outcome = sanitize_text(outcome, REASON_LENGTH)
@@ -127,15 +107,15 @@ class RouteInspector:
         return note + await asyncio.to_thread(self._text_of, f"{entry.type}_Response", response)
 
     def _record(self, link: Link, route: CallsRoute, message: ByHand) -> None:
-        """Have both sides' logs say what an operator here calls, or what became of it."""
+        """Record an operator's call, or its outcome, in the logs of both sides."""
         if message.route:
             link.send(message)
         code = EventCode.OPERATOR_CALL_ENDED if message.outcome else EventCode.OPERATOR_CALLED
         what = called(route, message.lane, message.outcome)
-        self._did(code, what, topic=route.local_topic, link=route.peer.name, new=message.outcome or message.request)
+        self._log.add(code, what, topic=route.local_topic, link=route.peer.name, new=message.outcome or message.request)
 
     def _serialized(self, route: CallsRoute, lane: int, entry: LaneEntry, request: str) -> tuple[bytes, str]:
-        """A request as bytes, and what its operator should know of it; on a thread that may take some time."""
+        """Return a request as bytes, and a note for its operator. Slow: not for the I/O thread."""
         ros, context = self._context.ros, self._context
         installed = ros.installed_service_hash(entry.type)
         if installed is not None and installed != entry.type_hash:
@@ -147,7 +127,7 @@ class RouteInspector:
         return ros.serialize(f"{entry.type}_Request", fields, context.wall_ns()), note
 
     def _defaults(self, route: CallsRoute, lane: int, entry: LaneEntry) -> str:
-        """What a request has where nothing is written, as YAML, likewise; but for the id that a goal gets anyway."""
+        """Return the defaults of a request as YAML, without the id of a goal. Slow: not for the I/O thread."""
         type_name = f"{entry.type}_Request"
         decoded = self._decoded(type_name, self._context.ros.serialize(type_name, {}, self._context.wall_ns()))
         if _is_goal(route, lane):
@@ -155,7 +135,7 @@ class RouteInspector:
         return write_fields(decoded)
 
     def _text_of(self, type_name: str, payload: bytes) -> str:
-        """A message as YAML, likewise."""
+        """Return a message as YAML. Slow: not for the I/O thread."""
         return write_fields(self._decoded(type_name, payload))
 
     def _decoded(self, type_name: str, payload: bytes) -> Decoded:
@@ -180,4 +160,4 @@ def _lane_named(route: CallsRoute, name: str) -> int:
     if name in names:
         return names[name]
     shown = ", ".join(filter(None, names))
-    raise LinkError(f"{route.local_topic} has no {name!r} to call" + (f": say which of {shown}" if shown else ""))
+    raise LinkError(f"{route.local_topic} has no {name!r} to call" + (f": choose one of {shown}" if shown else ""))

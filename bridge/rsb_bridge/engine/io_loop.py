@@ -1,10 +1,10 @@
-"""The I/O loop, which another thread may do a moment's work of while it waits.
+"""The I/O loop. While it waits, another thread may do a moment's work for it.
 
 A message that the ROS thread has taken would otherwise wait until the loop's thread is awake, and on an idle core that
 takes longer than to seal and send the message. So the loop has a turn, a lock that its thread holds while it runs
-callbacks, and releases only while it waits for sockets and timers. Whoever gets the turn without waiting is the I/O
-thread for as long as its work takes: one thread at a time touches the engine's state and sockets, as ever, and nobody
-waits for the turn but the loop's thread itself, so that nothing can deadlock.
+callbacks, and releases only while it waits for sockets and timers. A thread that gets the turn without waiting (a
+visitor) is the I/O thread for as long as its work takes. So only one thread at a time touches the engine's state and
+sockets, and only the loop's thread waits for the turn, so that nothing can deadlock.
 """
 
 from __future__ import annotations
@@ -32,23 +32,23 @@ class IoLoop(asyncio.SelectorEventLoop):
         self._turn = threading.Lock()
         self._waits = _Selector(self._turn)
         super().__init__(self._waits)
-        # What is registered from the start is how other threads wake the loop, for callbacks that they have added.
+        # The sockets registered from the start are for other threads, which wake the loop after adding callbacks.
         self._waits.leave_all_to_the_loop()
 
     def do_now(self, work: Callable[[], object]) -> bool:
-        """Do something on this thread as if it were the loop's. From any thread.
+        """Call `work` on this thread as if it were the loop's. From any thread.
 
-        What it raises goes to the loop's exception handler, as from a callback.
+        Its exceptions go to the loop's exception handler, as from a callback.
 
         Returns:
-            Whether it is done; False: the loop runs callbacks, or has some to run, or it does not run at all.
+            Whether `work` was called. It is not called while the loop runs callbacks, has some to run, or does not run.
         """
         # asyncio's debug mode refuses call_soon on any thread but the loop's.
         if self._waits.over or self.get_debug() or not self._turn.acquire(blocking=False):
             return False
         before = asyncio._get_running_loop()
         try:
-            # A visitor overtakes no callback that was there before: messages stay behind what was told before them.
+            # A visitor overtakes no earlier callback, so that messages keep their order.
             if not self.is_running() or self._ready:  # type: ignore[attr-defined]
                 return False
             # What every event loop does around its callbacks: the work may ask which loop is running.
@@ -92,11 +92,11 @@ class IoLoop(asyncio.SelectorEventLoop):
 
 
 class _Selector(selectors.EpollSelector):
-    """Gives the turn away while it waits. What a visitor registers meanwhile, epoll waits for at once.
+    """Gives the turn away while it waits. Epoll also waits for sockets that a visitor registers meanwhile.
 
     Attributes:
-        over: the wait is over: the loop's thread wants the turn back, before the next visitor.
-        due: the loop has got something to do beside what it waits for: a callback, a timer, or to stop.
+        over: whether the wait is over, and the loop's thread wants the turn back before the next visitor.
+        due: whether the loop has to run a callback or a timer, or to stop.
     """
 
     def __init__(self, turn: threading.Lock) -> None:
@@ -109,7 +109,7 @@ class _Selector(selectors.EpollSelector):
         self._poll: Callable[[float, int], list[tuple[int, int]]] = self._selector.poll  # type: ignore[attr-defined]
 
     def select(self, timeout: float | None = None) -> list[tuple[selectors.SelectorKey, int]]:
-        """Wait; what is there for one reader alone is read, and then the wait goes on."""
+        """Wait. If only one socket is readable, read from it here, and wait on."""
         until = math.inf if timeout is None else time.monotonic() + timeout
         self.due = False
         while timeout is None or timeout > 0:
@@ -121,7 +121,7 @@ class _Selector(selectors.EpollSelector):
                 self.over = True
                 self._turn.acquire()
                 self.over = False
-            # A visitor may have closed what was found, and a new socket may have its number.
+            # A visitor may have closed the socket, and a new socket may have its number.
             reader = self._readers.get(found[0][0]) if len(found) == 1 and changes == self._changes else None
             if reader is None:
                 break
@@ -133,7 +133,7 @@ class _Selector(selectors.EpollSelector):
         return super().select(0)
 
     def leave_all_to_the_loop(self) -> None:
-        """What is registered by now is read as asyncio does."""
+        """Leave reading from all sockets that are registered by now to asyncio."""
         self._readers.clear()
 
     def register(self, fileobj: FileDescriptorLike, events: int, data: Any = None) -> selectors.SelectorKey:
@@ -159,4 +159,4 @@ class _Selector(selectors.EpollSelector):
 
 
 def _nothing() -> None:
-    """There is something else to do."""
+    """Wake the loop."""

@@ -2,53 +2,72 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING
 
 import msgspec
 
 from rsb_bridge.config.difference import changes, described
 from rsb_bridge.link.errors import Denied, LinkError
 from rsb_bridge.model.codes import EventCode
-from rsb_bridge.model.command_origin import console, operator
+from rsb_bridge.model.command_origin import console, is_undo, operator
 from rsb_bridge.model.demands import PEER_DEMANDS, local_name
+from rsb_bridge.model.snapshot import Level
 from rsb_bridge.route.arming import Disarmed
 from rsb_bridge.route.lifecycle import pause_word
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-    from contextlib import AbstractContextManager
+    from collections.abc import Callable, Iterable
 
     from rsb_bridge.link.link import Link
     from rsb_bridge.link.roles import BridgeRole
+    from rsb_bridge.model.commands import (
+        AddTopic,
+        ArmTopic,
+        DisarmTopic,
+        EditTopic,
+        KeepArmed,
+        Pause,
+        ReleaseArmed,
+        RemoveTopic,
+    )
     from rsb_bridge.model.demands import RunningDemands
     from rsb_bridge.model.session import Topic
     from rsb_bridge.route.route import Route
+    from rsb_bridge.telemetry.event_log import EventLog
 
 _INSTEAD = "remove the one, and add the other"
 
 
-class Recorder(Protocol):
-    """Records what an operator has done."""
+class CommandLog:
+    """Records operators' commands in the event log."""
 
-    def __call__(
-        self, code: EventCode, what: str, *, topic: str = "", link: str = "", old: str = "", new: str = ""
-    ) -> None:
-        """Record it; of a topic, by its name on this side."""
-        ...
+    def __init__(self, events: EventLog) -> None:
+        self._events = events
+
+    def add(self, code: EventCode, what: str, *, topic: str = "", link: str = "", old: str = "", new: str = "") -> None:
+        """Record a command; `topic` is its name on this side."""
+        who = operator()
+        text = f"{f'{topic}: ' if topic else ''}{what} by {who}{undo_mark()}"
+        self._events.add(Level.INFO, code, text, link=link, topic=topic, who=who, old=old, new=new)
+
+
+def undo_mark() -> str:
+    """Return the end of an event's text: a mark if the operator takes back an earlier change."""
+    return " (undo)" if is_undo() else ""
 
 
 class TopicCommands:
-    """Commands of one bridge, on its event loop. Each may raise `LinkError`.
+    """Executes commands about single topics and patterns.
 
     Args:
         role: has the links.
-        did: records what was done.
-        demands: keep what has to be armed.
+        log: records the commands.
+        demands: the names that have to be armed.
     """
 
-    def __init__(self, role: BridgeRole, did: Recorder, demands: RunningDemands) -> None:
+    def __init__(self, role: BridgeRole, log: CommandLog, demands: RunningDemands) -> None:
         self._role = role
-        self._did = did
+        self._log = log
         self._demands = demands
 
     def find(self, key: str) -> tuple[Link, Route]:
@@ -64,36 +83,31 @@ class TopicCommands:
         found = ((link, link.patterns.find(key)) for link in self._role.links())
         return next(((link, topic) for link, topic in found if topic is not None), None)
 
-    def routes_of(self, key: str) -> tuple[Route, ...]:
+    def _routes_of(self, key: str) -> tuple[Route, ...]:
         """Return the route with a key, or the routes that the pattern with it has made."""
         if (pattern := self._pattern(key)) is not None:
             link, topic = pattern
             return tuple(route for route in link.routes.values() if link.patterns.has_made(route, topic))
         return (self.find(key)[1],)
 
-    def add(self, topic: Topic, link: str) -> str:
-        """Bridge one more topic, or follow one more pattern; its key."""
+    async def add(self, command: AddTopic) -> str:
         with self._demands.changing(operator()):
-            chosen, key, topic = self._role.add(topic, link)
-        route = chosen.routes.get(key)
+            link, key, topic = self._role.add(command.topic, command.link)
+        route = link.routes.get(key)
         topic, name = (topic, topic.topic) if route is None else (route.spec, route.local_topic)
-        self._did(EventCode.OPERATOR_ADDED, "added", topic=name, link=chosen.name, new=described(topic))
+        self._log.add(EventCode.OPERATOR_ADDED, "added", topic=name, link=link.name, new=described(topic))
         return key
 
-    def edit(self, key: str, topic: Topic, *, drop_arm: bool = False) -> str:
-        """Replace a route's topic, or a pattern by another one; return the new key.
-
-        Args:
-            key: of the route or the pattern.
-            topic: the new entry.
-            drop_arm: whether the operator agrees to end the demand that its name be armed.
-        """
+    async def edit(self, command: EditTopic) -> str:
+        routes = self._routes_of(command.key)
         with self._demands.changing(operator()):
-            return self._edit(key, topic, drop_arm=drop_arm)
+            new_key = self._edit(command.key, command.topic, drop_arm=command.drop_arm)
+        await _settled(routes)
+        return new_key
 
     def _edit(self, key: str, topic: Topic, *, drop_arm: bool) -> str:
         if drop_arm and topic.arm:
-            raise LinkError(f"{topic.topic} would still have to be armed: set arm=false beside --drop-arm")
+            raise LinkError(f"{topic.topic} would still have to be armed: set arm=false together with --drop-arm")
         if (pattern := self._pattern(key)) is not None:
             link, old = pattern
             if not topic.is_pattern:
@@ -114,18 +128,17 @@ class TopicCommands:
             new = link.proposed.replace(route, topic)
             new_key, name = new.key, new.local_topic
         what = f"changed ({', '.join(changes(old, topic)) or 'nothing differs'})"
-        self._did(EventCode.OPERATOR_EDITED, what, topic=name, link=link.name, old=described(old), new=described(topic))
+        self._log.add(
+            EventCode.OPERATOR_EDITED, what, topic=name, link=link.name, old=described(old), new=described(topic)
+        )
         return new_key
 
-    def remove(self, key: str, *, drop_arm: bool = False) -> None:
-        """Stop bridging a topic, or following a pattern. A pattern that matches the topic leaves it out from then on.
-
-        Args:
-            key: of the route or the pattern.
-            drop_arm: whether the operator agrees to end the demand that its name be armed.
-        """
+    async def remove(self, command: RemoveTopic) -> None:
+        # A pattern that matches the topic leaves it out from then on.
+        routes = self._routes_of(command.key)
         with self._demands.changing(operator()):
-            self._remove(key, drop_arm=drop_arm)
+            self._remove(command.key, drop_arm=command.drop_arm)
+        await _settled(routes)
 
     def _remove(self, key: str, *, drop_arm: bool) -> None:
         if (pattern := self._pattern(key)) is not None:
@@ -142,14 +155,14 @@ class TopicCommands:
             link.bench.removed(route)
             link.table.remove(route, "removed by an operator")
             link.patterns.leave_out(route)
-        self._did(EventCode.OPERATOR_REMOVED, "removed", topic=name, link=link.name, old=described(topic))
+        self._log.add(EventCode.OPERATOR_REMOVED, "removed", topic=name, link=link.name, old=described(topic))
 
     def _drop_demands(
         self, link: Link, entry: Topic, name: str, route: Route | None, *, wanted: bool, names_it: bool = False
     ) -> None:
         """Drop the demands of an entry, and the demands of `armed` on its name, if an operator wants that.
 
-        The other side is told at once, so it is known that the change itself cannot be refused any more.
+        The peer hears of this at once, so call this only when the change itself can no longer be refused.
 
         Args:
             link: the entry's link.
@@ -183,8 +196,9 @@ class TopicCommands:
         if route is not None and (listed := link.table.superseded.get(route.key)) is not None:
             link.table.superseded[route.key] = msgspec.structs.replace(listed, arm=False, deadman=None)
 
-    def pause(self, key: str, *, paused: bool) -> None:
-        """Stop or resume carrying a topic's messages; of a pattern, those of all that it matches."""
+    async def pause(self, command: Pause) -> None:
+        key, paused = command.key, command.paused
+        routes = self._routes_of(key)
         code = EventCode.OPERATOR_PAUSED if paused else EventCode.OPERATOR_RESUMED
         if (pattern := self._pattern(key)) is not None:
             link, topic = pattern
@@ -193,59 +207,52 @@ class TopicCommands:
         else:
             link, route = self.find(key)
             old, name = pause_word(paused=route.paused), route.local_topic
-        for route in self.routes_of(key):
+        for route in self._routes_of(key):
             link.table.pause(route, paused=paused)
         word = pause_word(paused=paused)
-        self._did(code, "paused" if paused else "resumed", topic=name, link=link.name, old=old, new=word)
+        self._log.add(code, "paused" if paused else "resumed", topic=name, link=link.name, old=old, new=word)
+        await _settled(routes)
 
 
-class BridgeArming:
-    """Commands of one bridge, on its event loop; what is wrong with one is an `EngineError`.
+class ArmingCommands:
+    """Executes commands about arming, each for the console that gives it.
 
     Args:
         links: all of the bridge's.
         find: gives a route and its link by the route's key.
-        command: what a command runs in: turns its errors into `EngineError`, and has the snapshot show its effect.
     """
 
-    def __init__(
-        self,
-        links: Callable[[], list[Link]],
-        find: Callable[[str], tuple[Link, Route]],
-        command: Callable[[], AbstractContextManager[None]],
-    ) -> None:
+    def __init__(self, links: Callable[[], list[Link]], find: Callable[[str], tuple[Link, Route]]) -> None:
         self._links = links
         self._find = find
-        self._command = command
 
-    async def arm(self, key: str) -> None:
-        """Arm a topic for the console that gives the command."""
-        with self._command():
-            link, route = self._find(key)
-            await link.table.arming.arm(route, console())
+    async def arm(self, command: ArmTopic) -> None:
+        link, route = self._find(command.key)
+        await link.table.arming.arm(route, console())
 
-    async def disarm(self, key: str) -> None:
-        """Disarm a topic, even if another operator armed it; return once no earlier message can be published."""
-        with self._command():
-            link, route = self._find(key)
-            link.table.arming.disarm(route, Disarmed.OPERATOR)
-            await route.settling.wait()
+    async def disarm(self, command: DisarmTopic) -> None:
+        link, route = self._find(command.key)
+        link.table.arming.disarm(route, Disarmed.OPERATOR)
+        await _settled((route,))
 
-    async def keep(self, *, pressed: bool) -> None:
-        """The console that gives the command is there; `pressed`: its operator has pressed a key."""
+    async def keep(self, command: KeepArmed) -> None:
         for link in self._links():
-            link.table.arming.seen(console(), pressed=pressed)
+            link.table.arming.seen(console(), pressed=command.pressed)
 
-    async def release(self) -> None:
-        """The console that gives the command goes."""
-        with self._command():
-            for link in self._links():
-                link.table.arming.gone(console())
+    async def release(self, _: ReleaseArmed) -> None:
+        for link in self._links():
+            link.table.arming.gone(console())
 
     def reloaded(self) -> None:
-        """The session has been read again: whether it still says the same of what is armed is for people to look at."""
+        """Disarm everything, because the session file may no longer fit what an operator has armed."""
         for link in self._links():
             link.table.arming.disarm_all(Disarmed.RELOADED)
+
+
+async def _settled(routes: Iterable[Route]) -> None:
+    """Wait until nothing can be published any more that was armed before a command."""
+    for route in routes:
+        await route.settling.wait()
 
 
 def _local(link: Link, topic: Topic) -> str:

@@ -116,7 +116,7 @@ def _finish(app: ConsoleApp, on_hangup: str) -> int:
     if app.engine is not None and not app.attached_to and (crashed or (hung_up and on_hangup == "continue")):
         from rsb_console.command.headless import bridge_on  # noqa: PLC0415 -- seldom needed
 
-        app.engine.arming.release()
+        app.engine.release_armed()
         code = bridge_on(app.engine, crashed=crashed)
     app.stop()
     return code

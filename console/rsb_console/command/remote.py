@@ -133,7 +133,7 @@ def _topics(arguments: Namespace) -> int:
 
 
 def _available(engine: RemoteEngine, arguments: Namespace) -> int:
-    sides: dict[str, list[TopicInfo]] = {"": result(engine.topics())}
+    sides: dict[str, tuple[TopicInfo, ...]] = {"": result(engine.topics())}
     for link in engine.snapshot().links:
         if link.state is State.OK:
             sides[link.name] = result(engine.topics(link.name))
@@ -474,7 +474,7 @@ def _arm(arguments: Namespace) -> int:
     """Arm a topic until this process ends in any way; then the bridge disarms it. Return the exit code."""
     with attached(arguments) as engine:
         route = chosen_route(engine, arguments)
-        result(engine.arming.arm(route.key))
+        result(engine.arm(route.key))
         _say_armed(arguments, route)
         why, cause = _hold(engine, route.key)
     return failed(arguments, RemoteProblem.DISARMED(topic=route.topic, reason=why), FAILURE, cause=cause)
@@ -494,7 +494,7 @@ def _hold(engine: RemoteEngine, key: str) -> tuple[str, str]:
     """Keep a topic armed; once it is disarmed, return the reason in words and as a cause."""
     keys = _Keys()
     while True:
-        result(engine.arming.keep(pressed=keys.wait(_TOLD_EVERY)))
+        result(engine.keep_armed(pressed=keys.wait(_TOLD_EVERY)))
         if engine.unreachable:
             return engine.unreachable, ""
         route = next((each for each in engine.snapshot().routes if each.key == key), None)
@@ -510,7 +510,7 @@ def _disarm(arguments: Namespace) -> int:
     """Disarm all routes of a name. Return the exit code."""
     with attached(arguments) as engine:
         routes = all_chosen(engine, arguments)
-        carried_out([engine.arming.disarm(route.key) for route in routes])
+        carried_out([engine.disarm(route.key) for route in routes])
         return done_with_all(arguments, routes, "disarmed", one=True)
 
 

@@ -4,21 +4,33 @@ from __future__ import annotations
 
 from concurrent.futures import Future
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final, cast
+
+import msgspec
 
 from rsb_bridge.api import EngineError
 from rsb_bridge.control.remote_engine import RemoteEngine
 from rsb_bridge.control.summaries import Batteries
+from rsb_bridge.model.commands import AddTopic, History, Reload, Restart, Retry, ShutDown, Stop
 from rsb_bridge.model.robot_summary import LossWindow, of_clients
 
 if TYPE_CHECKING:
     from collections.abc import Callable
     from pathlib import Path
 
+    from rsb_bridge.model.commands import Command, R
     from rsb_bridge.model.history import HistoryReport
     from rsb_bridge.model.robot_summary import Loss, RobotSummary
-    from rsb_bridge.model.session import Topic
-    from rsb_bridge.model.snapshot import Event, Reloaded, Snapshot
+    from rsb_bridge.model.snapshot import Event, Snapshot
+
+
+_CONCERNS_ALL: Final[dict[type, str]] = {
+    ShutDown: "shutting down",
+    Restart: "restarting",
+    Reload: "reading the session file again",
+    Stop: "stopping",
+}
+"""The commands that would also concern the other robots of a server, in words."""
 
 
 class ServerFleet:
@@ -109,14 +121,16 @@ class RobotEngine(RemoteEngine):
     def _own(self, events: list[Event]) -> list[Event]:
         return [event for event in events if event.link in ("", self._robot)]
 
-    def add_topic(self, topic: Topic, link: str = "") -> Future[str]:
-        return super().add_topic(topic, link or self._robot)
+    def do(self, command: Command[R], step: Callable[[str], None] | None = None) -> Future[R]:
+        if what := _CONCERNS_ALL.get(type(command)):
+            return self._concerns_all(what)
+        if isinstance(command, AddTopic | Retry) and not command.link:
+            command = cast("Command[R]", msgspec.structs.replace(command, link=self._robot))
+        future = super().do(command, step)
+        return self._own_history_of(future) if isinstance(command, History) else future
 
-    def retry(self, link: str = "") -> Future[None]:
-        return super().retry(link or self._robot)
-
-    def history(self, seconds: float) -> Future[HistoryReport]:
-        """Return the events of the robot and of the server as a whole."""
+    def _own_history_of(self, whole: Future[Any]) -> Future[Any]:
+        """Return the history of the robot and of the server as a whole."""
         own: Future[HistoryReport] = Future()
 
         def take(asked: Future[HistoryReport]) -> None:
@@ -126,7 +140,7 @@ class RobotEngine(RemoteEngine):
                 except EngineError as error:
                     own.set_exception(error)
 
-        super().history(seconds).add_done_callback(take)
+        whole.add_done_callback(take)
         return own
 
     def _own_history(self, whole: HistoryReport) -> HistoryReport:
@@ -138,20 +152,6 @@ class RobotEngine(RemoteEngine):
             outages=tuple(each for each in whole.outages if each.link == robot),
             actions=tuple(self._own([*whole.actions])),
         )
-
-    # --- what would concern the other robots, too
-
-    def shut_down(self) -> Future[None]:
-        return self._concerns_all("shutting down")
-
-    def restart(self, step: Callable[[str], None] | None = None) -> Future[None]:
-        return self._concerns_all("restarting")
-
-    def reload(self, *, dry_run: bool = False) -> Future[Reloaded]:
-        return self._concerns_all("reading the session file again")
-
-    def stop_bridge(self) -> Future[None]:
-        return self._concerns_all("stopping")
 
     def _concerns_all(self, what: str) -> Future[Any]:
         refused: Future[Any] = Future()

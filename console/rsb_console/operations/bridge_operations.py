@@ -134,7 +134,7 @@ class BridgeOperations:
             text = f"{route.topic} cannot be armed: it is paused; resume it first"
             self._console.notify(text, title="Not done", severity="warning", markup=False)
         elif await self._console.ask(ConfirmScreen(f"Arm {route.topic} of {route.link}?", arming_means(route), "Arm")):
-            await self._console.command(engine.arming.arm(route.key))
+            await self._console.command(engine.arm(route.key))
 
     async def _disarm(self, engine: EngineApi, route: RouteSnapshot) -> None:
         """Disarm all routes of a name, on all links."""
@@ -144,7 +144,7 @@ class BridgeOperations:
             if (each.topic, each.spec.kind) == (route.topic, route.spec.kind) and each.key != route.key
             if each.arming is not None and each.arming.armed
         ]
-        for future in [engine.arming.disarm(key) for key in (route.key, *armed)]:
+        for future in [engine.disarm(key) for key in (route.key, *armed)]:
             await self._console.command(future)
         if armed:
             self._console.notify(
@@ -321,4 +321,4 @@ class Deadman:
         """Keep armed what is; the engine knows what this console has armed."""
         pressed, self._pressed = self._pressed, False
         if engine is not None and any(route.arming and route.arming.here for route in snapshot.routes):
-            engine.arming.keep(pressed=pressed)
+            engine.keep_armed(pressed=pressed)

@@ -102,7 +102,7 @@ class SessionOperations:
             await self.welcome()
 
     async def _begin(self, choice: str) -> None:
-        """Do what was chosen in a dialog: an action, or the path of a session file or of a control socket."""
+        """Begin with the choice of a dialog: an action, or the path of a session file or of a control socket."""
         actions = {
             "demo": self.demo,
             "new_session": self.new_session,
@@ -204,7 +204,7 @@ class SessionOperations:
 
         engine = self._console.engine
         if engine is None:
-            self._console.notify("no session runs: there is nothing to save")
+            self._console.notify("nothing to save: no session runs")
             return
         path: Path | None = self._console.path or Path(f"{engine.session.name}.yaml")
         while path is not None and (path := await self._console.ask(SaveAsScreen(path))) is not None:

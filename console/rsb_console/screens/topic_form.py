@@ -14,8 +14,8 @@ from textual import on, work
 from rsb_bridge.api import EngineError
 from rsb_bridge.model import transports
 from rsb_bridge.model.limits import CHANNEL, NO_PORT
-from rsb_bridge.model.qos import AUTO
 from rsb_bridge.model.link_budget import LoadSource, cost_of, describe_cost
+from rsb_bridge.model.qos import AUTO
 from rsb_bridge.model.text import plural
 from rsb_bridge.model.topic_keys import TOPIC_KEYS
 from rsb_console.look.formats import KIND_NOUN
@@ -190,7 +190,7 @@ class TopicScreen(FormScreen[Draft]):
         self._specs = fields_by_kind(engine.session, Ends.of(now, self._links[0]), route)
         self._kind: Kind = KINDS[0] if route is None else route.spec.kind
         self._kind_chosen = False
-        self._found: dict[str | None, list[TopicInfo]] = {}
+        self._found: dict[str | None, tuple[TopicInfo, ...]] = {}
         self._errors: dict[str | None, str] = {}
         self._awaited: set[str | None] = set()
         self._late: set[str | None] = set()
@@ -245,7 +245,7 @@ class TopicScreen(FormScreen[Draft]):
     def _type_of(self, draft: Draft) -> str:
         """Return the type in the sending side's graph, or an empty string."""
         sends_here = (draft.topic.direction == "receive") == (self._engine.session.role == "server")
-        found = self._found.get(None if sends_here else draft.link, [])
+        found = self._found.get(None if sends_here else draft.link, ())
         names = {draft.topic.topic, draft.topic.remote_topic, f"/{draft.link}{draft.topic.topic}"}
         return next((info.type_name for info in found if info.topic in names), "")
 
@@ -310,7 +310,7 @@ class TopicScreen(FormScreen[Draft]):
         what = self._kind if self._kind_chosen else "topic, service, action or node with parameters"
         empty = "asking both sides …" if waiting else f"no other {what} on either side; type the full name"
         here, there = (
-            [info for info in self._found.get(side, []) if not self._kind_chosen or info.kind == self._kind]
+            [info for info in self._found.get(side, ()) if not self._kind_chosen or info.kind == self._kind]
             for side in (None, link)
         )
         suggestions = suggestions_for(Ends.of(now, link), here, there, bridged)

@@ -11,27 +11,23 @@ from tests.fuzz.parser import Parser
 
 from rsb_bridge.control import protocol
 from rsb_bridge.control.protocol import (
-    AddTopic,
     BridgeInfo,
     Events,
     Failed,
     Follow,
     Goodbye,
     Hello,
-    History,
-    Pause,
     PollState,
     ProtocolError,
     Reply,
     Request,
-    Restart,
     State,
     Summary,
-    Topics,
     Watch,
     Welcome,
 )
 from rsb_bridge.control.states import Receiver
+from rsb_bridge.model.commands import AddTopic, History, Pause, Restart, Topics
 from rsb_bridge.model.session import Topic
 
 if TYPE_CHECKING:

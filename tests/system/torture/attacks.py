@@ -291,7 +291,7 @@ def arm_and_disarm(stage: Stage, rounds: int = 36, seed: int = 1) -> None:
     refused: Counter[str] = Counter()
     for side in sides:
         bridge = choice.choice((stage.pc, stage.robot))
-        bridge.console.arming.disarm(bridge.routes()[0].key).result(30)
+        bridge.console.disarm(bridge.routes()[0].key).result(30)
         stage.disarmed()
         stage.await_disarmed()
         _arm_at_last(stage, side, refused)

@@ -312,7 +312,7 @@ class Stage:
             self.windows.append(window)
             self._arms = bridge
         try:
-            bridge.console.arming.arm(bridge.routes()[0].key).result(10)
+            bridge.console.arm(bridge.routes()[0].key).result(10)
         except EngineError:
             with self._lock:
                 window.show("an error")
@@ -381,7 +381,7 @@ class Stage:
             now = time.monotonic()
             if now - kept_at > _SIGN_OF_LIFE_EVERY and self._arms is not None:
                 kept_at = now
-                self._arms.console.arming.keep(pressed=False)
+                self._arms.console.keep_armed(pressed=False)
             for name, bridge in (("the robot's console", self.robot), ("the pc's console", self.pc)):
                 with self._lock:
                     window = self.windows[-1] if self.windows else None

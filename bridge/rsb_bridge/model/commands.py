@@ -1,0 +1,312 @@
+"""Commands to an engine. Consoles make them, and `rsb_bridge.engine.bridge.Bridge.do` executes them.
+
+A command names the type of its result as the parameter of `Command`, and declares the right that it needs. The control
+socket sends commands as they are (`rsb_bridge.control.protocol.Request`), so tags and fields are part of its protocol.
+"""
+
+from __future__ import annotations
+
+import enum
+from typing import ClassVar, Generic, TypeAlias, TypeVar
+
+import msgspec
+
+from rsb_bridge.model.benchmark import Order, Outcome
+from rsb_bridge.model.history import HistoryReport
+from rsb_bridge.model.session import Client, Topic
+from rsb_bridge.model.snapshot import PeekedMessage, Reloaded, TopicInfo
+
+R = TypeVar("R")
+R_co = TypeVar("R_co", covariant=True)
+
+
+class Right(enum.Enum):
+    """The rights that commands need."""
+
+    LOOK = enum.auto()
+    """Every console has it."""
+    MEASURE = enum.auto()
+    """Every console has it, unless its operator has read-only access: a measurement loads the link."""
+    CHANGE = enum.auto()
+    """A console lacks it if its operator has read-only access, or if the console is attached read-only."""
+
+
+class Command(msgspec.Struct, Generic[R_co], frozen=True, tag_field="is", omit_defaults=True):
+    """A command, named by its tag.
+
+    Attributes:
+        right: needed to give the command.
+        one_at_a_time: whether the command waits for the earlier ones of its kind, because it changes the session.
+        refreshes: whether the next snapshot is made at once, to show the effect.
+        cancellable: whether the engine stops working on the command when nobody waits for the result any more.
+    """
+
+    right: ClassVar[Right] = Right.CHANGE
+    one_at_a_time: ClassVar[bool] = False
+    refreshes: ClassVar[bool] = True
+    cancellable: ClassVar[bool] = False
+
+
+class AddTopic(Command[str], frozen=True, tag="add"):
+    """Bridge one more topic, or follow one more pattern. The result is the key of the route or the pattern.
+
+    Attributes:
+        topic: the new entry. A server also takes its own name of the topic, with the client's name before it
+            (`Session.use_name`).
+        link: on a server, the name of the client.
+    """
+
+    one_at_a_time = True
+    topic: Topic
+    link: str = ""
+
+
+class EditTopic(Command[str], frozen=True, tag="edit"):
+    """Replace a route's topic, or a pattern. The result is the new key; if the command fails, the old route stays.
+
+    Attributes:
+        key: of the route or the pattern.
+        topic: the new entry.
+        drop_arm: whether an operator has agreed to end the demand to be armed. Without that, a change from
+            ``arm: true`` to false is refused, and any other change keeps the demand.
+    """
+
+    one_at_a_time = True
+    key: str
+    topic: Topic
+    drop_arm: bool = False
+
+
+class RemoveTopic(Command[None], frozen=True, tag="remove"):
+    """Stop bridging a topic on both sides, or following a pattern.
+
+    Attributes:
+        key: of the route or the pattern.
+        drop_arm: whether an operator has agreed to end the demand that the name be armed.
+    """
+
+    one_at_a_time = True
+    key: str
+    drop_arm: bool = False
+
+
+class Pause(Command[None], frozen=True, tag="pause"):
+    """Stop or resume carrying the messages of a topic, or of all topics that a pattern matches, on both sides."""
+
+    one_at_a_time = True
+    key: str
+    paused: bool
+
+
+class Acknowledge(Command[None], frozen=True, tag="acknowledge"):
+    """Acknowledge a fault until its state or its cause changes, or take that back.
+
+    Attributes:
+        key: of a route or a pattern. A route that is down with its link has the link's fault.
+        acknowledged: whether the fault is acknowledged from now on.
+        link: the name of a link, instead of a key.
+    """
+
+    key: str = ""
+    acknowledged: bool = True
+    link: str = ""
+
+
+class ArmTopic(Command[None], frozen=True, tag="arm"):
+    """Arm a topic for the console that gives the command; done once both sides hold it for armed.
+
+    The console has to keep the topic armed (`KeepArmed`).
+    """
+
+    key: str
+
+
+class DisarmTopic(Command[None], frozen=True, tag="disarm"):
+    """Disarm a topic, even if another operator armed it; done once no earlier message can be published."""
+
+    key: str
+
+
+class KeepArmed(Command[None], frozen=True, tag="keep_armed"):
+    """Keep armed all topics that this console has armed; due at least every 2 s.
+
+    A topic disarms if its console is silent for 5 s, or if its operator presses no key within its deadman time.
+
+    Attributes:
+        pressed: whether the operator has pressed a key since the last command, so that deadman times start again.
+    """
+
+    right = Right.LOOK
+    refreshes = False
+    pressed: bool
+
+
+class ReleaseArmed(Command[None], frozen=True, tag="release_armed"):
+    """Disarm all topics that this console has armed, because the console ends."""
+
+    right = Right.LOOK
+
+
+class AddClient(Command[None], frozen=True, tag="add_client"):
+    """Accept one more client, on a server; its key file is read where the bridge runs."""
+
+    one_at_a_time = True
+    client: Client
+
+
+class ChangeClient(Command[None], frozen=True, tag="change_client"):
+    """Replace the entry of a server's client of that name; its key file is read again."""
+
+    one_at_a_time = True
+    client: Client
+
+
+class RemoveClient(Command[None], frozen=True, tag="remove_client"):
+    """Accept a server's client no longer, and end its link."""
+
+    one_at_a_time = True
+    name: str
+
+
+class Retry(Command[None], frozen=True, tag="retry"):
+    """Connect now instead of later, and open refused topics again."""
+
+    link: str = ""
+
+
+class ShutDown(Command[None], frozen=True, tag="shut_down"):
+    """Close the sockets on both sides until an operator restarts, as the shutdown topic does."""
+
+
+class Restart(Command[None], frozen=True, tag="restart"):
+    """Close the links on both sides and open them again."""
+
+
+class Reload(Command[Reloaded], frozen=True, tag="reload"):
+    """Read the session file again, and change what differs; links and topics that do not differ go on.
+
+    Unsaved changes of operators give way to the file. A file with mistakes changes nothing.
+
+    Attributes:
+        dry_run: whether to report only, and change nothing.
+    """
+
+    one_at_a_time = True
+    dry_run: bool = False
+
+
+class Topics(Command[tuple[TopicInfo, ...]], frozen=True, tag="topics"):
+    """List the topics, services, actions and nodes that can be bridged.
+
+    Attributes:
+        link: whose peer's graph to list, or None for the graph of this side. An older peer lists topics only.
+    """
+
+    right = Right.LOOK
+    link: str | None = None
+
+
+class Peek(Command[PeekedMessage | None], frozen=True, tag="peek"):
+    """Wait for a topic's next message. The result is None if none has passed within some seconds: ask again.
+
+    A topic shows a message every half second at most. Messages take no extra step while nobody peeks.
+
+    Attributes:
+        key: of the route.
+        kept: whether to take the message of a latched topic that a late joiner gets.
+    """
+
+    right = Right.LOOK
+    refreshes = False
+    cancellable = True
+    key: str
+    kept: bool = False
+
+
+class Describe(Command[str], frozen=True, tag="describe"):
+    """Find the description of a topic's type (`rsb_bridge.cdr.description`) on either side."""
+
+    right = Right.LOOK
+    refreshes = False
+    cancellable = True
+    key: str
+
+
+class Template(Command[str], frozen=True, tag="template"):
+    """Write a request for `Call`, with the defaults of all fields, as YAML."""
+
+    right = Right.LOOK
+    cancellable = True
+    key: str
+    lane: str = ""
+
+
+class Call(Command[str], frozen=True, tag="call"):
+    """Call by hand, from either side. The types have to be installed where the bridge runs.
+
+    The result is the response, as YAML.
+
+    Attributes:
+        key: of a route that is no topic's.
+        request: the fields as YAML, or an empty string for the defaults.
+        lane: one of the route's services (`RouteSnapshot.lanes`).
+    """
+
+    cancellable = True
+    key: str
+    request: str
+    lane: str = ""
+
+
+class History(Command[HistoryReport], frozen=True, tag="history"):
+    """Report the outages, rates and operators' commands of the last so many s, 24 h at most."""
+
+    right = Right.LOOK
+    refreshes = False
+    seconds: float
+
+
+class Bench(Command[Outcome], frozen=True, tag="bench"):
+    """Send messages over a link on a topic that no node has, and measure them.
+
+    The peer has to allow it (`rsb_bridge.model.benchmark.Leave`). The topic is removed some seconds after the last
+    order.
+    """
+
+    right = Right.MEASURE
+    order: Order
+
+
+class Stop(Command[None], frozen=True, tag="stop"):
+    """End the bridge's process, as SIGTERM does.
+
+    The engine only records the command; the control server ends the process.
+    """
+
+
+AnyCommand: TypeAlias = (
+    AddTopic
+    | EditTopic
+    | RemoveTopic
+    | Pause
+    | Acknowledge
+    | ArmTopic
+    | DisarmTopic
+    | KeepArmed
+    | ReleaseArmed
+    | AddClient
+    | ChangeClient
+    | RemoveClient
+    | Retry
+    | ShutDown
+    | Restart
+    | Reload
+    | Topics
+    | Peek
+    | Describe
+    | Template
+    | Call
+    | History
+    | Bench
+    | Stop
+)
