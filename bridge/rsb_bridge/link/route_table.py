@@ -31,10 +31,7 @@ from rsb_bridge.model.snapshot import Level
 from rsb_bridge.model.text import sanitize_text
 from rsb_bridge.route.arming import Disarmed
 from rsb_bridge.route.calls.calling import CallingRoute
-from rsb_bridge.route.calls.calling_action import CallingAction
-from rsb_bridge.route.calls.node_parameters import ParametersCallingRoute, ParametersProvidingRoute
 from rsb_bridge.route.calls.providing import ProvidingRoute
-from rsb_bridge.route.calls.providing_action import ProvidingAction
 from rsb_bridge.route.incoming import IncomingRoute
 from rsb_bridge.route.outgoing import OutgoingRoute
 from rsb_bridge.route.route import Owner, route_key
@@ -75,8 +72,8 @@ if TYPE_CHECKING:
 _HALVES: dict[str, tuple[type[Route], type[Route]]] = {
     "topic": (OutgoingRoute, IncomingRoute),
     "service": (CallingRoute, ProvidingRoute),
-    "action": (CallingAction, ProvidingAction),
-    "parameters": (ParametersCallingRoute, ParametersProvidingRoute),
+    "action": (CallingRoute, ProvidingRoute),
+    "parameters": (CallingRoute, ProvidingRoute),
 }
 """By kind: of the side that sends, or calls, and of the other one."""
 _HalfMessage: TypeAlias = Describe | Ready | Publishers | Provide

@@ -11,7 +11,7 @@ import struct
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple
 
-from rsb_bridge.model.calls import GoalSnapshot
+from rsb_bridge.model.calls import FEEDBACK, GET_RESULT, SEND_GOAL, STATUS, GoalSnapshot
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
@@ -134,6 +134,20 @@ class Goals:
         self._wall = wall
         self._now = now
         self._goals: dict[bytes, _Goal] = {}
+
+    def response(self, lane: int, goal: bytes, payload: bytes) -> None:
+        """Read the server's response to a request about a goal."""
+        if lane == SEND_GOAL and (accepted := accepted_by(payload)) is not None:
+            self.answered(goal, accepted=accepted)
+        elif lane == GET_RESULT and (state := state_of(payload)) is not None:
+            self.result(goal, state)
+
+    def message(self, lane: int, payload: bytes) -> None:
+        """Read the server's status or feedback."""
+        if lane == STATUS and (statuses := statuses_of(payload)) is not None:
+            self.listed(statuses)
+        elif lane == FEEDBACK and (goal := goal_of(payload)) is not None:
+            self.feedback(goal)
 
     def asked(self, goal: bytes) -> None:
         """A caller has sent it."""
