@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from rsb_bridge.engine import Engine
     from rsb_bridge.model.calls import CallsSnapshot
 
-_LIMITS = "rsb_bridge.route.calls.pending_calls."
+_LIMITS = "rsb_bridge.route.peer."
 _SILENT = "rsb_bridge.link.keepalive.DEAD_AFTER"
 """s; a link that stalls is the same link afterwards, however busy the machine."""
 

@@ -9,22 +9,19 @@ from textual.pilot import Pilot
 from textual.widgets import Button
 
 from rsb_bridge.config.session_file import save
-from rsb_bridge.model.wording import Wording
 from rsb_console.app import ConsoleApp
-from rsb_console.operations.bridge_operations import OperationText
 from rsb_console.screens.session_files import FileText
 
-# dialog: the key that opens it on the main screen, and words in it
-BEGINNINGS: dict[str, tuple[str, str | Wording]] = {
-    "Sessions": ("o", "↑ ↓ and ⏎"),
-    "New session": ("f2", "Encryption"),
-    "Import": ("f3", "config/bringup.yaml"),
-    "Save as": ("W", FileText.RELATIVE_KEYS),
-    "Add a topic": ("a", "Direction"),
-    "Edit": ("e", "Direction"),
-    "Remove": ("d", "It stops crossing"),
-    "Restart?": ("R", OperationText.RESTART_MEANS),
-    "Quit?": ("q", "The bridge stops"),
+KEYS = {  # dialog: the key that opens it on the main screen
+    "Sessions": "o",
+    "New session": "f2",
+    "Import": "f3",
+    "Save as": "W",
+    "Add a topic": "a",
+    "Edit": "e",
+    "Remove": "d",
+    "Restart?": "R",
+    "Quit?": "q",
 }
 LABELS = {
     "Sessions": ["Open", "Cancel", "New…", "Import…", "Save", "Save as…"],
@@ -54,15 +51,16 @@ def app(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> ConsoleApp:
     return scripted_app(path=tmp_path / "nav2.yaml")
 
 
+def buttons(app: ConsoleApp) -> dict[str, Button]:
+    return {str(button.label): button for button in app.screen.query(Button)}
+
+
 async def press(app: ConsoleApp, pilot: Pilot[None], dialog: str, label: str) -> None:
-    key, words = BEGINNINGS[dialog]
-    await pilot.press(key)
-    await shown(pilot, words)
+    await pilot.press(KEYS[dialog])
+    await until(pilot, lambda: list(buttons(app)) == LABELS[dialog], f"the dialog {dialog}")
     await fill(pilot, **FILLED.get(dialog, {}))
     screen = app.screen
-    buttons = {str(button.label): button for button in screen.query(Button)}
-    assert list(buttons) == LABELS[dialog]
-    buttons[label].focus()
+    buttons(app)[label].focus()
     await pilot.press("enter")
     if label == "Import":  # nothing is filled in
         await shown(pilot, FileText.MISSING)

@@ -174,8 +174,8 @@ def test_filter_and_faults_only() -> None:
         await bed.shown("3 of 6")
         await bed.press("escape")
         assert len(bed.listed) == 6
-        await bed.press("slash", *"why:silent", "enter")
-        await bed.until(lambda: bed.listed == ["robot2"], "the silent one")
+        await bed.press("slash", *"why:cable", "enter")
+        await bed.until(lambda: bed.listed == ["robot2"], "the one whose cable was pulled")
         await bed.press("slash", *"zzz", "enter")
         await bed.shown("No robot matches")
 

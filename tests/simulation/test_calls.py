@@ -459,7 +459,7 @@ def test_a_server_on_the_callers_side_is_named_and_nothing_is_offered_beside_it(
 @contextmanager
 def bounds(**limits: Any) -> Iterator[None]:
     """Other bounds than the usual ones."""
-    with patch.multiple("rsb_bridge.route.calls.pending_calls", **limits):
+    with patch.multiple("rsb_bridge.route.peer", **limits):
         yield
 
 

@@ -144,6 +144,13 @@ def test_a_first_message_that_claims_the_other_valid_key_does_not_open() -> None
     assert refusal.message == RefusalText.FIRST_MESSAGE_FORGED(name="robot1")
 
 
+def test_a_client_that_names_no_key_though_it_encrypts() -> None:
+    frame = make_client().start().replace(fingerprint_of(KEY), bytes(8))
+    refusal = the(Refused, make_server().receive_data(frame))
+    assert refusal.code is RefusalCode.WRONG_KEY
+    assert says(refusal.message, RefusalText.KEY_NOT_NAMED, name="robot1", there="client", here="server")
+
+
 def test_an_unencrypted_client_has_no_key_whatever_it_says() -> None:
     server = make_server(Suite.PLAIN)
     assert server.receive_data(make_client(Suite.PLAIN).start().replace(bytes(8), fingerprint_of(KEY))) == []
