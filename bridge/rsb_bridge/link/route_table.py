@@ -69,13 +69,6 @@ if TYPE_CHECKING:
     from rsb_bridge.route.route import Route
     from rsb_bridge.wire.fields import RefuseCode
 
-_HALVES: dict[str, tuple[type[Route], type[Route]]] = {
-    "topic": (OutgoingRoute, IncomingRoute),
-    "service": (CallingRoute, ProvidingRoute),
-    "action": (CallingRoute, ProvidingRoute),
-    "parameters": (CallingRoute, ProvidingRoute),
-}
-"""By kind: of the side that sends, or calls, and of the other one."""
 _HalfMessage: TypeAlias = Describe | Ready | Publishers | Provide
 """The control messages that one half has for the other, by what they carry."""
 _CLOSED_REMEMBERED = 4
@@ -119,8 +112,8 @@ class RouteOwner(Owner, Authority, Protocol):
 
 
 def _half_of(proposal: Propose, *, is_client: bool) -> type[Route]:
-    """What a route's half on this side is made of."""
-    sending, receiving = _HALVES[proposal.kind]
+    """Return the class of a route's half on this side."""
+    sending, receiving = (OutgoingRoute, IncomingRoute) if proposal.kind == "topic" else (CallingRoute, ProvidingRoute)
     return sending if proposal.from_client == is_client else receiving
 
 

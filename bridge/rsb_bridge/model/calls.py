@@ -1,4 +1,4 @@
-"""What a user interface sees of the calls of a service, an action or a node's parameters: immutable data."""
+"""Services and topics that actions and parameters consist of, and immutable data about calls for user interfaces."""
 
 from __future__ import annotations
 
@@ -13,23 +13,22 @@ if TYPE_CHECKING:
 
 MOST_LANES = 16
 FEATURE = "calls"
-"""What a side that carries services, actions and parameters names among its features."""
+"""The feature of a side that carries services, actions and parameters."""
 
 
-class Lane(NamedTuple):
-    """One service or topic.
+class ServiceMember(NamedTuple):
+    """One service or topic of a route of calls; frames name it by its place among them, the *lane*.
 
     Attributes:
-        name: short, for people and for calls by hand; of a service, empty.
-        suffix: behind the route's name: ``/_action/send_goal``.
-        is_topic: it is a topic, from the providing side to the callers'.
-        type_suffix: behind the route's type: ``_SendGoal``.
-        type_name: where that does not depend on the route's type; empty: it does.
-        absolute: the topic's name where it does not depend on the route's; empty: it does.
-        qos: of a topic, to publish and to subscribe with.
-        patient: of a service, its answer comes when a goal is over: it has no timeout, and its latency says nothing.
-        limited: what operators limit is about it: calls a second, a pause, arming. What stops a robot or tells of it,
-            once it moves, is never held up.
+        name: short, for people and for calls by hand, or empty for a route that is one service.
+        suffix: added to the route's name: ``/_action/send_goal``.
+        is_topic: whether it is a topic, from the providing side to the callers'.
+        type_suffix: added to the route's type: ``_SendGoal``.
+        type_name: the type, or empty if it depends on the route's.
+        absolute: the topic's name, or empty if it depends on the route's.
+        qos: the QoS of a topic.
+        patient: whether a service answers when a goal is over, so that it has no timeout and no meaningful latency.
+        limited: whether rate limits, pauses and arming apply. They never hold up what stops or watches a robot.
     """
 
     name: str
@@ -50,17 +49,17 @@ _EVENTS = Qos("reliable", "volatile", "keep_last", 1000)
 SEND_GOAL, CANCEL_GOAL, GET_RESULT, FEEDBACK, STATUS = range(5)
 """The lanes of an action."""
 
-LANES: dict[Kind, tuple[Lane, ...]] = {
+LANES: dict[Kind, tuple[ServiceMember, ...]] = {
     "topic": (),
-    "service": (Lane(""),),
+    "service": (ServiceMember(""),),
     "action": (
-        Lane("send_goal", "/_action/send_goal", type_suffix="_SendGoal"),
-        Lane("cancel_goal", "/_action/cancel_goal", type_name="action_msgs/srv/CancelGoal", limited=False),
-        Lane("get_result", "/_action/get_result", type_suffix="_GetResult", patient=True, limited=False),
-        Lane(
+        ServiceMember("send_goal", "/_action/send_goal", type_suffix="_SendGoal"),
+        ServiceMember("cancel_goal", "/_action/cancel_goal", type_name="action_msgs/srv/CancelGoal", limited=False),
+        ServiceMember("get_result", "/_action/get_result", type_suffix="_GetResult", patient=True, limited=False),
+        ServiceMember(
             "feedback", "/_action/feedback", is_topic=True, type_suffix="_FeedbackMessage", qos=_FEEDBACK, limited=False
         ),
-        Lane(
+        ServiceMember(
             "status",
             "/_action/status",
             is_topic=True,
@@ -70,17 +69,17 @@ LANES: dict[Kind, tuple[Lane, ...]] = {
         ),
     ),
     "parameters": (
-        Lane("list_parameters", "/list_parameters", type_name="rcl_interfaces/srv/ListParameters"),
-        Lane("get_parameters", "/get_parameters", type_name="rcl_interfaces/srv/GetParameters"),
-        Lane("get_parameter_types", "/get_parameter_types", type_name="rcl_interfaces/srv/GetParameterTypes"),
-        Lane("describe_parameters", "/describe_parameters", type_name="rcl_interfaces/srv/DescribeParameters"),
-        Lane("set_parameters", "/set_parameters", type_name="rcl_interfaces/srv/SetParameters"),
-        Lane(
+        ServiceMember("list_parameters", "/list_parameters", type_name="rcl_interfaces/srv/ListParameters"),
+        ServiceMember("get_parameters", "/get_parameters", type_name="rcl_interfaces/srv/GetParameters"),
+        ServiceMember("get_parameter_types", "/get_parameter_types", type_name="rcl_interfaces/srv/GetParameterTypes"),
+        ServiceMember("describe_parameters", "/describe_parameters", type_name="rcl_interfaces/srv/DescribeParameters"),
+        ServiceMember("set_parameters", "/set_parameters", type_name="rcl_interfaces/srv/SetParameters"),
+        ServiceMember(
             "set_parameters_atomically",
             "/set_parameters_atomically",
             type_name="rcl_interfaces/srv/SetParametersAtomically",
         ),
-        Lane(
+        ServiceMember(
             "events",
             is_topic=True,
             type_name="rcl_interfaces/msg/ParameterEvent",
@@ -89,7 +88,7 @@ LANES: dict[Kind, tuple[Lane, ...]] = {
         ),
     ),
 }
-"""By kind; a frame names a lane by its place."""
+"""By kind."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,18 +99,17 @@ class CallsSnapshot:
 
     Attributes:
         asked: calls taken from callers; on the providing side, calls that came over the link.
-        answered: with an answer that went back to its caller.
+        answered: answered to their callers.
         expired: given up after the timeout.
-        refused: not carried, by cause: ``calls under way``, ``bytes under way``, ``calls a second``, ``paused``,
-            ``disarmed``, ``provider gone``, ``too large``, ``not sent``, ``not arrived``, ``other``.
-        lost: given up because the link or the provider went while they were under way.
-        in_flight: under way now.
+        refused: not carried, by cause (`Refused`).
+        lost: given up because the link or the provider was lost.
+        in_flight: waiting for an answer now.
         late: answers that came after their call was given up. Not a part of `asked`.
-        node_p50: s that the far node took for an answer; None: no figure.
+        node_p50: s that the far node took for an answer, or None without a figure.
         node_p99: s.
-        way_p50: s that the way there and back took, both bridges and the link; None: no figure.
+        way_p50: s that both bridges and the link took, or None without a figure.
         way_p99: s.
-        last_failure: the last call that had no answer, and why, in words; or empty.
+        last_failure: the reason why the last call without an answer had none, or empty.
     """
 
     asked: int = 0
@@ -135,10 +133,10 @@ class GoalSnapshot:
     Attributes:
         id: 32 hexadecimal digits.
         state: as action_msgs/msg/GoalStatus has them, ``accepted``, ``executing``, ``canceling``, ``succeeded``,
-            ``canceled`` or ``aborted``; ``asked`` or ``rejected``; ``unknown``: nobody here knows what became of it.
+            ``canceled`` or ``aborted``; ``asked`` or ``rejected``; or ``unknown``.
         since: s since the epoch, when it came to that state.
         feedbacks: feedback messages that crossed.
-        result_awaited: a caller waits for its result.
+        result_awaited: whether a caller waits for its result.
     """
 
     id: str
@@ -149,23 +147,23 @@ class GoalSnapshot:
 
 
 FIELDS_LENGTH = 32 << 10
-"""Bytes of the text that they are written in."""
+"""Bytes of the longest YAML text of fields."""
 
 Fields: TypeAlias = str | list["Fields"] | dict[str, "Fields"] | None
-"""As it stands in YAML. Whether ``1.10`` is a number or a text, the field's type says. None: nothing is written."""
+"""Fields as parsed from YAML. The field's type decides whether ``1.10`` is a number or a text; None is no value."""
 
 
 class FieldError(ValueError):
-    """Something does not fit into its field; the text names the field, and says what it takes."""
+    """A value does not fit into its field; the text names the field and its type."""
 
 
 class Refused(StrEnum):
-    """Why a call was refused, or given up on the other side. Counts are kept by these words, so they are stable."""
+    """The cause of a refusal, or of a call given up on the other side. Counts use these words: they are stable."""
 
     CALLS_UNDER_WAY = "calls under way"
-    """The link has as many as it may."""
+    """Too many calls wait for answers on the link."""
     BYTES_UNDER_WAY = "bytes under way"
-    """Likewise, of what calls and answers hold."""
+    """Calls and answers on the link hold too many bytes."""
     CALLS_A_SECOND = "calls a second"
     """More come than the link, the entry or the rights allow."""
     PAUSED = "paused"
@@ -183,10 +181,10 @@ class Refused(StrEnum):
     NOT_SENT = "not sent"
     """The middleware refused the request."""
     NOT_ARRIVED = "not arrived"
-    """A goal was under way when the link went, never arrived, and does not begin late."""
+    """The link was lost before a goal arrived, and a goal must not begin late."""
     TOO_OLD = "too old"
     """The request was older than `max_age` when it would have been handed on; the call reached nobody."""
     LOST = "lost"
-    """It was under way when its provider went. Counted as lost, not as refused."""
+    """Its provider was lost before it answered. Counted as lost, not as refused."""
     OTHER = "other"
-    """A newer peer's reason."""
+    """A cause that only a newer version knows."""

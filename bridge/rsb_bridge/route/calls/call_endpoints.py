@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Sequence
 
     from rsb_bridge.context import Context
-    from rsb_bridge.model.calls import Lane
+    from rsb_bridge.model.calls import ServiceMember
     from rsb_bridge.model.sources import Via
     from rsb_bridge.ros.ros_interface import (
         OnFailure,
@@ -41,12 +41,12 @@ _HEALED_AFTER = 60.0
 """s without a failure after which the first delay applies again."""
 
 
-def name_of(lane: Lane, route_name: str) -> str:
+def name_of(lane: ServiceMember, route_name: str) -> str:
     """Return the name of a lane's service or topic: ``/navigate/_action/send_goal``."""
     return lane.absolute or route_name + lane.suffix
 
 
-def type_of(lane: Lane, route_type: str) -> str:
+def type_of(lane: ServiceMember, route_type: str) -> str:
     """Return a lane's type, ``pkg/action/Navigate_SendGoal``, or an empty string if it is not known.
 
     Most lanes' types depend on the route's.
@@ -54,7 +54,7 @@ def type_of(lane: Lane, route_type: str) -> str:
     return lane.type_name or (route_type + lane.type_suffix if route_type else "")
 
 
-def route_type_of(lane: Lane, lane_type: str) -> str:
+def route_type_of(lane: ServiceMember, lane_type: str) -> str:
     """Return the route's type, derived from a lane's, or an empty string if they are independent."""
     if lane.type_name or not lane_type.endswith(lane.type_suffix):
         return ""
@@ -119,7 +119,7 @@ class LaneSink(Generic[T]):
 class LaneEnds:
     """The endpoints of one route's lanes on this side.
 
-    Services are opened and closed together; a lane that is a topic is opened once its type is known.
+    Services open and close together; a topic opens once its type has been found.
 
     Args:
         context: what every part of the engine shares.
@@ -135,7 +135,7 @@ class LaneEnds:
         self,
         context: Context,
         peer: Peer,
-        lanes: Sequence[Lane],
+        lanes: Sequence[ServiceMember],
         failed: Callable[[RosError], None],
     ) -> None:
         self.types: dict[int, LaneType] = {}
@@ -173,7 +173,7 @@ class LaneEnds:
         }
 
     def open(self, entries: Sequence[LaneEntry], names: Sequence[str], lanes: Collection[int] | None = None) -> None:
-        """Open the services; those of the right type that are open, and topics, stay open.
+        """Open the services. Topics stay open, and so do services of the right type.
 
         Args:
             entries: types, by lane.
@@ -245,7 +245,7 @@ class LaneEnds:
         self.close(keep=[each for each in self._uses if each != lane])
 
     def close(self, keep: Collection[int] = ()) -> None:
-        """Close all endpoints but those of the lanes to keep."""
+        """Close the endpoints of all lanes, except the lanes to keep."""
         for lane in [each for each in self._uses if each not in keep]:
             if (sink := self._sinks.pop(lane, None)) is not None:
                 sink.open = False
@@ -275,7 +275,7 @@ class Clients(LaneEnds):
         self,
         context: Context,
         peer: Peer,
-        lanes: Sequence[Lane],
+        lanes: Sequence[ServiceMember],
         responded: Callable[[int, Sequence[Response]], None],
         published: Callable[[int, Sequence[RawMessage]], None],
         failed: Callable[[RosError], None],
@@ -308,7 +308,7 @@ class Clients(LaneEnds):
         return context.ros.subscribe(name, kind.type_name, kind.type_hash, qos, sink.put, link, failed)
 
     def close(self, keep: Collection[int] = ()) -> None:
-        """Close all clients and subscriptions but those of the lanes to keep."""
+        """Close the clients and subscriptions of all lanes, except the lanes to keep."""
         super().close(keep)
         self.clients = {lane: client for lane, client in self.clients.items() if lane in keep}
 
@@ -323,7 +323,7 @@ class Offers(LaneEnds):
         asked: gets a lane's requests.
         too_late: gets requests that come after the offer has ended.
         failed: told of a server that has failed and closed itself.
-        marks: gives the lease that requests are marked with, or None if they need not be.
+        marks: returns the lease that requests are marked with, or None without arming.
 
     Attributes:
         servers: by lane.
@@ -334,7 +334,7 @@ class Offers(LaneEnds):
         self,
         context: Context,
         peer: Peer,
-        lanes: Sequence[Lane],
+        lanes: Sequence[ServiceMember],
         asked: Callable[[int, Sequence[Request]], None],
         too_late: Callable[[int, Sequence[Request]], None],
         failed: Callable[[RosError], None],
@@ -394,7 +394,7 @@ class Offers(LaneEnds):
         return bounded
 
     def close(self, keep: Collection[int] = ()) -> None:
-        """Close all services and publishers but those of the lanes to keep."""
+        """Close the services and publishers of all lanes, except the lanes to keep."""
         super().close(keep)
         for lane in [each for each in self._announced if each not in keep]:
             self._context.announcements.withdraw(self._announced.pop(lane))

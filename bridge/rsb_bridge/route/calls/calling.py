@@ -42,7 +42,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
     from rsb_bridge.context import Context
-    from rsb_bridge.model.calls import Lane
+    from rsb_bridge.model.calls import ServiceMember
     from rsb_bridge.model.session import Topic
     from rsb_bridge.model.snapshot import RouteSnapshot
     from rsb_bridge.ros.ros_interface import ServiceServer
@@ -73,7 +73,7 @@ class LaneMessages:
         notices: told of messages that cannot be published.
     """
 
-    def __init__(self, lanes: Sequence[Lane], offers: Offers, budget: Budget, notices: Notices) -> None:
+    def __init__(self, lanes: Sequence[ServiceMember], offers: Offers, budget: Budget, notices: Notices) -> None:
         self._lanes = lanes
         self._offers = offers
         self._budget = budget
@@ -165,7 +165,7 @@ class CallerAction:
             self.goals.unanswered(goal)
 
     def keep(self, call: CallerCall) -> bool:
-        """Have a call that was under way wait until it can be sent again. Return False if it cannot be kept."""
+        """Have a pending call wait until it can be sent again. Return False if it cannot be kept."""
         if call.kept is None:
             return False
         return self.waiting.keep(call.kept._replace(again=True, stamp=0), self._now())
@@ -190,7 +190,7 @@ class CallingRoute(CallsRoute):
         super().__init__(context, peer, spec, proposal, proposed_here=proposed_here)
         self.action = CallerAction(context, self.call_timeout) if spec.kind == "action" else None
         self._provided: Provide | None = None  # in the present opening
-        self._resumed_at = 0  # the revision of the pause's end, likewise
+        self._resumed_at = 0  # the revision of the pause's end, in the present opening
         self._reach: frozenset[int] = frozenset()  # the lanes that are offered, and whose calls go to the other side
         self._offers = Offers(
             context, peer, self.lanes, self._asked, self._too_late, self._offer_failed, self._lease_of_requests
@@ -226,7 +226,7 @@ class CallingRoute(CallsRoute):
                 self._send_waiting(self.action)
 
     def _why_unacceptable(self, provide: Provide) -> str:
-        """Return the reason why a list breaks what was agreed on, or an empty string."""
+        """Return the reason why a list breaks the agreement between the two sides, or an empty string."""
         if provide.lanes and len(provide.lanes) != len(self.lanes):
             return f"the other side provides {len(provide.lanes)} lanes, not {len(self.lanes)}"
         for lane, entry in zip(self.lanes, provide.lanes, strict=False):
@@ -331,7 +331,7 @@ class CallingRoute(CallsRoute):
         self._ros_failed(f"cannot be offered here: {error}", entries)
 
     def _end_offer(self) -> None:
-        """Withdraw the offer, and give up the calls under way."""
+        """Withdraw the offer, and give up pending calls."""
         if self._reach:
             was_offered = self.offered
             self._withdraw()
@@ -352,7 +352,7 @@ class CallingRoute(CallsRoute):
         self._local_servers.close()
 
     def close(self, reason: str) -> None:
-        """End the opening; the calls under way are lost."""
+        """End the opening; pending calls are lost."""
         super().close(reason)
         self._provided = None
         self._resumed_at = 0
@@ -476,7 +476,7 @@ class CallingRoute(CallsRoute):
     def _why_not_now(self) -> str:
         verdict, _ = self.judged.shown(self.verdict())
         known = verdict.cause != Cause.NO_CALL
-        why = verdict.text if known else f"no server of {self.remote_topic} is known on the other side"
+        why = verdict.text if known else f"no server of {self.remote_topic} on the other side"
         return f"{self.local_topic} cannot be called now: {why}"
 
     # --- answers, from the channel to ROS
@@ -511,13 +511,15 @@ class CallingRoute(CallsRoute):
             raise ProtocolError(f"call {frame.call} is answered on lane {frame.lane}, not {call.lane}")
         return call
 
+    def _end_call(self, frame: CallFrame) -> CallerCall | None:
+        """End the pending call that a frame is about, and return it, or None if it has ended before."""
+        return self._pending.end(frame.call) if self._call_of(frame) is not None else None
+
     def _take_answer(self, frame: CallFrame) -> None:
         """Answer the caller."""
-        call = self._call_of(frame)
-        if call is None:
+        if (call := self._end_call(frame)) is None:
             self.calls.late += 1
             return
-        self._pending.end(frame.call)
         if self.action is not None and call.kept is not None and (goal := goal_of(call.kept.payload)) is not None:
             self.action.goals.response(call.lane, goal, frame.content)
         took, total = frame.took / 1e9, self.context.now() - call.asked_at
@@ -533,9 +535,9 @@ class CallingRoute(CallsRoute):
 
     def _take_unusable(self, frame: CallFrame, why: Refused) -> None:
         """End a call whose answer came, but cannot be passed on."""
-        if (call := self._call_of(frame)) is None:
+        if (call := self._end_call(frame)) is None:
             return
-        self._end_unanswered(frame.call, call, why)
+        self._unanswered(call, why)
         if self.action is not None and call.kept is not None and frame.what is What.ANSWER:
             self.action.unanswered(call.kept)  # a goal may have been accepted
 
@@ -544,10 +546,11 @@ class CallingRoute(CallsRoute):
         if (call := self._call_of(frame)) is None:
             return
         action, kept = self.action, call.kept
-        if action is not None and call.lane in _OUTLIVING and why in _FOR_NOW and action.keep(call):
-            self._pending.end(frame.call)
+        is_kept = action is not None and call.lane in _OUTLIVING and why in _FOR_NOW and action.keep(call)
+        self._pending.end(frame.call)
+        if is_kept:
             return
-        self._end_unanswered(frame.call, call, why)
+        self._unanswered(call, why)
         if action is None or kept is None or call.lane != SEND_GOAL:
             return
         if why is Refused.NOT_ARRIVED or (why is not Refused.LOST and not kept.again):
@@ -555,8 +558,7 @@ class CallingRoute(CallsRoute):
         else:
             action.unanswered(kept)  # the goal may run, even if only the second attempt was refused
 
-    def _end_unanswered(self, number: int, call: CallerCall, why: Refused) -> None:
-        self._pending.end(number)
+    def _unanswered(self, call: CallerCall, why: Refused) -> None:
         self._refuse(why)
         call.unanswered(self.calls.last_failure)
 
@@ -585,7 +587,7 @@ class CallingRoute(CallsRoute):
                 continue
             if self.action is not None and call.kept is not None:
                 self.action.unanswered(call.kept)
-            call.unanswered(f"no answer: {why}; the call was under way, and the node may have acted on it")
+            call.unanswered(f"no answer: {why}; the node may have acted on the call")
             lost += 1
         self._lose(lost, why)
 

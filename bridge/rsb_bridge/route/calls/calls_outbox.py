@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
     from rsb_bridge.channel.channel import SendingChannel
-    from rsb_bridge.model.calls import Lane
+    from rsb_bridge.model.calls import ServiceMember
     from rsb_bridge.transport.transport import Transport
     from rsb_bridge.wire.messages import Propose
 
@@ -44,7 +44,7 @@ class CallsOutbox:
         self,
         transport: Transport,
         proposal: Propose,
-        lanes: Sequence[Lane],
+        lanes: Sequence[ServiceMember],
         leaves: Callable[[CallFrame], bool],
         stamp: Callable[[], int],
     ) -> None:

@@ -1,4 +1,4 @@
-"""What both halves of a route of calls share: `calling` is the callers' half, and `providing` the other one.
+"""The part that both halves of a route of calls share: `calling` is the callers' half, and `providing` the other one.
 
 Such a route consists of *lanes* (`rsb_bridge.model.calls`): services, and topics that go from the providing side to the
 callers'. Frames of all lanes (`rsb_bridge.wire.headers`) go over one channel, which sends both ways.
@@ -104,7 +104,7 @@ class CallsRoute(Route):
         raise NotImplementedError
 
     def _give_up_all(self, why: str) -> None:
-        """Give up the calls under way, for a reason in words."""
+        """Give up all pending calls, for a reason in words."""
         raise NotImplementedError
 
     def _withdraw(self) -> None:
@@ -145,7 +145,7 @@ class CallsRoute(Route):
             The serialized response.
 
         Raises:
-            CallError: there is none.
+            CallError: no response came.
         """
         raise NotImplementedError
 
@@ -153,7 +153,7 @@ class CallsRoute(Route):
         """Return the type of a lane that can be called.
 
         Raises:
-            CallError: there is nothing to call now.
+            CallError: nothing can be called now.
         """
         raise NotImplementedError
 
@@ -225,7 +225,7 @@ class CallsRoute(Route):
 
     def held_now(self, lane: int) -> Refused | None:
         """Return why a call of a lane may not pass at this moment, or None."""
-        return self.held(lane) or self.unarmed_now(lane)
+        return Refused.PAUSED if self.paused and self.lanes[lane].limited else self.unarmed_now(lane)
 
     # --- opening and closing
 
@@ -236,7 +236,7 @@ class CallsRoute(Route):
         self._came = False
 
     def close(self, reason: str) -> None:
-        """End the opening; the calls under way are lost."""
+        """End the opening; pending calls are lost."""
         self._withdraw()
         self._give_up_all(reason)
         self._outbox.clear()
@@ -246,7 +246,7 @@ class CallsRoute(Route):
         super().close(reason)
 
     def disarm(self, why: Disarmed, reason: str = "") -> None:
-        """Let nothing more cross in this opening, not even what is under way."""
+        """Let nothing more cross in this opening, not even the answers to pending calls."""
         self._withdraw()
         self._give_up_all("it was disarmed")
         self._outbox.clear()
@@ -366,7 +366,7 @@ class CallsRoute(Route):
         """Count calls that lost the link or their server. The log reports that loss elsewhere."""
         if calls:
             self.calls.lost += calls
-            self.calls.last_failure = f"given up while it was under way: {why}"
+            self.calls.last_failure = f"given up before its answer came: {why}"
 
     def _failed(self, text: str, code: EventCode = EventCode.ROUTE_CALL_FAILED) -> None:
         """Note why a call had no answer. The log repeats the same text once a minute at most."""

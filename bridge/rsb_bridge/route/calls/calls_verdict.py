@@ -1,4 +1,4 @@
-"""What one half of a route of calls makes of it: rules over what it knows. They use no clock and change nothing."""
+"""The rules by which one half of a route of calls is judged. They use no clock and change nothing."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ if TYPE_CHECKING:
 
 
 class Trouble(NamedTuple):
-    """Something that is wrong.
+    """A problem to show to operators.
 
     Attributes:
-        cause: what kind of thing.
+        cause: its kind.
         text: for an operator, with the remedy.
     """
 
@@ -95,7 +95,7 @@ class CallsFacts(NamedTuple):
 
 
 def judge_calls(facts: CallsFacts) -> Verdict:
-    """What counts: what keeps everything else from being known, else the worst of `_RULES`, of equals the first."""
+    """Return the verdict that blocks all others, or the worst of `_RULES`, and of equal ones the first."""
     if (verdict := gated(facts)) is not None:
         return verdict
     return min((verdict for rule in _RULES if (verdict := rule(facts)) is not None), key=rank, default=FINE)

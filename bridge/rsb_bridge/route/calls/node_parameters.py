@@ -1,4 +1,4 @@
-"""What a route of a node's parameters needs beyond calls: the node's events, among those of all nodes."""
+"""Parameter events of one node, and the reason why a node's parameters cannot be reached."""
 
 from __future__ import annotations
 

@@ -40,7 +40,7 @@ class PendingCalls(Generic[C]):
         loop: sets the timer; its time is the clock.
         budget: of the link; adding a call does not take from it: the adder has done that.
         on_expired: called with the number and the call after its timeout, once it is removed.
-        on_end: called with the number of each call that ends, whatever the reason.
+        on_end: called with the number of each call that ends, for any reason.
     """
 
     def __init__(

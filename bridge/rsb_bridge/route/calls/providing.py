@@ -127,7 +127,7 @@ class ProvidingRoute(CallsRoute):
         self._via: dict[str, None] = {}  # the bridges that answers cross before they come here
         self._present: set[bytes] = set()  # ids of servers; the calls made since the last look share it
         self._told: Provide | None = None  # in the present opening
-        self._served_in = 0  # the last connection in which somebody provided it; 0: in none
+        self._served_in = 0  # the last connection in which a server was there, or 0
         self._clients = Clients(context, peer, self.lanes, self._responded, self._published, self._client_failed)
         self._pending = PendingCalls[PeersCall](context.loop, peer.budget.provided, self._expired, self._ended)
         self._by_number: dict[tuple[int, int], int] = {}  # the peer's call, by lane and the client's number
@@ -282,7 +282,7 @@ class ProvidingRoute(CallsRoute):
             self._again = None
 
     def close(self, reason: str) -> None:
-        """End the opening; calls under way are lost, but what an action's server was asked goes on."""
+        """End the opening; pending calls are lost, but an action's server goes on answering."""
         super().close(reason)
         self._told = None
         self._highest = 0
