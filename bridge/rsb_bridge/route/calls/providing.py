@@ -359,11 +359,10 @@ class ProvidingRoute(CallsRoute):
 
     def _call(self, frame: CallFrame) -> PeersCall | None:
         """Make a call that has its place in the budget. Return None if ROS refuses it."""
-        size = frame_size(frame.content)
         try:
             number = self._clients.clients[frame.lane].call(frame.content)
         except RosError as error:
-            self.peer.budget.provided.give(size)
+            self.peer.budget.provided.give(frame_size(frame.content))
             self.notices.message_error(EventCode.ROUTE_CALL_FAILED, str(error))
             self._refuse_peer(frame, Refused.NOT_SENT)
             return None
