@@ -41,24 +41,24 @@ _HEALED_AFTER = 60.0
 """s without a failure after which the first delay applies again."""
 
 
-def name_of(lane: ServiceMember, route_name: str) -> str:
+def name_of(member: ServiceMember, route_name: str) -> str:
     """Return the name of a lane's service or topic: ``/navigate/_action/send_goal``."""
-    return lane.absolute or route_name + lane.suffix
+    return member.absolute or route_name + member.suffix
 
 
-def type_of(lane: ServiceMember, route_type: str) -> str:
+def type_of(member: ServiceMember, route_type: str) -> str:
     """Return a lane's type, ``pkg/action/Navigate_SendGoal``, or an empty string if it is not known.
 
     Most lanes' types depend on the route's.
     """
-    return lane.type_name or (route_type + lane.type_suffix if route_type else "")
+    return member.type_name or (route_type + member.type_suffix if route_type else "")
 
 
-def route_type_of(lane: ServiceMember, lane_type: str) -> str:
+def route_type_of(member: ServiceMember, lane_type: str) -> str:
     """Return the route's type, derived from a lane's, or an empty string if they are independent."""
-    if lane.type_name or not lane_type.endswith(lane.type_suffix):
+    if member.type_name or not lane_type.endswith(member.type_suffix):
         return ""
-    return lane_type.removesuffix(lane.type_suffix)
+    return lane_type.removesuffix(member.type_suffix)
 
 
 class LaneType(NamedTuple):
@@ -86,7 +86,7 @@ class LaneSink(Generic[T]):
 
     Args:
         context: what every part of the engine shares.
-        lane: its place among the route's lanes.
+        lane: its place among the route's members.
         taken: gets them, on the I/O loop, as long as the sink is open.
         late: gets them after that, or None to drop them.
     """
@@ -116,7 +116,7 @@ class LaneSink(Generic[T]):
             self._late(self._lane, batch)
 
 
-class LaneEnds:
+class LaneEndpoints:
     """The endpoints of one route's lanes on this side.
 
     Services open and close together; a topic opens once its type has been found.
@@ -124,7 +124,7 @@ class LaneEnds:
     Args:
         context: what every part of the engine shares.
         peer: the other side of the link.
-        lanes: of the route.
+        members: of the route.
         failed: told, on the I/O loop, of an endpoint that has failed and closed itself.
 
     Attributes:
@@ -135,22 +135,22 @@ class LaneEnds:
         self,
         context: Context,
         peer: Peer,
-        lanes: Sequence[ServiceMember],
+        members: Sequence[ServiceMember],
         failed: Callable[[RosError], None],
     ) -> None:
         self.types: dict[int, LaneType] = {}
         self._context = context
         self._peer = peer
-        self._lanes = lanes
+        self._members = members
         self._failed = failed
         self._names: Sequence[str] = ()
-        self._ends: dict[int, Closable] = {}
+        self._endpoints: dict[int, Closable] = {}
         self._sinks: dict[int, LaneSink[object]] = {}
         self._uses: dict[int, TypeUse] = {}
 
     def __bool__(self) -> bool:
         """Whether all services are open."""
-        return len(self.types) == sum(not lane.is_topic for lane in self._lanes)
+        return len(self.types) == sum(not member.is_topic for member in self._members)
 
     # --- what the sides do differently
 
@@ -168,8 +168,8 @@ class LaneEnds:
         """Return what `types` will be if all these services are open."""
         return {
             number: LaneType(entry.type, entry.type_hash)
-            for number, (lane, entry) in enumerate(zip(self._lanes, entries, strict=True))
-            if not lane.is_topic
+            for number, (member, entry) in enumerate(zip(self._members, entries, strict=True))
+            if not member.is_topic
         }
 
     def open(self, entries: Sequence[LaneEntry], names: Sequence[str], lanes: Collection[int] | None = None) -> None:
@@ -188,14 +188,14 @@ class LaneEnds:
         if any(services[lane] != kind for lane, kind in self.types.items()):
             self.close(keep=[lane for lane, kind in self.types.items() if wanted.get(lane) == kind])
         else:
-            self.close(keep=[lane for lane in self._uses if lane in wanted or self._lanes[lane].is_topic])
+            self.close(keep=[lane for lane in self._uses if lane in wanted or self._members[lane].is_topic])
         self._names = names
         opened = False
         try:
             for lane, kind in wanted.items():
-                if lane not in self._ends:
+                if lane not in self._endpoints:
                     self._use(lane, kind, is_service=True)
-                    self._ends[lane] = self._open_service(lane, names[lane], kind)
+                    self._endpoints[lane] = self._open_service(lane, names[lane], kind)
                     self.types[lane] = kind
             opened = True
         finally:
@@ -212,11 +212,11 @@ class LaneEnds:
             RosError: one cannot be opened.
         """
         new = []
-        for number, (lane, entry) in enumerate(zip(self._lanes, entries, strict=True)):
-            if lane.is_topic and number not in self._ends and entry.type_hash:
+        for number, (member, entry) in enumerate(zip(self._members, entries, strict=True)):
+            if member.is_topic and number not in self._endpoints and entry.type_hash:
                 kind = LaneType(entry.type, entry.type_hash)
                 self._use(number, kind, is_service=False)
-                self._ends[number] = self._open_topic(number, self._names[number], kind)
+                self._endpoints[number] = self._open_topic(number, self._names[number], kind)
                 new.append(number)
         return new
 
@@ -235,11 +235,11 @@ class LaneEnds:
         self._sinks[lane] = sink  # type: ignore[assignment]  # they are only closed
 
         def failed(error: RosError) -> None:
-            context.call(lambda: self._end_failed(lane, error) if sink.open else None)
+            context.call(lambda: self._endpoint_failed(lane, error) if sink.open else None)
 
         return sink, failed
 
-    def _end_failed(self, lane: int, error: RosError) -> None:
+    def _endpoint_failed(self, lane: int, error: RosError) -> None:
         """Handle that an endpoint has closed itself; it may not outlive the interruption that follows, others may."""
         self._failed(error)
         self.close(keep=[each for each in self._uses if each != lane])
@@ -249,19 +249,19 @@ class LaneEnds:
         for lane in [each for each in self._uses if each not in keep]:
             if (sink := self._sinks.pop(lane, None)) is not None:
                 sink.open = False
-            if (end := self._ends.pop(lane, None)) is not None:
+            if (end := self._endpoints.pop(lane, None)) is not None:
                 end.close()
             self._uses.pop(lane).end()
             self.types.pop(lane, None)
 
 
-class Clients(LaneEnds):
+class Clients(LaneEndpoints):
     """Clients of services, and subscriptions to topics, of one providing half.
 
     Args:
         context: what every part of the engine shares.
         peer: whose callers ask.
-        lanes: of the route.
+        members: of the route.
         responded: gets a lane's responses.
         published: gets a lane's messages.
         failed: told of a client or a subscription that has failed and closed itself.
@@ -275,12 +275,12 @@ class Clients(LaneEnds):
         self,
         context: Context,
         peer: Peer,
-        lanes: Sequence[ServiceMember],
+        members: Sequence[ServiceMember],
         responded: Callable[[int, Sequence[Response]], None],
         published: Callable[[int, Sequence[RawMessage]], None],
         failed: Callable[[RosError], None],
     ) -> None:
-        super().__init__(context, peer, lanes, failed)
+        super().__init__(context, peer, members, failed)
         self.clients: dict[int, ServiceClient] = {}
         self.node = ""
         self._responded = responded
@@ -298,7 +298,7 @@ class Clients(LaneEnds):
         return client
 
     def _open_topic(self, lane: int, name: str, kind: LaneType) -> Closable:
-        qos = self._lanes[lane].qos
+        qos = self._members[lane].qos
         assert qos is not None
         sink, failed = self._sink(lane, self._published)
         context, link = self._context, self._peer.name
@@ -313,13 +313,13 @@ class Clients(LaneEnds):
         self.clients = {lane: client for lane, client in self.clients.items() if lane in keep}
 
 
-class Offers(LaneEnds):
+class Offers(LaneEndpoints):
     """Services that others can call, and publishers, of one callers' half.
 
     Args:
         context: what every part of the engine shares.
         peer: whose providers answer.
-        lanes: of the route.
+        members: of the route.
         asked: gets a lane's requests.
         too_late: gets requests that come after the offer has ended.
         failed: told of a server that has failed and closed itself.
@@ -334,13 +334,13 @@ class Offers(LaneEnds):
         self,
         context: Context,
         peer: Peer,
-        lanes: Sequence[ServiceMember],
+        members: Sequence[ServiceMember],
         asked: Callable[[int, Sequence[Request]], None],
         too_late: Callable[[int, Sequence[Request]], None],
         failed: Callable[[RosError], None],
         marks: Callable[[], Lease | None] = lambda: None,
     ) -> None:
-        super().__init__(context, peer, lanes, failed)
+        super().__init__(context, peer, members, failed)
         self._marks = marks
         self.servers: dict[int, ServiceServer] = {}
         self.publishers: dict[int, VolatileTopic] = {}
@@ -386,7 +386,7 @@ class Offers(LaneEnds):
         return server
 
     def _open_topic(self, lane: int, name: str, kind: LaneType) -> VolatileTopic:
-        qos = self._lanes[lane].qos
+        qos = self._members[lane].qos
         assert qos is not None
         context, budget = self._context, self._peer.budget.unacknowledged
         publisher = context.ros.advertise(name, kind.type_name, kind.type_hash, qos, self._peer.name)

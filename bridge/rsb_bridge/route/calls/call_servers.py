@@ -68,7 +68,7 @@ class UnavailableError(Exception):
 
 def provision(
     ros: RosInterface,
-    lanes: Sequence[ServiceMember],
+    members: Sequence[ServiceMember],
     name: str,
     wanted: str,
     domain_id: int,
@@ -78,7 +78,7 @@ def provision(
 
     Args:
         ros: the graph.
-        lanes: of the route.
+        members: of the route.
         name: the route's, on this side.
         wanted: the type that the session names, or empty for any.
         domain_id: of this side, for people.
@@ -88,21 +88,21 @@ def provision(
     entries: list[LaneEntry] = []
     route_type = wanted
     try:
-        for number, lane in enumerate(lanes):
-            service = name_of(lane, name)
-            if lane.is_topic:
-                entries.append(_topic_entry(ros, lane, service, route_type))
+        for number, member in enumerate(members):
+            service = name_of(member, name)
+            if member.is_topic:
+                entries.append(_topic_entry(ros, member, service, route_type))
                 continue
             found = servers_of(number)
             if not found:
                 raise UnavailableError(Cause.NO_SERVER, f"no server of {service} in domain {domain_id}")
             servers += found
-            entry = _service_entry(ros, found, service, type_of(lane, wanted))
-            route_type = route_type or route_type_of(lane, entry.type)
+            entry = _service_entry(ros, found, service, type_of(member, wanted))
+            route_type = route_type or route_type_of(member, entry.type)
             entries.append(entry)
     except UnavailableError as error:
         return Provision((), tuple(servers), error.trouble)
-    return Provision(tuple(entries), tuple(servers), None, _several(lanes, name, servers))
+    return Provision(tuple(entries), tuple(servers), None, _several(members, name, servers))
 
 
 def _service_entry(ros: RosInterface, servers: Sequence[Endpoint], service: str, wanted: str) -> LaneEntry:
@@ -126,9 +126,9 @@ def _service_entry(ros: RosInterface, servers: Sequence[Endpoint], service: str,
     return LaneEntry(type_name, type_hash, len(servers))
 
 
-def _topic_entry(ros: RosInterface, lane: ServiceMember, topic: str, route_type: str) -> LaneEntry:
+def _topic_entry(ros: RosInterface, member: ServiceMember, topic: str, route_type: str) -> LaneEntry:
     """Return the type of a lane that is a topic. Publishers of another type on it do not count."""
-    type_name = type_of(lane, route_type)
+    type_name = type_of(member, route_type)
     publishers = [each for each in ros.publishers(topic) if each.type_name == type_name]
     hashes = {each.type_hash for each in publishers if each.type_hash}
     type_hash = hashes.pop() if len(hashes) == 1 else ""
@@ -138,7 +138,7 @@ def _topic_entry(ros: RosInterface, lane: ServiceMember, topic: str, route_type:
     return LaneEntry(type_name, type_hash, len(publishers), qos)
 
 
-def _several(lanes: Sequence[ServiceMember], name: str, servers: Iterable[Endpoint]) -> Trouble | None:
+def _several(members: Sequence[ServiceMember], name: str, servers: Iterable[Endpoint]) -> Trouble | None:
     """Return a warning if several nodes provide it, because each of them gets every call.
 
     Two nodes of the same name are most likely one that was killed and started again: DDS sees the old one for a while.
@@ -152,7 +152,7 @@ def _several(lanes: Sequence[ServiceMember], name: str, servers: Iterable[Endpoi
 
 def types_clash(
     ros: RosInterface,
-    lanes: Sequence[ServiceMember],
+    members: Sequence[ServiceMember],
     entries: Sequence[LaneEntry],
     names: Sequence[str],
     callers: Mapping[str, Sequence[Endpoint]],
@@ -161,20 +161,20 @@ def types_clash(
 
     Args:
         ros: this side's graph.
-        lanes: of the route.
+        members: of the route.
         entries: the other side's types, by lane.
         names: of the lanes on this side.
         callers: of the services on this side, by name.
     """
-    for lane, entry, name in zip(lanes, entries, names, strict=True):
-        installed = (ros.installed_hash if lane.is_topic else ros.installed_service_hash)(entry.type)
+    for member, entry, name in zip(members, entries, names, strict=True):
+        installed = (ros.installed_hash if member.is_topic else ros.installed_service_hash)(entry.type)
         if installed and entry.type_hash and installed != entry.type_hash:
             text = (
                 f"{entry.type} differs between the two sides ({entry.type_hash} on the providing side, {installed} on "
                 "the callers'): install the same version on both"
             )
             return Trouble(Cause.TYPE_CONFLICT, text)
-        if lane.is_topic:
+        if member.is_topic:
             continue
         others = _called_as_another_type(callers[name], name, entry)
         if others is not None and all(caller.type_name != entry.type for caller in callers[name]):
@@ -190,7 +190,7 @@ def types_clash(
 
 
 def others_called(
-    lanes: Sequence[ServiceMember],
+    members: Sequence[ServiceMember],
     entries: Sequence[LaneEntry],
     names: Sequence[str],
     callers: Mapping[str, Sequence[Endpoint]],
@@ -199,8 +199,8 @@ def others_called(
 
     They do no harm: DDS does not connect them with a server of the right type.
     """
-    for lane, entry, name in zip(lanes, entries, names, strict=True):
-        if not lane.is_topic and (others := _called_as_another_type(callers[name], name, entry)) is not None:
+    for member, entry, name in zip(members, entries, names, strict=True):
+        if not member.is_topic and (others := _called_as_another_type(callers[name], name, entry)) is not None:
             return others
     return None
 

@@ -67,14 +67,14 @@ class LaneMessages:
     """Publishes messages of the lanes that are topics, and keeps the last one of latched lanes.
 
     Args:
-        lanes: of the route.
+        members: of the route.
         offers: have the publishers.
         budget: bytes that may be kept on the link.
         notices: told of messages that cannot be published.
     """
 
-    def __init__(self, lanes: Sequence[ServiceMember], offers: Offers, budget: Budget, notices: Notices) -> None:
-        self._lanes = lanes
+    def __init__(self, members: Sequence[ServiceMember], offers: Offers, budget: Budget, notices: Notices) -> None:
+        self._members = members
         self._offers = offers
         self._budget = budget
         self._notices = notices
@@ -82,7 +82,7 @@ class LaneMessages:
 
     def take(self, lane: int, content: bytes) -> None:
         """Publish a message that came."""
-        qos = self._lanes[lane].qos
+        qos = self._members[lane].qos
         if qos is not None and qos.latched:
             self._keep(lane, content)
         self._publish(lane, content)
@@ -193,13 +193,13 @@ class CallingRoute(CallsRoute):
         self._resumed_at = 0  # the revision of the pause's end, in the present opening
         self._reach: frozenset[int] = frozenset()  # the lanes that are offered, and whose calls go to the other side
         self._offers = Offers(
-            context, peer, self.lanes, self._asked, self._too_late, self._offer_failed, self._lease_of_requests
+            context, peer, self.members, self._asked, self._too_late, self._offer_failed, self._lease_of_requests
         )
         self._local_servers = LocalServers(context, peer, self.advance)
         self._served_here: list[str] = []  # nodes that serve it on this side, while none does on the other side
         self._pending = PendingCalls[CallerCall](context.loop, peer.budget.asked, self._expired, self._outbox.forget)
         self._last_number = 0
-        self._messages = LaneMessages(self.lanes, self._offers, peer.budget.kept, self.notices)
+        self._messages = LaneMessages(self.members, self._offers, peer.budget.kept, self.notices)
         self._allowed = _bucket(0.0, context.now())
         self.limit.apply = self._limit
 
@@ -227,11 +227,11 @@ class CallingRoute(CallsRoute):
 
     def _why_unacceptable(self, provide: Provide) -> str:
         """Return the reason why a list breaks the agreement between the two sides, or an empty string."""
-        if provide.lanes and len(provide.lanes) != len(self.lanes):
-            return f"the other side provides {len(provide.lanes)} lanes, not {len(self.lanes)}"
-        for lane, entry in zip(self.lanes, provide.lanes, strict=False):
-            agreed = type_of(lane, self.proposal.type)
-            if agreed and entry.type != agreed and not lane.is_topic:  # whether it has to be armed may depend on this
+        if provide.lanes and len(provide.lanes) != len(self.members):
+            return f"the other side provides {len(provide.lanes)} lanes, not {len(self.members)}"
+        for member, entry in zip(self.members, provide.lanes, strict=False):
+            agreed = type_of(member, self.proposal.type)
+            if agreed and entry.type != agreed and not member.is_topic:  # whether it has to be armed may depend on this
                 return f"the other side provides {entry.type}, though {agreed} was agreed on"
         return ""
 
@@ -253,16 +253,16 @@ class CallingRoute(CallsRoute):
     def _look(self) -> None:
         """Find the callers, and what keeps it from being offered here."""
         ros, names = self.context.ros, self.local_names
-        services = [name for lane, name in zip(self.lanes, names, strict=True) if not lane.is_topic]
+        services = [name for member, name in zip(self.members, names, strict=True) if not member.is_topic]
         callers = {service: ros.callers(service) for service in services}
         self.endpoints = [each for found in callers.values() for each in found]
         self._unavailable = self._warning = None
         if self._provided is not None and (entries := self._provided.lanes):
             self._know_type(entries)
-            self._warning = others_called(self.lanes, entries, names, callers)
+            self._warning = others_called(self.members, entries, names, callers)
             self._unavailable = self._local_servers.look(services, offered=bool(self._reach))
             if self._unavailable is None and self._load(entries):
-                self._unavailable = types_clash(ros, self.lanes, entries, names, callers)
+                self._unavailable = types_clash(ros, self.members, entries, names, callers)
         nobody_provides = self._provided is not None and not self._provided.lanes
         self._served_here = self._local_servers.nodes(services) if nobody_provides else []
 
@@ -274,7 +274,9 @@ class CallingRoute(CallsRoute):
             return frozenset()
         resumed = self._provided is not None and self._provided.pause_revision >= self._resumed_at
         return frozenset(
-            number for number, lane in enumerate(self.lanes) if not self.held(number) and (resumed or not lane.limited)
+            number
+            for number, member in enumerate(self.members)
+            if not self.held(number) and (resumed or not member.limited)
         )
 
     def _paused(self, was: bool) -> None:
@@ -287,12 +289,16 @@ class CallingRoute(CallsRoute):
         provided = self._provided
         if provided is None or not provided.lanes or not self.peer.bridges:
             return False
-        return all(entry.providers for lane, entry in zip(self.lanes, provided.lanes, strict=True) if not lane.is_topic)
+        return all(
+            entry.providers for member, entry in zip(self.members, provided.lanes, strict=True) if not member.is_topic
+        )
 
     def _offer(self, provided: Provide, lanes: frozenset[int]) -> None:
         """Offer these lanes of what is provided, and no others."""
         offers, entries, before = self._offers, provided.lanes, self._reach
-        ways = [way_here(provided.via, self.peer.bridges, name_of(lane, self.remote_topic)) for lane in self.lanes]
+        ways = [
+            way_here(provided.via, self.peer.bridges, name_of(member, self.remote_topic)) for member in self.members
+        ]
         try:
             offers.announce(ways)
             if any(offers.services_of(entries)[lane] != kind for lane, kind in offers.types.items()):
@@ -369,7 +375,7 @@ class CallingRoute(CallsRoute):
 
     @property
     def offered(self) -> bool:
-        return bool(self._reach) and self._reach.issuperset(range(len(self.lanes)))
+        return bool(self._reach) and self._reach.issuperset(range(len(self.members)))
 
     @property
     def provider_nodes(self) -> tuple[str, ...]:
@@ -387,7 +393,7 @@ class CallingRoute(CallsRoute):
         if action is not None and not self._reach:  # an interruption leaves some of an action's services open
             self._keep_requests(action, lane, requests)
             return
-        with_age = self.age.is_on and self.lanes[lane].limited
+        with_age = self.age.is_on and self.members[lane].limited
         server = self._offers.servers[lane]
         for request in [self._stamped(request) for request in requests] if with_age else requests:
             payload, now = request.payload, self.context.now()
@@ -423,7 +429,7 @@ class CallingRoute(CallsRoute):
         now = self.context.now()
         if (why := self.held_now(lane)) is not None:
             return why
-        limited = self.lanes[lane].limited
+        limited = self.members[lane].limited
         if limited and self.age.is_on and not self.age.is_young(request.stamp):
             return Refused.TOO_OLD
         if len(request.payload) > self._outbox.largest:
@@ -456,7 +462,7 @@ class CallingRoute(CallsRoute):
         if (why := self._refusal(lane, made)) is not None:
             self._refuse(why)
             raise CallError(self.calls.last_failure)
-        stamp = made.stamp if self.age.is_on and self.lanes[lane].limited else 0
+        stamp = made.stamp if self.age.is_on and self.members[lane].limited else 0
         self._begin(CallerCall(lane, frame_size(request), self.context.now(), manual, b""), request, lease, stamp)
         self.flush()
         try:
@@ -530,7 +536,7 @@ class CallingRoute(CallsRoute):
             self._failed(f"a caller could not be answered: {error}")
             return
         self._answered(len(frame.content))
-        if not self.lanes[call.lane].patient:
+        if not self.members[call.lane].patient:
             self.calls.timed(took, total)
 
     def _take_unusable(self, frame: CallFrame, why: Refused) -> None:

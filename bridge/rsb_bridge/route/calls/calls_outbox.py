@@ -35,7 +35,7 @@ class CallsOutbox:
     Args:
         transport: what carries the route.
         proposal: what the two sides have agreed on.
-        lanes: of the route.
+        members: of the route.
         leaves: whether a call or an answer is still wanted; asked right before it is sent.
         stamp: gives the stamp of a message that has none.
     """
@@ -44,13 +44,13 @@ class CallsOutbox:
         self,
         transport: Transport,
         proposal: Propose,
-        lanes: Sequence[ServiceMember],
+        members: Sequence[ServiceMember],
         leaves: Callable[[CallFrame], bool],
         stamp: Callable[[], int],
     ) -> None:
         self.largest = transport.largest_message - CALL_HEADER_LENGTH - LEASE_HEADER_LENGTH
         self._compressor = zstandard.ZstdCompressor(_ZSTD_LEVEL) if proposal.compression == "zstd" else None
-        self._lanes = lanes
+        self._members = members
         self._leaves = leaves
         self._stamp = stamp
         self._frames: OrderedDict[int, CallFrame] = OrderedDict()  # by call number; other frames count down from -1
@@ -76,7 +76,7 @@ class CallsOutbox:
     def _make_room(self, frame: CallFrame) -> None:
         self._messages[frame.lane] += 1
         self._message_bytes += len(frame.content)
-        qos = self._lanes[frame.lane].qos
+        qos = self._members[frame.lane].qos
         depth = qos.depth if qos is not None else 1
         while self._messages[frame.lane] > depth or self._message_bytes > _MESSAGE_BYTES:
             if not self._drop_oldest(frame.lane):

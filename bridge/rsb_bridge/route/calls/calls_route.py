@@ -1,7 +1,8 @@
 """The part that both halves of a route of calls share: `calling` is the callers' half, and `providing` the other one.
 
-Such a route consists of *lanes* (`rsb_bridge.model.calls`): services, and topics that go from the providing side to the
-callers'. Frames of all lanes (`rsb_bridge.wire.headers`) go over one channel, which sends both ways.
+Such a route consists of members (`rsb_bridge.model.calls`): services, and topics that go from the providing side to the
+callers'. The frames of all members (`rsb_bridge.wire.headers`) go over one channel, which sends both ways. A frame
+names its member by a number, the *lane*.
 """
 
 from __future__ import annotations
@@ -55,7 +56,7 @@ class CallsRoute(Route):
     """One half of the route of a service, an action or a node's parameters.
 
     Attributes:
-        lanes: the services and topics that it consists of.
+        members: the services and topics that it consists of.
         calls: counts of its calls on this side.
     """
 
@@ -64,11 +65,11 @@ class CallsRoute(Route):
 
     def __init__(self, context: Context, peer: Owner, spec: Topic, proposal: Propose, *, proposed_here: bool) -> None:
         super().__init__(context, peer, spec, proposal, proposed_here=proposed_here)
-        self.lanes = LANES[spec.kind]
+        self.members = LANES[spec.kind]
         self.calls = CallsLedger()
-        self._outbox = CallsOutbox(self.transport, proposal, self.lanes, self._leaves, self._stamp_now)
+        self._outbox = CallsOutbox(self.transport, proposal, self.members, self._leaves, self._stamp_now)
         self._unpacker = Unpacker(peer.budget.expansion, context)
-        self._checks = [MessageCheck(context, peer.budget.checks) for _ in self.lanes]
+        self._checks = [MessageCheck(context, peer.budget.checks) for _ in self.members]
         self._types: tuple[str, ...] = ()  # by lane, as last known
         self._loaded: tuple[str, ...] = ()  # types by lane, once loading them was tried
         self._loading: tuple[str, ...] = ()
@@ -138,7 +139,7 @@ class CallsRoute(Route):
         """Make an operator's call: over the link on the callers' side, to the node itself on the providing side.
 
         Args:
-            lane: its place among the route's lanes.
+            lane: its place among the route's members.
             request: serialized.
 
         Returns:
@@ -166,12 +167,12 @@ class CallsRoute(Route):
 
     def timeout_of(self, lane: int) -> float | None:
         """Return the seconds after which a lane's call expires, or None if it never does."""
-        return None if self.lanes[lane].patient else self.call_timeout
+        return None if self.members[lane].patient else self.call_timeout
 
     @property
     def local_names(self) -> list[str]:
-        """Names of the lanes' services and topics on this side."""
-        return [name_of(lane, self.local_topic) for lane in self.lanes]
+        """Names of the members' services and topics on this side."""
+        return [name_of(member, self.local_topic) for member in self.members]
 
     def set_check(self) -> None:
         """Take over `check_messages` of the session."""
@@ -181,7 +182,7 @@ class CallsRoute(Route):
     def _know_type(self, entries: Sequence[LaneEntry]) -> None:
         """Derive the route's type from its lanes' types. An action and parameters have no hash as a whole."""
         self._types = tuple(entry.type for entry in entries)
-        types = [route_type_of(lane, entry.type) for lane, entry in zip(self.lanes, entries, strict=True)]
+        types = [route_type_of(member, entry.type) for member, entry in zip(self.members, entries, strict=True)]
         self.type_name = next(filter(None, types), "")
         self.type_hash = entries[0].type_hash if len(entries) == 1 else ""
 
@@ -194,7 +195,9 @@ class CallsRoute(Route):
         types = tuple(entry.type for entry in entries)
         if types not in {self._loaded, self._loading}:
             self._loading, ros = types, self.context.ros
-            installed = [ros.installed_hash if lane.is_topic else ros.installed_service_hash for lane in self.lanes]
+            installed = [
+                ros.installed_hash if member.is_topic else ros.installed_service_hash for member in self.members
+            ]
             loads = [partial(of, each) for of, each in zip(installed, types, strict=True) if each]
             future = self.context.loop.run_in_executor(None, lambda: [load() for load in loads])
             future.add_done_callback(lambda done: self._types_loaded(types, done))
@@ -210,7 +213,7 @@ class CallsRoute(Route):
 
     def held(self, lane: int) -> Refused | None:
         """Return why a pause or arming holds up a lane, or None. Nothing ever holds up a cancel."""
-        if not self.lanes[lane].limited:
+        if not self.members[lane].limited:
             return None
         if self.paused:
             return Refused.PAUSED
@@ -219,13 +222,13 @@ class CallsRoute(Route):
     def unarmed_now(self, lane: int) -> Refused | None:
         """Return why arming holds up a lane at this moment, or None."""
         now = self.context.now()
-        if not self.lanes[lane].limited or self.arming.passes(now):
+        if not self.members[lane].limited or self.arming.passes(now):
             return None
         return Refused.UNHEARD if self.arming.stands(now) else Refused.DISARMED
 
     def held_now(self, lane: int) -> Refused | None:
         """Return why a call of a lane may not pass at this moment, or None."""
-        return Refused.PAUSED if self.paused and self.lanes[lane].limited else self.unarmed_now(lane)
+        return Refused.PAUSED if self.paused and self.members[lane].limited else self.unarmed_now(lane)
 
     # --- opening and closing
 
@@ -301,7 +304,7 @@ class CallsRoute(Route):
         if flags & LEASED:
             lease, payload = split_number(payload)
         frame = unpack_call(payload)
-        if frame.lane >= len(self.lanes) or self.lanes[frame.lane].is_topic != (frame.what is What.MESSAGE):
+        if frame.lane >= len(self.members) or self.members[frame.lane].is_topic != (frame.what is What.MESSAGE):
             raise ProtocolError(f"a frame of kind {frame.what.name} on lane {frame.lane}")
         if lease or self.age.is_on:
             frame = frame._replace(lease=lease, stamp=stamp if self.age.is_on else 0)
@@ -466,7 +469,7 @@ class CallsRoute(Route):
             publishers=self.caller_nodes,
             subscribers=self.provider_nodes,
             calls=self.calls.snapshot(),
-            lanes=tuple(lane.name for lane in self.lanes if not lane.is_topic),
+            lanes=tuple(member.name for member in self.members if not member.is_topic),
         )
 
 

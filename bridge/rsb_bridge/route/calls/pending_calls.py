@@ -20,7 +20,7 @@ class Call:
     """A call that waits for its answer.
 
     Attributes:
-        lane: its place among the route's lanes.
+        lane: its place among the route's members.
         size: bytes that it holds of the link's budget.
         asked_at: when it came, in s.
     """

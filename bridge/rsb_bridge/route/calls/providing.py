@@ -128,7 +128,7 @@ class ProvidingRoute(CallsRoute):
         self._present: set[bytes] = set()  # ids of servers; the calls made since the last look share it
         self._told: Provide | None = None  # in the present opening
         self._served_in = 0  # the last connection in which a server was there, or 0
-        self._clients = Clients(context, peer, self.lanes, self._responded, self._published, self._client_failed)
+        self._clients = Clients(context, peer, self.members, self._responded, self._published, self._client_failed)
         self._pending = PendingCalls[PeersCall](context.loop, peer.budget.provided, self._expired, self._ended)
         self._by_number: dict[tuple[int, int], int] = {}  # the peer's call, by lane and the client's number
         self._highest = 0
@@ -145,7 +145,7 @@ class ProvidingRoute(CallsRoute):
         had_server, opened = bool(self._provision.entries), dict(self._clients.types)
         self._look()
         entries = self._provision.entries
-        if not entries or all(self.held(lane) for lane in range(len(self.lanes))):
+        if not entries or all(self.held(lane) for lane in range(len(self.members))):
             self._retry.clear()
             if self._clients:
                 self._close_clients()
@@ -189,11 +189,11 @@ class ProvidingRoute(CallsRoute):
     def _find(self) -> Provision:
         """Return what can be called here."""
         context, type_name = self.context, self.proposal.type
-        found = provision(context.ros, self.lanes, self.local_topic, type_name, context.domain_id, self._servers_of)
+        found = provision(context.ros, self.members, self.local_topic, type_name, context.domain_id, self._servers_of)
         trouble = found.unavailable
         if self.spec.kind != "parameters" or trouble is None or trouble.cause is not Cause.NO_SERVER:
             return found
-        services = [name for lane, name in zip(self.lanes, self.local_names, strict=True) if not lane.is_topic]
+        services = [name for member, name in zip(self.members, self.local_names, strict=True) if not member.is_topic]
         trouble = why_no_parameters(context.ros, self.local_topic, services, context.domain_id, trouble)
         return found._replace(unavailable=trouble)
 
@@ -204,7 +204,7 @@ class ProvidingRoute(CallsRoute):
             UnavailableError: there are some, but none may.
         """
         service = self.local_names[lane]
-        usable = self._loop_guard.sort(service, name_of(self.lanes[lane], self.topic))
+        usable = self._loop_guard.sort(service, name_of(self.members[lane], self.topic))
         self._via.update(dict.fromkeys(usable.via))
         if usable.unexplained:
             self._advance_after(_EXPLAINED_AGAIN)
@@ -341,7 +341,7 @@ class ProvidingRoute(CallsRoute):
 
     def _is_limited(self, frame: CallFrame) -> bool:
         """Return whether arming, pauses and limits apply to a call: not if it only asks about a goal again."""
-        if not self.lanes[frame.lane].limited:
+        if not self.members[frame.lane].limited:
             return False
         return frame.what is not What.AGAIN or question_of(frame.lane, frame.content) is None
 
@@ -414,7 +414,7 @@ class ProvidingRoute(CallsRoute):
         if call is None:
             return
         took = self.context.now() - call.asked_at
-        if not self.lanes[call.lane].patient:
+        if not self.members[call.lane].patient:
             self.calls.node.add(took)
         if len(payload) > self._outbox.largest:
             self._give_up(peers, Refused.TOO_LARGE)
