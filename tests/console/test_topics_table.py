@@ -121,6 +121,7 @@ async def test_what_is_typed_ahead_is_part_of_the_filter(app: ConsoleApp, pilot:
     for key in ("slash", "o", "d", "o", "m", "enter"):  # all at once, as a slow line delivers them
         app.post_message(Key(key, "/" if key == "slash" else key if len(key) == 1 else None))
     await shown(pilot, "Topics ▸ /odom ▸ 1 of 8")
+    await until(pilot, lambda: not app.main.prompt.display, "the prompt closed by the last key")
     assert app.screen is app.main
     assert engine_of(app).commands == []
 

@@ -8,9 +8,11 @@ import pytest
 from tests.support.bridge import carries, find, happened, heard, link, linked
 from tests.support.domain import text
 from tests.support.waiting import eventually
+from tests.support.wording import pattern
 
 from rsb_bridge.api import EngineError, Unable
-from rsb_bridge.config.keys import fingerprint, read_key, write_key
+from rsb_bridge.config.client_entries import ClientProblem
+from rsb_bridge.config.keys import KeyFileProblem, fingerprint, read_key, write_key
 from rsb_bridge.config.session_file import save
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.session import Client, Topic
@@ -89,13 +91,18 @@ def test_the_same_file_with_another_key_counts(bridge: Bridge) -> None:
 def test_what_cannot_be_done_is_refused_and_changes_nothing(bridge: Bridge) -> None:
     server, client = bridge.both()
     session = server.session
+    unknown = pattern(ClientProblem.MISSPELT, name="robot2", near="robot1")
+    no_key = pattern(KeyFileProblem.NO_SUCH_FILE, path=bridge.folder / "gone.key")
     refused: tuple[tuple[Callable[[], Future[None]], str], ...] = (
-        (lambda: server.add_client(Client("robot1")), "robot1 is a client already"),
-        (lambda: server.add_client(Client("robot2", "gone.key")), "gone.key: no such key file"),
+        (lambda: server.add_client(Client("robot1")), pattern(ClientProblem.EXISTS, name="robot1")),
+        (
+            lambda: server.add_client(Client("robot2", "gone.key")),
+            no_key,
+        ),
         (lambda: server.add_client(Client("robot2", deny=("scan",))), "'scan' matches no topic"),
-        (lambda: server.change_client(Client("robot2")), "robot2 is no client of this server"),
-        (lambda: server.remove_client("robot2"), "robot2 is no client of this server"),
-        (lambda: server.remove_client("robot1"), "robot1 is the server's only client"),
+        (lambda: server.change_client(Client("robot2")), unknown),
+        (lambda: server.remove_client("robot2"), unknown),
+        (lambda: server.remove_client("robot1"), pattern(ClientProblem.LAST, name="robot1")),
         (lambda: client.add_client(Client("robot2")), Unable.NOT_A_SERVER()),
     )
     for command, words in refused:

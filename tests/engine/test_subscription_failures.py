@@ -12,7 +12,7 @@ from tests.support.waiting import eventually
 
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.session import Topic
-from rsb_bridge.ros.ros_interface import RosError
+from rsb_bridge.ros.ros_interface import RosError, RosProblem
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
     from rsb_bridge.engine import Engine
 
-FAILURE = "/chat: a message could not be taken (rcl error 1)"
+FAILURE = RosProblem.NOT_TAKEN(topic="/chat", code=1)
 
 
 def break_subscription(engine: Engine, topic: str) -> None:

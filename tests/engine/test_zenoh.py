@@ -9,6 +9,7 @@ import pytest
 from tests.support.wording import says
 
 from rsb_bridge.transport.zenoh.endpoint import EndpointProblem
+from rsb_bridge.transport.zenoh.pipe import PipeProblem
 from rsb_bridge.transport.zenoh.zenoh_transport import FleetText
 from rsb_bridge.wire.preamble import RefusalText
 
@@ -272,7 +273,7 @@ def test_a_stream_that_misses_a_sample_closes_says_why_and_opens_again(
         out.publish(text(str(number) * 60_000))
     eventually(lambda: lost)
     out.publish(text("next"))  # by its number the other side knows
-    event = eventually(lambda: happened(server, EventCode.ROUTE_CHANNEL_LOST, "lost in the Zenoh network"))
+    event = eventually(lambda: happened(server, EventCode.ROUTE_CHANNEL_LOST, PipeProblem.SAMPLE_LOST))
     assert event.topic == "/odom"
     assert linked(server)
     carries([out], server, ["/odom"])

@@ -12,11 +12,13 @@ from msgspec.structs import replace
 from tests.support.bridge import link, linked
 from tests.support.domain import text
 from tests.support.waiting import eventually
+from tests.support.wording import says
 
 from rsb_bridge.config.session_file import load, save
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.session import Topic
 from rsb_bridge.model.verdict import LinkCause
+from rsb_console.command.client_command import ClientEffect
 
 if TYPE_CHECKING:
     from tests.support.bridge import Bridge
@@ -58,7 +60,7 @@ def test_a_robot_joins_and_leaves_a_fleet_that_runs(
     since = link(first).since
 
     added = client("add", path, "--address", "127.0.0.1", "robot2")
-    assert "it lets the client in from now on" in added["running"]
+    assert says(added["running"], ClientEffect.ADDED)
     robots = bridge.folder / "robot2.yaml"
     robots.write_text(added["client_session"])
     second = bridge.start(replace(load(robots), domain_id=robot.id))
