@@ -8,10 +8,8 @@ from unittest.mock import patch
 
 from rsb_bridge.model.calls import CANCEL_GOAL, GET_RESULT, SEND_GOAL
 from rsb_bridge.route.calls.calling import CallingRoute
-from rsb_bridge.route.calls.calling_action import CallingAction
 from rsb_bridge.route.calls.kept_calls import INTERRUPTION
 from rsb_bridge.route.calls.providing import ProvidingRoute
-from rsb_bridge.route.calls.providing_action import ProvidingAction
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -43,7 +41,7 @@ class ActionInvariants:
         self._world = world
         self._patience = world.climate.patience
         self._can_be_reached: dict[Errand, float] = {}
-        self._openings: dict[ProvidingAction, tuple[int, bool, set[bytes]]] = {}
+        self._openings: dict[ProvidingRoute, tuple[int, bool, set[bytes]]] = {}
 
     def check(self) -> None:
         """Check everything once."""
@@ -119,16 +117,16 @@ class ActionInvariants:
     @contextlib.contextmanager
     def tapped(self) -> Iterator[None]:
         """See what comes over the links to where the servers are."""
-        take = ProvidingAction._take
+        take = ProvidingRoute._take
 
-        def tap(route: ProvidingAction, frame: CallFrame) -> None:
+        def tap(route: ProvidingRoute, frame: CallFrame, *, readable: bool = True) -> None:
             self._came(route, frame)
-            take(route, frame)
+            take(route, frame, readable=readable)
 
-        with patch.object(ProvidingAction, "_take", tap):
+        with patch.object(ProvidingRoute, "_take", tap):
             yield
 
-    def _came(self, route: ProvidingAction, frame: CallFrame) -> None:
+    def _came(self, route: ProvidingRoute, frame: CallFrame) -> None:
         """A cancel that was asked before an opening began comes before everything else."""
         errand = next((each for each in self._world.errands.values() if _is_half(route, each)), None)
         if errand is None:
@@ -163,7 +161,7 @@ def halves_of(world: World, errand: Errand) -> list[CallsRoute]:
     """The halves of its route."""
     links: list[Link] = list(world.link_ends(world.robot(errand.robot)) or ())
     found: list[Any] = [route for link in links for route in link.routes.values() if route.topic == errand.near_name]
-    return [route for route in found if isinstance(route, (CallingAction, ProvidingAction))]
+    return [route for route in found if isinstance(route, (CallingRoute, ProvidingRoute)) and route.action is not None]
 
 
 def said(world: World, errand: Errand) -> str:
@@ -179,24 +177,24 @@ def _offered(run: Run, errand: Errand) -> bool:
 
 def in_flight(route: CallsRoute) -> int:
     """The calls of a half for which anybody waits."""
-    waiting = len(route._waiting) if isinstance(route, CallingAction) else 0
-    return len(route._under_way) + waiting  # type: ignore[attr-defined]
+    action = route.action if isinstance(route, CallingRoute) else None
+    waiting = len(action.waiting) if action is not None else 0
+    return len(route._pending) + waiting  # type: ignore[attr-defined]
 
 
 def left_of_ended_calls(route: CallsRoute) -> list[str]:
     """What a half still has of calls that are over."""
-    under_way = route._under_way  # type: ignore[attr-defined]
+    pending = route._pending  # type: ignore[attr-defined]
     found = [
         f"{frame.what.name} {frame.call} in the outbox"
         for frame in route._outbox._frames.values()
-        if frame.call and frame.what.name != "REFUSED" and frame.call not in under_way
+        if frame.call and frame.what.name != "REFUSED" and frame.call not in pending
     ]
     if isinstance(route, ProvidingRoute):
-        found += [f"number {number}" for number, call in route._by_number.items() if call not in under_way]
-    if isinstance(route, ProvidingAction):
-        kept = route._answers._kept.items()
-        found += [f"{each} of {what}" for what, one in kept for each in one.calls if each not in under_way]
-    if not len(under_way) and under_way._timer is not None and not under_way._deadlines:
+        found += [f"number {number}" for number, call in route._by_number.items() if call not in pending]
+        kept = route.action.answers._kept.items() if route.action is not None else ()
+        found += [f"{each} of {what}" for what, one in kept for each in one.calls if each not in pending]
+    if not len(pending) and pending._timer is not None and not pending._deadlines:
         found.append("a timer")
     return found
 
@@ -206,15 +204,14 @@ def left_at_rest(route: CallsRoute) -> list[str]:
     found = left_of_ended_calls(route)
     tables: dict[str, object] = {
         "calls in flight": route.calls.in_flight,
-        "calls under way": len(route._under_way),  # type: ignore[attr-defined]
+        "calls under way": len(route._pending),  # type: ignore[attr-defined]
         "frames": len(route._outbox._frames),
     }
-    if isinstance(route, CallingAction):
-        tables |= {"waiting calls": len(route._waiting)}
-    if isinstance(route, ProvidingAction):
-        tables |= {"kept answers": len(route._answers._kept), "numbers": len(route._answers._by_number)}
-    if isinstance(route, (CallingAction, ProvidingAction)):
-        tables |= {"running goals": len(route.goals.running())}
+    if isinstance(route, CallingRoute) and (caller := route.action) is not None:
+        tables |= {"waiting calls": len(caller.waiting), "running goals": len(caller.goals.running())}
+    if isinstance(route, ProvidingRoute) and (provider := route.action) is not None:
+        tables |= {"kept answers": len(provider.answers._kept), "numbers": len(provider.answers._by_number)}
+        tables |= {"running goals": len(provider.goals.running())}
     budget = route.peer.budget
     tables |= {"held of the budget": max((budget.asked if isinstance(route, CallingRoute) else budget.provided).held)}
     return found + [f"{length} {what}" for what, length in tables.items() if length]

@@ -49,7 +49,7 @@ class CallInvariants:
             under_way: Counter[bool] = Counter()
             for route in link.routes.values():
                 if isinstance(route, CallsRoute):
-                    calls, held = route.calls, len(route._under_way)  # type: ignore[attr-defined]
+                    calls, held = route.calls, len(route._pending)  # type: ignore[attr-defined]
                     if calls.in_flight != in_flight(route):
                         self._world.wrong(
                             f"{run.station.name}: {route.key} counts {calls.in_flight} calls in flight, and has "

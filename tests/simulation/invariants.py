@@ -52,7 +52,7 @@ _SEEN_WITHIN = 5.0
 _SWEEP_EVERY = 600.0
 _ITEMS, _ITEMS_EACH = 100, 20
 """In one table: so many, and so many more for each route and each link."""
-_BOUNDED = {".goals._goals": MOST_GOALS, "._answers._kept": MOST_KEPT}
+_BOUNDED = {".goals._goals": MOST_GOALS, ".answers._kept": MOST_KEPT}
 """Tables that are kept for people, or for an hour."""
 _TASKS, _DESCRIPTORS, _TIMERS = 10, 10, 20
 """Of one engine: so many, and four more for each route and each link."""

@@ -32,10 +32,9 @@ from rsb_bridge.link.route_table import RouteTable
 from rsb_bridge.model.budgets import Backoff
 from rsb_bridge.model.calls import CANCEL_GOAL, GET_RESULT, SEND_GOAL
 from rsb_bridge.route.calls import kept_calls
-from rsb_bridge.route.calls.calling import CallingRoute
-from rsb_bridge.route.calls.calling_action import CallingAction
+from rsb_bridge.route.calls.calling import CallerAction, CallingRoute
 from rsb_bridge.route.calls.kept_calls import AnswerAction, KeptAnswers, KeptCalls
-from rsb_bridge.route.calls.pending_calls import UnderWay
+from rsb_bridge.route.calls.pending_calls import PendingCalls
 from rsb_bridge.route.combined_verdict import CombinedVerdict
 from rsb_bridge.route.incoming import IncomingRoute
 from rsb_bridge.route.lateness import LateWatch
@@ -119,7 +118,7 @@ def _counted_before(self: Any) -> Any:
 
 
 def _end_oldest(self: Any, number: int) -> Any:
-    """As `UnderWay.end`, but of the oldest call: answers in order, whoever asked."""
+    """As `PendingCalls.end`, but of the oldest call: answers in order, whoever asked."""
     return _end(self, next(iter(self._calls), number))
 
 
@@ -138,7 +137,7 @@ def _took_in_time(self: Any, count: int, sent: int, now: float) -> None:
 
 
 def _end_for_nothing(self: Any, number: int) -> Any:
-    """As `UnderWay.end`, without giving back what the call held."""
+    """As `PendingCalls.end`, without giving back what the call held."""
     return self._calls.pop(number, None)
 
 
@@ -167,7 +166,7 @@ def _forget_all(self: Any, _: float) -> None:
 _answered = KeptAnswers.answered
 _take = KeptAnswers.take
 _keep = KeptCalls.keep
-_end = UnderWay.end
+_end = PendingCalls.end
 _settle = RouteLedger.settle
 _took = Window.acknowledge
 _propose = RouteTable._propose
@@ -295,12 +294,12 @@ MUTATIONS = (
     ),
     Mutation(
         "an answer goes to whoever asked first",
-        ((UnderWay, "end", _end_oldest),),
+        ((PendingCalls, "end", _end_oldest),),
         "got for call", CALLS, 1, 1.0,
     ),
     Mutation(
         "a call that is over keeps its place in the budget",
-        ((UnderWay, "end", _end_for_nothing),),
+        ((PendingCalls, "end", _end_for_nothing),),
         "calls are under way, and", CALLS, 1, 1.0,
     ),
     Mutation(
@@ -320,7 +319,7 @@ MUTATIONS = (
     ),
     Mutation(
         "who waits for a result is given up when the link drops",
-        ((CallingAction, "_keep", _nothing),),
+        ((CallerAction, "keep", _nothing),),
         "waits for its result", _GOALS, 1, 0.05, cancelled_while_cut,
     ),
     Mutation(
@@ -340,7 +339,7 @@ MUTATIONS = (
     ),
     Mutation(
         "a call that waited for the action to be reached again is not counted when it is given up",
-        ((CallingAction, "_give_up_kept", _nothing),),
+        ((CallingRoute, "_give_up_waiting", _nothing),),
         "calls in flight, and has", replace(ACTIONS, faults=20.0), 4, 0.2,
     ),
     Mutation(

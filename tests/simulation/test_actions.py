@@ -20,7 +20,7 @@ from tests.support.long import long
 
 from rsb_bridge.model.commands import ArmTopic, DisarmTopic
 from rsb_bridge.model.session import Topic
-from rsb_bridge.route.calls import calling_action, kept_calls, providing_action
+from rsb_bridge.route.calls import calling, kept_calls, providing
 from rsb_bridge.route.lease import Lease
 
 if TYPE_CHECKING:
@@ -101,7 +101,7 @@ async def until(condition: Callable[[], object], within: float) -> None:
 def short_interruptions() -> Iterator[None]:
     """What outlives an interruption does so for minutes instead of an hour."""
     with contextlib.ExitStack() as stack:
-        for module in (kept_calls, calling_action, providing_action):
+        for module in (kept_calls, calling, providing):
             stack.enter_context(patch.object(module, "INTERRUPTION", _HOUR))
         stack.enter_context(patch.object(action_invariants, "_MUCH_LATER", 0.9 * _HOUR))
         yield

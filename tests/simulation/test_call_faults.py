@@ -13,8 +13,8 @@ from tests.support.goals import cancel_request, goal, goal_request
 from rsb_bridge.model.calls import CANCEL_GOAL, GET_RESULT, LANES, STATUS, Refused
 from rsb_bridge.ros.ros_interface import RosError
 from rsb_bridge.route.calls import kept_calls
-from rsb_bridge.route.calls.calling_action import CallingAction
-from rsb_bridge.route.calls.providing_action import ProvidingAction
+from rsb_bridge.route.calls.calling import CallingRoute
+from rsb_bridge.route.calls.providing import ProvidingRoute
 from rsb_bridge.wire.headers import CallFrame, What
 
 if TYPE_CHECKING:
@@ -74,8 +74,8 @@ def test_endpoints_that_fail_are_made_anew_while_goals_run(play: Play) -> None:
         asker.ask(bytes(16))
         await until(lambda: tellers[GET_RESULT].asked, 2.0)
         near, far = booth.halves()
-        assert isinstance(near, CallingAction)
-        assert isinstance(far, ProvidingAction)
+        assert isinstance(near, CallingRoute)
+        assert isinstance(far, ProvidingRoute)
         far._clients.clients[CANCEL_GOAL].fail()  # type: ignore[attr-defined]
         await until(lambda: not booth.counted()[1].in_flight and far._clients.ready, 15.0)
         await booth.ready(asker)
@@ -183,7 +183,7 @@ def test_what_is_kept_of_a_peers_messages_is_in_its_budget(play: Play) -> None:
         _action(booth)
         await booth.ready(_asker_of(booth, CANCEL_GOAL))
         near, _ = booth.halves()
-        assert isinstance(near, CallingAction)
+        assert isinstance(near, CallingRoute)
         budget = near.peer.budget.kept
         for size in (1000, 10, budget.limit + 1, 100):
             near._take(CallFrame(What.MESSAGE, STATUS, 0, 0, bytes(size)))

@@ -62,7 +62,7 @@ async def until(condition: Callable[[], object], within: float) -> None:
 
 def under_way(route: CallsRoute) -> list[Call]:
     """The calls of a half."""
-    return list(route._under_way._calls.values())  # type: ignore[attr-defined]
+    return list(route._pending._calls.values())  # type: ignore[attr-defined]
 
 
 def say(booth: Booth) -> tuple[tuple[State, str], tuple[State, str]]:

@@ -31,10 +31,7 @@ from rsb_bridge.model.snapshot import Level
 from rsb_bridge.model.text import sanitize_text
 from rsb_bridge.route.arming import Disarmed
 from rsb_bridge.route.calls.calling import CallingRoute
-from rsb_bridge.route.calls.calling_action import CallingAction
-from rsb_bridge.route.calls.node_parameters import ParametersCallingRoute, ParametersProvidingRoute
 from rsb_bridge.route.calls.providing import ProvidingRoute
-from rsb_bridge.route.calls.providing_action import ProvidingAction
 from rsb_bridge.route.incoming import IncomingRoute
 from rsb_bridge.route.outgoing import OutgoingRoute
 from rsb_bridge.route.route import route_key
@@ -71,13 +68,6 @@ if TYPE_CHECKING:
     from rsb_bridge.route.route import Route
     from rsb_bridge.wire.fields import RefuseCode
 
-_HALVES: dict[str, tuple[type[Route], type[Route]]] = {
-    "topic": (OutgoingRoute, IncomingRoute),
-    "service": (CallingRoute, ProvidingRoute),
-    "action": (CallingAction, ProvidingAction),
-    "parameters": (ParametersCallingRoute, ParametersProvidingRoute),
-}
-"""By kind: of the side that sends, or calls, and of the other one."""
 _HalfMessage: TypeAlias = Describe | Ready | Publishers | Provide
 """The control messages from one half of a route to the other."""
 _AboutOpenRoute: TypeAlias = Accept | Refuse | _HalfMessage | Close | Limit | Pause | ByHand | ArmingMessage
@@ -86,8 +76,8 @@ RouteMessage: TypeAlias = Propose | Amend | LeaseMessage | _AboutOpenRoute
 
 
 def _half_of(proposal: Propose, *, is_client: bool) -> type[Route]:
-    """What a route's half on this side is made of."""
-    sending, receiving = _HALVES[proposal.kind]
+    """Return the class of a route's half on this side."""
+    sending, receiving = (OutgoingRoute, IncomingRoute) if proposal.kind == "topic" else (CallingRoute, ProvidingRoute)
     return sending if proposal.from_client == is_client else receiving
 
 

@@ -1,4 +1,4 @@
-"""Immutable data about the calls of a service, an action or a node's parameters, for user interfaces."""
+"""Services and topics that actions and parameters consist of, and immutable data about calls for user interfaces."""
 
 from __future__ import annotations
 
@@ -13,23 +13,22 @@ if TYPE_CHECKING:
 
 MOST_LANES = 16
 FEATURE = "calls"
-"""Feature that a side announces if it carries services, actions and parameters."""
+"""The feature of a side that carries services, actions and parameters."""
 
 
-class Lane(NamedTuple):
-    """One service or topic of a call route.
+class ServiceMember(NamedTuple):
+    """One service or topic of a route of calls; frames name it by its place among them, the *lane*.
 
     Attributes:
-        name: short name for people and for calls by hand; empty for a plain service.
+        name: short, for people and for calls by hand, or empty for a route that is one service.
         suffix: added to the route's name: ``/_action/send_goal``.
         is_topic: whether it is a topic, from the providing side to the callers'.
         type_suffix: added to the route's type: ``_SendGoal``.
-        type_name: full type, or an empty string if it follows from the route's type.
-        absolute: full name of the topic, or an empty string if it follows from the route's name.
-        qos: QoS of a topic, to publish and to subscribe with.
-        patient: whether the service answers only when a goal is over: it has no timeout, and its latency means nothing.
-        limited: whether operators' limits apply: calls a second, a pause, arming. Calls that stop a moving robot, and
-            news of it, are never held up.
+        type_name: the type, or empty if it depends on the route's.
+        absolute: the topic's name, or empty if it depends on the route's.
+        qos: the QoS of a topic.
+        patient: whether a service answers when a goal is over, so that it has no timeout and no meaningful latency.
+        limited: whether rate limits, pauses and arming apply. They never hold up what stops or watches a robot.
     """
 
     name: str
@@ -50,17 +49,17 @@ _EVENTS = Qos("reliable", "volatile", "keep_last", 1000)
 SEND_GOAL, CANCEL_GOAL, GET_RESULT, FEEDBACK, STATUS = range(5)
 """The lanes of an action."""
 
-LANES: dict[Kind, tuple[Lane, ...]] = {
+LANES: dict[Kind, tuple[ServiceMember, ...]] = {
     "topic": (),
-    "service": (Lane(""),),
+    "service": (ServiceMember(""),),
     "action": (
-        Lane("send_goal", "/_action/send_goal", type_suffix="_SendGoal"),
-        Lane("cancel_goal", "/_action/cancel_goal", type_name="action_msgs/srv/CancelGoal", limited=False),
-        Lane("get_result", "/_action/get_result", type_suffix="_GetResult", patient=True, limited=False),
-        Lane(
+        ServiceMember("send_goal", "/_action/send_goal", type_suffix="_SendGoal"),
+        ServiceMember("cancel_goal", "/_action/cancel_goal", type_name="action_msgs/srv/CancelGoal", limited=False),
+        ServiceMember("get_result", "/_action/get_result", type_suffix="_GetResult", patient=True, limited=False),
+        ServiceMember(
             "feedback", "/_action/feedback", is_topic=True, type_suffix="_FeedbackMessage", qos=_FEEDBACK, limited=False
         ),
-        Lane(
+        ServiceMember(
             "status",
             "/_action/status",
             is_topic=True,
@@ -70,17 +69,17 @@ LANES: dict[Kind, tuple[Lane, ...]] = {
         ),
     ),
     "parameters": (
-        Lane("list_parameters", "/list_parameters", type_name="rcl_interfaces/srv/ListParameters"),
-        Lane("get_parameters", "/get_parameters", type_name="rcl_interfaces/srv/GetParameters"),
-        Lane("get_parameter_types", "/get_parameter_types", type_name="rcl_interfaces/srv/GetParameterTypes"),
-        Lane("describe_parameters", "/describe_parameters", type_name="rcl_interfaces/srv/DescribeParameters"),
-        Lane("set_parameters", "/set_parameters", type_name="rcl_interfaces/srv/SetParameters"),
-        Lane(
+        ServiceMember("list_parameters", "/list_parameters", type_name="rcl_interfaces/srv/ListParameters"),
+        ServiceMember("get_parameters", "/get_parameters", type_name="rcl_interfaces/srv/GetParameters"),
+        ServiceMember("get_parameter_types", "/get_parameter_types", type_name="rcl_interfaces/srv/GetParameterTypes"),
+        ServiceMember("describe_parameters", "/describe_parameters", type_name="rcl_interfaces/srv/DescribeParameters"),
+        ServiceMember("set_parameters", "/set_parameters", type_name="rcl_interfaces/srv/SetParameters"),
+        ServiceMember(
             "set_parameters_atomically",
             "/set_parameters_atomically",
             type_name="rcl_interfaces/srv/SetParametersAtomically",
         ),
-        Lane(
+        ServiceMember(
             "events",
             is_topic=True,
             type_name="rcl_interfaces/msg/ParameterEvent",
@@ -149,7 +148,7 @@ class GoalSnapshot:
 
 
 FIELDS_LENGTH = 32 << 10
-"""Longest YAML text of a message's fields, in bytes."""
+"""Bytes of the longest YAML text of fields."""
 
 Fields: TypeAlias = str | list["Fields"] | dict[str, "Fields"] | None
 """Fields as written in YAML; a field's type decides whether ``1.10`` is a number or a text. None means no value."""

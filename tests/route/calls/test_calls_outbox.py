@@ -8,8 +8,8 @@ import pytest
 import zstandard
 
 from rsb_bridge.model.calls import FEEDBACK, LANES, SEND_GOAL, STATUS
-from rsb_bridge.route.calls import calls_route as module
-from rsb_bridge.route.calls.calls_route import CallsOutbox
+from rsb_bridge.route.calls import calls_outbox as module
+from rsb_bridge.route.calls.calls_outbox import CallsOutbox
 from rsb_bridge.transport.registry import default_transports
 from rsb_bridge.wire.framing import ZSTD
 from rsb_bridge.wire.headers import CallFrame, What, unpack_call

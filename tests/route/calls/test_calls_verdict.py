@@ -10,6 +10,7 @@ from rsb_bridge.model.calls import Refused
 from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.verdict import Cause, Verdict
 from rsb_bridge.route.blocking_rules import RouteStatus
+from rsb_bridge.route.calls.calls_ledger import REMEDIES
 from rsb_bridge.route.calls.calls_verdict import CallsFacts, Trouble, judge_calls
 from rsb_bridge.route.combined_verdict import CombinedVerdict, record_of
 
@@ -59,7 +60,7 @@ def test_what_is_refused_most_is_named() -> None:
     refused = {Refused.CALLS_A_SECOND: 1, Refused.CALLS_UNDER_WAY: 30}
     text = judge_calls(FINE._replace(refused=refused, failing_since=0.0)).said(20.0)
     assert "31" in text
-    assert "under way" in text
+    assert REMEDIES[Refused.CALLS_UNDER_WAY] in text
 
 
 @pytest.mark.parametrize(("trouble", "state"), [(NOBODY, State.WAITING), (GONE, State.DOWN)])

@@ -12,12 +12,12 @@ from rsb_bridge.link.proposals import proposal_of
 from rsb_bridge.model.calls import CANCEL_GOAL, GET_RESULT, SEND_GOAL, Refused
 from rsb_bridge.model.session import Topic
 from rsb_bridge.ros.ros_thread import RosTurns
-from rsb_bridge.route.calls.calling_action import CallingAction
+from rsb_bridge.route.calls.calling import CallerCall, CallingRoute
 from rsb_bridge.route.calls.calls_ledger import REMEDIES
 from rsb_bridge.route.calls.goals import accepted_by
 from rsb_bridge.route.calls.kept_calls import KeptCall
 from rsb_bridge.route.calls.manual_call import CallError
-from rsb_bridge.route.calls.providing_action import ProvidingAction
+from rsb_bridge.route.calls.providing import ProvidingRoute
 from rsb_bridge.route.lease import BEAT, LASTS, Lease
 from rsb_bridge.wire.headers import CallFrame, What
 from rsb_bridge.wire.messages import Provide
@@ -92,13 +92,15 @@ def test_a_goal_that_may_have_begun_is_not_said_to_be_rejected(
     context = make_context()
     spec = Topic("/dock", "receive", kind="action")
     proposal = proposal_of(spec, context.transports["tcp"], client_name="robot1", use_name=False)
-    route, server = CallingAction(context, FakePeer(), spec, proposal, proposed_here=False), Answers()
+    route, server = CallingRoute(context, FakePeer(), spec, proposal, proposed_here=False), Answers()
     route._offers.servers[SEND_GOAL] = server
-    route.goals.asked(goal(1))
-    route._ask(KeptCall(SEND_GOAL, b"caller", GOAL, 0.0, again=again))
+    assert route.action is not None
+    route.action.goals.asked(goal(1))
+    kept = KeptCall(SEND_GOAL, b"caller", GOAL, 0.0, again=again)
+    route._begin(CallerCall(SEND_GOAL, len(GOAL), 0.0, server, b"caller", kept), GOAL, lease=0, stamp=0)
     route._take_refusal(CallFrame(What.REFUSED, SEND_GOAL, 1, 0, why.encode()), why)
     assert server.answered == ([b"caller"] if rejected else [])
-    assert [each.state for each in route.goals.snapshot(set())] == ["rejected" if rejected else "unknown"]
+    assert [each.state for each in route.action.goals.snapshot(set())] == ["rejected" if rejected else "unknown"]
 
 
 def test_an_old_goal_is_refused_however_it_was_held_up(make_context: Callable[..., Context], loop: VirtualLoop) -> None:
@@ -162,10 +164,10 @@ class Answers:
         pass
 
 
-def providing(context: Context, **fields: Any) -> ProvidingAction:
+def providing(context: Context, **fields: Any) -> ProvidingRoute:
     """An action's half where its server is, in an opening of its own."""
     spec = Topic("/dock", "transmit", kind="action", **fields)
     proposal = proposal_of(spec, context.transports["tcp"], client_name="robot1", use_name=False)
-    route = ProvidingAction(context, FakePeer(), spec, proposal, proposed_here=False)
+    route = ProvidingRoute(context, FakePeer(), spec, proposal, proposed_here=False)
     route.arming.opened(required=spec.arm, deadman=0.0)
     return route

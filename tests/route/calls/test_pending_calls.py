@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from rsb_bridge.route.calls.pending_calls import Call, UnderWay
+from rsb_bridge.route.calls.pending_calls import Call, PendingCalls
 from rsb_bridge.route.peer import CallBudget
 
 if TYPE_CHECKING:
@@ -23,7 +23,7 @@ class Held:
         self.budget = CallBudget(0.0)
         self.expired: list[tuple[int, float]] = []
         self.ended: list[int] = []
-        self.calls: UnderWay[Call] = UnderWay(loop, self.budget, self._expired, self.ended.append)
+        self.calls: PendingCalls[Call] = PendingCalls(loop, self.budget, self._expired, self.ended.append)
 
     def begin(self, number: int, timeout: float | None, size: int = 10) -> None:
         assert self.budget.take(size, self.loop.time()) is None
@@ -50,7 +50,7 @@ def test_each_is_given_up_after_its_own_time(held: Held) -> None:
     assert held.calls.end(4) is not None
     held.pass_time(10.0)
     assert [(number, round(at, 3)) for number, at in held.expired] == [(2, 2.0), (1, 5.0)]
-    assert held.calls.numbers() == (3,)
+    assert [number for number, _ in held.calls.items()] == [3]
     assert held.ended == [4, 2, 1], "each is told of once"
     assert held.budget.held == (1, 10)
 

@@ -4,16 +4,21 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Generic, NamedTuple, Protocol, TypeVar
 
+from rsb_bridge.model.budgets import Backoff
+from rsb_bridge.model.verdict import Cause
+from rsb_bridge.ros.parameter_events import EventsTopic
 from rsb_bridge.ros.ros_interface import BATCH
+from rsb_bridge.route.calls.calls_verdict import Trouble
 from rsb_bridge.route.lease import Marker
 from rsb_bridge.route.peer import TypeUse
 from rsb_bridge.route.source_publishers import VolatileTopic
 
 if TYPE_CHECKING:
+    import asyncio
     from collections.abc import Callable, Collection, Sequence
 
     from rsb_bridge.context import Context
-    from rsb_bridge.model.calls import Lane
+    from rsb_bridge.model.calls import ServiceMember
     from rsb_bridge.model.sources import Via
     from rsb_bridge.ros.ros_interface import (
         OnFailure,
@@ -30,26 +35,34 @@ if TYPE_CHECKING:
 
 T = TypeVar("T")
 
-
-def name_of(lane: Lane, route_name: str) -> str:
-    """A lane's service or topic: ``/navigate/_action/send_goal``."""
-    return lane.absolute or route_name + lane.suffix
-
-
-def type_of(lane: Lane, route_type: str) -> str:
-    """A lane's type: ``pkg/action/Navigate_SendGoal``; empty: it depends on the route's, which is not known."""
-    return lane.type_name or (route_type + lane.type_suffix if route_type else "")
+_FIRST_DELAY, _LONGEST_DELAY = 0.5, 30.0
+"""s."""
+_HEALED_AFTER = 60.0
+"""s without a failure after which the first delay applies again."""
 
 
-def route_type_of(lane: Lane, lane_type: str) -> str:
-    """The route's type, by the type of one of its lanes; empty: that says nothing about it."""
-    if lane.type_name or not lane_type.endswith(lane.type_suffix):
+def name_of(member: ServiceMember, route_name: str) -> str:
+    """Return the name of a lane's service or topic: ``/navigate/_action/send_goal``."""
+    return member.absolute or route_name + member.suffix
+
+
+def type_of(member: ServiceMember, route_type: str) -> str:
+    """Return a lane's type, ``pkg/action/Navigate_SendGoal``, or an empty string if it is not known.
+
+    Most lanes' types depend on the route's.
+    """
+    return member.type_name or (route_type + member.type_suffix if route_type else "")
+
+
+def route_type_of(member: ServiceMember, lane_type: str) -> str:
+    """Return the route's type, derived from a lane's, or an empty string if they are independent."""
+    if member.type_name or not lane_type.endswith(member.type_suffix):
         return ""
-    return lane_type.removesuffix(lane.type_suffix)
+    return lane_type.removesuffix(member.type_suffix)
 
 
 class LaneType(NamedTuple):
-    """What a lane's endpoints are made of.
+    """The type of a lane's endpoints.
 
     Attributes:
         type_name: ``pkg/srv/Name`` and the like.
@@ -64,18 +77,18 @@ class Closable(Protocol):
     """An endpoint."""
 
     def close(self) -> None:
-        """Free it. May be called twice."""
+        """Free its resources. May be called twice."""
         ...
 
 
 class LaneSink(Generic[T]):
-    """Takes what comes for one lane from the ROS thread to the I/O loop.
+    """Passes messages, requests or responses of one lane from the ROS thread to the I/O loop.
 
     Args:
         context: what every part of the engine shares.
-        lane: its place among the route's lanes.
-        taken: gets what comes, on the I/O loop, as long as the sink is open.
-        late: gets what comes after that; None: nobody does.
+        lane: its place among the route's members.
+        taken: gets them, on the I/O loop, as long as the sink is open.
+        late: gets them after that, or None to drop them.
     """
 
     def __init__(
@@ -92,97 +105,97 @@ class LaneSink(Generic[T]):
         self._late = late
 
     def put(self, batch: Sequence[T]) -> None:
-        """On the ROS thread: hand over what came."""
+        """Pass a batch on; called on the ROS thread."""
         self._context.ros_queue.put(self, batch)
 
     def offer(self, batch: Sequence[T]) -> None:
-        """On the I/O loop: take it."""
+        """Take a batch; called on the I/O loop."""
         if self.open:
             self._taken(self._lane, batch)
         elif self._late is not None:
             self._late(self._lane, batch)
 
 
-class LaneEnds:
+class LaneEndpoints:
     """The endpoints of one route's lanes on this side.
 
-    Services are opened and closed together; a lane that is a topic is opened once its type is known.
+    Services open and close together; a topic opens once its type has been found.
 
     Args:
         context: what every part of the engine shares.
         peer: the other side of the link.
-        lanes: of the route.
+        members: of the route.
         failed: told, on the I/O loop, of an endpoint that has failed and closed itself.
 
     Attributes:
-        types: of the services that are open, by lane; empty: nothing is.
+        types: of the services that are open, by lane.
     """
 
     def __init__(
         self,
         context: Context,
         peer: Peer,
-        lanes: Sequence[Lane],
+        members: Sequence[ServiceMember],
         failed: Callable[[RosError], None],
     ) -> None:
         self.types: dict[int, LaneType] = {}
         self._context = context
         self._peer = peer
-        self._lanes = lanes
+        self._members = members
         self._failed = failed
         self._names: Sequence[str] = ()
-        self._ends: dict[int, Closable] = {}
+        self._endpoints: dict[int, Closable] = {}
         self._sinks: dict[int, LaneSink[object]] = {}
         self._uses: dict[int, TypeUse] = {}
 
     def __bool__(self) -> bool:
         """Whether all services are open."""
-        return len(self.types) == sum(not lane.is_topic for lane in self._lanes)
+        return len(self.types) == sum(not member.is_topic for member in self._members)
 
     # --- what the sides do differently
 
     def _open_service(self, lane: int, name: str, kind: LaneType) -> Closable:
-        """Make the endpoint of a lane that is a service."""
+        """Open a lane's service or client."""
         raise NotImplementedError
 
     def _open_topic(self, lane: int, name: str, kind: LaneType) -> Closable:
-        """Make the endpoint of a lane that is a topic."""
+        """Open a lane's publisher or subscription."""
         raise NotImplementedError
 
     # --- what is the same
 
     def services_of(self, entries: Sequence[LaneEntry]) -> dict[int, LaneType]:
-        """What `types` are for that, if all services are open."""
+        """Return what `types` will be if all these services are open."""
         return {
             number: LaneType(entry.type, entry.type_hash)
-            for number, (lane, entry) in enumerate(zip(self._lanes, entries, strict=True))
-            if not lane.is_topic
+            for number, (member, entry) in enumerate(zip(self._members, entries, strict=True))
+            if not member.is_topic
         }
 
     def open(self, entries: Sequence[LaneEntry], names: Sequence[str], lanes: Collection[int] | None = None) -> None:
-        """Have the services' endpoints; those that are open already stay, where their type does, and so do topics.
+        """Open the services. Topics stay open, and so do services of the right type.
 
         Args:
-            entries: what they are made of, by lane.
+            entries: types, by lane.
             names: of the lanes' services and topics on this side.
-            lanes: the lanes to have, and no others; None: all.
+            lanes: the services to have open, or None for all.
 
         Raises:
-            RosError: it cannot be; nothing is left open.
+            RosError: one cannot be opened; nothing is left open.
         """
         services = self.services_of(entries)
         wanted = {lane: kind for lane, kind in services.items() if lanes is None or lane in lanes}
         if any(services[lane] != kind for lane, kind in self.types.items()):
             self.close(keep=[lane for lane, kind in self.types.items() if wanted.get(lane) == kind])
         else:
-            self.close(keep=[lane for lane in self._uses if lane in wanted or self._lanes[lane].is_topic])
+            self.close(keep=[lane for lane in self._uses if lane in wanted or self._members[lane].is_topic])
         self._names = names
         opened = False
         try:
             for lane, kind in wanted.items():
-                if lane not in self._ends:
+                if lane not in self._endpoints:
                     self._use(lane, kind, is_service=True)
-                    self._ends[lane] = self._open_service(lane, names[lane], kind)
+                    self._endpoints[lane] = self._open_service(lane, names[lane], kind)
                     self.types[lane] = kind
             opened = True
         finally:
@@ -190,20 +203,20 @@ class LaneEnds:
                 self.close()
 
     def open_topics(self, entries: Sequence[LaneEntry]) -> list[int]:
-        """Have the endpoints of the lanes that are topics and whose types are known by now, beside the services'.
+        """Open the topics whose types are known by now.
 
         Returns:
-            The lanes that are new.
+            The lanes that were opened.
 
         Raises:
-            RosError: one cannot be.
+            RosError: one cannot be opened.
         """
         new = []
-        for number, (lane, entry) in enumerate(zip(self._lanes, entries, strict=True)):
-            if lane.is_topic and number not in self._ends and entry.type_hash:
+        for number, (member, entry) in enumerate(zip(self._members, entries, strict=True)):
+            if member.is_topic and number not in self._endpoints and entry.type_hash:
                 kind = LaneType(entry.type, entry.type_hash)
                 self._use(number, kind, is_service=False)
-                self._ends[number] = self._open_topic(number, self._names[number], kind)
+                self._endpoints[number] = self._open_topic(number, self._names[number], kind)
                 new.append(number)
         return new
 
@@ -217,63 +230,65 @@ class LaneEnds:
         taken: Callable[[int, Sequence[T]], None],
         late: Callable[[int, Sequence[T]], None] | None = None,
     ) -> tuple[LaneSink[T], OnFailure]:
-        """Where a lane's endpoint hands over what comes, and tells that it has failed."""
+        """Return a sink for a lane's endpoint, and the function that the endpoint calls if it fails."""
         context, sink = self._context, LaneSink(self._context, lane, taken, late)
         self._sinks[lane] = sink  # type: ignore[assignment]  # they are only closed
 
         def failed(error: RosError) -> None:
-            context.call(lambda: self._end_failed(lane, error) if sink.open else None)
+            context.call(lambda: self._endpoint_failed(lane, error) if sink.open else None)
 
         return sink, failed
 
-    def _end_failed(self, lane: int, error: RosError) -> None:
-        """One has closed itself. Others may be kept over the interruption that this makes, it may not."""
+    def _endpoint_failed(self, lane: int, error: RosError) -> None:
+        """Handle that an endpoint has closed itself; it may not outlive the interruption that follows, others may."""
         self._failed(error)
         self.close(keep=[each for each in self._uses if each != lane])
 
     def close(self, keep: Collection[int] = ()) -> None:
-        """Have nothing any more, but the lanes to keep."""
+        """Close the endpoints of all lanes, except the lanes to keep."""
         for lane in [each for each in self._uses if each not in keep]:
             if (sink := self._sinks.pop(lane, None)) is not None:
                 sink.open = False
-            if (end := self._ends.pop(lane, None)) is not None:
+            if (end := self._endpoints.pop(lane, None)) is not None:
                 end.close()
             self._uses.pop(lane).end()
             self.types.pop(lane, None)
 
 
-class Clients(LaneEnds):
-    """Clients of services, and subscriptions to topics, of one providing half, while there is somebody to call.
+class Clients(LaneEndpoints):
+    """Clients of services, and subscriptions to topics, of one providing half.
 
     Args:
         context: what every part of the engine shares.
         peer: whose callers ask.
-        lanes: of the route.
+        members: of the route.
         responded: gets a lane's responses.
         published: gets a lane's messages.
         failed: told of a client or a subscription that has failed and closed itself.
 
     Attributes:
         clients: by lane.
+        node: the node with the parameters, or empty unless the route is of parameters.
     """
 
     def __init__(
         self,
         context: Context,
         peer: Peer,
-        lanes: Sequence[Lane],
+        members: Sequence[ServiceMember],
         responded: Callable[[int, Sequence[Response]], None],
         published: Callable[[int, Sequence[RawMessage]], None],
         failed: Callable[[RosError], None],
     ) -> None:
-        super().__init__(context, peer, lanes, failed)
+        super().__init__(context, peer, members, failed)
         self.clients: dict[int, ServiceClient] = {}
+        self.node = ""
         self._responded = responded
         self._published = published
 
     @property
     def ready(self) -> bool:
-        """Whether a call of any lane reaches a server."""
+        """Whether a call on every lane would reach a server."""
         return bool(self.clients) and all(client.ready for client in self.clients.values())
 
     def _open_service(self, lane: int, name: str, kind: LaneType) -> ServiceClient:
@@ -283,46 +298,49 @@ class Clients(LaneEnds):
         return client
 
     def _open_topic(self, lane: int, name: str, kind: LaneType) -> Closable:
-        qos = self._lanes[lane].qos
+        qos = self._members[lane].qos
         assert qos is not None
         sink, failed = self._sink(lane, self._published)
-        ros = self._context.ros
-        return ros.subscribe(name, kind.type_name, kind.type_hash, qos, sink.put, self._peer.name, failed)
+        context, link = self._context, self._peer.name
+        if self.node:  # all nodes publish their events on one topic: the link's routes share a subscription
+            topic = EventsTopic(name, kind.type_name, kind.type_hash, link)
+            return context.parameter_events.listen(topic, qos, self.node, sink.put, failed)
+        return context.ros.subscribe(name, kind.type_name, kind.type_hash, qos, sink.put, link, failed)
 
     def close(self, keep: Collection[int] = ()) -> None:
-        """Call nobody any more, but the lanes to keep."""
+        """Close the clients and subscriptions of all lanes, except the lanes to keep."""
         super().close(keep)
         self.clients = {lane: client for lane, client in self.clients.items() if lane in keep}
 
 
-class Offers(LaneEnds):
-    """Services that others can call, and publishers, of one callers' half, while it is offered.
+class Offers(LaneEndpoints):
+    """Services that others can call, and publishers, of one callers' half.
 
     Args:
         context: what every part of the engine shares.
         peer: whose providers answer.
-        lanes: of the route.
+        members: of the route.
         asked: gets a lane's requests.
-        too_late: gets those that came when it was offered no more.
+        too_late: gets requests that come after the offer has ended.
         failed: told of a server that has failed and closed itself.
-        marks: gives the lease that requests are marked with, or None if they need not be.
+        marks: returns the lease that requests are marked with, or None without arming.
 
     Attributes:
         servers: by lane.
-        publishers: by lane; what DDS holds for their subscribers is bounded, of those that keep one message, too.
+        publishers: by lane; the memory that DDS holds for their subscribers is bounded.
     """
 
     def __init__(
         self,
         context: Context,
         peer: Peer,
-        lanes: Sequence[Lane],
+        members: Sequence[ServiceMember],
         asked: Callable[[int, Sequence[Request]], None],
         too_late: Callable[[int, Sequence[Request]], None],
         failed: Callable[[RosError], None],
         marks: Callable[[], Lease | None] = lambda: None,
     ) -> None:
-        super().__init__(context, peer, lanes, failed)
+        super().__init__(context, peer, members, failed)
         self._marks = marks
         self.servers: dict[int, ServiceServer] = {}
         self.publishers: dict[int, VolatileTopic] = {}
@@ -332,10 +350,10 @@ class Offers(LaneEnds):
         self._too_late = too_late
 
     def announce(self, ways: list[Via]) -> None:
-        """Say by which bridges the answers come, of what is offered and will be.
+        """Announce which bridges the answers cross, for present and later offers.
 
         Args:
-            ways: by lane.
+            ways: the bridges, by lane.
 
         Raises:
             RosError: there are too many.
@@ -368,7 +386,7 @@ class Offers(LaneEnds):
         return server
 
     def _open_topic(self, lane: int, name: str, kind: LaneType) -> VolatileTopic:
-        qos = self._lanes[lane].qos
+        qos = self._members[lane].qos
         assert qos is not None
         context, budget = self._context, self._peer.budget.unacknowledged
         publisher = context.ros.advertise(name, kind.type_name, kind.type_hash, qos, self._peer.name)
@@ -376,9 +394,58 @@ class Offers(LaneEnds):
         return bounded
 
     def close(self, keep: Collection[int] = ()) -> None:
-        """Offer nothing any more, but the lanes to keep."""
+        """Close the services and publishers of all lanes, except the lanes to keep."""
         super().close(keep)
         for lane in [each for each in self._announced if each not in keep]:
             self._context.announcements.withdraw(self._announced.pop(lane))
         self.servers = {lane: server for lane, server in self.servers.items() if lane in keep}
         self.publishers = {lane: publisher for lane, publisher in self.publishers.items() if lane in keep}
+
+
+class RosRetry:
+    """Delays new attempts after ROS has refused an endpoint.
+
+    Args:
+        context: has the clock and the timers.
+        try_again: called when a delay is over.
+
+    Attributes:
+        trouble: the last failure, or None once an attempt has succeeded.
+    """
+
+    def __init__(self, context: Context, try_again: Callable[[], None]) -> None:
+        self.trouble: Trouble | None = None
+        self._context = context
+        self._try_again = try_again
+        self._backoff = Backoff(_FIRST_DELAY, _LONGEST_DELAY)
+        self._failed_at = float("-inf")
+        self._entries: Sequence[LaneEntry] = ()
+        self._timer: asyncio.TimerHandle | None = None
+
+    def waits(self, entries: Sequence[LaneEntry]) -> bool:
+        """Return whether endpoints of these types failed so lately that it is too early for a new attempt."""
+        return self._timer is not None and entries == self._entries
+
+    def failed(self, text: str, entries: Sequence[LaneEntry]) -> None:
+        """Note that endpoints of these types could not be made, or closed themselves, for a reason in words."""
+        now = self._context.now()
+        if now - self._failed_at >= _HEALED_AFTER:
+            self._backoff.reset()
+        self._failed_at, self._entries = now, entries
+        self.trouble = Trouble(Cause.OFFER_FAILED, f"{text}; it is tried again by itself")
+        self._stop()
+        self._timer = self._context.loop.call_later(self._backoff.next(), self._due)
+
+    def clear(self) -> None:
+        """Note that all endpoints that are wanted exist."""
+        self.trouble = None
+        self._stop()
+
+    def _stop(self) -> None:
+        if self._timer is not None:
+            self._timer.cancel()
+            self._timer = None
+
+    def _due(self) -> None:
+        self._timer = None
+        self._try_again()

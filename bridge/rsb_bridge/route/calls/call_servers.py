@@ -1,9 +1,9 @@
-"""The servers of a route of calls: who provides what, with which types, and which of them may be called or offered.
+"""The servers of a route of calls: their types, and whether calls to them would go in a circle.
 
-Every bridge tells, in its domain, by which bridges the answers of each service that it offers come there
-(`rsb_bridge.ros.announcements`). The providing half calls no server whose answers come from where its callers are, or
-from here, under the service's name: it would end up calling itself. The callers' half offers nothing beside a server
-that is there already.
+For each service that a bridge offers, it announces in its domain which bridges the answers cross
+(`rsb_bridge.ros.announcements`). The providing half calls no server whose answers cross its callers' domain, or this
+one, under the service's name: it would end up calling itself. The callers' half offers no service that a node of its
+domain serves already.
 """
 
 from __future__ import annotations
@@ -25,27 +25,27 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping, Sequence
 
     from rsb_bridge.context import Context
-    from rsb_bridge.model.calls import Lane
+    from rsb_bridge.model.calls import ServiceMember
     from rsb_bridge.ros.ros_interface import Endpoint, RosInterface
     from rsb_bridge.route.peer import Peer
 
 _NAMED = 4
 _EXPLAINED_WITHIN = 3.0
-"""s that a node has to say where the answers of what it offers come from; then it is taken for no bridge."""
+"""s that a node has to announce where its answers come from; after that it counts as no bridge."""
 _BRIDGE = re.compile(r"/rsb_\w+_[0-9a-f]{8}")
-"""The node of a bridge: it is never taken for anything else, however late it says so on a busy machine."""
+"""The name of a bridge's node; it always counts as a bridge, even if a busy machine delays its announcement."""
 _ANNOUNCED_WITHIN = 3.0
-"""s in which a bridge that is alive has told a new one what it offers."""
+"""s within which a living bridge announces its offers to a new one."""
 
 
 class Provision(NamedTuple):
-    """What there is to call.
+    """The services and topics that a providing half can reach.
 
     Attributes:
-        entries: by lane; empty: nothing can be called.
+        entries: by lane, or empty if nothing can be called.
         servers: of all services.
-        unavailable: why nothing can be called; None: it can.
-        warning: what is wrong though it can; None: nothing.
+        unavailable: the trouble that keeps it from being called, or None.
+        warning: the trouble that does not keep it from being called, or None.
     """
 
     entries: tuple[LaneEntry, ...] = ()
@@ -58,7 +58,7 @@ class UnavailableError(Exception):
     """Nothing can be called now.
 
     Attributes:
-        trouble: why.
+        trouble: the reason.
     """
 
     def __init__(self, cause: Cause, text: str) -> None:
@@ -68,41 +68,41 @@ class UnavailableError(Exception):
 
 def provision(
     ros: RosInterface,
-    lanes: Sequence[Lane],
+    members: Sequence[ServiceMember],
     name: str,
     wanted: str,
     domain_id: int,
     servers_of: Callable[[int], Sequence[Endpoint]],
 ) -> Provision:
-    """See what there is to call here.
+    """Find what can be called here.
 
     Args:
         ros: the graph.
-        lanes: of the route.
+        members: of the route.
         name: the route's, on this side.
-        wanted: the type that the session names; empty: any.
+        wanted: the type that the session names, or empty for any.
         domain_id: of this side, for people.
-        servers_of: gives the servers of a lane that may be called; raises `UnavailableError` where none may.
+        servers_of: returns the servers of a lane that may be called, or raises `UnavailableError` if none may.
     """
     servers: list[Endpoint] = []
     entries: list[LaneEntry] = []
     route_type = wanted
     try:
-        for number, lane in enumerate(lanes):
-            service = name_of(lane, name)
-            if lane.is_topic:
-                entries.append(_topic_entry(ros, lane, service, route_type))
+        for number, member in enumerate(members):
+            service = name_of(member, name)
+            if member.is_topic:
+                entries.append(_topic_entry(ros, member, service, route_type))
                 continue
             found = servers_of(number)
             if not found:
                 raise UnavailableError(Cause.NO_SERVER, f"no server of {service} in domain {domain_id}")
             servers += found
-            entry = _service_entry(ros, found, service, type_of(lane, wanted))
-            route_type = route_type or route_type_of(lane, entry.type)
+            entry = _service_entry(ros, found, service, type_of(member, wanted))
+            route_type = route_type or route_type_of(member, entry.type)
             entries.append(entry)
     except UnavailableError as error:
         return Provision((), tuple(servers), error.trouble)
-    return Provision(tuple(entries), tuple(servers), None, _several(lanes, name, servers))
+    return Provision(tuple(entries), tuple(servers), None, _several(members, name, servers))
 
 
 def _service_entry(ros: RosInterface, servers: Sequence[Endpoint], service: str, wanted: str) -> LaneEntry:
@@ -121,14 +121,14 @@ def _service_entry(ros: RosInterface, servers: Sequence[Endpoint], service: str,
         raise UnavailableError(Cause.TYPE_CONFLICT, text)
     type_hash = next(iter(versions), "") or ros.installed_service_hash(type_name) or ""
     if not type_hash:
-        text = f"the version of {type_name} is not known, as the middleware of its server does not say it: install it"
+        text = f"the version of {type_name} is unknown, as the middleware of its server does not send it: install it"
         raise UnavailableError(Cause.TYPE_UNKNOWN, text)
     return LaneEntry(type_name, type_hash, len(servers))
 
 
-def _topic_entry(ros: RosInterface, lane: Lane, topic: str, route_type: str) -> LaneEntry:
-    """Of a lane that is a topic; those that publish something else on it are left out."""
-    type_name = type_of(lane, route_type)
+def _topic_entry(ros: RosInterface, member: ServiceMember, topic: str, route_type: str) -> LaneEntry:
+    """Return the type of a lane that is a topic. Publishers of another type on it do not count."""
+    type_name = type_of(member, route_type)
     publishers = [each for each in ros.publishers(topic) if each.type_name == type_name]
     hashes = {each.type_hash for each in publishers if each.type_hash}
     type_hash = hashes.pop() if len(hashes) == 1 else ""
@@ -138,10 +138,10 @@ def _topic_entry(ros: RosInterface, lane: Lane, topic: str, route_type: str) -> 
     return LaneEntry(type_name, type_hash, len(publishers), qos)
 
 
-def _several(lanes: Sequence[Lane], name: str, servers: Iterable[Endpoint]) -> Trouble | None:
-    """Whether several nodes provide it, each of which gets every call.
+def _several(members: Sequence[ServiceMember], name: str, servers: Iterable[Endpoint]) -> Trouble | None:
+    """Return a warning if several nodes provide it, because each of them gets every call.
 
-    The same node's name twice is most likely one that was killed and started again, which DDS still sees for a while.
+    Two nodes of the same name are most likely one that was killed and started again: DDS sees the old one for a while.
     """
     nodes = {each.node for each in servers if each.node}
     if len(nodes) < 2:
@@ -152,29 +152,29 @@ def _several(lanes: Sequence[Lane], name: str, servers: Iterable[Endpoint]) -> T
 
 def types_clash(
     ros: RosInterface,
-    lanes: Sequence[Lane],
+    members: Sequence[ServiceMember],
     entries: Sequence[LaneEntry],
     names: Sequence[str],
     callers: Mapping[str, Sequence[Endpoint]],
 ) -> Trouble | None:
-    """Why calls would not be understood: this side has other versions of the types than the providing side.
+    """Return the trouble if the two sides, or a caller, have other versions of a type, or None.
 
     Args:
         ros: this side's graph.
-        lanes: of the route.
-        entries: what the other side provides, by lane.
-        names: of the lanes here.
-        callers: of the services here, by name.
+        members: of the route.
+        entries: the other side's types, by lane.
+        names: of the lanes on this side.
+        callers: of the services on this side, by name.
     """
-    for lane, entry, name in zip(lanes, entries, names, strict=True):
-        installed = (ros.installed_hash if lane.is_topic else ros.installed_service_hash)(entry.type)
+    for member, entry, name in zip(members, entries, names, strict=True):
+        installed = (ros.installed_hash if member.is_topic else ros.installed_service_hash)(entry.type)
         if installed and entry.type_hash and installed != entry.type_hash:
             text = (
                 f"{entry.type} differs between the two sides ({entry.type_hash} on the providing side, {installed} on "
                 "the callers'): install the same version on both"
             )
             return Trouble(Cause.TYPE_CONFLICT, text)
-        if lane.is_topic:
+        if member.is_topic:
             continue
         others = _called_as_another_type(callers[name], name, entry)
         if others is not None and all(caller.type_name != entry.type for caller in callers[name]):
@@ -190,17 +190,17 @@ def types_clash(
 
 
 def others_called(
-    lanes: Sequence[Lane],
+    members: Sequence[ServiceMember],
     entries: Sequence[LaneEntry],
     names: Sequence[str],
     callers: Mapping[str, Sequence[Endpoint]],
 ) -> Trouble | None:
-    """Which callers get no answer, as they call it as another type, beside others that do; see `types_clash`.
+    """Return a warning if some callers get no answer because they use another type; see `types_clash`.
 
-    DDS keeps them apart from a server of the right type, so that they do no harm.
+    They do no harm: DDS does not connect them with a server of the right type.
     """
-    for lane, entry, name in zip(lanes, entries, names, strict=True):
-        if not lane.is_topic and (others := _called_as_another_type(callers[name], name, entry)) is not None:
+    for member, entry, name in zip(members, entries, names, strict=True):
+        if not member.is_topic and (others := _called_as_another_type(callers[name], name, entry)) is not None:
             return others
     return None
 
@@ -214,7 +214,7 @@ def _called_as_another_type(callers: Iterable[Endpoint], name: str, entry: LaneE
 
 
 def _nodes_by(endpoints: Iterable[Endpoint], what: Callable[[Endpoint], str]) -> Mapping[str, set[str]]:
-    """Endpoints' nodes, by something that they have; those that do not have it are left out."""
+    """Group endpoints' nodes by a property of the endpoint. Endpoints without it are left out."""
     nodes: defaultdict[str, set[str]] = defaultdict(set)
     for each in endpoints:
         if key := what(each):
@@ -230,10 +230,10 @@ class Usable(NamedTuple):
     """The servers of a service, sorted.
 
     Attributes:
-        servers: that may be called.
+        servers: may be called.
         via: the bridges that their answers cross.
-        circular: that must not be called.
-        unexplained: of which that is not known yet.
+        circular: must not be called.
+        unexplained: have not announced yet where their answers come from.
     """
 
     servers: list[Endpoint]
@@ -242,10 +242,10 @@ class Usable(NamedTuple):
     unexplained: list[Endpoint]
 
     def check(self, service: str, domain_id: int) -> None:
-        """Tell why none may be called though there are some.
+        """Raise the reason if there are servers, but none may be called.
 
         Raises:
-            UnavailableError: none may.
+            UnavailableError: with that reason.
         """
         if not self.servers and self.circular:
             text = (
@@ -260,14 +260,16 @@ class Usable(NamedTuple):
 
 
 class CallLoopGuard:
-    """Sorts the servers of one route's services, this bridge's own offers for other links among them.
+    """Finds the servers that calls may go to without coming back in a circle.
+
+    This bridge's own offers for other links count as servers, too.
 
     Args:
         context: what every part of the engine shares.
-        peer: where the callers are.
+        peer: the side with the callers.
 
     Attributes:
-        waits: of some server of the service that was sorted last, it is not known yet whether it may be called.
+        waits: whether a server of the last service has not announced yet where its answers come from.
     """
 
     def __init__(self, context: Context, peer: Peer) -> None:
@@ -277,11 +279,11 @@ class CallLoopGuard:
         self._first_seen: dict[str, dict[bytes, float]] = {}  # by service
 
     def sort(self, service: str, remote_service: str) -> Usable:
-        """See which servers of a service may be called.
+        """Sort the servers of a service.
 
         Args:
-            service: its name here.
-            remote_service: its name where the callers are.
+            service: its name on this side.
+            remote_service: its name on the callers' side.
         """
         announcements, ros, now = self._context.announcements, self._context.ros, self._context.now()
         here = place(announcements.bridges, service)
@@ -309,29 +311,29 @@ class CallLoopGuard:
 
 
 def way_here(via: Via, bridges: tuple[str, ...], remote_service: str) -> Via:
-    """The bridges that answers cross on their way to the callers' side: those before the providing one, and that one.
+    """Return the bridges that answers cross, the providing one last.
 
     Args:
-        via: as the providing side says.
-        bridges: in the providing side's domain, its own first; empty: not known.
+        via: the bridges before the providing one.
+        bridges: in the providing side's domain, its own first, or empty if they are unknown.
         remote_service: the service's name there.
     """
     return (*via, hop(bridges[0], remote_service)) if bridges else via
 
 
 class LocalServers:
-    """Finds servers on the callers' side that have what is provided over the link; nothing is offered beside them.
+    """Finds servers on the callers' side that serve the same services: then nothing is offered over the link.
 
-    An earlier process of this bridge that was killed is none, though it is seen for up to 40 s more. It has this one's
-    name, and is told from another bridge of that name by the peer that answers its calls, or as it announces nothing.
+    A killed earlier process of this bridge does not count, although DDS sees it for up to 40 s more. It has this
+    bridge's name, and differs from another bridge of that name: it announces nothing, or that the same peer answers.
 
     Args:
         context: what every part of the engine shares.
-        peer: that provides.
+        peer: the providing side.
         look_again: has the route look.
 
     Attributes:
-        unknown: it cannot be said yet of some server whether it is one.
+        unknown: whether it is still unclear for some server whether it counts.
     """
 
     def __init__(self, context: Context, peer: Peer, look_again: Callable[[], None]) -> None:
@@ -343,11 +345,11 @@ class LocalServers:
         self._timer: asyncio.TimerHandle | None = None
 
     def look(self, services: Iterable[str], *, offered: bool) -> Trouble | None:
-        """Why services are not offered here; None: there is no rival.
+        """Return the trouble that keeps services from being offered here, or None.
 
         Args:
-            services: their names here.
-            offered: they are now. Of two bridges that have begun at once, the one with the lesser name goes on.
+            services: their names on this side.
+            offered: whether they are offered now. If two bridges begin at once, the one with the lesser name goes on.
         """
         context, now = self._context, self._context.now()
         before, self._first_seen, self.unknown = self._first_seen, {}, False
@@ -367,12 +369,12 @@ class LocalServers:
         return trouble
 
     def nodes(self, services: Iterable[str]) -> list[str]:
-        """The nodes, no bridges, that serve some of these here."""
+        """Return the nodes, but not bridges, that serve some of these services here."""
         found = [(service, each) for service in services for each in self._context.ros.servers(service)]
         return [each.node for service, each in found if self._is_node(each, service)]
 
     def close(self) -> None:
-        """Look no more for now."""
+        """Forget the servers, and stop the timer."""
         self.unknown = False
         self._first_seen.clear()
         if self._timer is not None:
@@ -388,7 +390,7 @@ class LocalServers:
         return origin is not None and not origin.via and bool(self._is_rival(server, service, offered=False))
 
     def _is_rival(self, server: Endpoint, service: str, *, offered: bool) -> bool | None:
-        """Whether a server is one; None: it is a bridge of our name that has announced nothing."""
+        """Return whether a server counts, or None for a bridge of our name that has announced nothing."""
         ros, bridges, node = self._context.ros, self._peer.bridges, server.node.lstrip("/")
         origin = self._context.announcements.origin_of_server(server, service)
         yields = offered and origin is not None and bool(origin.via) and ros.node_name < node

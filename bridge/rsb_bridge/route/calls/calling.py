@@ -1,13 +1,23 @@
-"""The callers' half of a route of calls: offers here what the other side provides, and takes callers their answers."""
+"""The callers' half of a route of calls: offers here what the other side provides, and answers callers.
+
+A call goes through `CallingRoute._asked` (from ROS), `_begin`, and the outbox to the channel. What the provider says of
+it comes to `_take`, and goes to ROS in `_take_answer`, or ends the call in `_take_refusal`.
+
+An action's calls outlive an interruption (`rsb_bridge.route.calls.kept_calls`). While the action cannot be reached,
+``send_goal``, feedback and status are withdrawn, so that clients see no server. As long as goals run or callers wait,
+``cancel_goal`` and ``get_result`` are still offered: a request to a service that is not there is lost for good (rclpy
+and rclcpp send it to nobody). Once the action can be reached, cancels go first. While the action is paused or disarmed,
+only ``send_goal`` is withdrawn, so that goals can still be cancelled and watched.
+"""
 
 from __future__ import annotations
 
 import asyncio
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, ClassVar
 
 from rsb_bridge.model.budgets import TokenBucket
-from rsb_bridge.model.calls import Refused
+from rsb_bridge.model.calls import CANCEL_GOAL, GET_RESULT, SEND_GOAL, Refused
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.snapshot import Level, Stage
 from rsb_bridge.model.verdict import Cause
@@ -17,8 +27,11 @@ from rsb_bridge.route.calls.call_servers import LocalServers, others_called, typ
 from rsb_bridge.route.calls.calls_ledger import refused_as
 from rsb_bridge.route.calls.calls_route import CallsRoute, frame_size
 from rsb_bridge.route.calls.calls_verdict import CallsFacts, Trouble
+from rsb_bridge.route.calls.goals import Goals, goal_of, rejection_of
+from rsb_bridge.route.calls.kept_calls import INTERRUPTION, KeptCall, KeptCalls
 from rsb_bridge.route.calls.manual_call import CallError, ManualCall
-from rsb_bridge.route.calls.pending_calls import Call, UnderWay
+from rsb_bridge.route.calls.node_parameters import foreign_event
+from rsb_bridge.route.calls.pending_calls import Call, PendingCalls
 from rsb_bridge.route.combined_verdict import node_names
 from rsb_bridge.route.source_publishers import SlowSubscriberError
 from rsb_bridge.route.topic_verdict import named
@@ -29,8 +42,9 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
     from rsb_bridge.context import Context
-    from rsb_bridge.model.calls import Lane
+    from rsb_bridge.model.calls import ServiceMember
     from rsb_bridge.model.session import Topic
+    from rsb_bridge.model.snapshot import RouteSnapshot
     from rsb_bridge.ros.ros_interface import ServiceServer
     from rsb_bridge.route.lease import Lease
     from rsb_bridge.route.notices import Notices
@@ -42,21 +56,25 @@ if TYPE_CHECKING:
 _CALLER = 16
 """Bytes of `Request.caller` that identify the caller; the others identify the request."""
 _AT_ONCE = 1.0
-"""s of `max_rate` that may come at once."""
+"""Seconds' worth of `max_rate` that may come at once."""
+_OUTLIVING = (CANCEL_GOAL, GET_RESULT)
+_FOR_NOW = (Refused.PAUSED, Refused.DISARMED, Refused.UNHEARD, Refused.PROVIDER_GONE, Refused.LOST)
+"""Refusals after which a later attempt may succeed."""
+_UNREACHABLE = "the action could not be reached"
 
 
 class LaneMessages:
-    """Publishes the messages of lanes that are topics while they are offered, and keeps those of latched lanes.
+    """Publishes messages of the lanes that are topics, and keeps the last one of latched lanes.
 
     Args:
-        lanes: of the route.
+        members: of the route.
         offers: have the publishers.
         budget: bytes that may be kept on the link.
         notices: told of messages that cannot be published.
     """
 
-    def __init__(self, lanes: Sequence[Lane], offers: Offers, budget: Budget, notices: Notices) -> None:
-        self._lanes = lanes
+    def __init__(self, members: Sequence[ServiceMember], offers: Offers, budget: Budget, notices: Notices) -> None:
+        self._members = members
         self._offers = offers
         self._budget = budget
         self._notices = notices
@@ -64,19 +82,19 @@ class LaneMessages:
 
     def take(self, lane: int, content: bytes) -> None:
         """Publish a message that came."""
-        qos = self._lanes[lane].qos
+        qos = self._members[lane].qos
         if qos is not None and qos.latched:
             self._keep(lane, content)
         self._publish(lane, content)
 
     def offered(self, lanes: Iterable[int]) -> None:
-        """Publish what is kept on lanes that are offered from now on."""
+        """Publish the kept messages of lanes that are newly offered."""
         for lane in lanes:
             if lane in self._kept:
                 self._publish(lane, self._kept[lane])
 
     def clear(self) -> None:
-        """Keep nothing."""
+        """Drop the kept messages."""
         for lane in tuple(self._kept):
             self._keep(lane, b"")
 
@@ -99,40 +117,89 @@ class LaneMessages:
 
 @dataclass(slots=True)
 class CallerCall(Call):
-    """A call of a caller here.
+    """A call of a caller on this side.
 
     Attributes:
-        server: that took it; the `ManualCall` of an operator's.
-        caller: whom it answers.
+        server: the server that took it, or an operator's `ManualCall`.
+        caller: names the request in `server.answer`.
+        kept: the request of an action's call, which may have to be sent again; None for other calls.
     """
 
     server: ServiceServer
     caller: bytes
+    kept: KeptCall | None = None
 
     def unanswered(self, reason: str) -> None:
-        """It will have no answer; nobody but an operator can be told."""
+        """Tell an operator that no answer will come. ROS has no way to tell other callers."""
         if isinstance(self.server, ManualCall):
             self.server.fail(reason)
 
 
+class CallerAction:
+    """Goals of an action, and the calls that wait for the end of an interruption.
+
+    Args:
+        context: has the clock.
+        timeout: s that a call without a goal waits at most.
+
+    Attributes:
+        goals: all that are known.
+        waiting: calls that are sent once the action can be reached.
+        interrupted_at: when the last interruption began, in s.
+    """
+
+    def __init__(self, context: Context, timeout: float) -> None:
+        self.goals = Goals(context.wall, context.now)
+        self.waiting = KeptCalls(timeout)
+        self.interrupted_at = 0.0
+        self._now = context.now
+
+    def asked(self, call: KeptCall) -> None:
+        """Note that a call is sent for the first time."""
+        if call.lane == SEND_GOAL and (goal := goal_of(call.payload)) is not None:
+            self.goals.asked(goal)
+
+    def unanswered(self, call: KeptCall) -> None:
+        """Note that a call has no answer."""
+        if call.lane == SEND_GOAL and (goal := goal_of(call.payload)) is not None:
+            self.goals.unanswered(goal)
+
+    def keep(self, call: CallerCall) -> bool:
+        """Have a pending call wait until it can be sent again. Return False if it cannot be kept."""
+        if call.kept is None:
+            return False
+        return self.waiting.keep(call.kept._replace(again=True, stamp=0), self._now())
+
+    def awaits_end(self, *, linked: bool) -> bool:
+        """Return whether callers may still ask about goals although the action cannot be reached."""
+        if self.waiting:
+            return True
+        return not linked and bool(self.goals.running()) and self._now() < self.interrupted_at + INTERRUPTION
+
+
 class CallingRoute(CallsRoute):
-    """Offers services and publishes topics here, as long as the other side can answer."""
+    """Offers services and publishes topics here, as long as the other side can answer.
+
+    Attributes:
+        action: goals and waiting calls of an action, or None for a service or parameters.
+    """
 
     outgoing: ClassVar[bool] = True
 
     def __init__(self, context: Context, peer: Owner, spec: Topic, proposal: Propose, *, proposed_here: bool) -> None:
         super().__init__(context, peer, spec, proposal, proposed_here=proposed_here)
+        self.action = CallerAction(context, self.call_timeout) if spec.kind == "action" else None
         self._provided: Provide | None = None  # in the present opening
-        self._resumed_at = 0  # the revision of the pause's end, likewise
+        self._resumed_at = 0  # the revision of the pause's end, in the present opening
         self._reach: frozenset[int] = frozenset()  # the lanes that are offered, and whose calls go to the other side
         self._offers = Offers(
-            context, peer, self.lanes, self._asked, self._too_late, self._offer_failed, self._lease_of_requests
+            context, peer, self.members, self._asked, self._too_late, self._offer_failed, self._lease_of_requests
         )
-        self._rivals = LocalServers(context, peer, self.advance)
-        self._served_here: list[str] = []  # the nodes that serve it here, while nobody does on the other side
-        self._under_way = UnderWay[CallerCall](context.loop, peer.budget.asked, self._expired, self._outbox.forget)
+        self._local_servers = LocalServers(context, peer, self.advance)
+        self._served_here: list[str] = []  # nodes that serve it on this side, while none does on the other side
+        self._pending = PendingCalls[CallerCall](context.loop, peer.budget.asked, self._expired, self._outbox.forget)
         self._last_number = 0
-        self._messages = LaneMessages(self.lanes, self._offers, peer.budget.kept, self.notices)
+        self._messages = LaneMessages(self.members, self._offers, peer.budget.kept, self.notices)
         self._allowed = _bucket(0.0, context.now())
         self.limit.apply = self._limit
 
@@ -142,22 +209,31 @@ class CallingRoute(CallsRoute):
     def _limit(self, rate: float) -> None:
         self._allowed = _bucket(rate, self.context.now())
 
-    # --- setting up
+    # --- offering
 
     def provided(self, provide: Provide) -> None:
-        """The providing side says what there is to call."""
-        if provide.lanes and len(provide.lanes) != len(self.lanes):
-            text = f"the other side provides {len(provide.lanes)} lanes, not {len(self.lanes)}"
+        """Take the providing side's list of what can be called."""
+        had_server = self._has_providers
+        if text := self._why_unacceptable(provide):
             self.request_reopen(EventCode.ROUTE_CALLS_BROKEN, text, Level.ERROR)
-            return
-        for lane, entry in zip(self.lanes, provide.lanes, strict=False):
-            agreed = type_of(lane, self.proposal.type)
-            if agreed and entry.type != agreed and not lane.is_topic:  # what has to be armed may depend on the type
-                text = f"the other side provides {entry.type}, though {agreed} was agreed on"
-                self.request_reopen(EventCode.ROUTE_CALLS_BROKEN, text, Level.ERROR)
-                return
-        self._provided = provide
-        self.advance()
+        else:
+            self._provided = provide
+            self.advance()
+        if self.action is not None:
+            if had_server and not self._has_providers:
+                self.action.goals.server_gone()
+            if self._reach:
+                self._send_waiting(self.action)
+
+    def _why_unacceptable(self, provide: Provide) -> str:
+        """Return the reason why a list breaks the agreement between the two sides, or an empty string."""
+        if provide.lanes and len(provide.lanes) != len(self.members):
+            return f"the other side provides {len(provide.lanes)} lanes, not {len(self.members)}"
+        for member, entry in zip(self.members, provide.lanes, strict=False):
+            agreed = type_of(member, self.proposal.type)
+            if agreed and entry.type != agreed and not member.is_topic:  # whether it has to be armed may depend on this
+                return f"the other side provides {entry.type}, though {agreed} was agreed on"
+        return ""
 
     def advance(self) -> None:
         """Open the channel, and offer what can be called, or withdraw it."""
@@ -168,21 +244,39 @@ class CallingRoute(CallsRoute):
         self._look()
         lanes = self._to_offer()
         if self._provided is None or not lanes:
-            self._failures.clear()
+            self._retry.clear()
             self._end_offer()
-        elif self._reach or not self._rivals.unknown:
+        elif (self._reach or not self._local_servers.unknown) and not self._retry.waits(self._provided.lanes):
             self._offer(self._provided, lanes)
         self._verdict = None
 
+    def _look(self) -> None:
+        """Find the callers, and what keeps it from being offered here."""
+        ros, names = self.context.ros, self.local_names
+        services = [name for member, name in zip(self.members, names, strict=True) if not member.is_topic]
+        callers = {service: ros.callers(service) for service in services}
+        self.endpoints = [each for found in callers.values() for each in found]
+        self._unavailable = self._warning = None
+        if self._provided is not None and (entries := self._provided.lanes):
+            self._know_type(entries)
+            self._warning = others_called(self.members, entries, names, callers)
+            self._unavailable = self._local_servers.look(services, offered=bool(self._reach))
+            if self._unavailable is None and self._load(entries):
+                self._unavailable = types_clash(ros, self.members, entries, names, callers)
+        nobody_provides = self._provided is not None and not self._provided.lanes
+        self._served_here = self._local_servers.nodes(services) if nobody_provides else []
+
     def _to_offer(self) -> frozenset[int]:
-        """The lanes that can be offered now."""
+        """Return the lanes that can be offered now."""
         if self._unavailable is not None or self.notices.loop or not (self.connected and self._has_providers):
             return frozenset()
         if self._provided is not None and not self._load(self._provided.lanes):
             return frozenset()
         resumed = self._provided is not None and self._provided.pause_revision >= self._resumed_at
         return frozenset(
-            number for number, lane in enumerate(self.lanes) if not self.held(number) and (resumed or not lane.limited)
+            number
+            for number, member in enumerate(self.members)
+            if not self.held(number) and (resumed or not member.limited)
         )
 
     def _paused(self, was: bool) -> None:
@@ -195,29 +289,16 @@ class CallingRoute(CallsRoute):
         provided = self._provided
         if provided is None or not provided.lanes or not self.peer.bridges:
             return False
-        return all(entry.providers for lane, entry in zip(self.lanes, provided.lanes, strict=True) if not lane.is_topic)
-
-    def _look(self) -> None:
-        """See who calls, and whether it may be offered here."""
-        ros, names = self.context.ros, self.local_names
-        services = [name for lane, name in zip(self.lanes, names, strict=True) if not lane.is_topic]
-        callers = {service: ros.callers(service) for service in services}
-        self.endpoints = [each for found in callers.values() for each in found]
-        self._unavailable = self._warning = None
-        if self._provided is not None and (entries := self._provided.lanes):
-            self._know_type(entries)
-            self._warning = others_called(self.lanes, entries, names, callers)
-            self._unavailable = self._rivals.look(services, offered=bool(self._reach))
-            if self._unavailable is None and self._load(entries):
-                self._unavailable = types_clash(ros, self.lanes, entries, names, callers)
-        self._served_here = [] if self._provided is None or self._provided.lanes else self._rivals.nodes(services)
+        return all(
+            entry.providers for member, entry in zip(self.members, provided.lanes, strict=True) if not member.is_topic
+        )
 
     def _offer(self, provided: Provide, lanes: frozenset[int]) -> None:
-        """Offer these lanes of what is provided, and no others, unless they are offered already."""
-        if self._failures.waits(self._made_of()):
-            return
-        offers, entries = self._offers, provided.lanes
-        ways = [way_here(provided.via, self.peer.bridges, name_of(lane, self.remote_topic)) for lane in self.lanes]
+        """Offer these lanes of what is provided, and no others."""
+        offers, entries, before = self._offers, provided.lanes, self._reach
+        ways = [
+            way_here(provided.via, self.peer.bridges, name_of(member, self.remote_topic)) for member in self.members
+        ]
         try:
             offers.announce(ways)
             if any(offers.services_of(entries)[lane] != kind for lane, kind in offers.types.items()):
@@ -231,13 +312,17 @@ class CallingRoute(CallsRoute):
             self._messages.offered(offers.open_topics(entries))
         except RosError as error:
             self._offer_failed(error)
-        else:
-            self._failures.clear()
+            return
+        self._retry.clear()
+        if self.action is not None and self._reach - before:
+            self._send_waiting(self.action)
 
     def _owed(self) -> set[int]:
-        """The lanes on which callers still wait for an answer, which comes only while they are there."""
-        under_way = [self._under_way.get(number) for number in self._under_way.numbers()]
-        return {call.lane for call in under_way if call is not None} & set(self._offers.types)
+        """Return the lanes on which callers still wait for an answer: it needs their servers."""
+        owed = {call.lane for _, call in self._pending.items()} & set(self._offers.types)
+        if self.action is not None and self.action.waiting.requests(SEND_GOAL):
+            owed.add(SEND_GOAL)
+        return owed
 
     def _log_offer(self, was_offered: bool) -> None:
         if self.offered and not was_offered:
@@ -248,13 +333,11 @@ class CallingRoute(CallsRoute):
     def _offer_failed(self, error: RosError) -> None:
         self._end_offer()
         self._offers.close()
-        self._ros_failed(f"cannot be offered here: {error}")
-
-    def _made_of(self) -> object:
-        return self._provided.lanes if self._provided is not None else ()
+        entries = self._provided.lanes if self._provided is not None else ()
+        self._ros_failed(f"cannot be offered here: {error}", entries)
 
     def _end_offer(self) -> None:
-        """Offer it no more; callers whose calls are under way get no answer."""
+        """Withdraw the offer, and give up pending calls."""
         if self._reach:
             was_offered = self.offered
             self._withdraw()
@@ -262,21 +345,37 @@ class CallingRoute(CallsRoute):
         self._give_up_all("it is no longer offered")
 
     def _withdraw(self) -> None:
+        """Close everything by which callers see that it can be reached."""
+        keep: tuple[int, ...] = ()
+        if (action := self.action) is not None:
+            if self._reach:
+                action.interrupted_at = self.context.now()
+            # While the link is up this may be short, as when the action is disarmed; otherwise `tick` closes the rest.
+            if self.peer.linked or len(self._pending) or len(action.waiting) or action.goals.running():
+                keep = _OUTLIVING
         self._reach = frozenset()
-        self._offers.close()
-        self._rivals.close()
+        self._offers.close(keep)
+        self._local_servers.close()
 
     def close(self, reason: str) -> None:
-        """End the opening; the calls that are under way are lost."""
+        """End the opening; pending calls are lost."""
         super().close(reason)
         self._provided = None
         self._resumed_at = 0
         self._last_number = 0
         self._messages.clear()
 
+    def destroy(self) -> None:
+        """End the route for good, and give up the calls that wait."""
+        super().destroy()
+        self._offers.close()
+        if self.action is not None:
+            for call in self.action.waiting.release():
+                self._give_up_waiting(self.action, call, "the route was removed")
+
     @property
     def offered(self) -> bool:
-        return bool(self._reach) and self._reach.issuperset(range(len(self.lanes)))
+        return bool(self._reach) and self._reach.issuperset(range(len(self.members)))
 
     @property
     def provider_nodes(self) -> tuple[str, ...]:
@@ -286,18 +385,32 @@ class CallingRoute(CallsRoute):
     def caller_nodes(self) -> tuple[str, ...]:
         return node_names(self.endpoints)
 
-    # --- calls
+    # --- calls, from ROS to the channel
 
     def _asked(self, lane: int, requests: Sequence[Request]) -> None:
-        """Take requests of callers here, the oldest first."""
-        if self.age.is_on and self.lanes[lane].limited:
-            requests = [self._stamped(request) for request in requests]
-        for request in requests:
-            self._asked_for(len(request.payload))
+        """Send callers' requests, or refuse them."""
+        action = self.action
+        if action is not None and not self._reach:  # an interruption leaves some of an action's services open
+            self._keep_requests(action, lane, requests)
+            return
+        with_age = self.age.is_on and self.members[lane].limited
+        server = self._offers.servers[lane]
+        for request in [self._stamped(request) for request in requests] if with_age else requests:
+            payload, now = request.payload, self.context.now()
+            self._asked_for(len(payload))
             if (why := self._refusal(lane, request)) is not None:
-                self._refuse_caller(lane, request, why)
-            else:
-                self._begin(lane, request)
+                self._refuse(why)
+                if action is not None and lane == SEND_GOAL:
+                    self._reject(action, server, request.caller, payload)
+                continue
+            stamp = request.stamp if with_age else 0
+            call = CallerCall(lane, frame_size(payload), now, server, request.caller)
+            if action is not None:
+                call.kept = KeptCall(
+                    lane, request.caller, payload, now, again=False, instance=self.peer.instance, stamp=stamp
+                )
+                action.asked(call.kept)
+            self._begin(call, payload, request.lease, stamp)
         self.flush()
 
     def _stamped(self, request: Request) -> Request:
@@ -306,64 +419,62 @@ class CallingRoute(CallsRoute):
         return request._replace(stamp=0 if born is None else born)
 
     def _too_late(self, lane: int, requests: Sequence[Request]) -> None:
-        """Requests were on their way from ROS when it was offered no more."""
+        """Count requests that were on their way from ROS when the offer ended."""
         for request in requests:
             self._asked_for(len(request.payload))
         self._lose(len(requests), "it is no longer offered")
 
     def _refusal(self, lane: int, request: Request) -> Refused | None:
-        """Why a call is not sent; if it is, it has its place in the link's budget."""
+        """Return the reason why a call is not sent, or take its place in the link's budget and return None."""
         now = self.context.now()
         if (why := self.held_now(lane)) is not None:
             return why
-        if self.age.is_on and self.lanes[lane].limited and not self.age.is_young(request.stamp):
+        limited = self.members[lane].limited
+        if limited and self.age.is_on and not self.age.is_young(request.stamp):
             return Refused.TOO_OLD
         if len(request.payload) > self._outbox.largest:
             return Refused.TOO_LARGE
-        if self.limit.rate and self.lanes[lane].limited and not self._allowed.take(1.0, now):
+        if limited and self.limit.rate and not self._allowed.take(1.0, now):
             return Refused.CALLS_A_SECOND
         return self.peer.budget.asked.take(frame_size(request.payload), now)
 
-    def _refuse_caller(self, lane: int, request: Request, why: Refused) -> None:
-        """A call is not sent."""
-        self._refuse(why)
+    def _begin(self, call: CallerCall, payload: bytes, lease: int, stamp: int) -> None:
+        """Send a call that has its place in the budget."""
+        self._last_number = number = self._last_number + 1
+        self._came = True
+        self._pending.add(number, call, self.timeout_of(call.lane))
+        what = What.AGAIN if call.kept is not None and call.kept.again else What.CALL
+        self._outbox.put(CallFrame(what, call.lane, number, 0, payload, lease, stamp))
 
-    def _begin(self, lane: int, request: Request, hand: ManualCall | None = None) -> None:
-        """Send a call, which has its place in the budget; `hand`: it is an operator's."""
-        self._last_number += 1
-        server = hand or self._offers.servers[lane]
-        call = CallerCall(lane, frame_size(request.payload), self.context.now(), server, request.caller)
-        self._under_way.add(self._last_number, call, self.timeout_of(lane))
-        stamp = self._stamp_of(lane, request)
-        self._send(CallFrame(What.CALL, lane, self._last_number, 0, request.payload, request.lease, stamp))
-
-    def _stamp_of(self, lane: int, request: Request) -> int:
-        """Return the time from which a request's age counts, or 0 if that is not limited."""
-        return request.stamp if self.age.is_on and self.lanes[lane].limited else 0
+    def _leaves(self, frame: CallFrame) -> bool:
+        if frame.stamp and frame.call in self._pending and not self.age.is_young(frame.stamp):
+            self._take_refusal(frame, Refused.TOO_OLD)
+        return frame.call in self._pending
 
     async def call_by_hand(self, lane: int, request: bytes) -> bytes:
-        """Make a call as a caller here would."""
+        """Make a call as a caller here would, but without waiting for the end of an interruption."""
         if lane not in self._reach:
             raise CallError(self._why_not_now())
-        hand, number = ManualCall(self.context.loop), self._last_number + 1
+        manual, number = ManualCall(self.context.loop), self._last_number + 1
         self._asked_for(len(request))
         lease = self.arming.newest_number if self.arming.required else 0
         made = Request(request, b"", self.context.stamps.now(), lease)
         if (why := self._refusal(lane, made)) is not None:
             self._refuse(why)
             raise CallError(self.calls.last_failure)
-        self._begin(lane, made, hand)
+        stamp = made.stamp if self.age.is_on and self.members[lane].limited else 0
+        self._begin(CallerCall(lane, frame_size(request), self.context.now(), manual, b""), request, lease, stamp)
         self.flush()
         try:
-            return await hand.answered
+            return await manual.answered
         except asyncio.CancelledError:
-            if (call := self._under_way.get(number)) is not None and call.server is hand:
-                self._under_way.end(number)
+            if (call := self._pending.get(number)) is not None and call.server is manual:
+                self._pending.end(number)
                 self._lose(1, "the operator who made it has gone")
             raise
 
     def entry(self, lane: int) -> LaneEntry:
-        """What there is to call, as the other side says."""
+        """Return the type of a lane, as the other side has it."""
         if self._provided is None or lane not in self._reach:
             raise CallError(self._why_not_now())
         return self._provided.lanes[lane]
@@ -371,16 +482,18 @@ class CallingRoute(CallsRoute):
     def _why_not_now(self) -> str:
         verdict, _ = self.judged.shown(self.verdict())
         known = verdict.cause != Cause.NO_CALL
-        why = verdict.text if known else f"no server of {self.remote_topic} is known on the other side"
+        why = verdict.text if known else f"no server of {self.remote_topic} on the other side"
         return f"{self.local_topic} cannot be called now: {why}"
 
-    def _leaves(self, frame: CallFrame) -> bool:
-        if frame.stamp and frame.call in self._under_way and not self.age.is_young(frame.stamp):
-            self._take_refusal(frame, Refused.TOO_OLD)
-        return frame.call in self._under_way
+    # --- answers, from the channel to ROS
 
-    def _take(self, frame: CallFrame) -> None:
+    def _take(self, frame: CallFrame, *, readable: bool = True) -> None:
         match frame.what:
+            case What.MESSAGE:
+                if readable and self._malformed(frame, "") is None:
+                    self._take_message(frame)
+            case _ if not readable:
+                self._take_unusable(frame, Refused.BYTES_UNDER_WAY)
             case What.ANSWER:
                 if (why := self._malformed(frame, "_Response")) is None:
                     self._take_answer(frame)
@@ -388,42 +501,33 @@ class CallingRoute(CallsRoute):
                     self._take_unusable(frame, why)
             case What.REFUSED:
                 self._take_refusal(frame, refused_as(frame.content))
-            case What.MESSAGE:
-                if self._malformed(frame, "") is None:
-                    self._take_message(frame)
             case _:
                 self.unexpected(frame)
 
-    def _take_unreadable(self, frame: CallFrame) -> None:
-        if frame.what is not What.MESSAGE:
-            self._take_unusable(frame, Refused.BYTES_UNDER_WAY)
-
-    def _take_unusable(self, frame: CallFrame, why: Refused) -> None:
-        """An answer came that its caller cannot have."""
-        if (call := self._ended(frame)) is not None:
-            self._refuse(why)
-            call.unanswered(self.calls.last_failure)
-
-    def _ended(self, frame: CallFrame) -> CallerCall | None:
-        """The call that a frame ends; None: it is over already."""
-        self._call_of(frame)
-        return self._under_way.end(frame.call)
-
     def _call_of(self, frame: CallFrame) -> CallerCall | None:
-        """The call that a frame is about; None: it is over already. ProtocolError: there was none on that lane."""
-        call = self._under_way.get(frame.call)
+        """Return the pending call that a frame is about, or None if it has ended.
+
+        Raises:
+            ProtocolError: it was never made, or not on that lane.
+        """
+        call = self._pending.get(frame.call)
         if call is None and not 0 < frame.call <= self._last_number:
             raise ProtocolError(f"an answer to call {frame.call}, which was never made")
         if call is not None and call.lane != frame.lane:
             raise ProtocolError(f"call {frame.call} is answered on lane {frame.lane}, not {call.lane}")
         return call
 
+    def _end_call(self, frame: CallFrame) -> CallerCall | None:
+        """End the pending call that a frame is about, and return it, or None if it has ended before."""
+        return self._pending.end(frame.call) if self._call_of(frame) is not None else None
+
     def _take_answer(self, frame: CallFrame) -> None:
-        """Answer the caller that asked."""
-        call = self._ended(frame)
-        if call is None:
+        """Answer the caller."""
+        if (call := self._end_call(frame)) is None:
             self.calls.late += 1
             return
+        if self.action is not None and call.kept is not None and (goal := goal_of(call.kept.payload)) is not None:
+            self.action.goals.response(call.lane, goal, frame.content)
         took, total = frame.took / 1e9, self.context.now() - call.asked_at
         try:
             call.server.answer(call.caller, frame.content)
@@ -432,30 +536,143 @@ class CallingRoute(CallsRoute):
             self._failed(f"a caller could not be answered: {error}")
             return
         self._answered(len(frame.content))
-        if not self.lanes[call.lane].patient:
+        if not self.members[call.lane].patient:
             self.calls.timed(took, total)
 
+    def _take_unusable(self, frame: CallFrame, why: Refused) -> None:
+        """End a call whose answer came, but cannot be passed on."""
+        if (call := self._end_call(frame)) is None:
+            return
+        self._unanswered(call, why)
+        if self.action is not None and call.kept is not None and frame.what is What.ANSWER:
+            self.action.unanswered(call.kept)  # a goal may have been accepted
+
     def _take_refusal(self, frame: CallFrame, why: Refused) -> None:
-        """The other side will not answer a call."""
-        self._take_unusable(frame, why)
+        """End a call that the other side will not answer, or keep it if a later attempt may succeed."""
+        if (call := self._call_of(frame)) is None:
+            return
+        action, kept = self.action, call.kept
+        is_kept = action is not None and call.lane in _OUTLIVING and why in _FOR_NOW and action.keep(call)
+        self._pending.end(frame.call)
+        if is_kept:
+            return
+        self._unanswered(call, why)
+        if action is None or kept is None or call.lane != SEND_GOAL:
+            return
+        if why is Refused.NOT_ARRIVED or (why is not Refused.LOST and not kept.again):
+            self._reject(action, call.server, call.caller, kept.payload)
+        else:
+            action.unanswered(kept)  # the goal may run, even if only the second attempt was refused
+
+    def _unanswered(self, call: CallerCall, why: Refused) -> None:
+        self._refuse(why)
+        call.unanswered(self.calls.last_failure)
 
     def _take_message(self, frame: CallFrame) -> None:
         """Publish a message of a lane that is a topic."""
+        if self.spec.kind == "parameters" and (why := foreign_event(frame.content, self.local_topic)):
+            text = f"a parameter event of the peer is left out: {why}"
+            self.notices.message_error(EventCode.ROUTE_EVENT_LEFT_OUT, text)
+            return
+        if self.action is not None:
+            self.action.goals.message(frame.lane, frame.content)
         self._messages.take(frame.lane, frame.content)
 
     def _expired(self, number: int, call: CallerCall) -> None:
+        if self.action is not None and call.kept is not None:
+            self.action.unanswered(call.kept)
         self.calls.expired += 1
         self._failed(f"a call had no answer within {self.call_timeout:g} s")
         call.unanswered(self.calls.last_failure)
 
     def _give_up_all(self, why: str) -> None:
-        numbers = self._under_way.numbers()
-        for number in numbers:
-            if (call := self._under_way.end(number)) is not None:
-                call.unanswered(f"no answer: {why}; the call was under way, and the node may have acted on it")
-        self._lose(len(numbers), why)
+        lost = 0
+        for number, call in self._pending.items():
+            self._pending.end(number)
+            if self.action is not None and self.action.keep(call):
+                continue
+            if self.action is not None and call.kept is not None:
+                self.action.unanswered(call.kept)
+            call.unanswered(f"no answer: {why}; the node may have acted on the call")
+            lost += 1
+        self._lose(lost, why)
 
-    # --- how it is
+    # --- calls of an action over an interruption
+
+    def _keep_requests(self, action: CallerAction, lane: int, requests: Sequence[Request]) -> None:
+        """Keep requests until the action can be reached."""
+        now = self.context.now()
+        for request in requests:
+            self._asked_for(len(request.payload))
+            call = KeptCall(lane, request.caller, request.payload, now, again=False)
+            if not action.waiting.keep(call, now):
+                self._give_up_waiting(action, call)
+
+    def _send_waiting(self, action: CallerAction) -> None:
+        """Send all calls that wait, cancels first."""
+        now, instance = self.context.now(), self.peer.instance
+        for kept in action.waiting.release():
+            size = frame_size(kept.payload)
+            if kept.lane == SEND_GOAL and kept.instance != instance:
+                self._give_up_waiting(action, kept)  # only the process that it was sent to knows whether it arrived
+            elif kept.lane not in self._offers.servers:
+                if not action.waiting.keep(kept, now):
+                    self._give_up_waiting(action, kept)
+            elif (why := self.peer.budget.asked.take(size, now)) is None:
+                server, sent = self._offers.servers[kept.lane], kept._replace(instance=instance)
+                call = CallerCall(kept.lane, size, kept.asked, server, kept.caller, sent)
+                self._begin(call, kept.payload, lease=0, stamp=kept.stamp)
+            elif not action.waiting.keep(kept, now):  # else it is sent in a second: a cancel must not get lost
+                self._refuse(why)
+                action.unanswered(kept)
+        self.flush()
+
+    def _give_up_waiting(self, action: CallerAction, call: KeptCall, why: str = _UNREACHABLE) -> None:
+        """Give up a call that waited, or cannot wait."""
+        self._lose(1, why)
+        action.unanswered(call)
+
+    def _reject(self, action: CallerAction, server: ServiceServer, caller: bytes, request: bytes) -> None:
+        """Answer that a goal is not accepted: it did not begin, and will not."""
+        if (goal := goal_of(request)) is not None:
+            action.goals.answered(goal, accepted=False)
+        try:
+            server.answer(caller, rejection_of(request))
+        except RosError as error:
+            self._failed(f"a caller could not be answered: {error}")
+
+    def tick(self) -> None:
+        """Expire and resend an action's calls, and update counts; called once a second."""
+        if self.action is not None:
+            self._tick_action(self.action)
+        super().tick()
+
+    def _tick_action(self, action: CallerAction) -> None:
+        if expired := action.waiting.expire(self.context.now()):
+            self.calls.expired += len(expired)
+            self._failed("a call about a goal waited too long for the action to be reached again")
+            for call in expired:
+                action.unanswered(call)
+        self._give_up_results(action)
+        if self._reach and action.waiting:
+            self._send_waiting(action)
+        elif self._reach and self._offers.types.keys() - self._reach - self._owed():
+            self.advance()  # nobody waits for the answer to a goal any more
+        elif not self._reach and self._offers.types and not action.awaits_end(linked=self.peer.linked):
+            self._offers.close()
+
+    def _give_up_results(self, action: CallerAction) -> None:
+        """Expire requests for the results of goals that have been over for as long as other calls may take."""
+        for number, call in self._pending.items():
+            if call.kept is None or call.lane != GET_RESULT:
+                continue
+            goal = goal_of(call.kept.payload)
+            over_for = action.goals.over_for(goal) if goal is not None else None
+            if over_for is not None and over_for > self.call_timeout:
+                self._pending.end(number)
+                self._expired(number, call)
+
+    # --- verdict and snapshot
 
     def facts(self) -> CallsFacts:
         facts = super().facts()
@@ -469,27 +686,35 @@ class CallingRoute(CallsRoute):
         return facts._replace(unavailable=Trouble(Cause.NO_SERVER, text))
 
     def reported(self, report: CallsReport) -> None:
-        """The peer said what it counts, and what it makes of the route."""
+        """Take the peer's counts and verdict."""
         super().reported(report)
         peer = self.judged.peer
         self.notices.set_loop(peer.text if peer.cause == Cause.LOOP else "")
 
-    def _stages(self) -> tuple[Stage, ...]:
-        """From the server there to the caller here."""
-        provided, peer = self._provided, self.judged.peer
-        seen = None if provided is None else self._has_providers
-        trouble = self._unavailable or self._failures.trouble
+    def _provider_stages(self) -> tuple[Stage, Stage]:
+        seen, detail = None if self._provided is None else self._has_providers, ""
+        if seen:
+            detail = ", ".join(self.provider_nodes)
+        elif seen is False:
+            detail = self.judged.peer.text or f"no server of {self.remote_topic} on the other side"
+        return Stage("server seen", seen, detail), Stage("type known", bool(self.type_name) or None, self.type_name)
+
+    def _offered_stage(self) -> Stage:
+        trouble = self._unavailable or self._retry.trouble
         failure = trouble.text if trouble is not None else ""
-        nobody = peer.text or f"no server of {self.remote_topic} on the other side"
-        return (
-            Stage("server seen", seen, ", ".join(self.provider_nodes) if seen else nobody if seen is False else ""),
-            Stage("type known", bool(self.type_name) or None, self.type_name),
-            self._link_stage(),
-            self._accepted_stage(),
-            Stage("offered", False if failure else self.offered or None, failure),
-            Stage("called", self.calls.asked > 0 or None),
-            Stage("answered", self.calls.answered > 0 or None, "" if self.calls.answered else self.calls.last_failure),
-        )
+        return Stage("offered", False if failure else self.offered or None, failure)
+
+    def snapshot(self) -> RouteSnapshot:
+        found = super().snapshot()
+        if self.action is None:
+            return found
+        return replace(found, goals=self.action.goals.snapshot(self._awaited(self.action)))
+
+    def _awaited(self, action: CallerAction) -> set[bytes]:
+        """Return the goals whose results callers wait for."""
+        kept = [call.kept for _, call in self._pending.items() if call.kept is not None and call.lane == GET_RESULT]
+        requests = [*(each.payload for each in kept), *action.waiting.requests(GET_RESULT)]
+        return {goal for request in requests if (goal := goal_of(request)) is not None}
 
 
 def _bucket(rate: float, now: float) -> TokenBucket:

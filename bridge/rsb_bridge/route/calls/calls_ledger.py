@@ -1,4 +1,4 @@
-"""What became of a route's calls, as one side counts them, and why those were refused that had no answer."""
+"""One side's counts of a route's calls, and the remedies for calls that were refused."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ from rsb_bridge.telemetry.meters import LatencyMeter
 from rsb_bridge.wire.records import CallsReport, VerdictRecord
 
 LATELY = 10
-"""s: what verdicts look back on."""
+"""s that verdicts look back."""
 
 
 REMEDIES = {
-    Refused.CALLS_UNDER_WAY: "too many calls are under way on this link: make fewer at once, or shorten the timeout",
-    Refused.BYTES_UNDER_WAY: "the calls under way on this link hold too many bytes: make fewer at once",
+    Refused.CALLS_UNDER_WAY: "too many calls wait for answers on this link: make fewer at once, or shorten the timeout",
+    Refused.BYTES_UNDER_WAY: "the calls that wait for answers on this link hold too many bytes: make fewer at once",
     Refused.CALLS_A_SECOND: "more calls a second are made than are allowed: call less often, or raise max_rate",
     Refused.PAUSED: "it is paused: resume it",
     Refused.DISARMED: "it was not armed when the request was made: ask again once it is armed",
@@ -26,14 +26,14 @@ REMEDIES = {
     Refused.NOT_SENT: "the middleware refused the request; the log of the providing side says why",
     Refused.NOT_ARRIVED: "the link dropped before the goal arrived, so it was not started: send it again",
     Refused.TOO_OLD: "the request was older than max_age: find what delays it, and ask again",
-    Refused.LOST: "its server went while the call was under way, and may have acted on it",
+    Refused.LOST: "its server was lost before it answered, and may have acted on the call",
     Refused.OTHER: "the other side gives a reason that this version does not know: update this side",
 }
-"""In words, for an operator."""
+"""Texts for operators."""
 
 
 def refused_as(content: bytes) -> Refused:
-    """What a peer's refusal says."""
+    """Return the cause that a peer's refusal names."""
     try:
         return Refused(content.decode())
     except ValueError:  # a UnicodeDecodeError is one, too
@@ -44,16 +44,16 @@ class CallsLedger:
     """Counts of one half, since the route was made: asked = answered + expired + refused + lost + in flight.
 
     Attributes:
-        asked: calls that came.
-        answered: whose answers went back.
-        expired: given up after their timeout.
-        refused: by why.
-        lost: given up because the link or the provider went.
-        late: answers whose call had been given up; no part of `asked`.
+        asked: all calls.
+        answered: calls with an answer that went back.
+        expired: calls given up after their timeout.
+        refused: refused calls, by cause.
+        lost: calls given up because the link or the provider was lost.
+        late: answers to calls that had been given up; not part of `asked`.
         node: s that the providing node took.
-        way: s that the way there and back took.
-        last_failure: the last call without an answer, in words; empty: there was none.
-        unanswered: a call has expired, and none was answered in that second or since.
+        way: s that the two bridges and the link took.
+        last_failure: the reason why the last call without an answer had none, or an empty string.
+        unanswered: whether a call has expired, and none was answered in that second or since.
     """
 
     def __init__(self) -> None:
@@ -72,11 +72,11 @@ class CallsLedger:
 
     @property
     def in_flight(self) -> int:
-        """Calls under way."""
+        """Calls that wait for their answers."""
         return self.asked - self.answered - self.expired - self.refused.total() - self.lost
 
     def tick(self) -> None:
-        """Once a second."""
+        """Update what is measured over time; called once a second."""
         self.node.tick()
         self.way.tick()
         answered, expired = self._before
@@ -88,27 +88,27 @@ class CallsLedger:
         self._lately.append((self.expired, self.refused.copy()))
 
     def expired_lately(self) -> int:
-        """Calls that expired in the last `LATELY` s."""
+        """Return the number of calls that expired in the last `LATELY` s."""
         return self.expired - self._lately[0][0] if self._lately else 0
 
     def refused_lately(self) -> Counter[Refused]:
-        """Calls refused in the last `LATELY` s, by why."""
+        """Return the calls refused in the last `LATELY` s, by cause."""
         return self.refused - self._lately[0][1] if self._lately else Counter()
 
     def forget_lately(self) -> None:
-        """What has been is over: the route was paused, or opened anew, or its server has gone."""
+        """Begin a new period: the route was paused or reopened, or its server has gone."""
         self.unanswered = False
         self._before = self.answered, self.expired
         self._lately.clear()
 
     def timed(self, took: float, total: float) -> None:
-        """An answer came after `total` s, of which the node took `took` as the peer says: it cannot be more."""
+        """Measure an answer that came after `total` s, `took` s of which the node took as the peer says."""
         took = min(took, total)
         self.node.add(took)
         self.way.add(total - took)
 
     def snapshot(self) -> CallsSnapshot:
-        """As user interfaces show it."""
+        """Return the counts for user interfaces."""
         return CallsSnapshot(
             asked=self.asked,
             answered=self.answered,
@@ -125,7 +125,7 @@ class CallsLedger:
         )
 
     def report(self, route_id: int, verdict: VerdictRecord | None, nodes: tuple[str, ...]) -> CallsReport:
-        """As the other side is told."""
+        """Return the counts for the other side."""
         return CallsReport(
             route=route_id,
             asked=self.asked,

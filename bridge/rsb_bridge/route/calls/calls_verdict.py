@@ -1,4 +1,4 @@
-"""What one half of a route of calls makes of it: rules over what it knows. They use no clock and change nothing."""
+"""The rules by which one half of a route of calls is judged. They use no clock and change nothing."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ if TYPE_CHECKING:
 
 
 class Trouble(NamedTuple):
-    """Something that is wrong.
+    """A problem to show to operators.
 
     Attributes:
-        cause: what kind of thing.
+        cause: its kind.
         text: for an operator, with the remedy.
     """
 

@@ -1,8 +1,8 @@
-"""The goals of one action, and what a bridge reads of the action's serialized messages: goal ids and states.
+"""The goals of one action, and the goal ids and states in the action's serialized messages.
 
 Each of these messages begins with fields that are the same for every action (action_msgs, unique_identifier_msgs, and
-the ROS 2 design article on actions), so that the action's type need not be known. Nothing of a goal's own fields is
-read. Whatever cannot be read is None; it crosses all the same.
+the ROS 2 design article on actions): a bridge reads them without the action's type, and leaves a goal's own fields
+alone. Functions return None for a message that they cannot read; it crosses nevertheless.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ import struct
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple
 
-from rsb_bridge.model.calls import GoalSnapshot
+from rsb_bridge.model.calls import FEEDBACK, GET_RESULT, SEND_GOAL, STATUS, GoalSnapshot
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
@@ -31,10 +31,10 @@ _MOST_STATUSES = 10_000
 STATES = ("unknown", "accepted", "executing", "canceling", "succeeded", "canceled", "aborted")
 """By their numbers in action_msgs/msg/GoalStatus."""
 MOST_GOALS = 256
-"""That are remembered; those that are not over stay longest."""
+"""Goals that are remembered; the bridge forgets finished ones first."""
 ASKED, UNKNOWN, REJECTED = "asked", "unknown", "rejected"
 OVER = frozenset({REJECTED, "succeeded", "canceled", "aborted"})
-"""The states that no goal leaves."""
+"""Final states."""
 _ORDER = (UNKNOWN, ASKED, "accepted", "executing", "canceling")
 
 
@@ -46,11 +46,11 @@ class GoalStatus(NamedTuple):
 
 
 class Cancel(NamedTuple):
-    """Which goals a cancel request is about.
+    """A cancel request.
 
     Attributes:
-        goal: the goal's id, if it is about that goal alone; None: it is about all goals, or all up to some time.
-        request: tells one request from another.
+        goal: the id of the goal to cancel, or None if the request is about all goals, or all up to some time.
+        request: the bytes that distinguish it from other requests.
     """
 
     goal: bytes | None
@@ -58,14 +58,14 @@ class Cancel(NamedTuple):
 
 
 def goal_of(payload: bytes) -> bytes | None:
-    """The goal id of a send_goal or get_result request, or of a feedback message."""
+    """Return the goal id in a send_goal or get_result request, or in a feedback message."""
     if payload[:2] not in _ORDERS or len(payload) < _ID_END:
         return None
     return payload[HEADER_LENGTH:_ID_END]
 
 
 def cancel_of(payload: bytes) -> Cancel | None:
-    """What a cancel_goal request is about (action_msgs/srv/CancelGoal)."""
+    """Read a cancel_goal request (action_msgs/srv/CancelGoal)."""
     goal = goal_of(payload)
     if goal is None or len(payload) < _CANCEL_END:
         return None
@@ -75,19 +75,19 @@ def cancel_of(payload: bytes) -> Cancel | None:
 
 
 def accepted_by(payload: bytes) -> bool | None:
-    """Whether a send_goal response accepts the goal."""
+    """Return whether a send_goal response accepts the goal."""
     if payload[:2] not in _ORDERS or len(payload) <= HEADER_LENGTH:
         return None
     return payload[HEADER_LENGTH] != 0
 
 
 def rejection_of(request: bytes) -> bytes:
-    """A send_goal response which says that the goal was not accepted."""
+    """Return a send_goal response that does not accept the goal."""
     return request[:2] + bytes(2 + _RESPONSE_LENGTH)
 
 
 def state_of(payload: bytes) -> str | None:
-    """The goal's last state by a get_result response; ``unknown``: its server does not know the goal, or no longer."""
+    """Return the goal's last state in a get_result response; ``unknown`` if its server does not know the goal."""
     if payload[:2] not in _ORDERS or len(payload) <= HEADER_LENGTH:
         return None
     state = payload[HEADER_LENGTH]
@@ -95,7 +95,7 @@ def state_of(payload: bytes) -> str | None:
 
 
 def statuses_of(payload: bytes) -> list[GoalStatus] | None:
-    """The goals of a status message (action_msgs/msg/GoalStatusArray), the first 10,000."""
+    """Return the first 10,000 goals of a status message (action_msgs/msg/GoalStatusArray)."""
     order = _ORDERS.get(payload[:2])
     if order is None or len(payload) < _COUNT_END:
         return None
@@ -119,15 +119,15 @@ class _Goal:
     feedbacks: int = 0
     crossed: bool = False  # sent by this route's callers, not by others of its server
     listed: bool = False  # by its server's last status message
-    gone: bool = False  # with its server, or this says that it does not know it
+    gone: bool = False  # with its server, or its server does not know it
 
 
 class Goals:
-    """The newest goals of an action, those of other callers of its server among them.
+    """The newest goals of an action, including goals of the server's other callers.
 
     Args:
-        wall: gives s since the epoch.
-        now: gives s on a clock that nobody sets.
+        wall: returns s since the epoch.
+        now: returns s on a monotonic clock.
     """
 
     def __init__(self, wall: Callable[[], float], now: Callable[[], float]) -> None:
@@ -135,29 +135,43 @@ class Goals:
         self._now = now
         self._goals: dict[bytes, _Goal] = {}
 
+    def response(self, lane: int, goal: bytes, payload: bytes) -> None:
+        """Read the server's response to a request about a goal."""
+        if lane == SEND_GOAL and (accepted := accepted_by(payload)) is not None:
+            self.answered(goal, accepted=accepted)
+        elif lane == GET_RESULT and (state := state_of(payload)) is not None:
+            self.result(goal, state)
+
+    def message(self, lane: int, payload: bytes) -> None:
+        """Read the server's status or feedback."""
+        if lane == STATUS and (statuses := statuses_of(payload)) is not None:
+            self.listed(statuses)
+        elif lane == FEEDBACK and (goal := goal_of(payload)) is not None:
+            self.feedback(goal)
+
     def asked(self, goal: bytes) -> None:
-        """A caller has sent it."""
+        """Note that a caller has sent a goal."""
         if goal not in self._goals:
             self._add(goal, ASKED)
         self._goals[goal].crossed = True
 
     def answered(self, goal: bytes, *, accepted: bool) -> None:
-        """Its server has accepted or rejected it; it rejects a second goal of the same id."""
+        """Note that the server has accepted or rejected a goal; it rejects a second goal with the same id."""
         known = self._goals.get(goal)
         if known is not None and known.state in (ASKED, UNKNOWN):
             self._change(goal, "accepted" if accepted else REJECTED)
 
     def unanswered(self, goal: bytes) -> None:
-        """The call that sent it was given up: nobody here knows what became of it."""
+        """Note that the call that sent a goal was given up: its state is unknown."""
         known = self._goals.get(goal)
         if known is not None and known.state == ASKED:
             self._change(goal, UNKNOWN)
 
     def listed(self, statuses: Iterable[GoalStatus]) -> None:
-        """Its server has published the states of all its goals.
+        """Take the states that the server has published.
 
-        A goal that it listed before and no longer does has been forgotten: the server began anew, or the goal was over
-        for longer than the server keeps results. What became of it is not known then.
+        If a goal is no longer listed, the server has forgotten it: it has been restarted, or it does not keep results
+        for so long. The goal's state is unknown then.
         """
         stated = {each.goal: each.state for each in statuses}
         for goal, state in stated.items():
@@ -172,19 +186,19 @@ class Goals:
             known.gone = known.state == UNKNOWN and not known.listed
 
     def feedback(self, goal: bytes) -> None:
-        """A feedback message of it has crossed."""
+        """Count a goal's feedback message."""
         if (known := self._goals.get(goal)) is not None:
             known.feedbacks += 1
 
     def result(self, goal: bytes, state: str) -> None:
-        """Its server has answered with its result, or that it does not know the goal."""
+        """Take the state that came with a goal's result; `UNKNOWN` if the server does not know the goal."""
         known = self._goals.get(goal)
         if known is not None and known.state not in OVER:
             known.gone = state == UNKNOWN
             self._change(goal, state)
 
     def server_gone(self) -> None:
-        """The server is gone, and what becomes of its goals is not known."""
+        """Note that the server has gone: the states of unfinished goals are unknown."""
         for goal, known in self._goals.items():
             known.listed = False
             if known.state not in OVER:
@@ -192,12 +206,12 @@ class Goals:
                 self._change(goal, UNKNOWN)
 
     def over_for(self, goal: bytes) -> float | None:
-        """S since it was over; None: it is not known to be."""
+        """Return the seconds since a goal finished, or None if it may still run."""
         known = self._goals.get(goal)
         return self._now() - known.changed_at if known is not None and known.state in OVER else None
 
     def running(self) -> list[bytes]:
-        """Those sent by this route's callers that are not known to be over, nor to wait for their acceptance."""
+        """Return the accepted goals of this route's callers that may still run."""
         return [
             goal
             for goal, known in self._goals.items()
@@ -205,10 +219,10 @@ class Goals:
         ]
 
     def snapshot(self, awaited: AbstractSet[bytes]) -> tuple[GoalSnapshot, ...]:
-        """All of them: those that are not over first, newest first.
+        """Return all goals, unfinished ones first, and newer before older ones.
 
         Args:
-            awaited: those for whose results callers wait.
+            awaited: ids of goals whose results callers wait for.
         """
         newest = list(self._goals.items())[::-1]
         newest.sort(key=lambda item: item[1].state in OVER)
@@ -230,7 +244,7 @@ class Goals:
 
     @staticmethod
     def _follows(old: str, new: str) -> bool:
-        """Whether a state is news: messages of an action's five lanes overtake each other."""
+        """Return whether a state is news, because messages of an action's five lanes overtake each other."""
         if old in OVER:
             return False
         return new in OVER or (new in _ORDER and _ORDER.index(new) > _ORDER.index(old))

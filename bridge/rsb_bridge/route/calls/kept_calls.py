@@ -1,8 +1,9 @@
-"""The calls of an action that outlive an interruption, on the callers' side, and their answers, on the providing side.
+"""An action's calls and answers that outlive an interruption of the link.
 
-A service's call that is under way when the link drops is given up: nobody knows whether the node has got it, and it
-must not get it twice. An action's calls are about a goal that has an id, so they are asked about again by that id once
-the action can be reached again: cancels first, then what became of goals that were under way, then results.
+When the link drops, a service's pending call is given up: the node may have received it, and must not receive it twice.
+An action's call names its goal by an id. The callers' side keeps it, and sends it again once the action can be reached:
+cancels first, then goals, then requests for results. The providing side recognizes the id, and answers from what the
+server has answered meanwhile.
 """
 
 from __future__ import annotations
@@ -19,32 +20,32 @@ if TYPE_CHECKING:
     from collections.abc import Set as AbstractSet
 
 INTERRUPTION = 3600.0
-"""s: how long a call outlives an interruption at most, and its answer on the other side."""
+"""s for which a call outlives an interruption at most, and its answer on the other side."""
 MOST_CALLS = 256
 MOST_BYTES = 8 << 20
-"""Of their requests."""
+"""Bytes of the kept calls' requests."""
 
 _FIRST = (CANCEL_GOAL, SEND_GOAL, GET_RESULT)
 MOST_KEPT = 512
-"""Questions that are remembered, with an answer and without."""
+"""Questions that are remembered, answered or not."""
 MOST_ANSWER_BYTES = 16 << 20
-"""Of their answers."""
+"""Bytes of the kept answers."""
 SENT_KEPT = 60.0
-"""s: how long an answer is kept after it was sent. A link may take some of it to notice that nothing arrives."""
+"""s for which an answer is kept after it was sent, as a link may notice late that nothing arrives."""
 _LITTLE_ENDIAN = b"\0\1\0\0"
 
 
 class KeptCall(NamedTuple):
-    """One of them.
+    """A call that can be sent again.
 
     Attributes:
-        lane: of an action's, a service.
+        lane: of a service of the action.
         caller: for `rsb_bridge.ros.ros_interface.ServiceServer.answer`.
         payload: the serialized request.
-        asked: s, when the caller asked.
-        again: it has been under way before.
-        instance: of the peer's process that it was sent to; empty: it has not been.
-        stamp: ns, from which its age counts, or 0 if that is not limited.
+        asked: when the caller asked, in s.
+        again: whether it was sent before.
+        instance: the peer's process that it was sent to, or empty if it was not sent.
+        stamp: the time from which its age counts, in ns, or 0 without a limit.
     """
 
     lane: int
@@ -60,7 +61,7 @@ class KeptCalls:
     """The calls of one callers' half that wait for the end of an interruption.
 
     Args:
-        timeout: s that a call which names no goal waits: a late "cancel all goals" would end goals that came after it.
+        timeout: s that a call without a goal waits: a late "cancel all goals" would end goals that came after it.
     """
 
     def __init__(self, timeout: float) -> None:
@@ -72,7 +73,7 @@ class KeptCalls:
         return len(self._calls)
 
     def keep(self, call: KeptCall, now: float) -> bool:
-        """Keep a call; False: it does not outlive an interruption, or there are too many."""
+        """Keep a call. Return False if it must not outlive an interruption, or too many are kept."""
         until = self._until(call, now)
         if until <= now or call.caller in self._calls:
             return False
@@ -88,20 +89,20 @@ class KeptCalls:
             return now + INTERRUPTION if cancel is not None and cancel.goal is not None else call.asked + self.timeout
         if goal_of(call.payload) is None:
             return now
-        if call.lane == SEND_GOAL:  # one that has not been under way must not begin late
+        if call.lane == SEND_GOAL:  # a goal that was never sent must not begin late
             return now + INTERRUPTION if call.again else now
         return now + INTERRUPTION if call.lane == GET_RESULT else now
 
     def requests(self, lane: int) -> list[bytes]:
-        """What the calls of a lane ask."""
+        """Return the requests of a lane's calls."""
         return [call.payload for call, _ in self._calls.values() if call.lane == lane]
 
     def expire(self, now: float) -> list[KeptCall]:
-        """Those that have waited too long, which wait no longer."""
+        """Remove and return the calls that have waited too long."""
         return [self._drop(caller) for caller, (_, until) in list(self._calls.items()) if until <= now]
 
     def release(self) -> list[KeptCall]:
-        """All of them, in the order in which to ask; they wait no longer."""
+        """Remove and return all calls, in the order in which to send them."""
         calls = [call for call, _ in self._calls.values()]
         self._calls.clear()
         self._bytes = 0
@@ -114,26 +115,26 @@ class KeptCalls:
 
 
 class AnswerAction(Enum):
-    """What to do with a call."""
+    """The decision on a call."""
 
     ASK = auto()
-    """The server."""
+    """Ask the server."""
     WAIT = auto()
-    """The server has been asked that."""
+    """Wait for the answer to an earlier call with the same question."""
     ANSWER = auto()
-    """With what the server answered."""
+    """Send the kept answer."""
     REFUSE = auto()
-    """It never came here, and must not begin now."""
+    """Refuse a goal that never arrived: it must not begin late."""
     LOSE = auto()
-    """It must not begin now, and nobody knows whether it came here."""
+    """Refuse a goal that may have arrived: it must not begin twice."""
 
 
 class Question(NamedTuple):
-    """What calls about the same have in common.
+    """Identifies calls with the same meaning.
 
     Attributes:
-        lane: of an action's, a service.
-        about: the goal's id; of a cancel, all that it says.
+        lane: of a service of the action.
+        about: the goal's id, or the whole content of a cancel.
     """
 
     lane: int
@@ -142,14 +143,14 @@ class Question(NamedTuple):
 
 @dataclass(slots=True)
 class Kept:
-    """A question to the server, and what it answered.
+    """A question to the server, and its answer.
 
     Attributes:
-        number: of the client's call here; 0: a result has to be asked for, and what became of a goal is not known.
-        servers: that were there when it was asked: ids.
-        calls: of the other side's present opening that wait for it.
-        answer: None: none yet.
-        until: s, when it is forgotten; None: not before its answer has come.
+        number: of the client's call here, or 0 if no answer to that call can come any more.
+        servers: ids of the servers that were there when the question was asked.
+        calls: numbers of the peer's calls, in the present opening, that wait for the answer.
+        answer: the serialized response, or None until it comes.
+        until: when it is forgotten, in s, or None to keep it until its answer comes.
     """
 
     number: int
@@ -160,7 +161,7 @@ class Kept:
 
 
 def question_of(lane: int, payload: bytes) -> Question | None:
-    """What a request asks; None: nothing that could be asked about again."""
+    """Return the question that a request asks, or None if it cannot be recognized later."""
     if lane == CANCEL_GOAL:
         cancel = cancel_of(payload)
         return Question(lane, cancel.request) if cancel is not None else None
@@ -169,24 +170,23 @@ def question_of(lane: int, payload: bytes) -> Question | None:
 
 
 def result_request(goal: bytes) -> bytes:
-    """A get_result request."""
+    """Return a get_result request."""
     return _LITTLE_ENDIAN + goal
 
 
 class KeptAnswers:
-    """What one action's server was asked lately.
+    """The recent questions to one action's server, and its answers.
 
-    What a server was asked goes on here when the link drops: its answer, above all a result, is kept until it has been
-    asked for again. Action servers forget results themselves (rcl_action: 10 s after the end, by default), so that
-    without this an outage would outlast them.
+    A question stays open when the link drops. Its answer, above all a result, is kept until the other side asks again.
+    Action servers forget results (rcl_action: by default 10 s after the goal): a longer outage would lose them.
     """
 
     def __init__(self) -> None:
         self._kept: dict[Question, Kept] = {}  # oldest first
         self._by_number: dict[tuple[int, int], Question] = {}
-        self._waiting: dict[int, Question] = {}  # calls, all of which are in `Kept.calls`
+        self._waiting: dict[int, Question] = {}  # by call; each of these calls is in `Kept.calls`
         self._bytes = 0
-        self._has_forgotten = False  # too early, for want of room
+        self._has_forgotten = False  # a question, too early, because there was no room
 
     def __contains__(self, question: Question) -> bool:
         return question in self._kept
@@ -197,30 +197,30 @@ class KeptAnswers:
         return any(kept.answer is None for kept in self._kept.values())
 
     def has_answer(self, question: Question | None) -> bool:
-        """Whether the server has answered that."""
+        """Return whether the server has answered a question."""
         kept = self._kept.get(question) if question is not None else None
         return kept is not None and kept.answer is not None
 
     def awaited(self) -> set[bytes]:
-        """The goals whose results calls of the other side wait for."""
+        """Return the goals whose results the other side's calls wait for."""
         return {question.about for question, kept in self._kept.items() if question.lane == GET_RESULT and kept.calls}
 
     def answer(self, question: Question) -> bytes:
-        """What the server answered to a call that is to be answered so."""
+        """Return the kept answer to a question for which `take` returned `ANSWER`."""
         answer = self._kept[question].answer
         assert answer is not None
         return answer
 
     def take(self, question: Question, call: int, *, again: bool) -> AnswerAction:
-        """Decide on a call.
+        """Decide how to handle a call.
 
-        Results may be asked for as often as anybody likes, as they do not change. Everything else goes to the server,
-        unless it has been there.
+        A result does not change, so that one answer serves all calls for it. Other calls go to the server, unless the
+        call was sent to it before.
 
         Args:
-            question: what it asks.
-            call: its number in the present opening; it waits, where that is the answer.
-            again: it was under way in an earlier opening.
+            question: the question of the call.
+            call: its number in the present opening; it is noted if the decision is `WAIT`.
+            again: whether the call was sent in an earlier opening.
         """
         kept = self._kept.get(question)
         if kept is None and again and question.lane == SEND_GOAL:
@@ -239,9 +239,9 @@ class KeptAnswers:
         return AnswerAction.WAIT
 
     def asked(self, question: Question, number: int, servers: AbstractSet[bytes], *calls: int) -> None:
-        """The server has been asked, under a number of the client's; these calls wait for its answer.
+        """Note that the server was asked, under the client's number, and the calls that wait for its answer.
 
-        Of two goals with the same id, the answer to the first is kept: the server refuses the second.
+        If two goals have the same id, the answer to the first is kept: the server refuses the second.
         """
         kept = self._kept.get(question)
         self._waiting.update(dict.fromkeys(calls, question))
@@ -263,10 +263,10 @@ class KeptAnswers:
     def answered(
         self, lane: int, number: int, answer: bytes, now: float, *, linked: bool
     ) -> tuple[Question, list[int]] | None:
-        """The server has answered.
+        """Keep an answer of the server.
 
         Returns:
-            The question, and the calls that waited; None: it is not kept.
+            The question and the calls that waited for it, or None if the question is not kept.
         """
         question = self._by_number.pop((lane, number), None)
         if question is None:
@@ -276,7 +276,7 @@ class KeptAnswers:
         for call in calls:
             self._waiting.pop(call, None)
         if (lane == GET_RESULT and state_of(answer) in (None, STATES[0])) or len(answer) > MOST_ANSWER_BYTES:
-            self._forget(question)  # that it does not know a goal may change
+            self._forget(question)  # a goal that the server does not know may still come
             return question, calls
         kept.answer, kept.until = answer, now + (SENT_KEPT if linked else INTERRUPTION)
         self._bytes += len(answer)
@@ -285,33 +285,33 @@ class KeptAnswers:
         return question, calls
 
     def is_over(self, call: int, now: float) -> None:
-        """A call waits no more."""
+        """Note that a call has ended."""
         if (question := self._waiting.pop(call, None)) is not None:
             self._kept[question].calls.remove(call)
             self._forget_soon(question, now)
 
     def gave_up(self, lane: int, number: int, now: float) -> None:
-        """The call that asked the server is over without an answer."""
+        """Note that the call that asked the server has ended without an answer."""
         if (question := self._by_number.get((lane, number))) is not None:
             self._forget_soon(question, now)
 
     def _forget_soon(self, question: Question, now: float) -> None:
-        """Keep for a while what has no answer and no call waits for. Results are kept: a goal may take days."""
+        """Forget an unanswered question after a while if no call waits for it, but no result: a goal may take days."""
         kept = self._kept[question]
         if question.lane != GET_RESULT and kept.answer is None and not kept.calls:
             kept.until = now + SENT_KEPT
 
     def results_awaited(self) -> list[tuple[bytes, list[int]]]:
-        """Goals for whose results calls wait, and these calls."""
+        """Return goals, and the calls that wait for their results."""
         return [(about, [*kept.calls]) for (lane, about), kept in self._kept.items() if lane == GET_RESULT]
 
     def interrupted(self, now: float) -> None:
-        """Keep what may be asked about again: all that is under way, and what was sent and may not have arrived."""
+        """Keep every question and answer for longer: answers that were sent may not have arrived."""
         for kept in self._kept.values():
             kept.until = now + INTERRUPTION + SENT_KEPT  # longer than the other side keeps its question
 
     def clients_closed(self) -> None:
-        """No answer comes to what was asked: results have to be asked for again, the rest is not known."""
+        """Give up open questions. Results can be asked for again; the fate of goals is unknown."""
         self._by_number.clear()
         for question, kept in list(self._kept.items()):
             if kept.answer is not None:
@@ -321,7 +321,7 @@ class KeptAnswers:
                 self._forget(question)
 
     def to_ask(self, servers: AbstractSet[bytes]) -> list[Question]:
-        """Results to ask for, now that these servers can be called: none of those that were asked is there any more."""
+        """Return the results to ask these servers for, because the servers that were asked have gone."""
         return [
             question
             for question, kept in self._kept.items()
@@ -331,13 +331,13 @@ class KeptAnswers:
         ]
 
     def expire(self, now: float) -> None:
-        """Forget what is too old."""
+        """Forget old questions."""
         for question, kept in list(self._kept.items()):
             if kept.until is not None and kept.until <= now:
                 self._forget(question)
 
     def _forget_one(self) -> None:
-        """The oldest, those with answers first; none that calls wait for, which the link's bounds on calls are for."""
+        """Forget the oldest question, answered ones first. If calls wait for it, the link's bounds on calls apply."""
         answered = (each for each, kept in self._kept.items() if kept.answer is not None)
         idle = (each for each, kept in self._kept.items() if not kept.calls)
         oldest = next(answered, None) or next(idle, None)

@@ -16,16 +16,16 @@ if TYPE_CHECKING:
 
 _MATCHED_WITHIN = 5.0
 """s for DDS to match a new client with the server that the graph shows."""
-_LOOKED_EVERY = 0.05  # s: nothing tells of it
-_LEFT_LOOKED_EVERY = 1.0  # s, likewise
+_LOOKED_EVERY = 0.05  # s: DDS has no event for that
+_LEFT_LOOKED_EVERY = 1.0  # s: nor for a server that has gone
 
 
 class CallError(Exception):
-    """A call by hand has no answer; the message says why, and what to do."""
+    """An operator's call has no answer; the message gives the reason and the remedy."""
 
 
 class ManualCall:
-    """Stands where the server of a service stands for callers: the answer to an operator's call ends up here.
+    """Receives the answer to an operator's call, as a `ServiceServer` does for other callers.
 
     Args:
         loop: that the operator waits on.
@@ -38,36 +38,36 @@ class ManualCall:
         self.answered: asyncio.Future[bytes] = loop.create_future()
 
     def answer(self, caller: bytes, payload: bytes) -> None:
-        """Take the response; `caller` is of no use here."""
+        """Take the response; `caller` is ignored."""
         if not self.answered.done():
             self.answered.set_result(payload)
 
     def fail(self, reason: str) -> None:
-        """There will be none."""
+        """End the call without an answer."""
         if not self.answered.done():
             self.answered.set_exception(CallError(reason))
 
     def close(self) -> None:
-        """It holds nothing."""
+        """Do nothing: it holds nothing."""
 
 
 async def call_directly(
     context: Context, service: str, entry: LaneEntry, request: bytes, within: float | None
 ) -> bytes:
-    """Call a service of this side's domain, whatever becomes of the link.
+    """Call a service of this side's domain, even if the link is lost.
 
     Args:
         context: what every part of the engine shares.
         service: its name.
         entry: its type and hash.
         request: serialized.
-        within: s; None: as long as it takes, or until whoever waits has gone.
+        within: the timeout in s, or None to wait until the answer comes or the task is cancelled.
 
     Returns:
         The serialized response.
 
     Raises:
-        CallError: there is none.
+        CallError: no response came.
     """
     hand = ManualCall(context.loop)
 
@@ -97,7 +97,7 @@ async def call_directly(
 
 
 async def _answer(client: ServiceClient, hand: ManualCall, service: str) -> bytes:
-    """What the node says, unless it goes before: nobody else tells whoever has no limit of time."""
+    """Wait for the response, or until the server has gone, which ends a wait without a timeout."""
     while not (await asyncio.wait((hand.answered,), timeout=_LEFT_LOOKED_EVERY))[0]:
         if not client.ready:
             raise CallError(f"{service} gave no answer: its server has gone")

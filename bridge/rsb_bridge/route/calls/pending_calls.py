@@ -1,4 +1,4 @@
-"""Calls that wait for their answers, each until it is given up."""
+"""Calls that wait for their answers, until they expire."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ _ROOM = 64
 
 @dataclass(slots=True)
 class Call:
-    """A call.
+    """A call that waits for its answer.
 
     Attributes:
-        lane: its place among the route's lanes.
+        lane: its place among the route's members.
         size: bytes that it holds of the link's budget.
-        asked_at: s, when it came.
+        asked_at: when it came, in s.
     """
 
     lane: int
@@ -33,14 +33,14 @@ class Call:
 C = TypeVar("C", bound=Call)
 
 
-class UnderWay(Generic[C]):
-    """Holds calls by number, and gives back to the budget what ended calls held.
+class PendingCalls(Generic[C]):
+    """Holds calls by number, and returns to the budget what ended calls held.
 
     Args:
         loop: sets the timer; its time is the clock.
-        budget: of the link; whoever adds a call has taken its place there.
-        on_expired: called with a call's number and the call, once it has been taken out after its timeout.
-        on_end: called with the number of every call that is over, for whatever else is kept of it.
+        budget: of the link; adding a call does not take from it: the adder has done that.
+        on_expired: called with the number and the call after its timeout, once it is removed.
+        on_end: called with the number of each call that ends, for any reason.
     """
 
     def __init__(
@@ -55,7 +55,7 @@ class UnderWay(Generic[C]):
         self._on_expired = on_expired
         self._on_end = on_end
         self._calls: dict[int, C] = {}
-        self._deadlines: list[tuple[float, int]] = []  # a heap; those of ended calls stay for a while
+        self._deadlines: list[tuple[float, int]] = []  # a heap; entries of ended calls stay for a while
         self._timer: asyncio.TimerHandle | None = None
 
     def __len__(self) -> int:
@@ -65,15 +65,15 @@ class UnderWay(Generic[C]):
         return number in self._calls
 
     def get(self, number: int) -> C | None:
-        """The call of that number; None: it is over, or never was."""
+        """Return the call of a number, or None if it has ended or never began."""
         return self._calls.get(number)
 
-    def numbers(self) -> tuple[int, ...]:
-        """Of all of them, in the order in which they were added."""
-        return tuple(self._calls)
+    def items(self) -> list[tuple[int, C]]:
+        """Return numbers and calls, oldest first."""
+        return list(self._calls.items())
 
     def add(self, number: int, call: C, timeout: float | None) -> None:
-        """A call is under way; it is given up after `timeout` s; None: never."""
+        """Add a call that expires after `timeout` s, or never if that is None."""
         self._calls[number] = call
         if timeout is not None:
             if len(self._deadlines) > 2 * len(self._calls) + _ROOM:
@@ -83,7 +83,7 @@ class UnderWay(Generic[C]):
             self._set_timer()
 
     def end(self, number: int) -> C | None:
-        """A call is over; None: it was already, or never was."""
+        """Remove a call and return it, or None if it has ended or never began."""
         call = self._calls.pop(number, None)
         if call is not None:
             self._budget.give(call.size)
@@ -94,7 +94,7 @@ class UnderWay(Generic[C]):
         return call
 
     def resize(self, call: C, size: int) -> bool:
-        """Let a call hold other bytes; False: the budget has no room for them."""
+        """Have a call hold another number of bytes. Return False if the budget has no room for them."""
         if not self._budget.change(call.size, size):
             return False
         call.size = size

@@ -1,25 +1,44 @@
-"""The providing half of a route of calls: sees who answers here, says so, and calls them for the peer's callers."""
+"""The providing half of a route of calls: finds who answers here, tells the peer, and calls them for its callers.
+
+A call comes from the channel to `ProvidingRoute._take`, and goes to ROS in `_call`. The server's response comes to
+`_responded`, goes to the outbox in `_answer`, and ends the call in `_leaves`, once the channel takes it.
+
+An action's goals go on while the link is down. Its server is asked for the result of every goal as soon as it accepts
+the goal, and its answers are kept, so that they are there when the other side asks again
+(`rsb_bridge.route.calls.kept_calls`).
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, ClassVar
 
 import msgspec
 
-from rsb_bridge.model.calls import Refused
+from rsb_bridge.model.calls import GET_RESULT, SEND_GOAL, STATUS, Refused
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.snapshot import Stage
 from rsb_bridge.model.sources import MOST_HOPS
 from rsb_bridge.model.verdict import Cause
+from rsb_bridge.ros.parameter_events import ParameterEventError
 from rsb_bridge.ros.ros_interface import RosError
 from rsb_bridge.route.calls.call_endpoints import Clients, name_of
 from rsb_bridge.route.calls.call_servers import CallLoopGuard, Provision, provision
 from rsb_bridge.route.calls.calls_ledger import REMEDIES
 from rsb_bridge.route.calls.calls_route import CallsRoute, frame_size
 from rsb_bridge.route.calls.calls_verdict import CallsFacts, Trouble
+from rsb_bridge.route.calls.goals import Goals, accepted_by
+from rsb_bridge.route.calls.kept_calls import (
+    INTERRUPTION,
+    AnswerAction,
+    KeptAnswers,
+    Question,
+    question_of,
+    result_request,
+)
 from rsb_bridge.route.calls.manual_call import CallError, call_directly
-from rsb_bridge.route.calls.pending_calls import Call, UnderWay
+from rsb_bridge.route.calls.node_parameters import own_event, why_no_parameters
+from rsb_bridge.route.calls.pending_calls import Call, PendingCalls
 from rsb_bridge.route.combined_verdict import node_names
 from rsb_bridge.wire.headers import CallFrame, What
 from rsb_bridge.wire.messages import Provide
@@ -31,15 +50,17 @@ if TYPE_CHECKING:
 
     from rsb_bridge.context import Context
     from rsb_bridge.model.session import Topic
+    from rsb_bridge.model.snapshot import RouteSnapshot
     from rsb_bridge.ros.ros_interface import Endpoint, RawMessage, Response
     from rsb_bridge.route.route import Owner
     from rsb_bridge.wire.messages import Propose
     from rsb_bridge.wire.records import LaneEntry
 
 _MATCHED_AGAIN = 0.05
-"""s until it is seen again whether DDS has matched a new client with its server."""
+"""s until the next look whether DDS has matched a new client with its server."""
 _EXPLAINED_AGAIN = 0.5
-"""s until it is seen again whether a bridge has said where the answers come from."""
+"""s until the next look whether a bridge has announced where its answers come from."""
+_REFUSALS = {AnswerAction.REFUSE: Refused.NOT_ARRIVED, AnswerAction.LOSE: Refused.LOST}
 
 
 @dataclass(slots=True)
@@ -47,32 +68,68 @@ class PeersCall(Call):
     """A call of the other side's.
 
     Attributes:
-        number: of the client's call here.
-        servers: that may have got it: ids.
+        number: of the client's call here, or 0 if it waits for the answer to another call.
+        servers: ids of the servers that may have got it.
     """
 
     number: int
     servers: set[bytes]
 
 
+class ProviderAction:
+    """Goals of an action, and its server's answers, which outlive an interruption.
+
+    Args:
+        context: has the clock.
+
+    Attributes:
+        goals: all that are known.
+        answers: what the server was asked, and answered.
+        status: the server's last status message.
+        status_sent: whether the other side has it in the present opening.
+        interrupted_at: when the interruption began, in s, or None while the action can be reached.
+    """
+
+    def __init__(self, context: Context) -> None:
+        self.goals = Goals(context.wall, context.now)
+        self.answers = KeptAnswers()
+        self.status = b""
+        self.status_sent = False
+        self.interrupted_at: float | None = None
+
+    @property
+    def expects_answers(self) -> bool:
+        """Whether the server still owes an answer."""
+        return self.answers.under_way or bool(self.goals.running())
+
+    def published(self, lane: int, messages: Sequence[RawMessage]) -> None:
+        """Read the server's feedback or status."""
+        if lane == STATUS:
+            self.status, self.status_sent = messages[-1].payload, False
+        for message in messages:
+            self.goals.message(lane, message.payload)
+
+
 class ProvidingRoute(CallsRoute):
-    """Tells what is provided here, and has it answer."""
+    """Tells the peer what is provided here, and passes its calls on.
+
+    Attributes:
+        action: goals and answers of an action, or None for a service or parameters.
+    """
 
     outgoing: ClassVar[bool] = False
-    takes: ClassVar[tuple[What, ...]] = (What.CALL,)
-    """The frames that its peer may send."""
-    makes: ClassVar[type[Clients]] = Clients
 
     def __init__(self, context: Context, peer: Owner, spec: Topic, proposal: Propose, *, proposed_here: bool) -> None:
         super().__init__(context, peer, spec, proposal, proposed_here=proposed_here)
+        self.action = ProviderAction(context) if spec.kind == "action" else None
         self._provision = Provision()
-        self._circles = CallLoopGuard(context, peer)
+        self._loop_guard = CallLoopGuard(context, peer)
         self._via: dict[str, None] = {}  # the bridges that answers cross before they come here
         self._present: set[bytes] = set()  # ids of servers; the calls made since the last look share it
         self._told: Provide | None = None  # in the present opening
-        self._served_in = 0  # the last connection in which somebody provided it; 0: in none
-        self._clients = self.makes(context, peer, self.lanes, self._responded, self._published, self._client_failed)
-        self._under_way = UnderWay[PeersCall](context.loop, peer.budget.provided, self._expired, self._is_over)
+        self._served_in = 0  # the last connection in which a server was there, or 0
+        self._clients = Clients(context, peer, self.members, self._responded, self._published, self._client_failed)
+        self._pending = PendingCalls[PeersCall](context.loop, peer.budget.provided, self._expired, self._ended)
         self._by_number: dict[tuple[int, int], int] = {}  # the peer's call, by lane and the client's number
         self._highest = 0
         self._again: asyncio.TimerHandle | None = None
@@ -80,45 +137,34 @@ class ProvidingRoute(CallsRoute):
     # --- setting up
 
     def advance(self) -> None:
-        """Open the channel; see who provides it, have clients for them, and tell the other side."""
+        """Open the channel; find who provides it, have clients for them, and tell the other side."""
         if not self.accepted:
             return
         if self.channel is None:
             self.peer.open_channel(self)
+        had_server, opened = bool(self._provision.entries), dict(self._clients.types)
         self._look()
         entries = self._provision.entries
-        if not entries or all(self.held(lane) for lane in range(len(self.lanes))):
-            self._failures.clear()
+        if not entries or all(self.held(lane) for lane in range(len(self.members))):
+            self._retry.clear()
             if self._clients:
                 self._close_clients()
                 why = "it was paused" if self.paused else "it is not armed" if entries else "its server has gone"
                 self._give_up_all(why)
-        elif self._load(entries):
+        elif self._load(entries) and not self._retry.waits(entries):
             self._have_clients(entries)
         self._give_up_orphans()
         self._tell()
         self.flush()
         self._verdict = None
-
-    def _have_clients(self, entries: Sequence[LaneEntry]) -> None:
-        if self._failures.waits(self._made_of()):
-            return
-        clients = self._clients
-        try:
-            if clients.types != clients.services_of(entries):
-                self._give_up_all("its servers have another type now")
-                clients.open(entries, self.local_names)
-            clients.open_topics(entries)
-        except RosError as error:
-            self._no_clients(error)
-        else:
-            self._failures.clear()
-
-    def _close_clients(self) -> None:
-        """Nothing may be called, or there is nobody to call."""
-        self._clients.close()
+        if self.action is not None and self.accepted:
+            if self._clients.types != opened:
+                self.action.answers.clients_closed()
+            if had_server and not self._provision.entries:
+                self.action.goals.server_gone()
 
     def _look(self) -> None:
+        """Find the servers that may be called, and what is wrong with them."""
         self._via.clear()
         self._provision = found = self._find()
         self.endpoints = found.servers
@@ -134,33 +180,52 @@ class ProvidingRoute(CallsRoute):
             self._served_in = self.peer.connections
 
     def _or_gone(self, trouble: Trouble | None) -> Trouble | None:
-        """Nobody provides it yet, or nobody does any more."""
-        has_gone = self._served_in == self.peer.connections and not self._circles.waits
+        """Return a trouble; a missing server that was there before has gone."""
+        has_gone = self._served_in == self.peer.connections and not self._loop_guard.waits
         if trouble is None or trouble.cause is not Cause.NO_SERVER or not has_gone:
             return trouble
         return Trouble(Cause.SERVER_GONE, f"{trouble.text} any more: start its node again")
 
     def _find(self) -> Provision:
-        """What there is to call here."""
+        """Return what can be called here."""
         context, type_name = self.context, self.proposal.type
-        return provision(context.ros, self.lanes, self.local_topic, type_name, context.domain_id, self._servers_of)
+        found = provision(context.ros, self.members, self.local_topic, type_name, context.domain_id, self._servers_of)
+        trouble = found.unavailable
+        if self.spec.kind != "parameters" or trouble is None or trouble.cause is not Cause.NO_SERVER:
+            return found
+        services = [name for member, name in zip(self.members, self.local_names, strict=True) if not member.is_topic]
+        trouble = why_no_parameters(context.ros, self.local_topic, services, context.domain_id, trouble)
+        return found._replace(unavailable=trouble)
 
     def _servers_of(self, lane: int) -> Sequence[Endpoint]:
-        """The servers of a lane that may be called.
+        """Return the servers of a lane that may be called.
 
         Raises:
             UnavailableError: there are some, but none may.
         """
         service = self.local_names[lane]
-        usable = self._circles.sort(service, name_of(self.lanes[lane], self.topic))
+        usable = self._loop_guard.sort(service, name_of(self.members[lane], self.topic))
         self._via.update(dict.fromkeys(usable.via))
         if usable.unexplained:
             self._advance_after(_EXPLAINED_AGAIN)
         usable.check(service, self.context.domain_id)
         return usable.servers
 
+    def _have_clients(self, entries: Sequence[LaneEntry]) -> None:
+        clients = self._clients
+        clients.node = self.local_topic if self.spec.kind == "parameters" else ""
+        try:
+            if clients.types != clients.services_of(entries):
+                self._give_up_all("its servers have another type now")
+                clients.open(entries, self.local_names)
+            clients.open_topics(entries)
+        except RosError as error:
+            self._no_clients(error)
+        else:
+            self._retry.clear()
+
     def _tell(self) -> None:
-        """Say what there is to call, once a call would reach somebody."""
+        """Tell the peer what it can call, once a call would reach a server."""
         entries = self._provision.entries if self._clients.ready else ()
         provide = Provide(route=self.id, pause_revision=self.pausing.revision)
         if entries:
@@ -171,19 +236,29 @@ class ProvidingRoute(CallsRoute):
         if provide != self._told:
             self._told = provide
             self.peer.send(provide)
+        if self.action is not None and self.accepted:
+            self._tell_of_goals(self.action)
+
+    def _tell_of_goals(self, action: ProviderAction) -> None:
+        """Send what an interruption has held up, and ask for the results that are missing."""
+        if action.status and not action.status_sent:  # the server does not publish it again for the new opening
+            self._send_status(action)
+        if self._clients.ready:
+            action.interrupted_at = None
+            for question in action.answers.to_ask(self._present):
+                self._ask_result(action, question)
 
     def _advance_after(self, seconds: float) -> None:
-        """Look again soon, as the graph does not tell what is waited for."""
+        """Advance again soon: no event announces what is waited for."""
         if self._again is None:
             self._again = self.context.loop.call_later(seconds, self._advance_again)
 
     def _advance_again(self) -> None:
         self._again = None
-        if self.id:
-            self.advance()
+        self._advance_if_open()
 
     def _client_failed(self, error: RosError) -> None:
-        """One has failed and closed itself."""
+        """Handle that a client has failed and closed itself."""
         self._no_clients(error)
         self._tell()
         self.flush()
@@ -191,10 +266,14 @@ class ProvidingRoute(CallsRoute):
     def _no_clients(self, error: RosError) -> None:
         self._clients.close()
         self._give_up_all("it cannot be called here")
-        self._ros_failed(f"cannot be called here: {error}")
+        self._ros_failed(f"cannot be called here: {error}", self._provision.entries)
+        if self.action is not None:
+            self.action.answers.clients_closed()
 
-    def _made_of(self) -> object:
-        return self._provision.entries
+    def _close_clients(self) -> None:
+        """Close the clients, unless an action's server still owes an answer."""
+        if self.action is None or not self.action.expects_answers:
+            self._clients.close()
 
     def _withdraw(self) -> None:
         self._close_clients()
@@ -203,10 +282,17 @@ class ProvidingRoute(CallsRoute):
             self._again = None
 
     def close(self, reason: str) -> None:
-        """End the opening; the calls that are under way are lost."""
+        """End the opening; pending calls are lost, but an action's server goes on answering."""
         super().close(reason)
         self._told = None
         self._highest = 0
+        if self.action is not None:
+            self.action.status_sent = False
+
+    def destroy(self) -> None:
+        """End the route for good."""
+        super().destroy()
+        self._clients.close()
 
     @property
     def offered(self) -> bool:
@@ -220,129 +306,141 @@ class ProvidingRoute(CallsRoute):
     def caller_nodes(self) -> tuple[str, ...]:
         return self._report.nodes if self._report is not None else ()
 
-    # --- calls
+    # --- calls, from the channel to ROS
 
-    def _take(self, frame: CallFrame) -> None:
-        if frame.what not in self.takes:
+    def _take(self, frame: CallFrame, *, readable: bool = True) -> None:
+        if frame.what is not What.CALL and (frame.what is not What.AGAIN or self.action is None):
             self.unexpected(frame)
-        self._count_peers(frame)
-        if (why := self._refusal(frame)) is not None:
-            self._refuse_peer(frame, why)
-        else:
-            self._take_call(frame)
-
-    def _take_unreadable(self, frame: CallFrame) -> None:
-        if frame.what not in self.takes:
-            self.unexpected(frame)
-        self._count_peers(frame)
-        self._refuse_peer(frame, Refused.BYTES_UNDER_WAY)
-
-    def _count_peers(self, frame: CallFrame) -> None:
         if frame.call <= self._highest:
             raise ProtocolError(f"call {frame.call} after call {self._highest}")
         self._highest = frame.call
         self._asked_for(len(frame.content))
+        if (why := self._refusal(frame) if readable else Refused.BYTES_UNDER_WAY) is not None:
+            self._refuse_peer(frame, why)
+        elif self.action is not None and (question := question_of(frame.lane, frame.content)) is not None:
+            self._take_question(self.action, question, frame)
+        else:
+            self._call(frame)
 
     def _refusal(self, frame: CallFrame) -> Refused | None:
-        """Why a call is not made here; if it is, it has its place in the link's budget."""
-        now = self.context.now()
-        limited = self._is_limited(frame)
+        """Return the reason why a call is not made, or take its place in the link's budget and return None."""
+        now, limited = self.context.now(), self._is_limited(frame)
         if limited and (why := self._why_held(frame)) is not None:
             return why
-        if self._told is None or not self._told.lanes:  # asking DDS again would take its time at each call
+        if self._told is None or not self._told.lanes:  # a question to DDS at each call would take its time
+            if self._is_answered(frame):
+                return self.peer.budget.provided.take(frame_size(frame.content), now)
             return Refused.PROVIDER_GONE
         if (why := self._malformed(frame, "_Request")) is not None:
             return why
-        if limited and (why := self._why_held(frame)) is not None:  # the look at its content may have taken long
+        if limited and (why := self._why_held(frame)) is not None:  # the check of its content may have taken long
             return why
         if limited and not self.limit.admits(now):
             return Refused.CALLS_A_SECOND
         return self.peer.budget.provided.take(frame_size(frame.content), now)
 
+    def _is_limited(self, frame: CallFrame) -> bool:
+        """Return whether arming, pauses and limits apply to a call: not if it only asks about a goal again."""
+        if not self.members[frame.lane].limited:
+            return False
+        return frame.what is not What.AGAIN or question_of(frame.lane, frame.content) is None
+
     def _why_held(self, frame: CallFrame) -> Refused | None:
-        """Why a call that operators limit may not be made now."""
+        """Return the reason why a limited call may not be made now, or None."""
         if self.age.is_on and self.age.why_old(frame.stamp) is not None:
             return Refused.TOO_OLD
         return self.held_now(frame.lane) or (None if self.arming.admits(frame.lease) else Refused.DISARMED)
 
-    def _is_limited(self, frame: CallFrame) -> bool:
-        """Whether what operators limit is about this call."""
-        return self.lanes[frame.lane].limited
+    def _is_answered(self, frame: CallFrame) -> bool:
+        """Return whether a kept answer serves a call, without a server."""
+        if self.action is None or (frame.what is not What.AGAIN and frame.lane != GET_RESULT):
+            return False
+        return self.action.answers.has_answer(question_of(frame.lane, frame.content))
 
-    def _refuse_peer(self, frame: CallFrame, why: Refused) -> None:
-        self._refuse(why)
-        self._send(frame._replace(what=What.REFUSED, took=0, content=why.encode()))
-
-    def _take_call(self, frame: CallFrame) -> None:
-        """Make a call here, which has its place in the budget."""
-        size = frame_size(frame.content)
+    def _call(self, frame: CallFrame) -> PeersCall | None:
+        """Make a call that has its place in the budget. Return None if ROS refuses it."""
         try:
             number = self._clients.clients[frame.lane].call(frame.content)
         except RosError as error:
-            self.peer.budget.provided.give(size)
+            self.peer.budget.provided.give(frame_size(frame.content))
             self.notices.message_error(EventCode.ROUTE_CALL_FAILED, str(error))
             self._refuse_peer(frame, Refused.NOT_SENT)
-            return
-        call = PeersCall(frame.lane, size, self.context.now(), number, self._present)
+            return None
         self._by_number[frame.lane, number] = frame.call
-        self._under_way.add(frame.call, call, self.timeout_of(frame.lane))
+        return self._add(frame, number)
 
-    def _responded(self, lane: int, responses: Sequence[Response]) -> None:
-        """Take responses of servers here, the oldest first."""
-        for response in responses:
-            self._take_response(lane, response)
-        self.flush()
+    def _add(self, frame: CallFrame, number: int = 0) -> PeersCall:
+        call = PeersCall(frame.lane, frame_size(frame.content), self.context.now(), number, self._present)
+        self._pending.add(frame.call, call, self.timeout_of(frame.lane))
+        return call
+
+    def _refuse_peer(self, frame: CallFrame, why: Refused) -> None:
+        self._refuse(why)
+        self._outbox.put(frame._replace(what=What.REFUSED, took=0, content=why.encode()))
 
     async def call_by_hand(self, lane: int, request: bytes) -> bytes:
-        """Call the node here; that is no call of the other side's, and not counted. What has to be armed has to be."""
-        if (why := self.unarmed_now(lane)) is not None:  # be it paused, too
+        """Call the node here. Arming applies, but neither pause nor counts do: it is no call of the other side's."""
+        if (why := self.unarmed_now(lane)) is not None:
             raise CallError(f"{self.local_topic} cannot be called now: {REMEDIES[why]}")
         name, within = self.local_names[lane], self.timeout_of(lane)
         return await call_directly(self.context, name, self.entry(lane), request, within)
 
     def entry(self, lane: int) -> LaneEntry:
-        """What there is to call here, whatever becomes of the link."""
+        """Return the type of a lane that can be called here, even if the link is down."""
         found = self._find()
         if found.unavailable is not None:
             raise CallError(found.unavailable.text)
         return found.entries[lane]
 
+    # --- answers, from ROS to the channel
+
+    def _responded(self, lane: int, responses: Sequence[Response]) -> None:
+        """Take responses of servers here, the oldest first."""
+        for response in responses:
+            if self.action is None or not self._keep_answer(self.action, lane, response):
+                self._take_response(lane, response)
+        self.flush()
+
     def _take_response(self, lane: int, response: Response) -> None:
         peers = self._by_number.pop((lane, response.number), None)
-        if peers is None or peers not in self._under_way:
+        if peers is None or peers not in self._pending:
             self.calls.late += 1
         else:
-            self._answer_peer(peers, response.payload)
+            self._answer(peers, response.payload)
 
-    def _answer_peer(self, peers: int, payload: bytes) -> None:
-        """Answer a call that is under way."""
-        call = self._under_way.get(peers)
+    def _answer(self, peers: int, payload: bytes) -> None:
+        """Answer a call of the peer's, if it is still pending."""
+        call = self._pending.get(peers)
         if call is None:
             return
         took = self.context.now() - call.asked_at
-        if not self.lanes[call.lane].patient:
+        if not self.members[call.lane].patient:
             self.calls.node.add(took)
         if len(payload) > self._outbox.largest:
             self._give_up(peers, Refused.TOO_LARGE)
-        elif not self._under_way.resize(call, frame_size(payload)):
+        elif not self._pending.resize(call, frame_size(payload)):
             self._give_up(peers, Refused.BYTES_UNDER_WAY)
         else:
-            self._send(CallFrame(What.ANSWER, call.lane, peers, max(0, int(took * 1e9)), payload))
+            self._outbox.put(CallFrame(What.ANSWER, call.lane, peers, max(0, int(took * 1e9)), payload))
 
     def _leaves(self, frame: CallFrame) -> bool:
-        """An answer is about to be sent, which is the end of its call."""
-        if self._under_way.end(frame.call) is None:
+        """End the call of an answer that is about to be sent. Return False if it has ended before."""
+        if self._pending.end(frame.call) is None:
             return False
         self._answered(len(frame.content))
         return True
 
-    def _published(self, lane: int, messages: Sequence[RawMessage]) -> None:
-        """Take messages of a lane that is a topic, the oldest first."""
-        for message in messages:
-            self._send(CallFrame(What.MESSAGE, lane, 0, 0, message.payload))
-        self.flush()
+    # --- calls without an answer
+
+    def _ended(self, peers: int) -> None:
+        """Forget what else is held of a call that has ended."""
+        self._outbox.forget(peers)
+        if self.action is not None:
+            self.action.answers.is_over(peers, self.context.now())
 
     def _expired(self, number: int, call: PeersCall) -> None:
+        if self.action is not None:
+            self.action.answers.gave_up(call.lane, call.number, self.context.now())
         self.calls.expired += 1
         nodes, within = " and ".join(self.provider_nodes) or "the server", f"within {self.call_timeout:g} s"
         if call.number and self._by_number.pop((call.lane, call.number), None) is None:
@@ -352,34 +450,155 @@ class ProvidingRoute(CallsRoute):
         self._failed(f"{nodes} did not answer a call {within}")
 
     def _give_up(self, peers: int, why: Refused) -> None:
-        """Say that a call which is under way will have no answer, and why."""
-        if (call := self._under_way.end(peers)) is not None:
-            self._by_number.pop((call.lane, call.number), None)
-            self._refuse_peer(CallFrame(What.REFUSED, call.lane, peers, 0, b""), why)
-
-    def _is_over(self, peers: int) -> None:
-        """A call is over, whatever became of it."""
-        self._outbox.forget(peers)
+        """End a call without an answer, and tell the peer the reason."""
+        if (call := self._pending.get(peers)) is None:
+            return
+        if self.action is not None:
+            self.action.answers.gave_up(call.lane, call.number, self.context.now())
+        self._pending.end(peers)
+        self._by_number.pop((call.lane, call.number), None)
+        self._refuse_peer(CallFrame(What.REFUSED, call.lane, peers, 0, b""), why)
 
     def _is_orphan(self, call: PeersCall) -> bool:
-        """Whether nobody is there any more who could answer it."""
+        """Return whether all servers that may have got a call have gone."""
+        if self.action is not None and call.lane == GET_RESULT:
+            return False  # the action's next server is asked for results
         return call.servers.isdisjoint(self._present)
 
     def _give_up_orphans(self) -> None:
-        """Give up the calls of which no server is there any more."""
-        for number in self._under_way.numbers():
-            if (call := self._under_way.get(number)) is not None and self._is_orphan(call):
+        for number, call in self._pending.items():
+            if self._is_orphan(call):
                 self._give_up(number, Refused.LOST)
 
     def _give_up_all(self, why: str) -> None:
-        numbers = self._under_way.numbers()
-        for number in numbers:
-            if (call := self._under_way.end(number)) is not None:
-                self._send(CallFrame(What.REFUSED, call.lane, number, 0, Refused.LOST.encode()))
+        calls = self._pending.items()
+        for number, call in calls:
+            self._pending.end(number)
+            self._outbox.put(CallFrame(What.REFUSED, call.lane, number, 0, Refused.LOST.encode()))
         self._by_number.clear()
-        self._lose(len(numbers), why)
+        self._lose(len(calls), why)
+        if self.action is not None and self.action.interrupted_at is None:
+            now = self.action.interrupted_at = self.context.now()
+            self.action.answers.interrupted(now)
 
-    # --- how it is
+    # --- messages of lanes that are topics
+
+    def _published(self, lane: int, messages: Sequence[RawMessage]) -> None:
+        """Send messages from ROS, the oldest first."""
+        if (action := self.action) is not None:
+            action.published(lane, messages)
+            if not self.accepted:
+                return
+            if lane == STATUS:
+                self._send_status(action)
+                return
+        elif self.spec.kind == "parameters":
+            messages = self._own_events(messages)
+        for message in messages:
+            self._outbox.put(CallFrame(What.MESSAGE, lane, 0, 0, message.payload))
+        self.flush()
+
+    def _send_status(self, action: ProviderAction) -> None:
+        action.status_sent = True
+        self._outbox.put(CallFrame(What.MESSAGE, STATUS, 0, 0, action.status))
+        self.flush()
+
+    def _own_events(self, messages: Sequence[RawMessage]) -> Sequence[RawMessage]:
+        """Return the parameter events of this route's node, with the node's name on the callers' side."""
+        own = []
+        for message in messages:
+            try:
+                event = own_event(message.payload, self.local_topic, self.topic)
+            except ParameterEventError as error:
+                text = f"a parameter event is left out: {error}"
+                self.notices.message_error(EventCode.ROUTE_EVENT_LEFT_OUT, text)
+                continue
+            if event is not None:
+                own.append(message._replace(payload=event))
+        return own
+
+    # --- calls of an action
+
+    def _take_question(self, action: ProviderAction, question: Question, frame: CallFrame) -> None:
+        """Answer a call from the kept answers, have it wait for one, refuse it, or ask the server."""
+        todo = action.answers.take(question, frame.call, again=frame.what is What.AGAIN)
+        if todo is AnswerAction.ASK and frame.lane == GET_RESULT:
+            self._add(frame)
+            self._ask_result(action, question, frame.call)
+        elif todo is AnswerAction.ASK:
+            if (call := self._call(frame)) is not None:
+                action.answers.asked(question, call.number, frozenset(self._present))
+                if frame.lane == SEND_GOAL:
+                    action.goals.asked(question.about)
+        elif todo in _REFUSALS:
+            self.peer.budget.provided.give(frame_size(frame.content))
+            self._refuse_peer(frame, _REFUSALS[todo])
+        else:
+            self._add(frame)
+            if todo is AnswerAction.ANSWER:
+                self._answer(frame.call, action.answers.answer(question))
+
+    def _ask_result(self, action: ProviderAction, question: Question, *calls: int) -> None:
+        """Ask the server for a result; its answer is kept, and sent to the calls that wait for it."""
+        try:
+            number = self._clients.clients[GET_RESULT].call(result_request(question.about))
+        except RosError as error:
+            for call in calls:
+                self._give_up(call, Refused.NOT_SENT)
+            self._failed(f"a result could not be asked for: {error}")
+            return
+        action.answers.asked(question, number, frozenset(self._present), *calls)
+
+    def _keep_answer(self, action: ProviderAction, lane: int, response: Response) -> bool:
+        """Keep an answer and send it to all calls that wait for it. Return False if a call of its own needs it, too."""
+        number, payload, now = response.number, response.payload, self.context.now()
+        answered = action.answers.answered(lane, number, payload, now, linked=action.interrupted_at is None)
+        if answered is None:
+            return False
+        question, calls = answered
+        if (lane, number) in self._by_number:
+            self._take_response(lane, response)
+        for call in calls:
+            self._answer(call, payload)
+        action.goals.response(lane, question.about, payload)
+        if lane == SEND_GOAL and accepted_by(payload):
+            # The result is asked for at once, because the link may be lost at any time.
+            result = Question(GET_RESULT, question.about)
+            if result not in action.answers and GET_RESULT in self._clients.clients:
+                self._ask_result(action, result)
+        return True
+
+    def _give_up_results(self, action: ProviderAction) -> None:
+        """Expire calls for results of goals that have been over for as long as other calls may take.
+
+        The other side has given them up by then.
+        """
+        for goal, calls in action.answers.results_awaited():
+            over_for = action.goals.over_for(goal) if calls else None
+            if over_for is None or over_for <= self.call_timeout:
+                continue
+            for number in calls:
+                if (call := self._pending.end(number)) is not None:
+                    self._expired(number, call)
+
+    def tick(self) -> None:
+        """Forget an action's old answers, and update counts; called once a second."""
+        if self.action is not None:
+            self._tick_action(self.action)
+        super().tick()
+
+    def _tick_action(self, action: ProviderAction) -> None:
+        now = self.context.now()
+        action.answers.expire(now)
+        if action.interrupted_at is not None and not (self.accepted and self._provision.entries):
+            if now >= action.interrupted_at + INTERRUPTION:
+                self._clients.close()
+                action.answers.clients_closed()
+            else:
+                self._close_clients()
+        self._give_up_results(action)
+
+    # --- verdict and snapshot
 
     def facts(self) -> CallsFacts:
         facts = super().facts()
@@ -389,20 +608,23 @@ class ProvidingRoute(CallsRoute):
         hint = self.context.meant.by(self.spec.kind, self.local_topic)
         return facts._replace(unavailable=Trouble(trouble.cause, f"{trouble.text}; {hint}")) if hint else facts
 
-    def _stages(self) -> tuple[Stage, ...]:
-        """From the server here to the caller there."""
-        trouble, seen, known = self._unavailable, bool(self.endpoints), bool(self._provision.entries)
-        failed, why_not = self._failures.trouble.text if self._failures.trouble else "", self.judged.peer.text
+    def _provider_stages(self) -> tuple[Stage, Stage]:
+        seen, known = bool(self.endpoints), bool(self._provision.entries)
+        trouble = self._unavailable.text if self._unavailable is not None else ""
         return (
-            Stage("server seen", seen, ", ".join(self.provider_nodes) if seen else trouble.text if trouble else ""),
+            Stage("server seen", seen, ", ".join(self.provider_nodes) if seen else trouble),
             Stage(
-                "type known",
-                known or (False if seen else None),
-                self.type_name if known else trouble.text if seen and trouble else "",
+                "type known", known or (False if seen else None), self.type_name if known else trouble if seen else ""
             ),
-            self._link_stage(),
-            self._accepted_stage(),
-            Stage("offered", False if failed else self.offered or None, "" if self.offered else failed or why_not),
-            Stage("called", self.calls.asked > 0 or None),
-            Stage("answered", self.calls.answered > 0 or None, "" if self.calls.answered else self.calls.last_failure),
         )
+
+    def _offered_stage(self) -> Stage:
+        failed = self._retry.trouble.text if self._retry.trouble else ""
+        why_not = "" if self.offered else failed or self.judged.peer.text
+        return Stage("offered", False if failed else self.offered or None, why_not)
+
+    def snapshot(self) -> RouteSnapshot:
+        found = super().snapshot()
+        if self.action is None:
+            return found
+        return replace(found, goals=self.action.goals.snapshot(self.action.answers.awaited()))
