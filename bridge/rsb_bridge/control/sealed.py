@@ -351,8 +351,8 @@ def _origin(peername: object) -> tuple[str, str]:
 
 
 Connect: TypeAlias = Callable[[asyncio.Protocol], Awaitable[object]]
-"""Makes a stream to the engine and calls ``connection_made`` of the protocol with it, on the running loop. The stream is
-an asyncio transport. The connector raises OSError or ControlError if there is no stream."""
+"""Makes a stream to the engine, and calls ``connection_made`` of the protocol with it on the running loop. The stream
+is an asyncio transport. It raises OSError or ControlError if there is no stream."""
 
 
 class OperatorConnector:
