@@ -86,13 +86,13 @@ lint: quick-lint
 bench: $(STAMP)
 	$(BIN)/python -m bench.run
 
-# New simulated worlds, and beside them real processes that are killed, cut off and frozen (docs/testing.md). It takes
+# New simulated worlds, and beside them real processes that are killed, cut off and frozen (tests/README.md). It takes
 # SECONDS (`make soak SECONDS=7200`), and fails with the reasons in words.
 soak: SECONDS ?= 1800
 soak: $(STAMP)
 	$(BIN)/python -m tests.soak --seconds $(SECONDS)
 
-# Coverage-guided fuzzing of every parser, in SECONDS together (docs/testing.md).
+# Coverage-guided fuzzing of every parser, in SECONDS together (tests/README.md).
 fuzz: SECONDS ?= 300
 fuzz: $(STAMP)
 	$(BIN)/python -m tests.fuzz --seconds $(SECONDS)

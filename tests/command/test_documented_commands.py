@@ -1,4 +1,4 @@
-"""Every command line of the documents is one that the command takes."""
+"""Every command line of the documents is one that the command takes; what can run here is run."""
 
 from __future__ import annotations
 
@@ -7,12 +7,17 @@ import shlex
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
+import msgspec
 import pytest
+from tests.console.scripted import SESSION, ScriptedEngine, route
 
+from rsb_bridge.model.session import Topic
 from rsb_console.command.arguments import parser_and_commands
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
+
+    from tests.support.control import Machine
 
 _ROOT = Path(__file__).parents[2]
 _PAGES = [_ROOT / "README.md", _ROOT / "SECURITY.md", *sorted((_ROOT / "docs").glob("*.md"))]
@@ -92,3 +97,80 @@ def test_it_is_taken(line: Line, capsys: pytest.CaptureFixture[str]) -> None:
         error = capsys.readouterr().err
         assert not line.whole, error
         assert "the following arguments are required" in error, error
+
+
+# --- those that can be run against a bridge that is scripted, or in an empty folder
+
+_RUN = {
+    "add",
+    "completion",
+    "info",
+    "keygen",
+    "pause",
+    "reload",
+    "remove",
+    "restart",
+    "retry",
+    "status",
+    "topics",
+    "wait",
+}
+_NOT_RUN = {
+    "SESSION": "stands for a file",
+    "--version": "ends the interpreter; test_command runs it",
+    "ack": "its topic is a placeholder; test_remote runs it",
+    "arm": "its topic is a placeholder, and it lasts until Ctrl-C; test_remote runs it",
+    "attach": "opens the console; tests/console run it",
+    "bench": "measures for a minute or needs two sides; tests/bench run it",
+    "bt-scan": "needs a Bluetooth adapter; tests/bluetooth run it in a virtual machine",
+    "bw": "lasts until Ctrl-C; test_figures runs it",
+    "call": "needs the types of the service; test_calls runs it",
+    "check": "its file is a placeholder; test_command runs it",
+    "client": "changes a server's file and its running bridge; test_client runs it",
+    "control.yaml": "opens the console",
+    "demo": "needs ROS for half a minute; test_demo_fleet runs it",
+    "echo": "needs messages; test_echo runs it",
+    "edit": "its topics are a pattern's or need arming; test_remote runs it",
+    "fleet": "needs several bridges; test_fleet runs it",
+    "hz": "lasts until Ctrl-C; test_figures runs it",
+    "import": "needs the session of another program; test_command runs it",
+    "param": "needs a node; test_calls runs it",
+    "report": "needs a recorded history; test_report runs it",
+    "robot2.yaml": "opens the console",
+    "run": "is a bridge of its own; tests/system run it",
+    "stop": "waits for the end of the process; test_remote runs it",
+    "service": "changes systemd; test_service runs it",
+}
+_NOT_WHOLE = ("info", "pause", "wait --for flowing", "wait --for flowing /map_server/load_map")
+"""Lines of a command in `_RUN` that name no topic, or wait for a service that nobody has."""
+
+
+@pytest.fixture
+def engine(machine: Machine, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> ScriptedEngine:
+    """A bridge that has the topics of the documents."""
+    monkeypatch.setenv("XDG_RUNTIME_DIR", machine.environ["XDG_RUNTIME_DIR"])
+    monkeypatch.chdir(tmp_path)
+    names = ("/scan", "/camera", "/rsb_bench/tcp/transmit", "/cmd_vel")
+    routes = [route(name, key=name, outgoing=True, spec=Topic(name, "transmit")) for name in names]
+    topics = tuple(each.spec for each in routes if each.spec)
+    made = ScriptedEngine(msgspec.structs.replace(SESSION, topics=topics), routes=tuple(routes))
+    machine.serve(made)
+    return made
+
+
+def test_each_command_is_run_or_has_a_reason_not_to_be() -> None:
+    assert {line.words[0] for line in FOUND} == _RUN | set(_NOT_RUN)
+
+
+def can_run(line: Line) -> bool:
+    """Whether a line has no placeholder and needs nothing but the scripted bridge."""
+    text = " ".join(line.words)
+    placeholder = any(each.isupper() for each in line.words)
+    return line.words[0] in _RUN and not placeholder and not text.endswith(_NOT_WHOLE) and "--fleet " not in text
+
+
+@pytest.mark.parametrize("line", [*filter(can_run, FOUND)], ids=lambda line: f"{line.place} {line.words[0]}")
+def test_it_does_what_it_says(line: Line, engine: ScriptedEngine, capsys: pytest.CaptureFixture[str]) -> None:
+    arguments = parser_and_commands()[0].parse_args(line.words)
+    assert arguments.command(arguments) == 0, capsys.readouterr().err
+    assert engine.session.name == "robot1"

@@ -18,6 +18,8 @@ from tests.wire.links import make_client
 from rsb_bridge.config.keys import Key
 from rsb_bridge.control import attached_console, sealed
 from rsb_bridge.control.protocol import CONSOLES, Failed, Hello, PollState, Refused, Request, encode
+from rsb_bridge.link import pending_connections
+from rsb_bridge.link.pending_connections import Stage
 from rsb_bridge.model import commands
 from rsb_bridge.model.benchmark import Order
 from rsb_bridge.model.budgets import CONNECTION, Strangers
@@ -87,13 +89,13 @@ def test_a_thousand_attempts_leave_a_short_log_and_keep_nobody_out(machine: Mach
 def test_many_failures_are_answered_late(machine: Machine, monkeypatch: pytest.MonkeyPatch) -> None:
     robot = Reachable(machine)
     delays: list[float] = []
-    real = robot.acceptor.refusals.delay
+    real = robot.acceptor.pending.refusals.delay
 
     def delay(host: str) -> float:
         delays.append(real(host))
         return delays[-1]
 
-    monkeypatch.setattr(robot.acceptor.refusals, "delay", delay)
+    monkeypatch.setattr(robot.acceptor.pending.refusals, "delay", delay)
     for _ in range(6):
         with Stranger(robot.port, key=BOB) as stranger:
             stranger.send(stranger.console.start())
@@ -103,7 +105,7 @@ def test_many_failures_are_answered_late(machine: Machine, monkeypatch: pytest.M
 
 
 def test_who_says_nothing_is_closed_in_time(machine: Machine, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(sealed, "_HANDSHAKE_WITHIN", 0.0)
+    monkeypatch.setattr(pending_connections, "_HANDSHAKE_WITHIN", 0.0)
     robot = Reachable(machine)
     with Stranger(robot.port) as silent:
         assert silent.is_closed()
@@ -111,7 +113,7 @@ def test_who_says_nothing_is_closed_in_time(machine: Machine, monkeypatch: pytes
 
 
 def test_who_has_no_confirmation_is_closed_in_time(machine: Machine, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(sealed, "_HANDSHAKE_WITHIN", 0.2)
+    monkeypatch.setattr(pending_connections, "_HANDSHAKE_WITHIN", 0.2)
     robot = Reachable(machine)
     with Stranger(robot.port) as recorded:
         recorded.send(recorded.console.start())
@@ -124,7 +126,7 @@ def test_many_who_say_nothing_keep_nobody_out(machine: Machine) -> None:
     robot = Reachable(machine)
     with contextlib.ExitStack() as silent:
         first = silent.enter_context(Stranger(robot.port))
-        for _ in range(sealed._MOST_WAITING):
+        for _ in range(sealed._LIMITS.total):
             silent.enter_context(Stranger(robot.port))
         assert first.is_closed()
         robot.attach()
@@ -194,6 +196,21 @@ def test_operators_leave_places_to_this_machine_s_consoles(machine: Machine) -> 
         assert isinstance(one_more.answer(), Refused)
         for _ in range(CONSOLES - sealed._PLACES):
             machine.attach()
+
+
+def test_first_messages_that_are_played_again_leave_room_for_others(machine: Machine) -> None:
+    """A restarted engine has forgotten the recorded ones, and accepts each once."""
+    robot = Reachable(machine)
+    with contextlib.ExitStack() as played:
+        first = played.enter_context(Stranger(robot.port))
+        first.send(first.console.start())
+        eventually(lambda: [each for each in robot.acceptor.pending.present if each.stage is Stage.ACCEPTED])
+        for _ in range(sealed._LIMITS.accepted):
+            one = played.enter_context(Stranger(robot.port))
+            one.send(one.console.start())
+        assert first.is_closed()
+        assert len(robot.acceptor.pending.present) <= sealed._LIMITS.accepted
+        robot.attach("bob", BOB)
 
 
 class Stalled:
@@ -320,11 +337,11 @@ def test_an_attached_operator_is_no_stranger(machine: Machine) -> None:
 
 def test_a_spent_budget_of_strangers_keeps_no_operator_out(machine: Machine) -> None:
     robot = Reachable(machine)
-    robot.access.strangers = Strangers(3 * CONNECTION)
+    robot.acceptor.pending.strangers = Strangers(3 * CONNECTION)
     with contextlib.ExitStack() as silent:
         first = silent.enter_context(Stranger(robot.port))
         for _ in range(5):
             silent.enter_context(Stranger(robot.port))
         assert first.is_closed()
         robot.attach()
-    assert robot.access.strangers.turned_away >= 3
+    assert robot.acceptor.pending.strangers.turned_away >= 3

@@ -13,11 +13,11 @@ from tests.support.wording import pattern
 
 from rsb_bridge.control import protocol, summaries
 from rsb_bridge.control.attached_console import Console
+from rsb_bridge.control.connectors import UnixSocket
 from rsb_bridge.control.control_sockets import AttachProblem, ControlError
 from rsb_bridge.control.protocol import VERSION, BridgeInfo, Hello, Summary, Watch, Welcome, encode
 from rsb_bridge.control.sealed import OperatorRefused
 from rsb_bridge.control.summaries import watch
-from rsb_bridge.control.ways import UnixSocket
 from rsb_bridge.model.robot_summary import SUMMARY_BYTES
 
 if TYPE_CHECKING:
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
     from tests.support.control import Machine
 
-    from rsb_bridge.control.ways import Way
+    from rsb_bridge.control.connectors import Connector
 
 INFO = BridgeInfo("robot1", "client", "10.0.0.20:49152", 1, 0.0, "x", "0.1.0")
 
@@ -84,7 +84,7 @@ def test_who_does_not_take_them_skips_some() -> None:
     assert len(told(lambda now: str(now).encode(), 10.1, stalls=True)) == 1
 
 
-def seen(way: Way, count: int) -> list[bytes]:
+def seen(way: Connector, count: int) -> list[bytes]:
     """The first figures on a way."""
 
     async def see() -> list[bytes]:
@@ -106,7 +106,7 @@ def test_figures_come_by_every_way(machine: Machine, monkeypatch: pytest.MonkeyP
     robot = Reachable(machine)
     numbers = iter(range(1000))
     robot.server.summarize = lambda: str(next(numbers)).encode()
-    way: Way = UnixSocket(machine.folder / "robot1.sock") if by == "socket" else robot.way("bob", BOB)
+    way: Connector = UnixSocket(machine.folder / "robot1.sock") if by == "socket" else robot.way("bob", BOB)
     assert seen(way, 3) == [b"0", b"1", b"2"]
 
 

@@ -18,7 +18,7 @@ from rsb_bridge.api import EngineError
 from rsb_bridge.control.control_sockets import UnclearError
 from rsb_bridge.control.remote_engine import RemoteEngine
 from rsb_bridge.control.summaries import SummaryBuilder
-from rsb_bridge.control.zenoh_fleet import EngineChoice, FleetWay
+from rsb_bridge.control.zenoh_fleet import EngineChoice, FleetConnector
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.robot_summary import RobotState, decode
 from rsb_bridge.model.snapshot import Level
@@ -240,7 +240,7 @@ def test_many_engines_of_a_name_without_a_key_keep_no_operator_out(fleet: Fleet,
         tokens = [live.declare_token(key.format(number)) for number in range(count)]
         fleet.add("robot1")
         eventually(lambda: len(announced(another)) == count + 1)
-        way = FleetWay(fleet.file(), "robot1")
+        way = FleetConnector(fleet.file(), "robot1")
         began = time.monotonic()
         engine = RemoteEngine(way)
         engine.start()

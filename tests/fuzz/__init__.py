@@ -1,1 +1,1 @@
-"""Fuzzing of every parser that reads what a peer, a stranger or a file says (docs/testing.md)."""
+"""Fuzzing of every parser that reads what a peer, a stranger or a file says (tests/README.md)."""

@@ -1,4 +1,4 @@
-"""``python -m tests.fuzz``: fuzzes every parser, or shows again what was found (docs/testing.md)."""
+"""``python -m tests.fuzz``: fuzzes every parser, or shows again what was found (tests/README.md)."""
 
 from __future__ import annotations
 

@@ -18,7 +18,7 @@ from tests.support.ports import free_port
 from tests.support.waiting import eventually
 
 from rsb_bridge.config.keys import read_key
-from rsb_bridge.link.pending_connections import PendingConnections
+from rsb_bridge.link.inbound_streams import InboundStreams
 from rsb_bridge.model.budgets import CONNECTION, Strangers
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.session import ZenohSettings
@@ -68,9 +68,9 @@ def no_collector() -> Iterator[None]:
 def arrived(monkeypatch: pytest.MonkeyPatch) -> list[weakref.ref[object]]:
     """All that servers have made for each stream that came in."""
     made: list[weakref.ref[object]] = []
-    arrive, connected = PendingConnections.arrive, Stream.connection_made
+    arrive, connected = InboundStreams.arrive, Stream.connection_made
 
-    def arrives(self: PendingConnections) -> StreamHandler:
+    def arrives(self: InboundStreams) -> StreamHandler:
         handler: Any = arrive(self)
         made.extend((weakref.ref(handler), weakref.ref(handler._connection)))
         return handler  # type: ignore[no-any-return]
@@ -79,7 +79,7 @@ def arrived(monkeypatch: pytest.MonkeyPatch) -> list[weakref.ref[object]]:
         made.extend((weakref.ref(self), weakref.ref(transport)))
         connected(self, transport)
 
-    monkeypatch.setattr(PendingConnections, "arrive", arrives)
+    monkeypatch.setattr(InboundStreams, "arrive", arrives)
     monkeypatch.setattr(Stream, "connection_made", connects)
     return made
 

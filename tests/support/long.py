@@ -1,4 +1,4 @@
-"""Tests that `make test` leaves out, and `make test-all` does not (docs/testing.md)."""
+"""Tests that `make test` leaves out, and `make test-all` does not (tests/README.md)."""
 
 from __future__ import annotations
 

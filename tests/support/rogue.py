@@ -83,8 +83,7 @@ class Rogue:
 
     def say_raw(self, content: bytes) -> None:
         """Send a control message that need not be one."""
-        self._connection._write(content)
-        self._control.sendall(self._connection.data_to_send())
+        self._control.sendall(self._connection._seal(content))
 
     def new_route(self) -> int:
         """An id that no route has had."""

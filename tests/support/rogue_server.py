@@ -6,11 +6,12 @@ import os
 import socket
 from typing import TYPE_CHECKING, Self
 
-from rsb_bridge.wire.connection import Credential, ServerConnection
+from rsb_bridge.wire.connection import ServerConnection
 from rsb_bridge.wire.events import Established, Received
 from rsb_bridge.wire.framing import CONTROL_LIMIT
 from rsb_bridge.wire.handshake import ReplayCache
 from rsb_bridge.wire.messages import Hello, Welcome
+from rsb_bridge.wire.sealed_stream import Credential
 
 if TYPE_CHECKING:
     from rsb_bridge.wire.messages import ControlMessage

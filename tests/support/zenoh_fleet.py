@@ -15,7 +15,7 @@ from tests.support.zenoh_router import Router, stranger
 from rsb_bridge.config.fleet_file import FleetFile
 from rsb_bridge.config.keys import copy_key
 from rsb_bridge.control.remote_engine import RemoteEngine
-from rsb_bridge.control.zenoh_fleet import Announcement, FleetWay
+from rsb_bridge.control.zenoh_fleet import Announcement, FleetConnector
 from rsb_bridge.engine.access import Access
 from rsb_bridge.model.clock import Clock
 from rsb_bridge.model.session import ZenohSettings
@@ -102,7 +102,7 @@ class Fleet:
         return fleet
 
     def attach(self, engine: str, operator: str = "anna", key: Key = ANNA) -> RemoteEngine:
-        remote = RemoteEngine(FleetWay(self.file(operator, key), engine))
+        remote = RemoteEngine(FleetConnector(self.file(operator, key), engine))
         remote.start()
         self._resources.callback(remote.stop)
         return remote

@@ -4,10 +4,11 @@ from typing import Any, TypeVar
 
 import pytest
 
-from rsb_bridge.wire.connection import ClientConnection, Credential, ServerConnection
+from rsb_bridge.wire.connection import ClientConnection, ServerConnection
 from rsb_bridge.wire.events import Established, Event
 from rsb_bridge.wire.handshake import ReplayCache
 from rsb_bridge.wire.messages import Hello, Welcome
+from rsb_bridge.wire.sealed_stream import Credential
 from rsb_bridge.wire.sealing import SessionKeys, Suite
 
 KEY = bytes(range(32))

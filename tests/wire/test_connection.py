@@ -24,7 +24,7 @@ from tests.wire.links import (
 
 from rsb_bridge.model.fingerprints import fingerprint_of, format_fingerprint
 from rsb_bridge.wire.codec import encode
-from rsb_bridge.wire.connection import ClientConnection, Credential, ServerConnection
+from rsb_bridge.wire.connection import ClientConnection, ServerConnection
 from rsb_bridge.wire.events import Established, Event, Failed, Received, RefusalCode, Refused
 from rsb_bridge.wire.framing import CONTROL_LIMIT, LENGTH, DataWriter, pack_frame
 from rsb_bridge.wire.handshake import NoiseHandshake, ReplayCache
@@ -32,6 +32,7 @@ from rsb_bridge.wire.messages import Hello, Ping, Pong, Ready, TopicList, Welcom
 from rsb_bridge.wire.preamble import Kind, Refusal, RefusalText, preamble_frame, refuse_frame
 from rsb_bridge.wire.protocol_error import Broken, Misuse
 from rsb_bridge.wire.records import TopicEntry
+from rsb_bridge.wire.sealed_stream import Credential
 from rsb_bridge.wire.sealing import InvalidSeal, Role, Sealer, Suite
 
 ROLES: tuple[Role, ...] = ("client", "server")

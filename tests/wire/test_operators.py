@@ -9,7 +9,6 @@ from tests.support.wording import pattern
 from tests.wire.links import KEY, OTHER_KEY, make_client, make_server, the
 
 from rsb_bridge.model.fingerprints import fingerprint_of
-from rsb_bridge.wire.connection import Credential
 from rsb_bridge.wire.events import Admitted, Event, Failed, Opened, RefusalCode, Refused
 from rsb_bridge.wire.framing import LENGTH, PREAMBLE_LIMIT, pack_frame
 from rsb_bridge.wire.handshake import NoiseHandshake, ReplayCache
@@ -25,6 +24,7 @@ from rsb_bridge.wire.operator_connection import (
 )
 from rsb_bridge.wire.preamble import Kind, Refusal, parse_control, parse_preamble, preamble_frame, refuse_frame
 from rsb_bridge.wire.protocol_error import Broken, Misuse, ProtocolError
+from rsb_bridge.wire.sealed_stream import Credential
 
 VERSION = 7
 TAG = SUITE.tag_length

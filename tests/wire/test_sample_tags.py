@@ -6,9 +6,10 @@ import msgspec
 import pytest
 from tests.wire.links import HELLO, KEY, WELCOME
 
-from rsb_bridge.wire.connection import ClientConnection, Credential, ServerConnection
+from rsb_bridge.wire.connection import ClientConnection, ServerConnection
 from rsb_bridge.wire.handshake import ReplayCache
 from rsb_bridge.wire.operator_connection import OperatorConsole, OperatorEngine, operator_header, parse_operator
+from rsb_bridge.wire.sealed_stream import Credential
 from rsb_bridge.wire.sealing import FEATURE, TAG_LENGTH, SampleTags, Suite
 
 SECRET, STREAM = bytes(range(32)), "5" * 16
@@ -64,7 +65,7 @@ def test_a_fork_takes_an_answer_and_leaves_the_first_untouched() -> None:
     server = ServerConnection(lambda _: Credential((KEY,), ReplayCache()), lambda _: WELCOME, aes=True)
     server.receive_data(client.start())
     answer = server.data_to_send()
-    for forged in (b"forged", answer[:-1] + b"?", b"\0\0\0\5rsb\2\7", b""):
+    for forged in (b"forged", answer[:-1] + b"?", b"\0\0\0\5rsb\2\7", b"", answer + b"\0\0\0\1?"):
         fork = client.fork()
         fork.receive_data(forged)
         assert not fork.proven
@@ -83,9 +84,10 @@ def test_an_operator_and_an_engine_in_a_zenoh_network_have_one_secret(at: str) -
     first = console.start()
     engine.receive_data(first)
     answer = engine.data_to_send()
-    fork = console.fork()
-    fork.receive_data(b"forged")
-    assert not fork.proven
+    for forged in (b"forged", answer + b"\0\0\0\1?"):
+        fork = console.fork()
+        fork.receive_data(forged)
+        assert not fork.proven
     console.receive_data(answer)
     assert console.proven
     assert console.at == at

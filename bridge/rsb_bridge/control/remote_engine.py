@@ -16,11 +16,11 @@ from rsb_bridge import __version__
 from rsb_bridge.api import EngineApi, EngineError, InvalidRequestError
 from rsb_bridge.control import protocol
 from rsb_bridge.control.cleaning import UntrustedMessages
+from rsb_bridge.control.connectors import UnixSocket
 from rsb_bridge.control.control_sockets import AttachProblem, ControlError, NotServedError
 from rsb_bridge.control.features import hello, known_features, missing_feature, older_bridge_text
 from rsb_bridge.control.protocol import Failed, ProtocolError, Reply, Request, RequestProblem, Step, UnexpectedMessage
 from rsb_bridge.control.states import Receiver, out_of_reach
-from rsb_bridge.control.ways import UnixSocket
 from rsb_bridge.model.clock import Clock
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.command_origin import is_undo
@@ -32,8 +32,8 @@ from rsb_bridge.telemetry.event_log import EventLog
 if TYPE_CHECKING:
     from collections.abc import Callable
 
+    from rsb_bridge.control.connectors import Connection, Connector
     from rsb_bridge.control.protocol import BridgeInfo, ToBridge, ToConsole
-    from rsb_bridge.control.ways import Connection, Way
     from rsb_bridge.model.commands import AnyCommand, Command
     from rsb_bridge.model.session import Session
     from rsb_bridge.model.snapshot import Event, Snapshot
@@ -71,9 +71,9 @@ class RemoteEngine(EngineApi):
         features: of the bridge, as in `rsb_bridge.control.features`, from `start` on.
     """
 
-    def __init__(self, where: Path | Way, *, read_only: bool = False, clock: Clock | None = None) -> None:
+    def __init__(self, where: Path | Connector, *, read_only: bool = False, clock: Clock | None = None) -> None:
         self.read_only = read_only
-        self._way: Way = UnixSocket(where) if isinstance(where, Path) else where
+        self._way: Connector = UnixSocket(where) if isinstance(where, Path) else where
         self.same_machine = self._way.same_machine
         self._untrusted = None if self.same_machine else UntrustedMessages(time.monotonic())
         self._wants_read_only = read_only

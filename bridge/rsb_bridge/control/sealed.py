@@ -1,6 +1,6 @@
-"""Operators who attach over a network, both ends: whatever carries the bytes sees them sealed.
+"""Operators who attach over a network, both ends: the network carries only sealed bytes.
 
-Whoever listens makes a stream of each connection that comes, and a protocol for it (`SealedAcceptor.protocol`), both on
+The listener makes a stream of each inbound connection, and a protocol for it (`SealedAcceptor.protocol`), both on
 `rsb_bridge.control.control_server.ControlServer.loop`. The stream is what asyncio calls a transport. It calls
 ``connection_made``, ``data_received``, ``eof_received`` and ``connection_lost`` of the protocol, in order and on that
 loop. It has ``write``, ``close``, ``abort``, ``is_closing``, ``pause_reading``, ``get_write_buffer_size`` and
@@ -15,38 +15,36 @@ import asyncio
 import contextlib
 import socket
 from collections.abc import Awaitable, Callable
-from enum import IntEnum, auto
 from typing import TYPE_CHECKING, TypeAlias, cast
 
 from rsb_bridge.control import protocol
 from rsb_bridge.control.attached_console import Console
 from rsb_bridge.control.control_sockets import ControlError
 from rsb_bridge.control.protocol import ProtocolError
-from rsb_bridge.link.refused_clients import Refusals
-from rsb_bridge.model.budgets import CONNECTION, TokenBucket
+from rsb_bridge.link.pending_connections import Limits, PendingConnection, PendingConnections, Stage
+from rsb_bridge.model.budgets import TokenBucket
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.snapshot import Level
 from rsb_bridge.model.text import sanitize_text
 from rsb_bridge.model.wording import Wording
 from rsb_bridge.transport.streams import OpenNetworkTransport
-from rsb_bridge.wire.connection import Credential
 from rsb_bridge.wire.events import Admitted, Failed, Opened, RefusalCode, Refused
 from rsb_bridge.wire.handshake import ReplayCache
 from rsb_bridge.wire.operator_connection import OperatorConsole, OperatorEngine
 from rsb_bridge.wire.preamble import Refusal
+from rsb_bridge.wire.sealed_stream import Credential
 
 if TYPE_CHECKING:
     from rsb_bridge.config.keys import Key
     from rsb_bridge.config.rights import Granted
+    from rsb_bridge.control.connectors import Connection
     from rsb_bridge.control.control_server import ControlServer
-    from rsb_bridge.control.ways import Connection
     from rsb_bridge.engine.access import Access
 
 _PLACES = protocol.CONSOLES - 8
-"""Consoles, those of this machine among them, up to which operators get in: this machine's own always find a place."""
-_MOST_WAITING = 32
-"""Connections that have not authenticated."""
-_HANDSHAKE_WITHIN = 5.0
+"""Places that operators may fill. The others are kept for consoles of this machine, which count here, too."""
+_LIMITS = Limits(total=32, of_one_host=32, accepted=_PLACES)
+"""For connections that have not authenticated. In a Zenoh network, a peer chooses its own address."""
 _TOLD_WITHIN = 5.0
 """s in which a refusal has to be taken."""
 _TICK = 1.0
@@ -75,7 +73,6 @@ _OPERATOR_REMEDIES = {
 class OperatorRefused(Wording):
     """Reasons why an operator is not attached over a network, or not any more."""
 
-    TOO_MANY = "too many unauthenticated connections"
     OPERATORS_CHANGED = "the operators were changed meanwhile"
     REMOVED = "{name} may not attach any more: the bridge's operators were changed"
     RIGHTS_CHANGED = "what {name} may do, or their key, was changed on the bridge"
@@ -83,16 +80,6 @@ class OperatorRefused(Wording):
     BY_ENGINE_WITH_REMEDY = "{engine} refuses: {message}: {remedy}"
     FAILED = "{engine}: {problem}"
     CLOSED = "{engine}: the connection was closed before anybody answered"
-
-
-class _Stage(IntEnum):
-    """How far a connection has come: where there are too many, those of the lowest stage go first."""
-
-    REFUSED = auto()  # and not told so yet
-    WAITING = auto()
-    ACCEPTED = auto()  # its first message opens under the operator's key
-    ATTACHED = auto()
-    GONE = auto()
 
 
 class SealedAcceptor:
@@ -106,9 +93,9 @@ class SealedAcceptor:
     def __init__(self, server: ControlServer, access: Access) -> None:
         self.server = server
         self.access = access
-        self.refusals = Refusals(access)
+        self.pending = PendingConnections(access, access.strangers, _LIMITS)
         self._lines = TokenBucket(_LINES, _LINES_A_SECOND, access.now())
-        self._present: dict[SealedConsole, None] = {}  # the longest waiting first
+        self._present: dict[SealedConsole, None] = {}
         self._replays: dict[bytes, ReplayCache] = {}  # by key
         self._ticking = False
         access.watch(self.review)
@@ -126,19 +113,9 @@ class SealedAcceptor:
     # --- on the loop
 
     def add(self, console: SealedConsole) -> bool:
-        """Count a connection that has come; where too many wait, the one of the lowest stage goes."""
+        """Record a new connection; return False if the server takes no more."""
         if self.server.ending or self.server.attached() >= 2 * protocol.CONSOLES:
             return False
-        waiting = [each for each in self._present if each.stage < _Stage.ATTACHED]
-        if len(waiting) >= _MOST_WAITING:
-            min(waiting, key=lambda each: each.stage).reject(OperatorRefused.TOO_MANY())
-            waiting = [each for each in waiting if each.stage < _Stage.ATTACHED]
-        while not self.access.strangers.take(CONNECTION):
-            if not waiting:
-                return False
-            lowest = min(waiting, key=lambda each: each.stage)
-            lowest.reject(OperatorRefused.TOO_MANY())
-            waiting.remove(lowest)
         self._present[console] = None
         if not self._ticking:
             self._ticking = True
@@ -150,10 +127,10 @@ class SealedAcceptor:
         self._present.pop(console, None)
 
     def credential(self, name: str) -> Credential:
-        """What an operator of that name has to prove.
+        """Return the proof that the operator of a name owes.
 
         Raises:
-            Refusal: there is none.
+            Refusal: there is no such operator.
         """
         granted = self.access.granted.get(name)
         if granted is None:
@@ -178,59 +155,50 @@ class SealedAcceptor:
             console.review(granted.get(console.name))
 
     def _tick(self) -> None:
-        self.refusals.tick()
+        self.pending.refusals.tick()
         self._ticking = bool(self._present)
         if self._ticking:
             self.server.loop.call_later(_TICK, self._tick)
 
 
-class SealedConsole(asyncio.Protocol):
-    """A connection, once it is proven who is at its other end: `rsb_bridge.control.attached_console.Connection`.
+class SealedConsole(PendingConnection, asyncio.Protocol):
+    """A connection of an operator: pending at first, then a `rsb_bridge.control.attached_console.Connection`.
 
     Attributes:
         when_attached: called once the operator has proven to have the key.
     """
 
     of_this_machine = False
+    rejected_code = EventCode.ATTACH_REJECTED
 
     def __init__(self, acceptor: SealedAcceptor) -> None:
+        super().__init__(acceptor.pending)
         self.when_attached: Callable[[], None] = _nothing
-        self.stage = _Stage.WAITING
-        self.name = ""
         self.operator = ""
         self._acceptor = acceptor
-        self._loop = acceptor.server.loop
         self._machine: OperatorEngine
-        self._peer = self._host = ""
+        self._peer = ""
         self._transport: asyncio.Transport
-        self._deadline: asyncio.TimerHandle | None = None
-        self._refusal = b""
         self._granted: Granted | None = None
         self._console: Console | None = None
-        self._counted = False
+        self._detached = False
 
     # --- what the stream calls
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         self._transport = cast("asyncio.Transport", transport)
-        self._host, self._peer = _origin(transport.get_extra_info("peername"))
+        host, self._peer = _origin(transport.get_extra_info("peername"))
         at = transport.get_extra_info("sockname")[0] if isinstance(transport, OpenNetworkTransport) else ""
         self._machine = OperatorEngine(self._acceptor.access.name, self._acceptor.credential, at)
-        if not self._acceptor.add(self):
+        if not self._acceptor.add(self) or not self._arrive(host):
             self.abort()
-            return
-        self._counted = True
-        self._deadline = self._loop.call_later(_HANDSHAKE_WITHIN, self.reject, "no handshake within 5 s")
 
     def data_received(self, data: bytes) -> None:
-        if self.stage in (_Stage.REFUSED, _Stage.GONE):
+        if self._detached if self._console is not None else self.stage in (Stage.REFUSED, Stage.OVER):
             return
         events = self._machine.receive_data(data)
-        self.name = self._machine.operator
+        self.name = self._machine.name
         answer = self._machine.data_to_send()
-        admitting = self._machine.accepted and self.stage is _Stage.WAITING
-        if self._machine.accepted:
-            self.stage = max(self.stage, _Stage.ACCEPTED)
         for event in events:
             match event:
                 case Admitted():
@@ -246,36 +214,21 @@ class SealedConsole(asyncio.Protocol):
                     raise AssertionError("an event of links")
         if not events:
             self._transport.write(answer)
-            secret = self._machine.sample_secret
-            if admitting and secret is not None and isinstance(self._transport, OpenNetworkTransport):
-                self._transport.authenticate(secret, opener=False)
+            if self._machine.accepted and self.stage is Stage.WAITING:
+                secret = self._machine.sample_secret
+                if secret is not None and isinstance(self._transport, OpenNetworkTransport):
+                    self._transport.authenticate(secret, opener=False)
+                self._accept()
 
     def eof_received(self) -> bool:
         return False  # nobody stays who hears only
 
     def connection_lost(self, exc: Exception | None) -> None:
-        self._leave()
+        self._detach()
         self._stop_waiting()
         self._acceptor.remove(self)
 
-    def _give_share_back(self) -> None:
-        """Stop counting the connection as a stranger's."""
-        self.when_attached = _nothing
-        if self._counted:
-            self._counted = False
-            self._acceptor.access.strangers.give(CONNECTION)
-
     # --- before it is attached
-
-    def reject(self, message: str) -> None:
-        """Refuse a connection that is not attached yet, and close it."""
-        if self.stage is _Stage.REFUSED:
-            self._tell()
-        elif self.stage in (_Stage.WAITING, _Stage.ACCEPTED):
-            self._log(EventCode.ATTACH_REJECTED, message)
-            # Whoever has our answer takes records only.
-            self._refusal = b"" if self._machine.accepted else self._machine.refuse(RefusalCode.BUSY, message)
-            self._tell()
 
     def review(self, granted: Granted | None) -> None:
         """The operators are others now; `granted` is what the one of this name may do."""
@@ -292,10 +245,8 @@ class SealedConsole(asyncio.Protocol):
         if self._granted is None or self._granted.key.secret != admitted.key:
             self.reject(OperatorRefused.OPERATORS_CHANGED())  # and the review of that is still to come
             return
-        self._stop_waiting()
         self.when_attached()
-        self._give_share_back()
-        self.stage = _Stage.ATTACHED
+        self._leave()
         place = f" from {admitted.host}" if admitted.host else ""
         self.operator = f"{self.name} (operator key){place}"
         server = self._acceptor.server
@@ -304,47 +255,41 @@ class SealedConsole(asyncio.Protocol):
         text = f"{self.operator} has attached through {self._peer}, and may {self._granted.operator.may}"
         self._acceptor.came_or_went(EventCode.ATTACH_OPERATOR, self.operator, text)
 
-    def _refuse(self, code: EventCode, message: str, answer: bytes) -> None:
-        """Somebody failed to authenticate: say so, later where many have failed."""
-        refusals = self._acceptor.refusals
-        refusals.failed(self._host)
-        self._log(code, message)
-        self._stop_waiting()
-        self.stage, self._refusal = _Stage.REFUSED, answer
-        if delay := refusals.delay(self._host):
-            self._deadline = self._loop.call_later(delay, self._tell)  # what comes until then is passed over
-        else:
-            self._tell()
-
     def _fail(self, reason: str, answer: bytes) -> None:
         """It broke the format, or what has come is not what its console has sealed."""
-        if self._console is None:
-            self._refuse(EventCode.ATTACH_REJECTED, reason, answer)
-        else:
+        if self._console is not None:
             self._log(EventCode.ATTACH_REJECTED, reason)
             self.abort()
+        elif self.stage is not Stage.OVER:
+            self._refuse(EventCode.ATTACH_REJECTED, reason, answer)
 
-    def _log(self, code: EventCode, message: str) -> None:
-        self._acceptor.refusals.log_of(self._host, f"a console at {self._peer}", code, message)
+    def _log(self, code: EventCode, message: str, cause: str = "", name: str = "") -> None:
+        del cause, name  # of links
+        self._pending.refusals.log_of(self.host, f"a console at {self._peer}", code, message)
 
-    def _tell(self) -> None:
-        self._leave()
-        self._deadline = self._loop.call_later(_TOLD_WITHIN, self._transport.abort)
-        self._transport.write(self._refusal)
+    def _busy(self, message: str) -> bytes:
+        if self._machine.accepted:
+            return b""  # the console has the answer, and takes only records now
+        return self._machine.refuse(RefusalCode.BUSY, message)
+
+    def _close_with(self, answer: bytes, message: str) -> None:
+        del message  # it is in the answer
+        self._deadline = asyncio.get_running_loop().call_later(_TOLD_WITHIN, self._transport.abort)
+        self._transport.write(answer)
         self._transport.close()
 
-    def _stop_waiting(self) -> None:
-        if self._deadline is not None:
-            self._deadline.cancel()
-            self._deadline = None
+    def _pause_reading(self) -> None:
+        self._transport.pause_reading()
 
     def _leave(self) -> None:
-        if self.stage is _Stage.GONE:
-            return
-        self.stage = _Stage.GONE
-        self._stop_waiting()
-        self._give_share_back()
-        if self._console is not None:
+        super()._leave()
+        self.when_attached = _nothing
+
+    def _detach(self) -> None:
+        """Leave the engine."""
+        self._leave()
+        if self._console is not None and not self._detached:
+            self._detached = True
             self._acceptor.server.remove(self._console)
             text = f"{self.operator} has detached"
             self._acceptor.came_or_went(EventCode.ATTACH_OPERATOR_LEFT, self.operator, text)
@@ -366,7 +311,7 @@ class SealedConsole(asyncio.Protocol):
     @property
     def closing(self) -> bool:
         """Whether nothing can be sent any more."""
-        return self.stage is _Stage.GONE or self._transport.is_closing()
+        return self._detached or self._transport.is_closing()
 
     def write(self, data: bytes) -> None:
         """Seal and send."""
@@ -379,10 +324,10 @@ class SealedConsole(asyncio.Protocol):
     def abort(self) -> None:
         """Close, and forget what waits."""
         self._transport.abort()
-        self._leave()
+        self._detach()
 
     def _take(self, content: bytes) -> None:
-        if self._console is None or self.closing:  # it was refused, or ends, for what came before this
+        if self._console is None or self.closing:  # an earlier record ended it
             return
         try:
             self._console.received(content)
@@ -406,13 +351,12 @@ def _origin(peername: object) -> tuple[str, str]:
 
 
 Connect: TypeAlias = Callable[[asyncio.Protocol], Awaitable[object]]
-"""Makes a stream to the engine and gives it a protocol, whose ``connection_made`` it calls on the running loop; the
-stream is what asyncio calls a transport, as in `rsb_bridge.control.sealed`. What goes wrong is an OSError or a
-ControlError."""
+"""Makes a stream to the engine, and calls ``connection_made`` of the protocol with it on the running loop. The stream
+is an asyncio transport. It raises OSError or ControlError if there is no stream."""
 
 
 class OperatorConnector:
-    """A way to an engine over a network, with an operator's key.
+    """Connects to an engine over a network, with an operator's key.
 
     Args:
         connect: makes a stream to the engine.
@@ -452,7 +396,7 @@ class OperatorConnector:
 
 
 class _OperatorConnection(asyncio.Protocol):
-    """One connection: what comes is opened and waits to be read."""
+    """One connection: it opens records, and keeps their content until it is read."""
 
     def __init__(self, machine: OperatorConsole, engine: str, at: str) -> None:
         loop = asyncio.get_running_loop()
@@ -546,12 +490,12 @@ class _OperatorConnection(asyncio.Protocol):
         self._reader.set_exception(error)
         if not self.admitted.done():
             self.admitted.set_exception(error)
-            self.admitted.exception()  # who waits is told; that nobody does is no failure of its own
+            self.admitted.exception()  # marks it as retrieved: it is no error if nobody waits
         if self._transport is not None:
             self._transport.abort()
 
     async def read(self) -> bytes:
-        """As `rsb_bridge.control.ways.Connection`, likewise those below."""
+        """Read, write and abort as in `rsb_bridge.control.connectors.Connection`."""
         return await self._reader.read(_READ_SIZE)
 
     def write(self, data: bytes) -> None:

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from concurrent.futures import Future
 
     from rsb_bridge.api import EngineApi
-    from rsb_bridge.control.ways import Connection, Way
+    from rsb_bridge.control.connectors import Connection, Connector
     from rsb_bridge.model.robot_summary import Loss
     from rsb_bridge.model.snapshot import PeekedMessage, RouteSnapshot, Snapshot
 
@@ -145,7 +145,7 @@ class SummaryBuilder:
         return encode(summary)
 
 
-async def watch(way: Way, may_open: asyncio.Semaphore | None = None) -> AsyncGenerator[bytes, None]:
+async def watch(way: Connector, may_open: asyncio.Semaphore | None = None) -> AsyncGenerator[bytes, None]:
     """Yield an engine's figures as they change, on the running loop. Close the generator at the end (`aclose`).
 
     Args:
@@ -185,7 +185,7 @@ async def watch(way: Way, may_open: asyncio.Semaphore | None = None) -> AsyncGen
         raise ControlError(AttachProblem.ON_SOCKET(where=way.text, problem=error.strerror or error)) from None
 
 
-async def _open(way: Way, may_open: asyncio.Semaphore | None) -> Connection:
+async def _open(way: Connector, may_open: asyncio.Semaphore | None) -> Connection:
     """Connect; engines that do not answer, which strangers may announce, soon give place to others."""
     async with may_open or contextlib.nullcontext():
         opening = asyncio.create_task(way.open(ANSWERS_WITHIN))

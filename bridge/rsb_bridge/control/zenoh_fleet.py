@@ -29,8 +29,8 @@ if TYPE_CHECKING:
 
     from rsb_bridge.api import EngineApi
     from rsb_bridge.config.fleet_file import FleetFile
+    from rsb_bridge.control.connectors import Connection
     from rsb_bridge.control.control_server import ControlServer
-    from rsb_bridge.control.ways import Connection
     from rsb_bridge.engine.access import Access
     from rsb_bridge.transport.zenoh.endpoint import Endpoint, Seen
     from rsb_bridge.transport.zenoh.sample import Header
@@ -185,7 +185,7 @@ class FleetPresence:
 
     @property
     def problem(self) -> str:
-        """Why nothing gets through; empty: the network is there."""
+        """The reason the network is not reached, or an empty string."""
         return (
             ""
             if self._network.connected
@@ -193,7 +193,7 @@ class FleetPresence:
         )
 
     def sealed(self, member: Member) -> OperatorConnector:
-        """A way to an engine, with the operator's key, as long as this is joined."""
+        """Return a connector to an engine, with the operator's key; usable until this leaves the network."""
 
         async def connect(protocol: asyncio.Protocol) -> None:
             assert self._endpoint is not None
@@ -223,12 +223,12 @@ class FleetPresence:
         self.changed(member, comes)
 
 
-class FleetWay:
-    """A way to the engine of a name in a fleet, by a place in the network of its own: see `rsb_bridge.control.ways`.
+class FleetConnector:
+    """Connects to a fleet's engine by its name. Each connection joins the network by itself.
 
     Args:
         file: names the fleet, and the operator.
-        engine: the name of its session; empty: the only one that there is.
+        engine: the name of its session, or empty for the only engine of the fleet.
 
     Attributes:
         unproven: engines of the name that did not prove the key when the last connection was made.
@@ -269,11 +269,11 @@ class FleetWay:
         return _Leaving(connection, presence)
 
     def _meant(self, presence: FleetPresence) -> list[Member]:
-        """Those of the name.
+        """Return the engines of the name.
 
         Raises:
-            ControlError: nobody is called so.
-            UnclearError: no name is given, and there are several.
+            ControlError: no engine has it.
+            UnclearError: no name was given, and there are several engines.
         """
         fleet, engine = self._file.zenoh.fleet, self._engine
         names = sorted(member.name for member in presence.members.values())
@@ -287,7 +287,7 @@ class FleetWay:
         return found
 
     async def _proven(self, presence: FleetPresence, members: list[Member], within: float) -> Connection:
-        """A connection to the one that proves to be the engine: who has no key may call itself as it likes.
+        """Connect to the one that proves the key, as anybody may announce an engine of any name.
 
         Raises:
             UnclearError: several do.

@@ -22,7 +22,7 @@ _PROBED_FOR = 0.5
 """s to wait for a program that answers once it has read a whole line."""
 
 LetIn: TypeAlias = "Callable[[Stream, Established | Accepted, list[Event]], None]"
-"""Gives an accepted stream its new handler; the events are those that followed the server's answer."""
+"""Gives an accepted stream its new handler. The events followed the server's answer."""
 
 
 class Failure(NamedTuple):
@@ -101,7 +101,7 @@ class ConnectAttempt(StreamHandler):
                     self._let_in(stream, event, events[index + 1 :])
                     return
                 case Refused():
-                    stream.close("refused")  # not before what is left to send is sent
+                    stream.close("refused")  # after the remaining bytes
                     self._finish(failure_of(event, self._address, self._refusal_message))
                 case Failed():
                     self._finish(failure_of(event, self._address, self._refusal_message))

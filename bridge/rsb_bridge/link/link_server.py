@@ -13,7 +13,7 @@ import msgspec
 from rsb_bridge import __version__
 from rsb_bridge.channel.udp_channel import ServerUdpChannel, UdpDemultiplexer
 from rsb_bridge.link.control_channel import ControlChannel
-from rsb_bridge.link.pending_connections import PendingConnections
+from rsb_bridge.link.inbound_streams import InboundStreams
 from rsb_bridge.link.refused_clients import CAUSES, RefusedClients
 from rsb_bridge.link.server_link import UNKNOWN_ROUTE, DescriptorShare, ServerLink
 from rsb_bridge.link.server_search import ServerSearch
@@ -23,10 +23,11 @@ from rsb_bridge.model.verdict import LinkCause
 from rsb_bridge.transport.ports import Ports
 from rsb_bridge.transport.transport import Acceptor
 from rsb_bridge.wire import sealing
-from rsb_bridge.wire.connection import ClientConnection, Credential, ServerConnection
+from rsb_bridge.wire.connection import ClientConnection, ServerConnection
 from rsb_bridge.wire.events import RefusalCode
 from rsb_bridge.wire.messages import Hello, Welcome
 from rsb_bridge.wire.preamble import LINK_ID_LENGTH, Refusal
+from rsb_bridge.wire.sealed_stream import Credential
 from rsb_bridge.wire.sealing import Suite
 
 if TYPE_CHECKING:
@@ -63,7 +64,7 @@ class Server:
         self.context = context
         self._make_welcome = make_welcome
         self._aes = aes
-        self._pending = PendingConnections(context, self)
+        self._pending = InboundStreams(context, self)
         self.refused_clients = RefusedClients(context)
         self._transport = context.transports.of_link(context.session.server_ip)
         datagrams = UdpDemultiplexer(self._new_udp_channel).received

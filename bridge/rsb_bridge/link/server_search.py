@@ -114,7 +114,7 @@ class _Try(StreamHandler):
         elif not events and connection.suite is not self._connection.suite:
             self._asked_for(connection.suite)
         elif events and self._refusal is None:
-            self._refusal = failure_of(events[0], self._address, self._refusal_message)
+            self._refusal = failure_of(events[-1], self._address, self._refusal_message)
             asyncio.get_running_loop().call_later(_REFUSED_AFTER, self._end, self._refusal)
 
     def _prove(self, stream: Stream, connection: ClientConnection, events: list[Event]) -> None:

@@ -6,7 +6,7 @@ The caller reads a socket, passes the bytes to `receive_data`, acts on the event
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 from rsb_bridge.model.fingerprints import FINGERPRINT_LENGTH, fingerprint_of
 from rsb_bridge.wire import sealing
@@ -21,8 +21,7 @@ from rsb_bridge.wire.events import (
     Refused,
     Undecoded,
 )
-from rsb_bridge.wire.framing import CONTROL, CONTROL_LIMIT, DATA, HEADER, FrameReader, pack_frame
-from rsb_bridge.wire.handshake import Handshake, NoiseHandshake, PlainHandshake
+from rsb_bridge.wire.framing import CONTROL, CONTROL_LIMIT, DATA, HEADER, pack_frame
 from rsb_bridge.wire.preamble import (
     MAGIC,
     ControlPreamble,
@@ -40,10 +39,10 @@ from rsb_bridge.wire.preamble import (
     parse_refuse,
     parse_suite,
     preamble_frame,
-    take_frame,
 )
-from rsb_bridge.wire.protocol_error import Broken, ForeignProtocolError, Misuse, ProtocolError
-from rsb_bridge.wire.sealing import Buffer, Sealer, SealError, SessionKeys, StreamOpener, Suite
+from rsb_bridge.wire.protocol_error import Broken, Misuse, ProtocolError
+from rsb_bridge.wire.sealed_stream import AcceptingStream, ConnectingStream, Credential, SealedStream, handshake_of
+from rsb_bridge.wire.sealing import SessionKeys, Suite
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -54,33 +53,16 @@ if TYPE_CHECKING:
 _CONTROL_HEADER = HEADER.pack(CONTROL, 0, 0, 0)
 
 
-class Credential(NamedTuple):
-    """The proof that a client of a certain name owes.
-
-    Attributes:
-        keys: 32 bytes each, of which it must have one, or empty without encryption.
-        replays: remembers its first messages under all keys.
-    """
-
-    keys: tuple[bytes, ...]
-    replays: ReplayCache
-
-
-class _Control(PreambleStream):
-    """Either end of a control connection: sealed control frames after the handshake.
+class _Control(SealedStream):
+    """Either end of a control connection, in addition to its handshake.
 
     Attributes:
         decodes: whether control messages are decoded as they come. If not, each is an `Undecoded` event, so that its
             receiver can spread the work: a message of 1 MiB may take half a second.
     """
 
-    def __init__(self, *, multiplexed: bool) -> None:
-        super().__init__()
-        self.decodes = True
-        self._multiplexed = multiplexed
-        self._frames = FrameReader(CONTROL_LIMIT)
-        self._sealer: Sealer | None = None
-        self._opener: StreamOpener | None = None
+    decodes = True
+    _multiplexed: bool
 
     def send(self, message: ControlMessage) -> bytes:
         """Seal a control message.
@@ -99,44 +81,20 @@ class _Control(PreambleStream):
                     message=type(message).__name__, length=len(content), limit=CONTROL_LIMIT
                 )
             )
-        self._write(content)
+        self._outbox += self._seal(content)
         return self.data_to_send()
 
-    def _start_sealing(self, suite: Suite, sending: bytes | None, receiving: bytes | None) -> None:
-        self._sealer = Sealer(suite, sending)
-        self._opener = StreamOpener(suite, receiving)
-        self._phase = Phase.SEALED
-
-    def _write(self, content: bytes) -> None:
-        if self._sealer is None:
-            raise RuntimeError(Misuse.NOT_ESTABLISHED())
-        self._outbox += pack_frame(_CONTROL_HEADER, self._sealer.seal(content, _CONTROL_HEADER))
-
-    def _take_in(self, data: Buffer) -> None:
-        super()._take_in(data)
-        if self._is(Phase.SEALED):
-            self._open_frames()
-
-    def _open_frames(self) -> None:
-        assert self._opener is not None
-        for frame in self._frames.feed(self.leftover()):
-            header = frame[: HEADER.size]
-            if header == _CONTROL_HEADER:
-                self._on_control(self._opener.open(frame[HEADER.size :], header))
-            elif self._multiplexed and len(header) == HEADER.size and header[0] == DATA:
-                self._events.append(DataFrame(HEADER.unpack(header)[2], frame))
-            else:
-                self._on_other_frame(frame)
-                return
-
-    def _on_other_frame(self, frame: memoryview) -> None:
-        raise ProtocolError(Broken.UNEXPECTED_ON_CONTROL(header=bytes(frame[: HEADER.size]).hex(" ")))
-
-    def _on_control(self, content: bytes) -> None:
+    def _on_content(self, content: bytes) -> None:
         self._events.append(Received(decode(content)) if self.decodes else Undecoded(content))
 
+    def _on_other_frame(self, frame: memoryview) -> None:
+        header = frame[: HEADER.size]
+        if not self._multiplexed or len(header) < HEADER.size or header[0] != DATA:
+            super()._on_other_frame(frame)
+        self._events.append(DataFrame(HEADER.unpack(header)[2], frame))
 
-class ClientConnection(_Control):
+
+class ClientConnection(_Control, ConnectingStream):
     """The client's end of a control connection."""
 
     def __init__(self, hello: Hello, key: bytes | None, suite: Suite, *, multiplexed: bool = False) -> None:
@@ -148,41 +106,17 @@ class ClientConnection(_Control):
             suite: AESGCM or CHACHAPOLY, the faster one on this machine. The server may ask for CHACHAPOLY.
             multiplexed: data frames share the stream (Bluetooth).
         """
-        super().__init__(multiplexed=multiplexed)
+        super().__init__(_CONTROL_HEADER, CONTROL_LIMIT)
+        self._multiplexed = multiplexed
         self._hello = hello
         self._key = key
         self._suite = Suite.PLAIN if key is None else suite
-        self._handshake: Handshake = PlainHandshake()
         self._heard = False  # a sealed frame: so the server has this side's confirmation
-        self._proven = False
-        self._at = ""
-        self._sample_secret: bytes | None = None
-
-    @property
-    def proven(self) -> bool:
-        """Whether the server has proven that it has the key; one without encryption proves nothing."""
-        return self._proven
-
-    @property
-    def at(self) -> str:
-        """The server's address in a Zenoh network, as it says, or an empty string."""
-        return self._at
-
-    @property
-    def sample_secret(self) -> bytes | None:
-        """The secret of the stream's sample tags, or None before the handshake, or if the server sends none."""
-        return self._sample_secret
 
     @property
     def suite(self) -> Suite:
         """The cipher suite that was offered last; the server may have asked for another than at first."""
         return self._suite
-
-    def fork(self) -> ClientConnection:
-        """Return a copy to take one of several answers to the first message, which strangers may answer, too."""
-        other, handshake = self._fork(self._handshake)
-        other._handshake = handshake
-        return other
 
     def start(self) -> bytes:
         """The bytes to write first.
@@ -192,33 +126,27 @@ class ClientConnection(_Control):
         """
         mark = bytes(FINGERPRINT_LENGTH) if self._key is None else fingerprint_of(self._key)
         header = control_header(self._suite, self._hello.name, mark)
-        self._handshake = _handshake(self._suite, self._key, header)
-        return pack_frame(header, self._handshake.write(encode(self._hello)))
+        return self._first_message(self._suite, self._key, header, encode(self._hello))
 
     def _on_preamble(self, kind: Kind, body: bytes, frame: bytes) -> None:
-        match kind:
-            case Kind.ACCEPT:
-                self._on_accept(body)
-            case Kind.REFUSE:
-                self._refused_by_peer(body)
-            case Kind.RETRY if self._suite is Suite.AESGCM and parse_suite(body) is Suite.CHACHAPOLY:
-                self._suite = Suite.CHACHAPOLY
-                self._outbox += self.start()
-            case _:
-                raise ProtocolError(Broken.UNEXPECTED_IN_PREAMBLE(kind=kind.name))
+        if kind is Kind.RETRY and self._suite is Suite.AESGCM and parse_suite(body) is Suite.CHACHAPOLY:
+            self._suite = Suite.CHACHAPOLY
+            self._outbox += self.start()
+        else:
+            super()._on_preamble(kind, body, frame)
 
-    def _on_control(self, content: bytes) -> None:
+    def _on_content(self, content: bytes) -> None:
         self._heard = True
-        super()._on_control(content)
+        super()._on_content(content)
 
     def _on_other_frame(self, frame: memoryview) -> None:
         """Take a REFUSE of a server that has accepted and then missed this side's confirmation."""
-        if self._heard or frame[: len(MAGIC)] != MAGIC:
-            super()._on_other_frame(frame)
-        kind, body = parse_preamble(bytes(frame))
-        if kind is not Kind.REFUSE:
-            super()._on_other_frame(frame)
-        self._refused_by_peer(body)
+        if not self._heard and frame[: len(MAGIC)] == MAGIC:
+            kind, body = parse_preamble(bytes(frame))
+            if kind is Kind.REFUSE:
+                self._refused_by_peer(body)
+                return
+        super()._on_other_frame(frame)
 
     def _refused_by_peer(self, body: bytes) -> None:
         if parse_refuse(body)[0] is RefusalCode.SHUT_DOWN:  # anybody could have the client wait so
@@ -226,18 +154,12 @@ class ClientConnection(_Control):
         super()._refused_by_peer(body)
 
     def _on_accept(self, message: bytes) -> None:
-        try:
-            welcome = decode_welcome(self._handshake.read(message))
-        except SealError:
-            raise Refusal(RefusalCode.WRONG_KEY, RefusalText.ANSWER_SEALED_WITH_ANOTHER_KEY()) from None
+        welcome = decode_welcome(self._read_answer(message, RefusalText.ANSWER_SEALED_WITH_ANOTHER_KEY()))
         keys = self._handshake.split()
         self._proven, self._at = self._key is not None, welcome.at
-        if keys.export is not None and all(
-            sealing.FEATURE in each for each in (self._hello.features, welcome.features)
-        ):
-            self._sample_secret = sealing.derive_sample_secret(keys.export)
-        self._start_sealing(self._suite, keys.client, keys.server)
-        self._write(b"")  # the confirmation, which a replay of a recorded first message can't give
+        tagged = sealing.FEATURE in self._hello.features and sealing.FEATURE in welcome.features
+        self._start_sealing(self._suite, keys, tagged=tagged)
+        self._confirm()
         if welcome.taken:
             raise Refusal(RefusalCode.NAME_TAKEN, welcome.taken)
         if welcome.shut_down:
@@ -245,10 +167,8 @@ class ClientConnection(_Control):
         self._events.append(Established(welcome, SessionKeys(self._suite, keys.export, welcome.link_id)))
 
 
-class ServerConnection(_Control):
+class ServerConnection(AcceptingStream, _Control):
     """The server's end of an inbound stream: a control connection, or a data stream to be attached."""
-
-    _is_server = True
 
     def __init__(
         self,
@@ -267,26 +187,12 @@ class ServerConnection(_Control):
             aes: AES is fast on this machine; else a client that offers it is asked for ChaCha20-Poly1305.
             multiplexed: data frames share the stream (Bluetooth).
         """
-        super().__init__(multiplexed=multiplexed)
-        self.name = ""
-        """The name that the client says, which is not authenticated before `Established`."""
-        self._identity = identity
+        super().__init__(_CONTROL_HEADER, CONTROL_LIMIT, "client", identity)
+        self._multiplexed = multiplexed
         self._make_welcome = make_welcome
         self._aes = aes
         self._retried = False
         self._fingerprint = b""
-        self._unconfirmed: Established | Refused | None = None  # what is so once the client has confirmed
-        self._sample_secret: bytes | None = None
-
-    @property
-    def accepted(self) -> bool:
-        """Whether the client's first message opens under its key. Somebody may have recorded and sent it again."""
-        return self._is(Phase.SEALED)
-
-    @property
-    def sample_secret(self) -> bytes | None:
-        """The secret of the stream's sample tags, or None if the client is not accepted, or sends none."""
-        return self._sample_secret
 
     @property
     def fingerprint(self) -> bytes:
@@ -296,12 +202,6 @@ class ServerConnection(_Control):
     def accept_attach(self) -> bytes:
         """Accept the data stream; return the bytes to write. `leftover` has the bytes after the preamble."""
         self._outbox += pack_frame(preamble_frame(Kind.ACCEPT))
-        return self.data_to_send()
-
-    def refuse(self, code: RefusalCode, message: str) -> bytes:
-        """Refuse the stream: the bytes to write before closing it."""
-        self._phase = Phase.OVER
-        self._refuse(code, message)
         return self.data_to_send()
 
     def _on_preamble(self, kind: Kind, body: bytes, frame: bytes) -> None:
@@ -341,55 +241,23 @@ class ServerConnection(_Control):
         self._outbox += pack_frame(preamble_frame(Kind.RETRY, bytes((Suite.CHACHAPOLY,))))
 
     def _welcome(self, offer: ControlPreamble, key: bytes | None, replays: ReplayCache) -> None:
-        handshake = _handshake(offer.suite, key, offer.header)
-        try:
-            hello = decode_hello(handshake.read(offer.message))
-        except SealError:
-            raise Refusal(
-                RefusalCode.WRONG_KEY,
-                RefusalText.FIRST_MESSAGE_FORGED(name=offer.name),
-            ) from None
-        if key is not None and not replays.is_new(offer.message):
-            raise ProtocolError(Broken.HANDSHAKE_REPLAYED(name=offer.name))
+        handshake = handshake_of(offer.suite, key, offer.header)
+        hello = decode_hello(self._read_first(handshake, offer.message))
+        if key is not None:
+            self._check_new(replays, offer.message)
         if hello.name != offer.name:
             raise ProtocolError(Broken.NAMES_DIFFER(preamble=offer.name, hello=hello.name))
         welcome = self._make_welcome(hello)
-        self._outbox += pack_frame(preamble_frame(Kind.ACCEPT, handshake.write(encode(welcome))))
-        keys = handshake.split()
-        self._start_sealing(offer.suite, keys.server, keys.client)
-        self._fingerprint = b"" if key is None else offer.fingerprint
-        if keys.export is not None and sealing.FEATURE in hello.features:
-            self._sample_secret = sealing.derive_sample_secret(keys.export)
+        answer, keys = handshake.write(encode(welcome)), handshake.split()
+        outcome: Established | Refused
         if welcome.taken:
-            self._unconfirmed = Refused(RefusalCode.NAME_TAKEN, welcome.taken, hello)
+            outcome = Refused(RefusalCode.NAME_TAKEN, welcome.taken, hello)
         elif welcome.shut_down:
-            self._unconfirmed = Refused(RefusalCode.SHUT_DOWN, welcome.shut_down, hello)
+            outcome = Refused(RefusalCode.SHUT_DOWN, welcome.shut_down, hello)
         else:
-            self._unconfirmed = Established(hello, SessionKeys(offer.suite, keys.export, welcome.link_id))
-
-    def _open_frames(self) -> None:
-        if self._unconfirmed is not None:
-            # Until here the peer may be anybody, so it gets no more room than a preamble frame has.
-            try:
-                frame = take_frame(self._inbox)
-            except ForeignProtocolError:
-                raise ProtocolError(Broken.NOT_CONFIRMED(peer="client")) from None
-            if frame is None:
-                return
-            self._confirm(frame, self._unconfirmed)
-        if self._is(Phase.SEALED):
-            super()._open_frames()
-
-    def _confirm(self, frame: bytes, outcome: Established | Refused) -> None:
-        assert self._opener is not None
-        header, sealed = frame[: HEADER.size], frame[HEADER.size :]
-        if header != _CONTROL_HEADER or self._opener.open(sealed, header):
-            raise ProtocolError(Broken.NOT_CONFIRMED(peer="client"))
-        self._unconfirmed = None
-        if isinstance(outcome, Refused):
-            self._end(outcome)
-        else:
-            self._events.append(outcome)
+            outcome = Established(hello, SessionKeys(offer.suite, keys.export, welcome.link_id))
+        self._fingerprint = b"" if key is None else offer.fingerprint
+        self._accept(offer.suite, keys, answer, outcome, tagged=sealing.FEATURE in hello.features)
 
 
 class DataConnection(PreambleStream):
@@ -414,7 +282,3 @@ class DataConnection(PreambleStream):
                 self._refused_by_peer(body)
             case _:
                 raise ProtocolError(Broken.UNEXPECTED_IN_PREAMBLE(kind=kind.name))
-
-
-def _handshake(suite: Suite, key: bytes | None, prologue: bytes) -> Handshake:
-    return PlainHandshake() if key is None else NoiseHandshake(suite, key, prologue)

@@ -60,7 +60,6 @@ class Misuse(Wording):
     CONTROL_MESSAGE_TOO_LONG = "a {message} of {length} bytes; a control frame has {limit}"
     TOO_MANY_DATAGRAMS = "a message of {length} bytes takes more than {limit} datagrams: use tcp"
     NOT_ESTABLISHED = "nothing can be sent before the connection is established"
-    NOT_ADMITTED = "nothing can be sent before the connection is admitted"
     KEY_LENGTH = "{suite} takes a key of {expected} bytes"
     SESSION_KEY_LENGTH = "a session key has {expected} bytes, not {length}"
     SEALER_TAKEN = "route {route} has a sealer already: a route id is used once in a link's life"

@@ -178,9 +178,9 @@ def attach_in_fleet(arguments: Namespace, *, read_only: bool) -> RemoteEngine:
         EngineError: the attachment fails.
         UsageError: the file that says how has mistakes.
     """
-    from rsb_bridge.control.zenoh_fleet import FleetWay  # noqa: PLC0415 -- not needed elsewhere
+    from rsb_bridge.control.zenoh_fleet import FleetConnector  # noqa: PLC0415 -- not needed elsewhere
 
-    way = FleetWay(fleet_file(arguments), arguments.bridge or "")
+    way = FleetConnector(fleet_file(arguments), arguments.bridge or "")
     engine = RemoteEngine(way, read_only=read_only)
     engine.start()
     if way.warning:

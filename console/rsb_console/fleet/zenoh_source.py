@@ -15,7 +15,7 @@ import msgspec
 from rsb_bridge.control.control_sockets import ControlError
 from rsb_bridge.control.remote_engine import RemoteEngine
 from rsb_bridge.control.summaries import watch
-from rsb_bridge.control.zenoh_fleet import FleetPresence, FleetWay
+from rsb_bridge.control.zenoh_fleet import FleetConnector, FleetPresence
 from rsb_bridge.model.budgets import Backoff
 from rsb_bridge.model.robot_summary import WHY_LENGTH, RobotState, RobotSummary, decode
 from rsb_bridge.model.text import sanitize_text
@@ -88,7 +88,7 @@ class ZenohFleet:
         return list(self._robots.values())
 
     def open(self, robot: str, *, read_only: bool) -> RemoteEngine:
-        engine = RemoteEngine(FleetWay(self._file, self._called.get(robot, robot)), read_only=read_only)
+        engine = RemoteEngine(FleetConnector(self._file, self._called.get(robot, robot)), read_only=read_only)
         engine.start()
         return engine
 

@@ -10,7 +10,7 @@ from rsb_bridge.config.session_file import SessionError, SessionFile, load_file
 from rsb_bridge.control.remote_engine import RemoteEngine
 
 if TYPE_CHECKING:
-    from rsb_bridge.control.ways import Way
+    from rsb_bridge.control.connectors import Connector
     from rsb_bridge.model.session import Session
 
 
@@ -34,7 +34,7 @@ class Attached(NamedTuple):
     saved: Session | None
 
 
-def attach(where: Path | Way, *, read_only: bool) -> RemoteEngine:
+def attach(where: Path | Connector, *, read_only: bool) -> RemoteEngine:
     """Attach to a bridge by its control socket or another connection; may take some seconds.
 
     Raises:

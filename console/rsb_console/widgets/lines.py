@@ -149,7 +149,7 @@ def yield_gil() -> None:
     """Release the interpreter lock, so that the bridge's threads run before a pane is drawn.
 
     A thread that only computes keeps the lock for 5 ms, unless it sleeps. A shorter interval
-    (`sys.setswitchinterval`) costs the bridge more than it gains: docs/console.md has the figures.
+    (`sys.setswitchinterval`) costs the bridge more than it gains: bench/README.md has the figures.
     """
     time.sleep(BREATH)
 

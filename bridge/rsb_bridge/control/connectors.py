@@ -1,4 +1,4 @@
-"""How a console comes to an engine: through the control socket of this machine, or sealed over a network."""
+"""Connections from a console to an engine: over the control socket of this machine, or sealed over a network."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ class Connection(Protocol):
     """A console's end of a connection; belongs to one event loop."""
 
     async def read(self) -> bytes:
-        """What has come; empty: the connection has ended.
+        """Return the next bytes, or nothing if the connection has ended.
 
         Raises:
-            ControlError: it was ended, and this is why.
+            ControlError: the engine or this side ended it; the message has the reason.
             OSError: it broke.
         """
         ...
@@ -35,8 +35,8 @@ class Connection(Protocol):
         ...
 
 
-class Way(Protocol):
-    """Leads to one engine, again and again."""
+class Connector(Protocol):
+    """Connects to one engine, any number of times."""
 
     @property
     def same_machine(self) -> bool:
@@ -45,19 +45,19 @@ class Way(Protocol):
 
     @property
     def text(self) -> str:
-        """Names the engine where nothing is known of it yet, at the beginning of a message."""
+        """The name of the engine for messages, until the engine itself has given one."""
         ...
 
     async def open(self, within: float) -> Connection:
-        """Connect; whatever ends this, nothing is left open.
+        """Connect. Nothing is left open if this fails or is cancelled.
 
         Args:
-            within: s in which it has to answer.
+            within: s in which the engine has to answer.
 
         Raises:
-            ControlError: it cannot be, and this is why.
-            OSError: likewise.
-            TimeoutError: it does not answer.
+            ControlError: there is no connection; the message has the reason.
+            OSError: the same.
+            TimeoutError: the engine does not answer.
         """
         ...
 

@@ -1,0 +1,232 @@
+"""Both ends of a stream that begins with a handshake, and goes on with sealed frames (PROTOCOL.md, 1.2 and 10).
+
+A link's control connection and an operator's connection add their first messages, and the content of their frames.
+"""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from typing import TYPE_CHECKING, NamedTuple
+
+from rsb_bridge.wire.events import Failed, RefusalCode, Refused
+from rsb_bridge.wire.framing import FrameReader, pack_frame
+from rsb_bridge.wire.handshake import NoiseHandshake, PlainHandshake
+from rsb_bridge.wire.preamble import Kind, Phase, PreambleStream, Refusal, RefusalText, preamble_frame, take_frame
+from rsb_bridge.wire.protocol_error import Broken, ForeignProtocolError, Misuse, ProtocolError
+from rsb_bridge.wire.sealing import Sealer, SealError, StreamOpener, derive_sample_secret
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from typing import Self
+
+    from rsb_bridge.wire.events import Event
+    from rsb_bridge.wire.handshake import Handshake, HandshakeKeys, ReplayCache
+    from rsb_bridge.wire.sealing import Buffer, Suite
+
+
+class Credential(NamedTuple):
+    """The proof that a client or an operator of a certain name owes.
+
+    Attributes:
+        keys: 32 bytes each, of which it must have one, or empty without encryption.
+        replays: remembers its first messages under all keys.
+    """
+
+    keys: tuple[bytes, ...]
+    replays: ReplayCache
+
+
+class SealedStream(PreambleStream):
+    """Either end: sealed frames after the handshake.
+
+    Args:
+        header: precedes the sealed content of each frame, and is authenticated with it.
+        limit: bytes of a frame.
+    """
+
+    def __init__(self, header: bytes, limit: int) -> None:
+        super().__init__()
+        self._header = header
+        self._frames = FrameReader(limit)
+        self._sealer: Sealer | None = None
+        self._opener: StreamOpener | None = None
+        self._sample_secret: bytes | None = None
+
+    @property
+    def sample_secret(self) -> bytes | None:
+        """The secret of the stream's sample tags, or None before the handshake, or if one end takes no tags."""
+        return self._sample_secret
+
+    def _start_sealing(self, suite: Suite, keys: HandshakeKeys, *, tagged: bool) -> None:
+        sending, receiving = (keys.server, keys.client) if self._is_server else (keys.client, keys.server)
+        self._sealer, self._opener = Sealer(suite, sending), StreamOpener(suite, receiving)
+        self._phase = Phase.SEALED
+        if tagged and keys.export is not None:
+            self._sample_secret = derive_sample_secret(keys.export)
+
+    def _seal(self, content: Buffer) -> bytes:
+        if self._sealer is None:
+            raise RuntimeError(Misuse.NOT_ESTABLISHED())
+        return pack_frame(self._header, self._sealer.seal(content, self._header))
+
+    def _open(self, frame: Buffer) -> bytes:
+        assert self._opener is not None
+        return self._opener.open(frame[len(self._header) :], self._header)
+
+    def _take_in(self, data: Buffer) -> None:
+        super()._take_in(data)
+        if self._is(Phase.SEALED):
+            self._open_frames()
+
+    def _open_frames(self) -> None:
+        for frame in self._frames.feed(self.leftover()):
+            if frame[: len(self._header)] == self._header:
+                self._on_content(self._open(frame))
+            else:
+                self._on_other_frame(frame)
+                if not self._is(Phase.SEALED):
+                    return
+
+    @abstractmethod
+    def _on_content(self, content: bytes) -> None:
+        """Take the content of a sealed frame."""
+
+    def _on_other_frame(self, frame: memoryview) -> None:
+        """Take a frame with another header."""
+        raise ProtocolError(Broken.UNEXPECTED_ON_CONTROL(header=bytes(frame[: len(self._header)]).hex(" ")))
+
+
+class ConnectingStream(SealedStream):
+    """The end that sends the first message."""
+
+    def __init__(self, header: bytes, limit: int) -> None:
+        super().__init__(header, limit)
+        self._handshake: Handshake  # from the first message on
+        self._proven = False
+        self._at = ""
+
+    @property
+    def proven(self) -> bool:
+        """Whether the server has proven that it has the key, and all that came is authentic."""
+        return self._proven
+
+    @property
+    def at(self) -> str:
+        """The server's address in a Zenoh network, as it says, or an empty string."""
+        return self._at
+
+    def fork(self) -> Self:
+        """Return a copy to take one of several answers to the first message, which strangers may answer, too."""
+        other, handshake = self._fork(self._handshake)
+        other._handshake = handshake
+        return other
+
+    def _first_message(self, suite: Suite, key: bytes | None, header: bytes, payload: bytes) -> bytes:
+        self._handshake = handshake_of(suite, key, header)
+        return pack_frame(header, self._handshake.write(payload))
+
+    def _on_preamble(self, kind: Kind, body: bytes, frame: bytes) -> None:
+        match kind:
+            case Kind.ACCEPT:
+                self._on_accept(body)
+            case Kind.REFUSE:
+                self._refused_by_peer(body)
+            case _:
+                raise ProtocolError(Broken.UNEXPECTED_IN_PREAMBLE(kind=kind.name))
+
+    @abstractmethod
+    def _on_accept(self, message: bytes) -> None:
+        """Take the server's handshake message."""
+
+    def _read_answer(self, message: bytes, wrong_key: str) -> bytes:
+        try:
+            return self._handshake.read(message)
+        except SealError:
+            raise Refusal(RefusalCode.WRONG_KEY, wrong_key) from None
+
+    def _confirm(self) -> None:
+        """Confirm the handshake, which a replay of a recorded first message can't do."""
+        self._outbox += self._seal(b"")
+
+    def _end(self, event: Event) -> None:
+        if isinstance(event, Failed):
+            self._proven = False  # somebody may have added bytes to the answer of the server
+        super()._end(event)
+
+
+class AcceptingStream(SealedStream):
+    """The end that receives the first message.
+
+    Args:
+        header: as in `SealedStream`.
+        limit: as in `SealedStream`.
+        peer: the other end's role.
+        identity: the credential for a name, which is not authenticated yet; may raise `Refusal`.
+
+    Attributes:
+        name: given by the other end, and not authenticated before it has confirmed the handshake.
+    """
+
+    _is_server = True
+
+    def __init__(self, header: bytes, limit: int, peer: str, identity: Callable[[str], Credential]) -> None:
+        super().__init__(header, limit)
+        self.name = ""
+        self._peer = peer
+        self._identity = identity
+        self._unconfirmed: Event | None = None  # the outcome once the other end has confirmed
+
+    @property
+    def accepted(self) -> bool:
+        """Whether the first message opens under the key. Somebody may have recorded and sent it again."""
+        return self._is(Phase.SEALED)
+
+    def refuse(self, code: RefusalCode, message: str) -> bytes:
+        """Refuse the stream: the bytes to write before closing it."""
+        self._phase = Phase.OVER
+        self._refuse(code, message)
+        return self.data_to_send()
+
+    def _read_first(self, handshake: Handshake, message: bytes) -> bytes:
+        try:
+            return handshake.read(message)
+        except SealError:
+            raise Refusal(RefusalCode.WRONG_KEY, RefusalText.FIRST_MESSAGE_FORGED(name=self.name)) from None
+
+    def _check_new(self, replays: ReplayCache, message: bytes) -> None:
+        if not replays.is_new(message):
+            raise ProtocolError(Broken.HANDSHAKE_REPLAYED(name=self.name))
+
+    def _accept(self, suite: Suite, keys: HandshakeKeys, answer: bytes, outcome: Event, *, tagged: bool) -> None:
+        """Answer a first message that opens. What it says counts once the other end has confirmed."""
+        self._outbox += pack_frame(preamble_frame(Kind.ACCEPT, answer))
+        self._start_sealing(suite, keys, tagged=tagged)
+        self._unconfirmed = outcome
+
+    def _open_frames(self) -> None:
+        if self._unconfirmed is not None and not self._take_confirmation(self._unconfirmed):
+            return
+        if self._is(Phase.SEALED):
+            super()._open_frames()
+
+    def _take_confirmation(self, outcome: Event) -> bool:
+        """Take the first sealed frame. Until then the peer may be anybody: it gets the room of a preamble frame."""
+        try:
+            frame = take_frame(self._inbox)
+        except ForeignProtocolError:
+            raise ProtocolError(Broken.NOT_CONFIRMED(peer=self._peer)) from None
+        if frame is None:
+            return False
+        if not frame.startswith(self._header) or self._open(frame):
+            raise ProtocolError(Broken.NOT_CONFIRMED(peer=self._peer))
+        self._unconfirmed = None
+        if isinstance(outcome, Refused):
+            self._end(outcome)
+        else:
+            self._events.append(outcome)
+        return True
+
+
+def handshake_of(suite: Suite, key: bytes | None, prologue: bytes) -> Handshake:
+    """Return one end of a handshake, which seals nothing without a key."""
+    return PlainHandshake() if key is None else NoiseHandshake(suite, key, prologue)
