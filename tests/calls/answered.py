@@ -94,7 +94,7 @@ def bridge_half(folder: Path, role: str) -> None:
     engine = Engine(load(folder / f"{role}.yaml"), base=folder)
     engine.start()
     try:
-        eventually(lambda: any(route.calls is not None for route in engine.snapshot().routes), 60.0, "linked")
+        eventually(lambda: any(route.calls is not None for route in engine.snapshot().routes), 180.0, "linked")
         _say("ready")
         eventually(_input_ended, float("inf"))
         time.sleep(1.5)  # a snapshot may be 1 s old

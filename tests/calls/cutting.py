@@ -124,7 +124,7 @@ class Scene:
         assert self.server.cancels == [id_of(self.unwanted.handle())]
         return len(sequence)
 
-    def _compute_until(self, condition: Callable[[], object], what: str, within: float = 60.0) -> None:
+    def _compute_until(self, condition: Callable[[], object], what: str, within: float = 180.0) -> None:
         def met() -> bool:
             self._compute()
             return bool(condition())

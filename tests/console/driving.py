@@ -68,7 +68,7 @@ def text(app: App[Any]) -> str:
     return "\n".join("".join(segment.text for segment in strip) for strip in strips)
 
 
-async def until(pilot: Pilot[None], condition: Callable[..., object], what: str, seconds: float = 60.0) -> None:
+async def until(pilot: Pilot[None], condition: Callable[..., object], what: str, seconds: float = 180.0) -> None:
     """Wait until `condition`."""
     deadline = time.monotonic() + seconds
     while not condition():
@@ -92,7 +92,7 @@ def is_shown(app: App[Any], words: str | Wording, **parameters: object) -> bool:
     return any(says(each, words, **parameters) for each in (*lines, unwrapped))
 
 
-async def shown(pilot: Pilot[None], words: str | Wording, seconds: float = 60.0, **parameters: object) -> None:
+async def shown(pilot: Pilot[None], words: str | Wording, seconds: float = 180.0, **parameters: object) -> None:
     """Wait until the screen shows some words, or a text of the program."""
     await until(pilot, lambda: is_shown(pilot.app, words, **parameters), f"{words!r} on the screen", seconds)
 
@@ -107,7 +107,7 @@ async def notified(pilot: Pilot[None], wording: Wording, **parameters: object) -
     await until(pilot, is_there, f"a notification: {wording!r}")
 
 
-async def shown_at_the_end(pilot: Pilot[None], words: str, key: str = "G", seconds: float = 60.0) -> None:
+async def shown_at_the_end(pilot: Pilot[None], words: str, key: str = "G", seconds: float = 180.0) -> None:
     """Go to the end, which may still move, until `words` stand on the screen."""
     deadline = time.monotonic() + seconds
     while words not in text(pilot.app):
@@ -126,12 +126,12 @@ async def told_to_add(pilot: Pilot[None], app: ConsoleApp) -> tuple[object, ...]
     return told() or ()
 
 
-async def gone(pilot: Pilot[None], words: str | Wording, seconds: float = 60.0, **parameters: object) -> None:
+async def gone(pilot: Pilot[None], words: str | Wording, seconds: float = 180.0, **parameters: object) -> None:
     """Wait until the screen no longer shows some words, or a text of the program."""
     await until(pilot, lambda: not is_shown(pilot.app, words, **parameters), f"{words!r} gone", seconds)
 
 
-async def settled(pilot: Pilot[None], seconds: float = 60.0) -> None:
+async def settled(pilot: Pilot[None], seconds: float = 180.0) -> None:
     """Wait until the screen no longer changes: scrollbars come a refresh after what they scroll."""
     deadline = time.monotonic() + seconds
     before, same = "", 0

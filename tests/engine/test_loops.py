@@ -159,7 +159,7 @@ def test_a_ring_both_ways(bridge: Bridge, robot: Domain, pc: Domain, third: Doma
     for here, there in ((robot, pc), (pc, third), (third, robot)):
         connect(bridge, here, there, "transmit", "receive")
     ways = {f"{who} in {where}": 1 if who == where else 2 for who in domains for where in domains}
-    eventually(lambda: counts(domains, publishers) == ways, 60)
+    eventually(lambda: counts(domains, publishers) == ways, 180.0)
 
 
 def test_two_bridges_side_by_side(bridge: Bridge, robot: Domain, pc: Domain) -> None:
@@ -174,7 +174,7 @@ def test_two_bridges_side_by_side(bridge: Bridge, robot: Domain, pc: Domain) -> 
     domains = {"a": robot, "b": pc}
     publishers["b"] = pc.publisher(CHAT)
     ways = {"a in a": 1, "a in b": 2, "b in a": 2, "b in b": 1}
-    eventually(lambda: counts(domains, publishers) == ways, 60)
+    eventually(lambda: counts(domains, publishers) == ways, 180.0)
 
 
 @pytest.mark.parametrize("how", ["removed", "stopped"])

@@ -63,7 +63,7 @@ def test_all_streams_are_let_in(bridge: Bridge, monkeypatch: pytest.MonkeyPatch)
     names = [f"/topic{number}" for number in range(TOPICS)]
     server = bridge.server()
     client = bridge.client(*(Topic(name, "transmit", type="std_msgs/msg/String", qos=1) for name in names))
-    eventually(lambda: opened(client) == TOPICS, 60, "all topics open")
+    eventually(lambda: opened(client) == TOPICS, what="all topics open")
     assert troubles(server) == troubles(client) == []
     assert [route.key for route in link_of(client).routes.values() if not route.connected] == []
 

@@ -124,7 +124,7 @@ def test_a_path_that_takes_seconds_is_not_full(bridge: Bridge, robot: Domain, pc
     with HoldingRelay(bridge.port) as relay:
         relay.held = 1.5
         client = bridge.client(Topic("/camera", "transmit"), server_port=relay.port)
-        eventually(lambda: linked(client) and linked(server), 60, what="linked")
+        eventually(lambda: linked(client) and linked(server), 180.0, what="linked")
         carries([out], server, ["/camera"])
         with Publishing(out, 20.0, 1000) as publishing:
             seen = _record((client, server), 20.0, lambda: False)

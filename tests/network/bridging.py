@@ -77,7 +77,9 @@ class Program:
         events = (each for each in self.log if each.get("code") == code and each["time"] >= since)
         return next((each for each in events if has_text(each["text"], about)), None)
 
-    def happens(self, code: EventCode, about: str | Wording = "", *, within: float = 60.0, since: float = 0.0) -> float:
+    def happens(
+        self, code: EventCode, about: str | Wording = "", *, within: float = 180.0, since: float = 0.0
+    ) -> float:
         """Wait until it happens. Returns when it did, in s since the epoch."""
         try:
             when: float = eventually(lambda: self.happened(code, about, since), within)["time"]
@@ -164,13 +166,13 @@ class Bridge:
                 talker.talk(topic, rate=20)
         self.all_flow()
 
-    def all_flow(self, within: float = 60.0) -> None:
+    def all_flow(self, within: float = 180.0) -> None:
         """Wait until something that is published from now on has come on each topic of `EACH_WAY`."""
         deadline, now = time.monotonic() + within, time.time()
         for listener, topic in ((self.pc, "/scan"), (self.pc, "/odom"), (self.robot, "/cmd"), (self.robot, "/goal")):
             listener.hears(topic, deadline - time.monotonic(), after=now)
 
-    def settled(self, *topics: str, since: float = 0.0, within: float = 60.0) -> dict[str, Ledger]:
+    def settled(self, *topics: str, since: float = 0.0, within: float = 180.0) -> dict[str, Ledger]:
         """Wait until a robot's topics have nothing in flight, and as much delivered as the PC's node has heard.
 
         Args:

@@ -87,7 +87,7 @@ class Node:
         """All that came so far; AssertionError where a message is not as it was published."""
         return [Heard(*each) for each in self._ask(do="tell", topic=topic)]
 
-    def hears(self, topic: str, within: float = 60.0, *, after: float | None = None) -> Heard:
+    def hears(self, topic: str, within: float = 180.0, *, after: float | None = None) -> Heard:
         """Wait for a message published later than `after` (s since the epoch; None: now)."""
         after = time.time() if after is None else after
 

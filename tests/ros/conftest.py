@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 def eventually() -> Callable[[Callable[[], Any]], Any]:
     """Wait for a condition, with a deadline, and return what it returned."""
 
-    def wait(condition: Callable[[], Any], within: float = 60.0) -> Any:
+    def wait(condition: Callable[[], Any], within: float = 180.0) -> Any:
         deadline = time.monotonic() + within
         while not (found := condition()):
             assert time.monotonic() < deadline, "it did not happen in time"

@@ -275,12 +275,12 @@ def feedback_listeners(engine: Engine) -> int:
     return offered.subscriber_count if offered else 0
 
 
-def settled(engine: Engine, topic: str, offered: int, within: float = 60.0) -> Ledger:
-    """Wait until the ledger of a topic has so many messages offered and none in flight."""
+def settled(engine: Engine, topic: str, offered: int, within: float = 180.0) -> Ledger:
+    """Wait until the ledger of a topic has so many messages offered, or lost in DDS before, and none in flight."""
 
     def done() -> Ledger | None:
         ledger = route(engine, topic).ledger
-        return ledger if ledger.offered == offered and not ledger.in_flight else None
+        return ledger if ledger.offered + ledger.lost_in_dds == offered and not ledger.in_flight else None
 
     try:
         return eventually(done, within)
@@ -302,7 +302,7 @@ def happened(engine: Engine, code: EventCode, about: str | Wording = "", **param
     return None
 
 
-def heard(listener: Listener, count: int, within: float = 60.0) -> list[bytes]:
+def heard(listener: Listener, count: int, within: float = 180.0) -> list[bytes]:
     """Wait until a listener has heard so many messages."""
     eventually(lambda: len(listener.payloads) >= count, within, f"{count} messages")
     return listener.payloads

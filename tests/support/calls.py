@@ -129,13 +129,13 @@ class CallNode:
         ready: bool = self._ask(do="ready", service=services)
         return ready
 
-    def waits_for(self, *services: str, within: float = 60.0) -> float:
+    def waits_for(self, *services: str, within: float = 180.0) -> float:
         """As rclpy's wait_for_service, for all of them; s that it took."""
         began = time.monotonic()
         eventually(lambda: self.ready(*services), within, f"servers of {services}")
         return time.monotonic() - began
 
-    def waits_for_none(self, service: str, within: float = 60.0) -> float:
+    def waits_for_none(self, service: str, within: float = 180.0) -> float:
         """Until it has no server; s that it took."""
         began = time.monotonic()
         eventually(lambda: not self.ready(service), within, f"no server of {service}")

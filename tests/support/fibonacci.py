@@ -6,7 +6,6 @@ number every 0.1 s, with feedback.
 
 from __future__ import annotations
 
-import contextlib
 import os
 import signal
 import subprocess
@@ -27,6 +26,7 @@ from rclpy.action import ActionClient, ActionServer, CancelResponse, GoalRespons
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.context import Context
 from rclpy.executors import ExternalShutdownException, MultiThreadedExecutor
+from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
 from test_msgs.action import Fibonacci
 
@@ -76,8 +76,15 @@ class _Spun:
         self._thread.start()
 
     def _spin(self) -> None:
-        with contextlib.suppress(ExternalShutdownException):
+        try:
             self._executor.spin()
+        except ExternalShutdownException:
+            pass
+        except (
+            rclpy_implementation.RCLError
+        ):  # rclpy makes a wait set without asking again whether the context is valid
+            if self._context.ok():
+                raise
 
     def close(self) -> None:
         """Leave the domain."""

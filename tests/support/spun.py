@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import contextlib
 import threading
 from typing import TYPE_CHECKING, Any
 
 from rclpy.context import Context
 from rclpy.executors import ExternalShutdownException, MultiThreadedExecutor
+from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
 from tests.support.participants import join
 from tests.support.waiting import eventually
@@ -47,10 +47,17 @@ class Spun:
         self._thread.start()
 
     def _spin(self) -> None:
-        with contextlib.suppress(ExternalShutdownException):
+        try:
             self._executor.spin()
+        except ExternalShutdownException:
+            pass
+        except (
+            rclpy_implementation.RCLError
+        ):  # rclpy makes a wait set without asking again whether the context is valid
+            if self._context.ok():
+                raise
 
-    def result(self, future: Future, within: float = 60.0) -> Any:
+    def result(self, future: Future, within: float = 180.0) -> Any:
         """What a call is answered with."""
         eventually(future.done, within, "an answer")
         return future.result()

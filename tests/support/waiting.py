@@ -13,7 +13,7 @@ Condition: TypeAlias = "Callable[..., T | None]"
 """Called without arguments; in a loop it binds the loop's variables by defaults, which `Callable[[], T]` forbids."""
 
 
-def eventually(condition: Condition[T], within: float = 60.0, what: str = "") -> T:
+def eventually(condition: Condition[T], within: float = 180.0, what: str = "") -> T:
     """Wait until a condition gives something true, and return that.
 
     The deadline is for what never comes; how fast it comes is the machine's affair.

@@ -52,7 +52,7 @@ def holding(*channels: tuple[str, int, str]) -> Iterator[None]:
         holder.communicate()
 
 
-def wait_until(condition: Callable[..., object], what: str, seconds: float = 60.0) -> None:
+def wait_until(condition: Callable[..., object], what: str, seconds: float = 180.0) -> None:
     """Wait for a condition, with a deadline."""
     deadline = time.monotonic() + seconds
     while not condition():

@@ -53,7 +53,7 @@ class Command:
             return int(written.read_text()) if written.exists() else -signal.SIGKILL
         return None
 
-    def wait(self, within: float = 60.0) -> int:
+    def wait(self, within: float = 180.0) -> int:
         """Wait until it has ended; return its exit code."""
         deadline = time.monotonic() + within
         while (code := self.code) is None:

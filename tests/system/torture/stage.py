@@ -283,7 +283,7 @@ class Stage:
         self._nodes.talker.talk([TOPIC], RATE)
         self.await_disarmed()
 
-    def await_disarmed(self, within: float = 60.0) -> None:
+    def await_disarmed(self, within: float = 180.0) -> None:
         """Wait until both sides are linked and show the topic disarmed, ready to be armed."""
 
         def ready() -> bool:
