@@ -9,28 +9,32 @@ import tempfile
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from tests.support.waiting import eventually
+
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
 
 
 _DOMAINS = range(22, 60, 2)
+_NONE_FREE = 600.0
+"""s that this run waits for others to end."""
 
 
 def two_domains() -> int:
-    """The first of two ROS domains that no other run on this machine uses.
-
-    Raises:
-        AssertionError: others have them all.
-    """
+    """Return the first of two ROS domains that no other run on this machine uses."""
     return locked("domains", _DOMAINS)
 
 
 def locked(what: str, numbers: Iterable[int]) -> int:
-    """The first of some numbers that no other run has taken; it is this process's as long as that lives.
+    """Take the first free one of some numbers for as long as this process lives; wait if other runs have them all.
 
     Raises:
-        AssertionError: others have them all.
+        AssertionError: none became free.
     """
+    return eventually(lambda: _locked(what, numbers), _NONE_FREE, f"one of {what} {numbers} free")
+
+
+def _locked(what: str, numbers: Iterable[int]) -> int | None:
     for number in numbers:
         lock = _opened(f"{what}-{number}")
         try:
@@ -39,7 +43,7 @@ def locked(what: str, numbers: Iterable[int]) -> int:
             os.close(lock)
             continue
         return number
-    raise AssertionError(f"{what} {numbers} are all in use by other runs of these tests")
+    return None
 
 
 @contextlib.contextmanager
