@@ -16,6 +16,7 @@ from rsb_bridge.api import EngineError
 from rsb_bridge.config.keys import read_key, write_key
 from rsb_bridge.engine import Engine
 from rsb_bridge.link.errors import LinkError
+from rsb_bridge.link.link_bench import REOPENED
 from rsb_bridge.model.benchmark import ENDED_BY_PEER, TYPE, TYPE_HASH, Leave, Order, bench_topic
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.model.session import Client, Session
@@ -168,7 +169,7 @@ def test_a_run_whose_topic_is_opened_anew_has_no_figures(
         return True
 
     eventually(lambda: on_bridge(both.client, open_anew), WITHIN)
-    with pytest.raises(EngineError, match="anew"):
+    with pytest.raises(EngineError, match=REOPENED):
         running.result(WITHIN)
 
 

@@ -460,6 +460,9 @@ class LinkBench(Extension):
         return self._synthetic.sources.get(end), self._synthetic.drains.get(end)
 
 
+REOPENED = "the topic was reopened during the run, so that the count is incomplete"
+
+
 def _check_opening(route: Route, opening: int) -> None:
     """Check that a topic is in the opening in which the run began.
 
@@ -469,7 +472,7 @@ def _check_opening(route: Route, opening: int) -> None:
     if route.refusal or not route.id:
         raise LinkError(_why_not(route))
     if route.id != opening:
-        raise LinkError("the topic was reopened during the run, so that the count is incomplete")
+        raise LinkError(REOPENED)
 
 
 def _why_not(route: Route) -> str:
