@@ -77,8 +77,8 @@ def test_one_line_that_has_no_room_is_one_line() -> None:
         tracks = (*REMEMBERED.tracks, *links)
         engine_of(app).remembered = replace(REMEMBERED, tracks=tracks, outages_left_out=1)
         await pilot.press("h")
-        await shown(pilot, "1 more line: rsb-console report robot1")
-        await shown(pilot, "at least 1 more outage, for")
+        await shown(pilot, HistoryText.LINES_LEFT_OUT, more="1 more line", name="robot1")
+        await shown(pilot, HistoryText.OUTAGES_LEFT_OUT, more="1 more outage")
 
     drive(app, steps)
 

@@ -243,7 +243,7 @@ def test_a_long_line_of_the_difference_is_shown_whole(folder: Path) -> None:
     drive(app, steps, size=NARROW)
 
 
-def test_a_layout_that_cannot_be_edited_is_written_anew_only_after_a_question(folder: Path) -> None:
+def test_a_layout_that_cannot_be_edited_is_rewritten_only_after_a_question(folder: Path) -> None:
     path = folder / "nav2.yaml"
     before = f"# mine\n{dump(SESSION)}? topics\n: - {{topic: /a, direction: transmit}}\n"
     path.write_text(before)
@@ -253,13 +253,13 @@ def test_a_layout_that_cannot_be_edited_is_written_anew_only_after_a_question(fo
         await shown(pilot, "/robot2/scan")
         now = changed(app, Topic("/new", "transmit"))
         await pilot.press("w")
-        await shown(pilot, "Write nav2.yaml anew?")
-        await shown(pilot, "without its comments")
+        await shown(pilot, SaveText.REWRITE, file="nav2.yaml")
+        await shown(pilot, SaveText.REWRITTEN)
         await pilot.press("n")
         await shut(pilot)
         assert path.read_text() == before
         await pilot.press("w")
-        await shown(pilot, "Write nav2.yaml anew?")
+        await shown(pilot, SaveText.REWRITE, file="nav2.yaml")
         await pilot.press("y")
         await shown(pilot, "saved:")
         assert load(path) == now

@@ -48,6 +48,8 @@ class HistoryText(Wording):
     BY_TOPIC = "by robot and topic"
     NOT_KNOWN = "not available now: {error}"
     GAP = "the bridge did not run, or the machine slept"
+    LINES_LEFT_OUT = "{more}: rsb-console report {name}"
+    OUTAGES_LEFT_OUT = "at least {more}, dropped for lack of room"
 
 
 class Row(NamedTuple):
@@ -246,10 +248,10 @@ class HistoryScreen(ModalScreen[None]):
             yield from (((text, ""),) for text in textwrap.wrap(line, width, subsequent_indent="  "))
         if len(lines) > _SUMMARY_LINES:
             more = formats.counted(len(lines) - _SUMMARY_LINES, "more line")
-            yield ((f"{more}: rsb-console report {report.name}", "dim"),)
+            yield ((HistoryText.LINES_LEFT_OUT(more=more, name=report.name), "dim"),)
         if report.outages_left_out:
             more = formats.counted(report.outages_left_out, "more outage")
-            yield ((f"at least {more}, dropped for lack of room", "dim"),)
+            yield ((HistoryText.OUTAGES_LEFT_OUT(more=more), "dim"),)
         if not rows:
             yield (("no match" if self.pattern else "nothing else happened", "dim"),)
 

@@ -37,6 +37,8 @@ class SaveText(Wording):
     KEY_SAVED = "its key is saved, too: {file}"
     KEY_NOT_SAVED = "The key is not saved"
     CHANGED_ON_DISK = "{file} was changed on disk"
+    REWRITE = "Rewrite {file}?"
+    REWRITTEN = "Its layout cannot be edited in place: the whole file is rewritten, without its comments"
 
 
 async def save_elsewhere(console: Console, session: Session, path: Path, opened: SessionFile | None) -> bool:
@@ -111,8 +113,7 @@ def _question(session: Session, path: Path, opened: SessionFile | None) -> tuple
         after = edited_text(session, path, opened)
     except UneditableError:
         opened, after = None, edited_text(session, path)
-        title, yes = f"Rewrite {path.name}?", "Rewrite"
-        message = "Its layout cannot be edited in place: the whole file is rewritten, without its comments"
+        title, yes, message = SaveText.REWRITE(file=path.name), "Rewrite", SaveText.REWRITTEN()
     message = f"{message}. A backup is kept in {backup_path(path).name}."
     return DiffScreen(title, message, yes, difference(text_of(path), after)), opened
 
