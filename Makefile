@@ -27,7 +27,7 @@ demo-fleet: $(STAMP)
 # computes gives way to them, in one process after another. What runs at once shares no ROS domain, port or file.
 #   make test        lint and all tests but those that make test-all adds
 #   make test-all    these, tests that are marked as long, simulated networks (tests/network), and a machine with the real
-#                    kernel's Bluetooth (tests/bluetooth, docs/bluetooth.md)
+#                    kernel's Bluetooth (tests/bluetooth, tests/README.md)
 #   make test-quick  lint without mypy, and what is tested without ROS, processes and screens
 #   make test-link   one folder, long tests included
 MANY := 6
