@@ -123,7 +123,7 @@ def test_the_screen_needs_a_terminal(
 
 
 def test_the_fields_that_are_documented_are_printed(engine: ServerEngine, capsys: pytest.CaptureFixture[str]) -> None:
-    section = (Path(__file__).parents[2] / "docs" / "fleet.md").read_text().partition("| field of a robot |")[2]
+    section = (Path(__file__).parents[2] / "docs" / "headless.md").read_text().partition("| field of a robot |")[2]
     rows = [line.split("|")[1] for line in section.partition("\n\n")[0].splitlines()[2:]]
     printed = Ran(capsys, "--json", *QUICK).json["robots"][0]
     assert {field for row in rows for field in re.findall(r"`(\w+)`", row)} == printed.keys()
