@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any, cast
 
 import msgspec
 import pytest
-from tests.command.test_remote import Ran
 from tests.console.scripted import SESSION, ScriptedEngine, answered, route
+from tests.support.commands import Ran
 from tests.support.wording import says
 
 from rsb_bridge.api import EngineError, InvalidRequestError

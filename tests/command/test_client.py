@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, TypeAlias
 
 import pytest
 from msgspec.structs import replace
-from tests.command.test_remote import Ran
 from tests.console.scripted import LINK, ScriptedEngine
+from tests.support.commands import Ran
 from tests.support.wording import says
 
 from rsb_bridge.config.client_entries import ClientProblem

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any, get_args
 
 import pytest
+from tests.support.commands import parser_and_commands
 from tests.support.locks import alone
 from tests.support.wording import says
 
@@ -24,7 +25,6 @@ from rsb_bridge.config.validation import SessionMistake
 from rsb_bridge.config.yaml_text import YamlMistake
 from rsb_bridge.model.session import Protocol
 from rsb_console.command.argument_values import ValueProblem
-from rsb_console.command.arguments import parser_and_commands
 from rsb_console.command.check import CheckText
 from rsb_console.command.local_commands import LocalText
 from rsb_console.command.shell import CommandText
@@ -610,7 +610,7 @@ def test_the_demo_bridges_and_leaves_one_topic_to_add() -> None:
     """A Ctrl-C goes to the terminal's whole process group: the simulated robot writes no traceback for it."""
     environment = os.environ | {"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
     with subprocess.Popen(
-        [COMMAND, "demo", "--no-ui"],
+        [COMMAND, "demo", "--no-ui", "--seconds", "600"],
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,

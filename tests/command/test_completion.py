@@ -14,9 +14,9 @@ from typing import TYPE_CHECKING
 import msgspec
 import pytest
 from tests.console.scripted import SESSION, ScriptedEngine, route
+from tests.support.commands import parser_and_commands
 
 from rsb_bridge.model.session import Topic
-from rsb_console.command.arguments import parser_and_commands
 
 if TYPE_CHECKING:
     import argparse

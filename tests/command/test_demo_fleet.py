@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import shutil
 import signal
@@ -11,15 +12,18 @@ import time
 from pathlib import Path
 
 import pytest
+from tests.console.scripted import ScriptedEngine
 from tests.console.terminal import COMMAND, Terminal
 from tests.console.tmux import Tmux
+from tests.support.commands import parser_and_commands
 from tests.support.locks import alone
 from tests.support.waiting import eventually
 
+from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.robot_summary import RobotState, RobotSummary
 from rsb_console.command import demo
-from rsb_console.command.arguments import parser_and_commands
 from rsb_console.command.demo import HOW_TO_END
+from rsb_console.command.headless import Signals, bridge_until_told
 from rsb_console.fleet.fleet import Robot
 
 pytest.importorskip("rclpy", reason="needs ROS 2")
@@ -136,6 +140,13 @@ def test_no_process_outlives_a_demo_that_is_killed(options: tuple[str, ...], see
         assert len(started) >= at_least
         terminal.kill(signal.SIGKILL)
         eventually(lambda: not running(started), WITHIN, "the end of all processes")
+
+
+def test_a_time_ends_it(capfd: pytest.CaptureFixture[str]) -> None:
+    engine = ScriptedEngine()
+    with Signals(ignore_hangup=False, has_terminal=True) as signals:
+        assert bridge_until_told(engine, signals, log_format="json", seconds=0.05) == 0
+    assert json.loads(capfd.readouterr().out.splitlines()[-1])["code"] == EventCode.ENGINE_STOPPING
 
 
 DEAF = """

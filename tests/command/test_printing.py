@@ -14,12 +14,12 @@ from typing import TYPE_CHECKING
 import msgspec
 import pytest
 from tests.console.scripted import SESSION, ScriptedEngine, route
+from tests.support.commands import parser_and_commands
 
 from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import RefusedClient, State
 from rsb_bridge.model.text import escape_json, is_clean, one_line, several_lines
 from rsb_console.cli import main
-from rsb_console.command.arguments import parser_and_commands
 from rsb_console.command.bench_command import Progress
 from rsb_console.command.headless import LogWriter
 from rsb_console.command.shell import CleanErrors, print_error, print_line, print_lines

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 import msgspec
 import pytest
 from tests.console.scripted import EVENTS, ROUTES, SESSION, ScriptedEngine, route
+from tests.support.commands import Ran
 from tests.support.ports import free_port
 from tests.support.waiting import eventually
 from tests.support.wording import says
@@ -31,7 +32,6 @@ from rsb_bridge.model.snapshot import (
     RouteSnapshot,
     State,
 )
-from rsb_console.command.arguments import parser_and_commands
 from rsb_console.command.headless import HeadlessText
 from rsb_console.command.remote import COMMANDS, RemoteProblem
 from rsb_console.command.target import BridgeChoice, RouteChoice
@@ -58,20 +58,6 @@ def engine(machine: Machine) -> ScriptedEngine:
     made = ScriptedEngine(msgspec.structs.replace(SESSION, topics=(SCAN.spec,)), routes=(SCAN,))
     machine.serve(made)
     return made
-
-
-class Ran:
-    """What became of a command."""
-
-    def __init__(self, capsys: pytest.CaptureFixture[str], *arguments: str) -> None:
-        parsed = parser_and_commands()[0].parse_args(arguments)
-        self.code = parsed.command(parsed)
-        self.out, self.err = capsys.readouterr()
-
-    @property
-    def json(self) -> Any:
-        """Its output, one object."""
-        return json.loads(self.out)
 
 
 @pytest.fixture

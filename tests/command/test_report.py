@@ -10,9 +10,9 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import pytest
-from tests.command.test_remote import Ran
 from tests.console.scripted import LINK, NOW, REMEMBERED, ScriptedEngine
 from tests.history.world import World
+from tests.support.commands import Ran
 from tests.support.wording import says
 
 from rsb_bridge.history import history_files

@@ -9,13 +9,13 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from tests.support.commands import parser_and_commands
 from tests.support.systemd import exposure
 from tests.support.wording import says
 
 from rsb_bridge.config.session_file import save
 from rsb_bridge.model.session import Session
 from rsb_console.command import service
-from rsb_console.command.arguments import parser_and_commands
 from rsb_console.command.service import KEPT_VARIABLES, Service, ServiceText, unit_name
 
 
