@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any, get_args
 
 import pytest
-from tests.support.commands import parser_and_commands
+from tests.support.commands import parser_and_commands, rsb_console
 from tests.support.locks import alone
 from tests.support.wording import says
 
@@ -64,11 +64,12 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path
 
 
-def rsb_console(*arguments: str, **options: Any) -> subprocess.CompletedProcess[str]:
+def process(*arguments: str, **options: Any) -> subprocess.CompletedProcess[str]:
+    """Run the installed command."""
     return subprocess.run([COMMAND, *arguments], capture_output=True, text=True, timeout=120, check=False, **options)
 
 
-def in_process(before: str, *arguments: str) -> subprocess.CompletedProcess[str]:
+def with_first(before: str, *arguments: str) -> subprocess.CompletedProcess[str]:
     """Run the command in a Python that first does something else."""
     script = f"import sys\n{before}\nfrom rsb_console.cli import main\nsys.exit(main({list(arguments)!r}))"
     return subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=120, check=False)
@@ -77,11 +78,11 @@ def in_process(before: str, *arguments: str) -> subprocess.CompletedProcess[str]
 @pytest.mark.parametrize("arguments", [("--help",), ("--version",), ("keygen", "--force"), ("check", "robot1.yaml")])
 def test_it_answers_at_once_without_ros_and_textual(arguments: tuple[str, ...]) -> None:
     rsb_console("keygen")
-    blocked = "for name in ('rclpy', 'textual', 'rich', 'dbus_fast', 'asyncio'): sys.modules[name] = None"
-    assert in_process(blocked, *arguments).returncode == 0
     counted = "import atexit; atexit.register(lambda: print('modules', len(sys.modules)))"
-    modules = int(in_process(counted, *arguments).stdout.rpartition("modules")[2])
-    assert modules < MOST_MODULES  # what it takes to start is what it imports
+    blocked = "for name in ('rclpy', 'textual', 'rich', 'dbus_fast', 'asyncio'): sys.modules[name] = None"
+    run = with_first(f"{counted}\n{blocked}", *arguments)
+    assert run.returncode == 0
+    assert int(run.stdout.rpartition("modules")[2]) < MOST_MODULES  # what it takes to start is what it imports
 
 
 def test_what_libraries_print_is_kept_out_of_the_log() -> None:
@@ -101,7 +102,7 @@ def test_closed_outputs_change_nothing_but_what_is_said(closed: str, name: str, 
 
 
 def test_version_and_help() -> None:
-    assert rsb_console("--version").stdout.startswith("rsb-console 0.")
+    assert process("--version").stdout.startswith("rsb-console 0.")
     for command in ("run", "check", "keygen", "import", "bt-scan", "demo"):
         assert command in rsb_console("--help").stdout
         assert rsb_console(command, "--help").stdout.startswith(f"usage: rsb-console {command}")
@@ -165,7 +166,7 @@ def test_check_looks_once_at_each_key() -> None:
     """So what it says and how it exits agree, whatever happens to the file meanwhile."""
     rsb_console("keygen")
     heard = "sys.addaudithook(lambda name, what: name == 'open' and str(what[0]) == 'key.txt' and print('opened'))"
-    run = in_process(heard, "check", "robot1.yaml")
+    run = with_first(heard, "check", "robot1.yaml")
     assert (run.returncode, run.stdout.count("opened")) == (0, 1)
 
 
@@ -372,8 +373,10 @@ def test_a_thesis_file_in_place_of_a_session_leads_to_the_import(command: tuple[
 @pytest.mark.parametrize(
     "arguments", [(), ("--debug",), ("run",), ("robot1.yaml",), ("--readonly", "robot1.yaml"), ("demo",)]
 )
-def test_the_console_is_refused_without_a_terminal(arguments: tuple[str, ...]) -> None:
-    run = rsb_console(*arguments, stdin=subprocess.DEVNULL)
+def test_the_console_is_refused_without_a_terminal(arguments: tuple[str, ...], monkeypatch: pytest.MonkeyPatch) -> None:
+    with Path(os.devnull).open() as nothing:
+        monkeypatch.setattr("sys.stdin", nothing)
+        run = rsb_console(*arguments)
     assert run.returncode == 2
     assert says(run.stderr, LocalText.NO_TERMINAL)
     assert "--no-ui" in run.stderr
@@ -459,33 +462,34 @@ def test_a_session_named_like_a_command_is_reached_by_its_path() -> None:
     assert "checks:7: topic /scan, protocol" in rsb_console("checks").stderr
 
 
-def breaking(error: str) -> str:
-    """What makes `check` raise an error."""
-    function = f"def check(arguments): raise {error}"
-    return f"from rsb_console.command import arguments\n{function}\narguments.check_session = check"
+def test_an_unforeseen_failure_is_one_line_and_a_log(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def check(_: object) -> int:
+        raise RuntimeError("sprocket")
 
-
-def test_an_unforeseen_failure_is_one_line_and_a_log(folder: Path) -> None:
-    broken = breaking("RuntimeError('sprocket')")
-    run = in_process(broken, "check", "robot1.yaml")
+    monkeypatch.setattr("rsb_console.command.arguments.check_session", check)
+    run = rsb_console("check", "robot1.yaml", may_crash=True)
     log = folder / "state" / "rsb-console" / "crash.log"
     assert run.returncode == 1
     assert run.stderr == f"rsb-console: unexpected RuntimeError: sprocket (details: {log})\n"
     assert "Traceback" in log.read_text()
     assert stat.S_IMODE(log.stat().st_mode) == 0o600
     for arguments in (("--debug", "check", "robot1.yaml"), ("check", "--debug", "robot1.yaml")):
-        assert "Traceback" in in_process(broken, *arguments).stderr
+        assert "Traceback" in rsb_console(*arguments, may_crash=True).stderr
     (folder / "state").rename(folder / "elsewhere")
     (folder / "state").write_text("not a folder")
-    stderr = in_process(broken, "check", "robot1.yaml").stderr
+    stderr = rsb_console("check", "robot1.yaml", may_crash=True).stderr
     assert says(stderr, CommandText.CRASHED_WITHOUT_LOG, log=log)
     assert stderr.count("\n") == 1
 
 
 def test_an_interrupt_is_quiet() -> None:
     """The command raises what Ctrl-C raises: no command here runs long enough to be hit by a real one."""
-    broken = breaking("KeyboardInterrupt")
-    run = in_process(broken, "check", "robot1.yaml")
+    broken = (
+        "from rsb_console.command import arguments\n"
+        "def check(_): raise KeyboardInterrupt\n"
+        "arguments.check_session = check"
+    )
+    run = with_first(broken, "check", "robot1.yaml")
     assert (run.returncode, run.stdout, run.stderr) == (130, "", "")
 
 
@@ -504,37 +508,9 @@ def test_a_reader_that_left_gets_no_traceback() -> None:
 def test_names_outside_the_terminals_encoding_are_escaped() -> None:
     Path("robot1.yaml").write_text(SESSION.replace("name: robot1", "name: röbot"), encoding="utf-8")
     rsb_console("keygen")
-    run = rsb_console("check", "robot1.yaml", env=os.environ | {"PYTHONIOENCODING": "ascii"})
+    run = process("check", "robot1.yaml", env=os.environ | {"PYTHONIOENCODING": "ascii"})
     assert run.returncode == 0
     assert r"client r\xf6bot" in run.stdout
-
-
-@pytest.mark.parametrize(
-    ("line", "expected"),
-    [
-        ("rsb-console ke", {"keygen"}),
-        ("rsb-console run --lo", {"--log-format"}),
-        ("rsb-console c", {"call", "check", "client", "completion", "control.yaml", "configs/"}),
-        ("rsb-console check configs/", {"configs/a.yml"}),
-        ("rsb-console run ", {"robot1.yaml", "control.yaml", "configs/"}),
-        ("rsb-console control.yaml --log-format ", {"text", "json"}),
-        ("rsb-console run --theme hi", {"high-contrast"}),
-    ],
-)
-def test_a_shell_completes_commands_options_sessions_and_themes(line: str, expected: set[str]) -> None:
-    Path("configs").mkdir()
-    for name in ("control.yaml", "notes.txt", "cube.txt", ".hidden.yaml", "configs/a.yml", "configs/b.key"):
-        Path(name).touch()
-    environment = os.environ | {
-        "_ARGCOMPLETE": "1",
-        "_ARGCOMPLETE_IFS": "\n",
-        "_ARGCOMPLETE_STDOUT_FILENAME": "completions",
-        "COMP_LINE": line,
-        "COMP_POINT": str(len(line)),
-    }
-    rsb_console(env=environment)
-    offered = {each.rstrip() for each in Path("completions").read_text().split("\n")}  # a space ends the only one
-    assert {each for each in offered if not each.startswith("-") or line.endswith("--lo")} == expected
 
 
 def started_headless(before: str, *arguments: str) -> subprocess.Popen[str]:

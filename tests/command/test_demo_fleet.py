@@ -97,7 +97,7 @@ def test_the_screen_opens_leads_to_a_robot_and_back_and_ends_all(tmp_path: Path,
         tmux.wait_for("robot2", WITHIN)
         demo = int(tmux("display-message", "-p", "#{pane_pid}"))
         started = {demo} | descendants(demo)
-        assert len(started) >= 4  # itself, the router, the control side, the robots
+        assert len(started) >= 4  # itself, the router, the control side, the robot
         tmux("send-keys", "/", "robot:robot2", "Enter")
         tmux.wait_for("1 of 3", WITHIN)
         tmux("send-keys", "Enter")
@@ -128,8 +128,8 @@ def test_nothing_of_it_is_left_where_a_signal_ends_it(seen: str, how: signal.Sig
     [
         ((), "LINKED", 3),  # the robot, its bridge, the desk
         (("--no-ui",), " ok |", 3),
-        (("--fleet", "--robots", "2"), "robot2", 3),  # the router, the control side, the robots
-        (("--fleet", "--robots", "2", "--no-ui"), HOW_TO_END, 3),
+        (("--fleet", "--robots", "1"), "robot1", 3),  # the router, the control side, the robot
+        (("--fleet", "--robots", "1", "--no-ui"), HOW_TO_END, 3),
     ],
     ids=["console", "headless", "fleet", "headless-fleet"],
 )

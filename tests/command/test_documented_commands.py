@@ -36,6 +36,7 @@ if TYPE_CHECKING:
 
     from tests.support.control import Machine
 
+    from rsb_bridge.control.control_server import ControlServer
     from rsb_bridge.model.commands import Command
 
 _ROOT = Path(__file__).parents[2]
@@ -292,7 +293,7 @@ def serve(machine: Machine, folder: Path, monkeypatch: pytest.MonkeyPatch) -> Ca
 
     def serve(line: str) -> None:
         engine: ScriptedEngine = Control() if line.startswith(("fleet", "client", "bench control")) else Robot()
-        server = machine.serve(
+        server: ControlServer = machine.serve(
             engine, file=folder / f"{engine.session.name}.yaml", on_stop=lambda: Thread(target=server.close).start()
         )
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import ast
 import io
 import json
-import subprocess
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -14,7 +13,7 @@ from typing import TYPE_CHECKING
 import msgspec
 import pytest
 from tests.console.scripted import SESSION, ScriptedEngine, route
-from tests.support.commands import parser_and_commands
+from tests.support.commands import parser_and_commands, rsb_console
 
 from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import RefusedClient, State
@@ -29,7 +28,6 @@ if TYPE_CHECKING:
 
     from tests.support.control import Machine
 
-COMMAND = str(Path(sys.executable).with_name("rsb-console"))
 EVIL = "\x1b]0;evil\x07\x1b[2J\u202eevil\u200b\x9b31m\n2026-01-01 forged\r\U000e0041"
 CONSOLE = Path(__file__).parents[2] / "console" / "rsb_console"
 PRINTS = {
@@ -183,11 +181,14 @@ def test_every_command_cleans_what_an_engine_says(
         ("fleet", "status", "--fleet", f"{EVIL}.yaml"),
     ],
 )
-def test_arguments_do_nothing_to_the_terminal(arguments: tuple[str, ...], tmp_path: Path) -> None:
-    run = subprocess.run([COMMAND, *arguments], capture_output=True, timeout=60, check=False, cwd=tmp_path)
+def test_arguments_do_nothing_to_the_terminal(
+    arguments: tuple[str, ...], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    run = rsb_console(*arguments)
     assert run.returncode
     assert run.stderr
-    assert clean_lines(run.stdout.decode() + run.stderr.decode())
+    assert clean_lines(run.stdout + run.stderr)
 
 
 def test_a_traceback_is_clean_too(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -517,28 +517,30 @@ def command(*arguments: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run([COMMAND, *arguments], capture_output=True, text=True, timeout=120, check=False)
 
 
-def test_a_headless_bridge_is_attached_to_changed_and_stopped(bridge: subprocess.Popen[str], session: Path) -> None:
-    status = json.loads(command("status", "--json").stdout)
+def test_a_headless_bridge_is_attached_to_changed_and_stopped(
+    ran: Any, bridge: subprocess.Popen[str], session: Path
+) -> None:
+    status = ran("status", "--json").json
     assert (status["pid"], status["file"]) == (bridge.pid, str(session))
     with start("events", "--json", "--follow") as following:
         assert following.stdout
         assert json.loads(following.stdout.readline())["code"] == "link.connecting"
-        assert command("add", "/map", "receive", "type=OccupancyGrid").returncode == 0
-        assert command("pause", "/scan").returncode == 0
-        assert command("remove", "/map").returncode == 0
-        waited = command("wait", "--for", "linked", "--timeout", "0.1")
-        assert waited.returncode == 1
-        topics = json.loads(command("topics", "--json").stdout)["topics"]
+        assert ran("add", "/map", "receive", "type=OccupancyGrid").code == 0
+        assert ran("pause", "/scan").code == 0
+        assert ran("remove", "/map").code == 0
+        waited = ran("wait", "--for", "linked", "--timeout", "0.1")
+        assert waited.code == 1
+        topics = ran("topics", "--json").json["topics"]
         assert [each["topic"] for each in topics] == ["/scan"]
-        assert command("stop").returncode == 0
+        assert ran("stop").code == 0
         assert bridge.wait(60) == 0
         codes = (json.loads(line)["code"] for line in following.stdout)
         assert next(code for code in codes if code == "attach.lost")
         following.terminate()
-    assert command("status").returncode == 3
+    assert ran("status").code == 3
 
 
-def test_a_session_is_not_started_twice(bridge: subprocess.Popen[str], session: Path) -> None:
+def test_a_session_is_not_started_twice(ran: Any, bridge: subprocess.Popen[str], session: Path) -> None:
     second = command("run", "--no-ui", str(session))
     assert second.returncode == 4
     assert says(second.stderr, SessionRuns.ANSWERING, name="robot1", pid=bridge.pid)
@@ -547,7 +549,7 @@ def test_a_session_is_not_started_twice(bridge: subprocess.Popen[str], session: 
     bridge.send_signal(signal.SIGKILL)
     bridge.wait()
     with start("run", "--no-ui", str(session)) as third:
-        eventually(lambda: command("status").returncode != 3, what="the dead one's socket is replaced")
+        eventually(lambda: ran("status").code != 3, what="the dead one's socket is replaced")
         third.terminate()
         assert third.wait(60) == 0
 
