@@ -148,7 +148,8 @@ def test_check_says_whose_keys_there_are_since_when_and_warns_of_two() -> None:
     run = rsb_console("check", "pc.yaml")
     assert (run.returncode, "warning" in run.stdout) == (0, False)
     lines = [line for line in run.stdout.splitlines() if line.startswith("key ")]
-    assert [line.partition(": ")[0] for line in lines] == ["key old.key, for a", "key new.key, for a (next)"]
+    assert says(lines[0], CheckText.KEY, file="old.key", users="a")
+    assert says(lines[1], CheckText.KEY, file="new.key", users="a (next)")
     assert all("(just now)" in line or "minute" in line for line in lines)
     long_ago = time.time() - 30 * 86400
     os.utime("new.key", (long_ago, long_ago))
@@ -195,7 +196,7 @@ def test_check_lists_operators_and_refuses_those_with_a_key_of_others() -> None:
     )
     run = rsb_console("check", "pc.yaml")
     assert (run.returncode, run.stderr) == (0, "")
-    assert "key anna.key, for operator anna, who may look: " in run.stdout
+    assert says(run.stdout, CheckText.KEY, file="anna.key", users="operator anna, who may look")
     Path("anna.key").write_bytes(Path("key.txt").read_bytes())
     run = rsb_console("check", "pc.yaml")
     assert (run.returncode, "operator anna" in run.stderr) == (2, True)

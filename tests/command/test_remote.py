@@ -44,6 +44,8 @@ if TYPE_CHECKING:
 
 COMMAND = str(Path(sys.executable).with_name("rsb-console"))
 LINK = ScriptedEngine().now.links[0]
+NO_LINK = RouteChoice.UNKNOWN_LINK(bridge="robot1", name="robot7", known="robot1")
+NOT_BRIDGED = RouteChoice.NOT_BRIDGED(topic="/scna", hint="; did you mean /scan?")
 SCAN = route("/scan", outgoing=True, spec=Topic("/scan", "transmit", max_rate=5.0))
 
 
@@ -232,17 +234,17 @@ def test_commands_do_what_they_say(ran: Any, engine: ScriptedEngine) -> None:
         (("add", "/map"), RemoteProblem.DIRECTION_MISSING(topic="/map")),
         (("add", "/map", "type=String"), RemoteProblem.DIRECTION_MISSING(topic="/map")),
         (("edit", "/scan"), RemoteProblem.NOTHING_TO_CHANGE(topic="/scan")),
-        (("retry", "--link", "robot7"), "robot1 has no link 'robot7', only robot1"),
-        (("pause", "/scan", "--link", "robot7"), "robot1 has no link 'robot7', only robot1"),
+        (("retry", "--link", "robot7"), NO_LINK),
+        (("pause", "/scan", "--link", "robot7"), NO_LINK),
         (
             ("add", "/map", "recieve"),
             RemoteProblem.DIRECTION_UNKNOWN(topic="/map", word="recieve", hint="; did you mean receive?"),
         ),
         (("add", "/map", "receive", "max_rate=fast"), "max_rate: "),
         (("add", "/scan", "transmit"), "topic: "),
-        (("pause", "/scna"), "/scna is not bridged; did you mean /scan?"),
-        (("wait", "--for", "flowing", "/scna"), "/scna is not bridged; did you mean /scan?"),
-        (("wait", "--for", "linked", "robot7"), "robot1 has no link 'robot7', only robot1"),
+        (("pause", "/scna"), NOT_BRIDGED),
+        (("wait", "--for", "flowing", "/scna"), NOT_BRIDGED),
+        (("wait", "--for", "linked", "robot7"), NO_LINK),
         (("wait", "--for", "happy"), RemoteProblem.CONDITION_UNKNOWN(condition="happy")),
     ],
 )

@@ -63,5 +63,5 @@ def rsb_console(*words: str, may_crash: bool = False) -> subprocess.CompletedPro
         finally:
             for number, handler in handlers.items():
                 signal.signal(number, handler)
-    printed = [stream.buffer.getvalue().decode() for stream in (out, err)]  # type: ignore[attr-defined]
+    printed = [stream.buffer.getvalue().decode() for stream in (out, err)]
     return subprocess.CompletedProcess(words, code, *printed)
