@@ -19,6 +19,7 @@ from tests.support.wording import says
 
 from rsb_bridge.config.advice import Advice
 from rsb_bridge.config.decoding import Hint, ValueMistake
+from rsb_bridge.config.files import FileRefused
 from rsb_bridge.config.keys import KeyFileProblem, KeyWarning
 from rsb_bridge.config.session_file import SavingProblem, load
 from rsb_bridge.config.validation import SessionMistake
@@ -274,7 +275,8 @@ def test_a_key_file_that_is_none_is_warned_of_and_never_shown() -> None:
     run = rsb_console("check", "robot1.yaml")
     assert says(run.stdout, CheckText.KEY_MISSING, problem=KeyFileProblem.NOT_A_FILE(path="key.txt", kind="a FIFO"))
     assert key not in run.stdout + run.stderr
-    assert "is a FIFO, not a file" in rsb_console("keygen", "--force").stderr
+    problem = FileRefused.NOT_A_FILE(kind="a FIFO")
+    assert says(rsb_console("keygen", "--force").stderr, KeyFileProblem.NOT_WRITTEN, problem=problem)
 
 
 def test_check_warns_of_what_is_allowed_but_unwise() -> None:
@@ -323,7 +325,7 @@ def test_keygen_makes_key_txt_and_never_prints_it() -> None:
     assert key not in run.stdout + run.stderr
     again = rsb_console("keygen")
     assert again.returncode == 1
-    assert "key.txt: exists already" in again.stderr
+    assert says(again.stderr, KeyFileProblem.EXISTS, path="key.txt")
     assert Path("key.txt").read_text().strip() == key
     assert rsb_console("keygen", "--force").returncode == 0
     assert Path("key.txt").read_text().strip() != key
@@ -360,7 +362,7 @@ def test_import_to_standard_output_and_its_mistakes() -> None:
     assert rsb_console("import", "bringup.yaml").returncode == 2
     Path("bringup.yaml").write_text("server_node:\n  ros__parameters:\n    server_ip: '127.0.0.1'\n")
     refused = rsb_console("import", "bringup.yaml", "--name", "robot1", "--no-encryption")
-    assert "server_port is given with --port N\n" in refused.stderr
+    assert says(refused.stderr, LocalText.KEY_OPTION, field="server_port", option="--port N")
 
 
 @pytest.mark.parametrize("command", [("check",), ("run", "--no-ui")])
@@ -399,7 +401,7 @@ def test_the_console_is_refused_on_a_dumb_terminal() -> None:
         os.close(ours)
         os.close(theirs)
     assert run.returncode == 2
-    assert b"Without it: rsb-console run --no-ui robot1.yaml" in run.stderr
+    assert says(run.stderr.decode(), LocalText.PLAIN_TERMINAL, instead="rsb-console run --no-ui robot1.yaml")
 
 
 def test_bad_arguments_are_refused_in_words() -> None:

@@ -80,14 +80,14 @@ def test_a_unit_that_differs_is_replaced_by_force_only(ran: Any, session: Path, 
 
 def test_a_service_is_uninstalled_once_it_is_disabled(ran: Any, session: Path, home: Path) -> None:
     unit = home / "config/systemd/user/rsb-console-robot1.service"
-    assert "no such unit" in ran("uninstall", session)[2]
+    assert says(ran("uninstall", session)[2], ServiceText.NO_UNIT, path=unit)
     ran("install", session)
     enabled = unit.parent / "default.target.wants" / unit.name
     enabled.parent.mkdir()
     enabled.symlink_to(unit)
     code, _, err = ran("uninstall", session)
     assert code == 1
-    assert f"first run: systemctl --user disable --now {unit.name}" in err
+    assert says(err, ServiceText.ENABLED, name=unit.name, control="systemctl --user")
     enabled.unlink()
     code, out, _ = ran("uninstall", session)
     assert code == 0
