@@ -14,6 +14,7 @@ import msgspec
 import pytest
 from tests.console.scripted import SESSION, ScriptedEngine, route
 from tests.support.commands import parser_and_commands, rsb_console
+from tests.support.running import Running
 
 from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import RefusedClient, State
@@ -123,7 +124,7 @@ def evil_engine() -> ScriptedEngine:
         route("/scan", outgoing=True, spec=spec), state=State.DOWN, cause="no_publisher", reason=EVIL, link="robot1"
     )
     named = replace(route(f"/{EVIL}", outgoing=False), type_name=EVIL, reason=EVIL)
-    engine = ScriptedEngine(msgspec.structs.replace(SESSION, topics=(spec,)), routes=(fault, named))
+    engine = Running(msgspec.structs.replace(SESSION, topics=(spec,)), routes=(fault, named))  # it is measured at once
     (link, *_) = engine.now.links
     refused = RefusedClient(EVIL, EVIL, "unknown_name", EVIL, 1_700_000_000.0, 3)
     engine.now = replace(

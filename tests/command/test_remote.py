@@ -566,7 +566,7 @@ def test_disarm_answers_also_where_the_name_has_one_route(ran: Any, engine: Scri
 
 def test_the_details_say_who_has_armed_it_and_the_limit_of_its_age(ran: Any, engine: ScriptedEngine) -> None:
     armed = ArmingSnapshot(armed=True, by="anna on pts/3", left=12.0, deadman=20.0)
-    engine.now = replace(engine.now, routes=(replace(SCAN, arming=armed, max_age=0.5),))
+    engine.now = replace(engine.now, routes=(replace(SCAN, arming=armed, max_age=0.5, ledger=Ledger()),))
     text = ran("info", "/scan").out
     assert "anna on pts/3" in text
     assert "0.5 s" in text
