@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import msgspec
 import pytest
+from tests.command.test_command import BRINGUP
 from tests.console.scripted import LINK, NOW, SESSION, ScriptedEngine, call_route, route
 from tests.support.commands import parser_and_commands
 from tests.support.fleet import ServerEngine, topics
@@ -210,19 +211,6 @@ class Control(ServerEngine):
         self.peeked = [_MESSAGE] * 2
 
 
-BRINGUP = """\
-client_node:
-  ros__parameters:
-    server_ip: '127.0.0.1'
-    server_port: 3000
-    receive_topics: ['topic']
-    receive_msg_types: ['String']
-    receive_ports: [12001]
-    receive_protocols: ['TCP']
-    receive_qos: ['10']
-"""
-
-
 def lasts(line: str) -> bool:
     """Whether a command lasts until Ctrl-C."""
     return re.match("(arm|echo|hz|bw) ", line) is not None and not re.search("--(once|count|for)", line)
@@ -321,8 +309,8 @@ def press_keys(monkeypatch: pytest.MonkeyPatch) -> Callable[[str], None]:
     return press
 
 
-def is_run_here(line: Line) -> bool:
-    return line.text not in _ELSEWHERE and not lacks_arguments(line)
+RUN_HERE = {each.text: each for each in FOUND if each.text not in _ELSEWHERE and not lacks_arguments(each)}.values()
+"""Each line once, wherever it stands."""
 
 
 def over_zenoh(line: Line) -> bool:
@@ -335,7 +323,7 @@ def check(line: str, capsys: pytest.CaptureFixture[str], consoles: list[object])
     assert bool(consoles) is opens_console(line)
 
 
-@pytest.mark.parametrize("line", [each for each in FOUND if is_run_here(each) and not over_zenoh(each)], ids=ids)
+@pytest.mark.parametrize("line", [each for each in RUN_HERE if not over_zenoh(each)], ids=ids)
 def test_it_works(
     line: Line,
     serve: Callable[[str], None],
@@ -355,7 +343,7 @@ def test_it_works(
     check(text, capsys, consoles)
 
 
-@pytest.mark.parametrize("line", [each for each in FOUND if is_run_here(each) and over_zenoh(each)], ids=ids)
+@pytest.mark.parametrize("line", [each for each in RUN_HERE if over_zenoh(each)], ids=ids)
 def test_it_works_over_zenoh(
     line: Line,
     folder: Path,
@@ -381,4 +369,4 @@ def test_what_cannot_run_here_is_run_by_a_test() -> None:
 
 def test_each_command_that_is_named_is_run() -> None:
     named = {line.words[0] for line in FOUND if lacks_arguments(line)}
-    assert named <= {word for line in FOUND if is_run_here(line) for word in line.words}
+    assert named <= {word for line in RUN_HERE for word in line.words}

@@ -20,11 +20,11 @@ _TEXTS = {str(page.relative_to(_ROOT)): page.read_text(encoding="utf-8") for pag
 _OWN = {"make", "python", "python3", "pip", "pipx"}
 """Programs whose arguments name targets, modules and files of the project: the tests below look for them."""
 _OTHERS = {
-    "curl": "asks a running bridge; tests/telemetry does",
+    "curl": "asks a running bridge; tests/engine/test_metrics.py does",
     "echo": "writes the kernel's settings",
     "export": "sets the shell",
-    "ros2": "needs the package installed; tests/ros and tests/config/test_ros_package.py run its parts",
-    "rsb-console": "test_documented_commands runs it",
+    "ros2": "needs the package installed; tests/config/test_ros_package.py looks for its parts",
+    "rsb-console": "tests/command/test_documented_commands.py runs it",
     "scp": "needs another machine",
     "source": "sets the shell",
     "sudo": "changes the kernel's settings",
@@ -63,6 +63,8 @@ def named(pattern: str) -> set[str]:
 
 def test_every_program_is_checked_or_has_a_reason_not_to_be() -> None:
     assert {Path(words[0]).name for _, words in LINES} == _OWN | set(_OTHERS)
+    tests = re.findall(r"tests/\S+\.py", " ".join(_OTHERS.values()))
+    assert [name for name in tests if not (_ROOT / name).is_file()] == []
 
 
 def test_targets_of_make_exist() -> None:
