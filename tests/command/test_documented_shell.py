@@ -31,10 +31,11 @@ _OTHERS = {
     "zenohd": "is Zenoh's own router; tests/support/zenoh_router.py stands in for it",
 }
 """Other programs, and why nothing here runs or checks their lines."""
+_PROGRAMS = _OWN | set(_OTHERS)
 
 
 def blocks(language: str) -> Iterator[tuple[str, str]]:
-    """The blocks of a language, with their pages. A block without a language is shell."""
+    """The blocks of a language, with their pages."""
     for page, text in _TEXTS.items():
         for indent, found, block in re.findall(r"^( *)```(\w*)\n(.*?)^ *```$", text, re.MULTILINE | re.DOTALL):
             if found == language:
@@ -42,13 +43,16 @@ def blocks(language: str) -> Iterator[tuple[str, str]]:
 
 
 def shell_lines() -> Iterator[tuple[str, list[str]]]:
-    """The words of each line; where a block has prompts, of the lines with one."""
+    """The words of each line; where a block has prompts, of the lines with one. A block may show an output instead."""
     for page, block in blocks(""):
         typed = re.findall(r"^\$ (.*)", block, re.MULTILINE) or block.splitlines()
-        for line in typed:
-            words = shlex.split(re.sub(r"^\w+=\$\((.*)\)$", r"\1", line), comments=True)
-            if words:
-                yield page, words
+        if program(typed[0].split()) in _PROGRAMS:
+            lines = [shlex.split(re.sub(r"^\w+=\$\((.*)\)$", r"\1", line), comments=True) for line in typed]
+            yield from ((page, words) for words in lines if words)
+
+
+def program(words: list[str]) -> str:
+    return Path(re.sub(r"^\w+=\$\(", "", words[0])).name
 
 
 LINES = [*shell_lines()]
@@ -62,7 +66,7 @@ def named(pattern: str) -> set[str]:
 
 
 def test_every_program_is_checked_or_has_a_reason_not_to_be() -> None:
-    assert {Path(words[0]).name for _, words in LINES} == _OWN | set(_OTHERS)
+    assert {program(words) for _, words in LINES} == _PROGRAMS
     tests = re.findall(r"tests/\S+\.py", " ".join(_OTHERS.values()))
     assert [name for name in tests if not (_ROOT / name).is_file()] == []
 
