@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from xml.etree import ElementTree as ET
 
+import msgspec
 import pytest
 from tests.support.commands import parser_and_commands, rsb_console
 from tests.support.locks import two_domains
@@ -175,7 +176,8 @@ def test_over_the_link_of_a_running_bridge(socket: Callable[..., str]) -> None:
 def test_both_directions_of_a_named_link_are_measured_and_drawn(socket: Callable[..., str], tmp_path: Path) -> None:
     plot = tmp_path / "link.svg"
     options = ("--link", "robot1", "--direction", "both", "--transports", "tcp", "--plot", str(plot))
-    code, report = over_link(socket(to_client=Leave(600.0, LEAVE.max_rate, 1000.0)), *options, seconds="6")
+    leave = msgspec.structs.replace(LEAVE, seconds=600.0, megabytes=1000.0)
+    code, report = over_link(socket(to_client=leave), *options, seconds="6")
     assert code == 0
     assert {point.direction for point in report.points} == {"transmit", "receive"}
     ET.fromstring(plot.read_text())
