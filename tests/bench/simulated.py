@@ -87,7 +87,7 @@ class SimulatedPlace:
     @contextlib.contextmanager
     def open(self, way: Way, _: list[int]) -> Iterator[Ends]:
         if way.transport in self._fails:
-            raise BenchError("it cannot be opened")
+            raise BenchError("cannot be opened")
         if way.transport in self._stops:
             raise StoppedError("the peer has had enough")
         yield self._links[way.transport]

@@ -12,15 +12,18 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from xml.etree import ElementTree as ET
 
+import msgspec
 import pytest
+from tests.support.commands import parser_and_commands, rsb_console
 from tests.support.locks import two_domains
 from tests.support.waiting import eventually
+from tests.support.wording import says
 
 from rsb_bridge.control.bridges import serve
 from rsb_bridge.model.benchmark import Leave
 from rsb_console.bench.results import Report, from_json
 from rsb_console.command.argument_values import domains, sizes, topics, transports
-from rsb_console.command.arguments import parser_and_commands
+from rsb_console.command.target import BridgeChoice
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -96,13 +99,15 @@ def test_the_command_is_known() -> None:
     ],
 )
 def test_what_makes_no_sense_is_refused_at_once(wrong: str) -> None:
-    assert bench(*wrong.split())[0] == 2
+    assert rsb_console("bench", *wrong.split()).returncode == 2
 
 
 def test_a_bridge_that_does_not_run_is_named() -> None:
-    code, _, errors = bench("nobody-here")
-    assert code == 3
-    assert "nobody-here" in errors or "no bridge runs" in errors
+    refused = rsb_console("bench", "nobody-here")
+    assert refused.returncode == 3
+    assert says(refused.stderr, BridgeChoice.NONE_RUNS) or says(
+        refused.stderr, BridgeChoice.UNKNOWN, name="nobody-here"
+    )
 
 
 # --- on this machine
@@ -149,8 +154,8 @@ def socket(pair: Callable[..., Pair], tmp_path: Path) -> Iterator[Callable[..., 
         server.close()
 
 
-def over_link(socket: str, seconds: str = "3") -> tuple[int, Report]:
-    code, output, errors = bench("--control", socket, *TINY, "--quick", "--seconds", seconds)
+def over_link(socket: str, *options: str, seconds: str = "3") -> tuple[int, Report]:
+    code, output, errors = bench("--control", socket, *TINY, "--quick", "--seconds", seconds, *options)
     assert not errors or json.loads(output)["notes"]
     return code, from_json(output)
 
@@ -166,6 +171,16 @@ def test_over_the_link_of_a_running_bridge(socket: Callable[..., str]) -> None:
         assert point.best.rate <= LEAVE.max_rate
         assert point.best.wire_per_byte is not None
         assert 1.0 < point.best.wire_per_byte < 1.2
+
+
+def test_both_directions_of_a_named_link_are_measured_and_drawn(socket: Callable[..., str], tmp_path: Path) -> None:
+    plot = tmp_path / "link.svg"
+    options = ("--link", "robot1", "--direction", "both", "--transports", "tcp", "--plot", str(plot))
+    leave = msgspec.structs.replace(LEAVE, seconds=600.0, megabytes=1000.0)
+    code, report = over_link(socket(to_client=leave), *options, seconds="6")
+    assert code == 0
+    assert {point.direction for point in report.points} == {"transmit", "receive"}
+    ET.fromstring(plot.read_text())
 
 
 def test_without_the_peer_s_leave_nothing_is_measured(socket: Callable[..., str]) -> None:

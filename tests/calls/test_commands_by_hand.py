@@ -13,12 +13,12 @@ from rcl_interfaces.msg import FloatingPointRange, ParameterDescriptor, SetParam
 from rclpy.parameter import Parameter
 from tests.calls.test_by_hand import ready
 from tests.support.bridge import happened
+from tests.support.commands import parser_and_commands
 from tests.support.waiting import eventually
 
 from rsb_bridge.control import bridges
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.session import Client, Grant, Topic
-from rsb_console.command.arguments import parser_and_commands
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, TypeAlias
 
 import pytest
 from msgspec.structs import replace
-from tests.command.test_remote import Ran
 from tests.console.scripted import LINK, ScriptedEngine
+from tests.support.commands import Ran
 from tests.support.wording import says
 
 from rsb_bridge.config.client_entries import ClientProblem
@@ -119,7 +119,8 @@ def test_nothing_is_closed_of_a_client_that_was_not_linked(path: Path, run: Run,
     ):
         said = run(command, "robot2", str(path)).err
         assert words in said
-        assert "link is closed" not in said
+        assert not says(said, ClientEffect.REKEYED_LINK_CLOSED)
+        assert not says(said, ClientEffect.REMOVED_LINK_CLOSED)
 
 
 def test_a_server_of_one_client_keeps_letting_it_in(tmp_path: Path, run: Run) -> None:
@@ -335,7 +336,7 @@ def test_refusals_are_in_words_and_change_nothing(
 def test_files_that_cannot_take_a_client(path: Path, run: Run) -> None:
     path.with_name("robot2.key").write_text("mine")
     ran = run("add", "robot2", str(path))
-    assert (ran.code, "robot2.key exists already" in ran.err) == (2, True)
+    assert (ran.code, says(ran.err, ClientFileProblem.KEY_EXISTS, path=path.with_name("robot2.key"))) == (2, True)
     path.with_name("robot2.key").unlink()
 
     path.chmod(0o444)

@@ -13,18 +13,19 @@ from pathlib import Path
 from typing import Any, get_args
 
 import pytest
+from tests.support.commands import parser_and_commands, rsb_console
 from tests.support.locks import alone
 from tests.support.wording import says
 
 from rsb_bridge.config.advice import Advice
 from rsb_bridge.config.decoding import Hint, ValueMistake
+from rsb_bridge.config.files import FileRefused
 from rsb_bridge.config.keys import KeyFileProblem, KeyWarning
 from rsb_bridge.config.session_file import SavingProblem, load
 from rsb_bridge.config.validation import SessionMistake
 from rsb_bridge.config.yaml_text import YamlMistake
 from rsb_bridge.model.session import Protocol
 from rsb_console.command.argument_values import ValueProblem
-from rsb_console.command.arguments import parser_and_commands
 from rsb_console.command.check import CheckText
 from rsb_console.command.local_commands import LocalText
 from rsb_console.command.shell import CommandText
@@ -64,11 +65,12 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path
 
 
-def rsb_console(*arguments: str, **options: Any) -> subprocess.CompletedProcess[str]:
+def process(*arguments: str, **options: Any) -> subprocess.CompletedProcess[str]:
+    """Run the installed command."""
     return subprocess.run([COMMAND, *arguments], capture_output=True, text=True, timeout=120, check=False, **options)
 
 
-def in_process(before: str, *arguments: str) -> subprocess.CompletedProcess[str]:
+def with_first(before: str, *arguments: str) -> subprocess.CompletedProcess[str]:
     """Run the command in a Python that first does something else."""
     script = f"import sys\n{before}\nfrom rsb_console.cli import main\nsys.exit(main({list(arguments)!r}))"
     return subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=120, check=False)
@@ -77,11 +79,11 @@ def in_process(before: str, *arguments: str) -> subprocess.CompletedProcess[str]
 @pytest.mark.parametrize("arguments", [("--help",), ("--version",), ("keygen", "--force"), ("check", "robot1.yaml")])
 def test_it_answers_at_once_without_ros_and_textual(arguments: tuple[str, ...]) -> None:
     rsb_console("keygen")
-    blocked = "for name in ('rclpy', 'textual', 'rich', 'dbus_fast', 'asyncio'): sys.modules[name] = None"
-    assert in_process(blocked, *arguments).returncode == 0
     counted = "import atexit; atexit.register(lambda: print('modules', len(sys.modules)))"
-    modules = int(in_process(counted, *arguments).stdout.rpartition("modules")[2])
-    assert modules < MOST_MODULES  # what it takes to start is what it imports
+    blocked = "for name in ('rclpy', 'textual', 'rich', 'dbus_fast', 'asyncio'): sys.modules[name] = None"
+    run = with_first(f"{counted}\n{blocked}", *arguments)
+    assert run.returncode == 0
+    assert int(run.stdout.rpartition("modules")[2]) < MOST_MODULES  # what it takes to start is what it imports
 
 
 def test_what_libraries_print_is_kept_out_of_the_log() -> None:
@@ -101,7 +103,7 @@ def test_closed_outputs_change_nothing_but_what_is_said(closed: str, name: str, 
 
 
 def test_version_and_help() -> None:
-    assert rsb_console("--version").stdout.startswith("rsb-console 0.")
+    assert process("--version").stdout.startswith("rsb-console 0.")
     for command in ("run", "check", "keygen", "import", "bt-scan", "demo"):
         assert command in rsb_console("--help").stdout
         assert rsb_console(command, "--help").stdout.startswith(f"usage: rsb-console {command}")
@@ -147,7 +149,8 @@ def test_check_says_whose_keys_there_are_since_when_and_warns_of_two() -> None:
     run = rsb_console("check", "pc.yaml")
     assert (run.returncode, "warning" in run.stdout) == (0, False)
     lines = [line for line in run.stdout.splitlines() if line.startswith("key ")]
-    assert [line.partition(": ")[0] for line in lines] == ["key old.key, for a", "key new.key, for a (next)"]
+    assert says(lines[0], CheckText.KEY, file="old.key", users="a")
+    assert says(lines[1], CheckText.KEY, file="new.key", users="a (next)")
     assert all("(just now)" in line or "minute" in line for line in lines)
     long_ago = time.time() - 30 * 86400
     os.utime("new.key", (long_ago, long_ago))
@@ -165,7 +168,7 @@ def test_check_looks_once_at_each_key() -> None:
     """So what it says and how it exits agree, whatever happens to the file meanwhile."""
     rsb_console("keygen")
     heard = "sys.addaudithook(lambda name, what: name == 'open' and str(what[0]) == 'key.txt' and print('opened'))"
-    run = in_process(heard, "check", "robot1.yaml")
+    run = with_first(heard, "check", "robot1.yaml")
     assert (run.returncode, run.stdout.count("opened")) == (0, 1)
 
 
@@ -194,7 +197,7 @@ def test_check_lists_operators_and_refuses_those_with_a_key_of_others() -> None:
     )
     run = rsb_console("check", "pc.yaml")
     assert (run.returncode, run.stderr) == (0, "")
-    assert "key anna.key, for operator anna, who may look: " in run.stdout
+    assert says(run.stdout, CheckText.KEY, file="anna.key", users="operator anna, who may look")
     Path("anna.key").write_bytes(Path("key.txt").read_bytes())
     run = rsb_console("check", "pc.yaml")
     assert (run.returncode, "operator anna" in run.stderr) == (2, True)
@@ -272,7 +275,8 @@ def test_a_key_file_that_is_none_is_warned_of_and_never_shown() -> None:
     run = rsb_console("check", "robot1.yaml")
     assert says(run.stdout, CheckText.KEY_MISSING, problem=KeyFileProblem.NOT_A_FILE(path="key.txt", kind="a FIFO"))
     assert key not in run.stdout + run.stderr
-    assert "is a FIFO, not a file" in rsb_console("keygen", "--force").stderr
+    problem = FileRefused.NOT_A_FILE(kind="a FIFO")
+    assert says(rsb_console("keygen", "--force").stderr, KeyFileProblem.NOT_WRITTEN, problem=problem)
 
 
 def test_check_warns_of_what_is_allowed_but_unwise() -> None:
@@ -321,7 +325,7 @@ def test_keygen_makes_key_txt_and_never_prints_it() -> None:
     assert key not in run.stdout + run.stderr
     again = rsb_console("keygen")
     assert again.returncode == 1
-    assert "key.txt: exists already" in again.stderr
+    assert says(again.stderr, KeyFileProblem.EXISTS, path="key.txt")
     assert Path("key.txt").read_text().strip() == key
     assert rsb_console("keygen", "--force").returncode == 0
     assert Path("key.txt").read_text().strip() != key
@@ -358,7 +362,7 @@ def test_import_to_standard_output_and_its_mistakes() -> None:
     assert rsb_console("import", "bringup.yaml").returncode == 2
     Path("bringup.yaml").write_text("server_node:\n  ros__parameters:\n    server_ip: '127.0.0.1'\n")
     refused = rsb_console("import", "bringup.yaml", "--name", "robot1", "--no-encryption")
-    assert "server_port is given with --port N\n" in refused.stderr
+    assert says(refused.stderr, LocalText.KEY_OPTION, field="server_port", option="--port N")
 
 
 @pytest.mark.parametrize("command", [("check",), ("run", "--no-ui")])
@@ -372,8 +376,10 @@ def test_a_thesis_file_in_place_of_a_session_leads_to_the_import(command: tuple[
 @pytest.mark.parametrize(
     "arguments", [(), ("--debug",), ("run",), ("robot1.yaml",), ("--readonly", "robot1.yaml"), ("demo",)]
 )
-def test_the_console_is_refused_without_a_terminal(arguments: tuple[str, ...]) -> None:
-    run = rsb_console(*arguments, stdin=subprocess.DEVNULL)
+def test_the_console_is_refused_without_a_terminal(arguments: tuple[str, ...], monkeypatch: pytest.MonkeyPatch) -> None:
+    with Path(os.devnull).open() as nothing:
+        monkeypatch.setattr("sys.stdin", nothing)
+        run = rsb_console(*arguments)
     assert run.returncode == 2
     assert says(run.stderr, LocalText.NO_TERMINAL)
     assert "--no-ui" in run.stderr
@@ -395,7 +401,7 @@ def test_the_console_is_refused_on_a_dumb_terminal() -> None:
         os.close(ours)
         os.close(theirs)
     assert run.returncode == 2
-    assert b"Without it: rsb-console run --no-ui robot1.yaml" in run.stderr
+    assert says(run.stderr.decode(), LocalText.PLAIN_TERMINAL, instead="rsb-console run --no-ui robot1.yaml")
 
 
 def test_bad_arguments_are_refused_in_words() -> None:
@@ -459,33 +465,34 @@ def test_a_session_named_like_a_command_is_reached_by_its_path() -> None:
     assert "checks:7: topic /scan, protocol" in rsb_console("checks").stderr
 
 
-def breaking(error: str) -> str:
-    """What makes `check` raise an error."""
-    function = f"def check(arguments): raise {error}"
-    return f"from rsb_console.command import arguments\n{function}\narguments.check_session = check"
+def test_an_unforeseen_failure_is_one_line_and_a_log(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def check(_: object) -> int:
+        raise RuntimeError("sprocket")
 
-
-def test_an_unforeseen_failure_is_one_line_and_a_log(folder: Path) -> None:
-    broken = breaking("RuntimeError('sprocket')")
-    run = in_process(broken, "check", "robot1.yaml")
+    monkeypatch.setattr("rsb_console.command.arguments.check_session", check)
+    run = rsb_console("check", "robot1.yaml", may_crash=True)
     log = folder / "state" / "rsb-console" / "crash.log"
     assert run.returncode == 1
     assert run.stderr == f"rsb-console: unexpected RuntimeError: sprocket (details: {log})\n"
     assert "Traceback" in log.read_text()
     assert stat.S_IMODE(log.stat().st_mode) == 0o600
     for arguments in (("--debug", "check", "robot1.yaml"), ("check", "--debug", "robot1.yaml")):
-        assert "Traceback" in in_process(broken, *arguments).stderr
+        assert "Traceback" in rsb_console(*arguments, may_crash=True).stderr
     (folder / "state").rename(folder / "elsewhere")
     (folder / "state").write_text("not a folder")
-    stderr = in_process(broken, "check", "robot1.yaml").stderr
+    stderr = rsb_console("check", "robot1.yaml", may_crash=True).stderr
     assert says(stderr, CommandText.CRASHED_WITHOUT_LOG, log=log)
     assert stderr.count("\n") == 1
 
 
 def test_an_interrupt_is_quiet() -> None:
     """The command raises what Ctrl-C raises: no command here runs long enough to be hit by a real one."""
-    broken = breaking("KeyboardInterrupt")
-    run = in_process(broken, "check", "robot1.yaml")
+    broken = (
+        "from rsb_console.command import arguments\n"
+        "def check(_): raise KeyboardInterrupt\n"
+        "arguments.check_session = check"
+    )
+    run = with_first(broken, "check", "robot1.yaml")
     assert (run.returncode, run.stdout, run.stderr) == (130, "", "")
 
 
@@ -504,37 +511,9 @@ def test_a_reader_that_left_gets_no_traceback() -> None:
 def test_names_outside_the_terminals_encoding_are_escaped() -> None:
     Path("robot1.yaml").write_text(SESSION.replace("name: robot1", "name: röbot"), encoding="utf-8")
     rsb_console("keygen")
-    run = rsb_console("check", "robot1.yaml", env=os.environ | {"PYTHONIOENCODING": "ascii"})
+    run = process("check", "robot1.yaml", env=os.environ | {"PYTHONIOENCODING": "ascii"})
     assert run.returncode == 0
     assert r"client r\xf6bot" in run.stdout
-
-
-@pytest.mark.parametrize(
-    ("line", "expected"),
-    [
-        ("rsb-console ke", {"keygen"}),
-        ("rsb-console run --lo", {"--log-format"}),
-        ("rsb-console c", {"call", "check", "client", "completion", "control.yaml", "configs/"}),
-        ("rsb-console check configs/", {"configs/a.yml"}),
-        ("rsb-console run ", {"robot1.yaml", "control.yaml", "configs/"}),
-        ("rsb-console control.yaml --log-format ", {"text", "json"}),
-        ("rsb-console run --theme hi", {"high-contrast"}),
-    ],
-)
-def test_a_shell_completes_commands_options_sessions_and_themes(line: str, expected: set[str]) -> None:
-    Path("configs").mkdir()
-    for name in ("control.yaml", "notes.txt", "cube.txt", ".hidden.yaml", "configs/a.yml", "configs/b.key"):
-        Path(name).touch()
-    environment = os.environ | {
-        "_ARGCOMPLETE": "1",
-        "_ARGCOMPLETE_IFS": "\n",
-        "_ARGCOMPLETE_STDOUT_FILENAME": "completions",
-        "COMP_LINE": line,
-        "COMP_POINT": str(len(line)),
-    }
-    rsb_console(env=environment)
-    offered = {each.rstrip() for each in Path("completions").read_text().split("\n")}  # a space ends the only one
-    assert {each for each in offered if not each.startswith("-") or line.endswith("--lo")} == expected
 
 
 def started_headless(before: str, *arguments: str) -> subprocess.Popen[str]:
@@ -610,7 +589,7 @@ def test_the_demo_bridges_and_leaves_one_topic_to_add() -> None:
     """A Ctrl-C goes to the terminal's whole process group: the simulated robot writes no traceback for it."""
     environment = os.environ | {"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
     with subprocess.Popen(
-        [COMMAND, "demo", "--no-ui"],
+        [COMMAND, "demo", "--no-ui", "--seconds", "600"],
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,

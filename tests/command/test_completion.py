@@ -1,26 +1,31 @@
-"""What a shell offers on TAB, asked as a shell asks: through the environment of argcomplete."""
+"""What a shell offers on TAB, asked as a shell asks argcomplete: through the environment."""
 
 from __future__ import annotations
 
-import os
+import argparse
+import io
 import shutil
 import subprocess
 import sys
+import threading
 import time
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import argcomplete
 import msgspec
 import pytest
+from argcomplete.finders import CompletionFinder
 from tests.console.scripted import SESSION, ScriptedEngine, route
+from tests.support.commands import parser_and_commands
 
 from rsb_bridge.model.session import Topic
-from rsb_console.command.arguments import parser_and_commands
+from rsb_console.command import arguments, completion
 
 if TYPE_CHECKING:
-    import argparse
-    from collections.abc import Iterator
+    from collections.abc import Callable, Iterator
 
     from tests.support.control import Machine
 
@@ -39,21 +44,30 @@ def engine(machine: Machine, monkeypatch: pytest.MonkeyPatch) -> ScriptedEngine:
     return made
 
 
-def offered(line: str, folder: Path) -> set[str]:
-    """What is offered for a line that ends at the cursor."""
-    answer = folder / "completions"
-    environment = os.environ | {
-        "_ARGCOMPLETE": "1",
-        "_ARGCOMPLETE_IFS": "\n",
-        "_ARGCOMPLETE_STDOUT_FILENAME": str(answer),
-        "COMP_LINE": line,
-        "COMP_POINT": str(len(line)),
-    }
-    run = subprocess.run(
-        [COMMAND], env=environment, cwd=folder, capture_output=True, text=True, timeout=60, check=False
-    )
-    assert run.stderr == ""
-    return {each.rstrip() for each in answer.read_text().split("\n")} - {""}
+@pytest.fixture
+def offered(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[[str], set[str]]:
+    """Gives what is offered for a line that ends at the cursor, in an empty folder."""
+    folder = tmp_path / "folder"
+    folder.mkdir()
+    monkeypatch.chdir(folder)
+    monkeypatch.setattr(threading, "excepthook", threading.excepthook)  # completion replaces it
+    monkeypatch.setattr(CompletionFinder, "_init_debug_stream", lambda _: None)  # it takes descriptor 9
+
+    def offered(line: str) -> set[str]:
+        answer = io.StringIO()
+        ask = partial(argcomplete.autocomplete, exit_method=sys.exit, output_stream=answer)
+        with monkeypatch.context() as patch:
+            patch.setattr(argcomplete, "autocomplete", ask)
+            patch.setenv("_ARGCOMPLETE", "1")
+            patch.setenv("_ARGCOMPLETE_IFS", "\n")
+            patch.setenv("COMP_LINE", line)
+            patch.setenv("COMP_POINT", str(len(line)))
+            with pytest.raises(SystemExit) as ended:
+                completion.complete(*arguments.parser_and_commands())  # a parser of its own, which argcomplete changes
+        assert not ended.value.code
+        return {each.rstrip() for each in answer.getvalue().split("\n")} - {""}
+
+    return offered
 
 
 @pytest.mark.parametrize(
@@ -93,27 +107,58 @@ def offered(line: str, folder: Path) -> set[str]:
         ("rsb-console run --control rob", {"robot1.key"}),
     ],
 )
-def test_it_is_offered(line: str, expected: set[str], tmp_path: Path) -> None:
-    (tmp_path / "robot1.key").touch()
-    found = offered(line, tmp_path)
+def test_it_is_offered(line: str, expected: set[str], offered: Callable[[str], set[str]]) -> None:
+    Path("robot1.key").touch()
+    found = offered(line)
     keys = {each for each in found if each.endswith("=")} - expected
     options = {each for each in found if each.startswith("-")}
     assert found - keys - options == expected
     assert not keys or line.endswith(" ")
 
 
-def test_topics_that_can_be_bridged_are_offered_to_add(engine: ScriptedEngine, tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("line", "expected"),
+    [
+        ("rsb-console ke", {"keygen"}),
+        ("rsb-console run --lo", {"--log-format"}),
+        ("rsb-console c", {"call", "check", "client", "completion", "control.yaml", "configs/"}),
+        ("rsb-console check configs/", {"configs/a.yml"}),
+        ("rsb-console run ", {"robot1.yaml", "control.yaml", "configs/"}),
+        ("rsb-console control.yaml --log-format ", {"text", "json"}),
+        ("rsb-console run --theme hi", {"high-contrast"}),
+    ],
+)
+def test_commands_options_sessions_and_themes_are_offered(
+    line: str, expected: set[str], offered: Callable[[str], set[str]]
+) -> None:
+    Path("configs").mkdir()
+    for name in (
+        "robot1.yaml",
+        "control.yaml",
+        "notes.txt",
+        "cube.txt",
+        ".hidden.yaml",
+        "configs/a.yml",
+        "configs/b.key",
+    ):
+        Path(name).touch()
+    assert {each for each in offered(line) if not each.startswith("-") or line.endswith("--lo")} == expected
+
+
+def test_topics_that_can_be_bridged_are_offered_to_add(
+    engine: ScriptedEngine, offered: Callable[[str], set[str]]
+) -> None:
     known = {info.topic for info in engine.topics().result() if info.kind == "topic"}
     assert known
-    assert offered("rsb-console add /", tmp_path) >= known
+    assert offered("rsb-console add /") >= known
 
 
-def test_what_several_bridges_have_waits_for_a_name(machine: Machine, tmp_path: Path) -> None:
+def test_what_several_bridges_have_waits_for_a_name(machine: Machine, offered: Callable[[str], set[str]]) -> None:
     other = ScriptedEngine(msgspec.structs.replace(SESSION, name="robot2"), routes=(replace(SCAN, topic="/other"),))
     other.now = replace(other.now, name="robot2")
     machine.serve(other)
-    assert offered("rsb-console echo /", tmp_path) == set()
-    assert offered("rsb-console echo --bridge robot2 /", tmp_path) == {"/other"}
+    assert offered("rsb-console echo /") == set()
+    assert offered("rsb-console echo --bridge robot2 /") == {"/other"}
 
 
 def test_no_argument_is_left_out() -> None:
@@ -165,10 +210,6 @@ def test_the_other_shells_get_theirs(shell: str, file: str, word: str) -> None:
 
 
 def test_a_bridge_that_does_not_answer_holds_nobody_up(monkeypatch: pytest.MonkeyPatch) -> None:
-    from argparse import Namespace
-
-    from rsb_console.command import completion
-
     monkeypatch.setattr("rsb_console.command.target.attached", lambda *_, **__: time.sleep(60))
     monkeypatch.setattr(completion, "_WAITS", 0.01)
-    assert completion.links(Namespace()) == []
+    assert completion.links(argparse.Namespace()) == []

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import shutil
 import signal
@@ -11,15 +12,18 @@ import time
 from pathlib import Path
 
 import pytest
+from tests.console.scripted import ScriptedEngine
 from tests.console.terminal import COMMAND, Terminal
 from tests.console.tmux import Tmux
+from tests.support.commands import parser_and_commands
 from tests.support.locks import alone
 from tests.support.waiting import eventually
 
+from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.robot_summary import RobotState, RobotSummary
 from rsb_console.command import demo
-from rsb_console.command.arguments import parser_and_commands
 from rsb_console.command.demo import HOW_TO_END
+from rsb_console.command.headless import Signals, bridge_until_told
 from rsb_console.fleet.fleet import Robot
 
 pytest.importorskip("rclpy", reason="needs ROS 2")
@@ -93,7 +97,7 @@ def test_the_screen_opens_leads_to_a_robot_and_back_and_ends_all(tmp_path: Path,
         tmux.wait_for("robot2", WITHIN)
         demo = int(tmux("display-message", "-p", "#{pane_pid}"))
         started = {demo} | descendants(demo)
-        assert len(started) >= 4  # itself, the router, the control side, the robots
+        assert len(started) >= 4  # itself, the router, the control side, the robot
         tmux("send-keys", "/", "robot:robot2", "Enter")
         tmux.wait_for("1 of 3", WITHIN)
         tmux("send-keys", "Enter")
@@ -124,8 +128,8 @@ def test_nothing_of_it_is_left_where_a_signal_ends_it(seen: str, how: signal.Sig
     [
         ((), "LINKED", 3),  # the robot, its bridge, the desk
         (("--no-ui",), " ok |", 3),
-        (("--fleet", "--robots", "2"), "robot2", 3),  # the router, the control side, the robots
-        (("--fleet", "--robots", "2", "--no-ui"), HOW_TO_END, 3),
+        (("--fleet", "--robots", "1"), "robot1", 3),  # the router, the control side, the robot
+        (("--fleet", "--robots", "1", "--no-ui"), HOW_TO_END, 3),
     ],
     ids=["console", "headless", "fleet", "headless-fleet"],
 )
@@ -136,6 +140,13 @@ def test_no_process_outlives_a_demo_that_is_killed(options: tuple[str, ...], see
         assert len(started) >= at_least
         terminal.kill(signal.SIGKILL)
         eventually(lambda: not running(started), WITHIN, "the end of all processes")
+
+
+def test_a_time_ends_it(capfd: pytest.CaptureFixture[str]) -> None:
+    engine = ScriptedEngine()
+    with Signals(ignore_hangup=False, has_terminal=True) as signals:
+        assert bridge_until_told(engine, signals, log_format="json", seconds=0.05) == 0
+    assert json.loads(capfd.readouterr().out.splitlines()[-1])["code"] == EventCode.ENGINE_STOPPING
 
 
 DEAF = """

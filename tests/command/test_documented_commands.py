@@ -1,28 +1,52 @@
-"""Every command line of the documents is one that the command takes; what can run here is run."""
+"""Every command line of the documents is one that the command takes, and it works where it can be run here."""
 
 from __future__ import annotations
 
+import contextlib
+import io
 import re
 import shlex
+import signal
+from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from threading import Thread
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import msgspec
 import pytest
-from tests.console.scripted import SESSION, ScriptedEngine, route
+from tests.command.test_command import BRINGUP
+from tests.console.scripted import LINK, NOW, SESSION, ScriptedEngine, call_route, route
+from tests.support.commands import parser_and_commands
+from tests.support.fleet import ServerEngine, topics
+from tests.support.operators import ANNA
+from tests.support.running import Running
 
-from rsb_bridge.model.session import Topic
-from rsb_console.command.arguments import parser_and_commands
+from rsb_bridge.config.keys import write_key
+from rsb_bridge.config.session_file import save
+from rsb_bridge.model.commands import Call
+from rsb_bridge.model.session import Client, Topic
+from rsb_bridge.model.snapshot import PatternSnapshot, PeekedMessage, State
+from rsb_console.command import bench_command, console_command, figures, local_commands, service, shell
+from rsb_console.command.shell import INTERRUPTED, OK
+from rsb_console.fleet.fleet import Memory, Remembered, memory_path
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    import argparse
+    from collections.abc import Callable, Iterator
+    from concurrent.futures import Future
 
     from tests.support.control import Machine
+
+    from rsb_bridge.control.control_server import ControlServer
+    from rsb_bridge.model.commands import Command
 
 _ROOT = Path(__file__).parents[2]
 _PAGES = [_ROOT / "README.md", _ROOT / "SECURITY.md", *sorted((_ROOT / "docs").glob("*.md"))]
 _SEPARATORS = frozenset(("|", "&&", "||", ";", "&", ">", ">>", "<"))
-_PLACEHOLDERS = {"SHELL": "bash"}
+_PLACEHOLDERS = {
+    "CLIENT": "robot1", "FILE": "robot1.yaml", "NAME": "robot1", "PATH": "setup.bash", "SESSION": "robot1.yaml",
+    "SHELL": "bash", "TOPIC": "/scan",
+}  # fmt: skip
 
 
 class Line(NamedTuple):
@@ -35,6 +59,10 @@ class Line(NamedTuple):
     place: str
     words: list[str]
     whole: bool
+
+    @property
+    def text(self) -> str:
+        return shlex.join(self.words)
 
 
 def lines() -> Iterator[Line]:
@@ -72,6 +100,14 @@ def commands(text: str) -> Iterator[list[str]]:
 FOUND = [*lines()]
 
 
+def parsed(text: str) -> argparse.Namespace:
+    parser, names = parser_and_commands()
+    words = shlex.split(text)
+    if words[0] not in (*names, "--version"):  # rsb-console SESSION
+        words = ["run", *words]
+    return parser.parse_args(words)
+
+
 def test_they_are_found() -> None:
     assert len(FOUND) > 60
     assert [*commands("rsb-console wait --for flowing /scan && ros2 topic list  # then")] == [
@@ -82,95 +118,255 @@ def test_they_are_found() -> None:
     ]
 
 
-@pytest.mark.parametrize("line", FOUND, ids=[f"{line.place} {line.words[0]}" for line in FOUND])
+def lacks_arguments(line: Line) -> bool:
+    """Whether a sentence only names a command, without the arguments that it needs."""
+    with contextlib.redirect_stderr(io.StringIO()) as errors, contextlib.suppress(SystemExit):
+        parsed(line.text)
+    return not line.whole and "the following arguments are required" in errors.getvalue()
+
+
+def ids(line: Line) -> str:
+    return f"{line.place} {line.words[0]}"
+
+
+@pytest.mark.parametrize("line", FOUND, ids=ids)
 def test_it_is_taken(line: Line, capsys: pytest.CaptureFixture[str]) -> None:
-    parser, names = parser_and_commands()
-    words = line.words
-    if words[0].startswith("-"):
-        assert words[0] in parser.format_help()
-        return
-    if words[0] not in names:  # rsb-console SESSION
-        words = ["run", *words]
+    with contextlib.suppress(SystemExit):
+        parsed(line.text)
+    assert lacks_arguments(line) or not capsys.readouterr().err
+
+
+# --- running them
+
+_ELSEWHERE = {
+    "bench": ("bench/test_command.py", "test_ctrl_c_prints_what_was_measured_and_leaves_no_process"),
+    "bench --quick": ("bench/test_command.py", "test_a_short_run_on_this_machine"),
+    "bt-scan": ("bluetooth/guest/test_scan.py", "test_what_the_command_prints"),
+    "demo": ("command/test_demo_fleet.py", "test_no_process_outlives_a_demo_that_is_killed"),
+    "demo --no-ui --seconds 20": ("command/test_command.py", "test_the_demo_bridges_and_leaves_one_topic_to_add"),
+    "demo --fleet": (
+        "command/test_demo_fleet.py", "test_the_screen_opens_leads_to_a_robot_and_back_and_ends_all"
+    ),
+    "demo --fleet --no-ui --seconds 30": (
+        "command/test_demo_fleet.py", "test_each_engine_is_linked_and_has_a_line"
+    ),
+    "run robot1.yaml --no-ui": (
+        "command/test_remote.py", "test_a_headless_bridge_is_attached_to_changed_and_stopped"
+    ),
+}  # fmt: skip
+"""Lines that need ROS nodes, minutes or a Bluetooth adapter, and the test that runs the command with these options."""
+_COMPLETE = {"fleet dismiss robot1": "fleet dismiss robot9", "wait --for flowing": "wait --for flowing /scan"}
+"""Lines whose placeholder is a robot that has gone, or whose condition a sentence leaves open."""
+_BEFORE = {
+    "client rekey robot1 --finish": "client rekey robot1 --keep-old",
+    "service uninstall robot1.yaml": "service install robot1.yaml",
+}
+"""Lines that presuppose another one."""
+_ANSWERS = {
+    "": "success: true\n",
+    "send_goal": f"# goal_id: {'ab' * 16}\naccepted: true\n",
+    "get_result": "status: 4\n",
+    "cancel_goal": "return_code: 0\n",
+    "list_parameters": "result:\n  names: [use_sim_time]\n  prefixes: []\n",
+    "get_parameters": "values:\n- type: 1\n  bool_value: false\n",
+    "set_parameters": "results:\n- {successful: true, reason: ''}\n",
+    "describe_parameters": "descriptors:\n- {name: controller_frequency, type: 3}\n",
+}
+"""Responses, by the service of an action or a node."""
+_MESSAGE = PeekedMessage(b"\0\1\0\0\7\0\0\0", 8, "std_msgs/msg/Int32", "", NOW, outgoing=False)
+_TOPICS = ("/scan", "/camera", "/rsb_bench/tcp/transmit", "/cmd_vel", "/map", "/odom")
+
+
+class Robot(Running):
+    """A client that bridges all that the documents name; its nodes answer each call."""
+
+    def __init__(self) -> None:
+        routes = (
+            *(route(name, key=name, outgoing=True, spec=Topic(name, "transmit")) for name in _TOPICS),
+            call_route("service", "/map_server/load_map"),
+            call_route("service", "/dock"),
+            call_route("action", "/navigate_to_pose"),
+            call_route("parameters", "/controller_server"),
+        )
+        super().__init__(msgspec.structs.replace(SESSION, group="hall"), routes=routes)
+        name = "/camera/**"
+        cameras = PatternSnapshot("cameras", "robot1", Topic(name, "transmit"), State.OK, "", True, name)
+        self.now = replace(self.now, links=tuple(replace(link, patterns=(cameras,)) for link in self.now.links))
+        self.peeked = [_MESSAGE] * 20
+
+    def _execute(self, command: Command[Any], step: Callable[[str], None] | None) -> Future[Any]:
+        if isinstance(command, Call):
+            return self._done(_ANSWERS[command.lane], "call", command.key)
+        return super()._execute(command, step)
+
+
+class Control(ServerEngine):
+    """A server of two robots, which have a battery."""
+
+    def __init__(self) -> None:
+        super().__init__("robot1", "robot2")
+        self.link("robot1", next_fingerprint=LINK.fingerprint)  # it has read its new key
+        batteries = [topics(name, Topic("/battery_state", "transmit")) for name in ("robot1", "robot2")]
+        self.now = replace(self.now, routes=sum(batteries, self.now.routes))
+        self.peeked = [_MESSAGE] * 2
+
+
+def lasts(line: str) -> bool:
+    """Whether a command lasts until Ctrl-C."""
+    return re.match("(arm|echo|hz|bw) ", line) is not None and not re.search("--(once|count|for)", line)
+
+
+def opens_console(line: str) -> bool:
+    return re.fullmatch(r"\S+\.yaml|run( \S+)?|attach.*|fleet( --fleet \S+)?", line) is not None
+
+
+def prepare(line: str) -> None:
+    """Remove what a line writes, and remember the robot that a line dismisses."""
+    for written in re.findall(r"-o (\S+)", line) if not line.startswith("keygen") else Path().glob("*key*"):
+        Path(written).unlink(missing_ok=True)
+    if "dismiss" in line:
+        memory = Memory(memory_path())
+        memory.saw(Remembered("control", "robot9", NOW - 3600))
+        memory.save()
+
+
+def run(line: str) -> int:
+    """Run a line. Return the exit code."""
+    if line.startswith("fleet edit"):
+        line += " --settle 0.1"  # instead of 10 s
     try:
-        parser.parse_args(words)
-    except SystemExit:
-        error = capsys.readouterr().err
-        assert not line.whole, error
-        assert "the following arguments are required" in error, error
-
-
-# --- those that can be run against a bridge that is scripted, or in an empty folder
-
-_RUN = {
-    "add",
-    "completion",
-    "info",
-    "keygen",
-    "pause",
-    "reload",
-    "remove",
-    "restart",
-    "retry",
-    "status",
-    "topics",
-    "wait",
-}
-_NOT_RUN = {
-    "SESSION": "stands for a file",
-    "--version": "ends the interpreter; test_command runs it",
-    "ack": "its topic is a placeholder; test_remote runs it",
-    "arm": "its topic is a placeholder, and it lasts until Ctrl-C; test_remote runs it",
-    "attach": "opens the console; tests/console run it",
-    "bench": "measures for a minute or needs two sides; tests/bench run it",
-    "bt-scan": "needs a Bluetooth adapter; tests/bluetooth run it in a virtual machine",
-    "bw": "lasts until Ctrl-C; test_figures runs it",
-    "call": "needs the types of the service; test_calls runs it",
-    "check": "its file is a placeholder; test_command runs it",
-    "client": "changes a server's file and its running bridge; test_client runs it",
-    "control.yaml": "opens the console",
-    "demo": "needs ROS for half a minute; test_demo_fleet runs it",
-    "echo": "needs messages; test_echo runs it",
-    "edit": "its topics are a pattern's or need arming; test_remote runs it",
-    "fleet": "needs several bridges; test_fleet runs it",
-    "hz": "lasts until Ctrl-C; test_figures runs it",
-    "import": "needs the session of another program; test_command runs it",
-    "param": "needs a node; test_calls runs it",
-    "report": "needs a recorded history; test_report runs it",
-    "robot2.yaml": "opens the console",
-    "run": "is a bridge of its own; tests/system run it",
-    "stop": "waits for the end of the process; test_remote runs it",
-    "service": "changes systemd; test_service runs it",
-}
-_NOT_WHOLE = ("info", "pause", "wait --for flowing", "wait --for flowing /map_server/load_map")
-"""Lines of a command in `_RUN` that name no topic, or wait for a service that nobody has."""
+        arguments = parsed(line)
+        code: int = arguments.command(arguments)
+    except KeyboardInterrupt:
+        return INTERRUPTED
+    except SystemExit as ended:
+        return int(ended.code or 0)
+    return code
 
 
 @pytest.fixture
-def engine(machine: Machine, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> ScriptedEngine:
-    """A bridge that has the topics of the documents."""
-    monkeypatch.setenv("XDG_RUNTIME_DIR", machine.environ["XDG_RUNTIME_DIR"])
+def consoles(monkeypatch: pytest.MonkeyPatch) -> list[object]:
+    """The consoles that a line opens. They don't draw: tests/console does."""
+    opened: list[object] = []
+    monkeypatch.setattr(local_commands, "can_draw", lambda _: True)
+    monkeypatch.setattr(console_command, "run_app", lambda app, **_: opened.append(app))
+    return opened
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """The files of the documents, in an operator's folder."""
     monkeypatch.chdir(tmp_path)
-    names = ("/scan", "/camera", "/rsb_bench/tcp/transmit", "/cmd_vel")
-    routes = [route(name, key=name, outgoing=True, spec=Topic(name, "transmit")) for name in names]
-    topics = tuple(each.spec for each in routes if each.spec)
-    made = ScriptedEngine(msgspec.structs.replace(SESSION, topics=topics), routes=tuple(routes))
-    machine.serve(made)
-    return made
+    for name in ("XDG_STATE_HOME", "XDG_CONFIG_HOME"):
+        monkeypatch.setenv(name, str(tmp_path / name))
+    monkeypatch.setattr(service, "_SYSTEM_UNITS", tmp_path / "system")
+    for name in ("robot1.key", "key.txt"):
+        write_key(tmp_path / name)
+    for name in ("robot1.yaml", "robot2.yaml"):
+        save(msgspec.structs.replace(SESSION, key_file="robot1.key"), tmp_path / name)
+    server = msgspec.structs.replace(
+        Control().session, clients=(Client("robot1"), Client("robot3", "r3.key")), key_file="robot1.key"
+    )
+    for name in ("control.yaml", "control-pc.yaml"):
+        save(server, tmp_path / name)
+    (tmp_path / "bringup.yaml").write_text(BRINGUP)
+    (tmp_path / "setup.bash").touch()
+    return tmp_path
 
 
-def test_each_command_is_run_or_has_a_reason_not_to_be() -> None:
-    assert {line.words[0] for line in FOUND} == _RUN | set(_NOT_RUN)
+@pytest.fixture
+def serve(machine: Machine, folder: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[[str], None]:
+    """Serves the bridge that a line is for."""
+    monkeypatch.setenv("XDG_RUNTIME_DIR", machine.environ["XDG_RUNTIME_DIR"])
+
+    def serve(line: str) -> None:
+        engine: ScriptedEngine = Control() if line.startswith(("fleet", "client", "bench control")) else Robot()
+        server: ControlServer = machine.serve(
+            engine, file=folder / f"{engine.session.name}.yaml", on_stop=lambda: Thread(target=server.close).start()
+        )
+
+    return serve
 
 
-def can_run(line: Line) -> bool:
-    """Whether a line has no placeholder and needs nothing but the scripted bridge."""
-    text = " ".join(line.words)
-    placeholder = any(each.isupper() for each in line.words)
-    return line.words[0] in _RUN and not placeholder and not text.endswith(_NOT_WHOLE) and "--fleet " not in text
+@pytest.fixture
+def press_keys(monkeypatch: pytest.MonkeyPatch) -> Callable[[str], None]:
+    """Has an operator answer yes; and press Ctrl-C once a line has printed something, if it lasts until then."""
+
+    def press(line: str) -> None:
+        keys = io.StringIO("y\n")
+        monkeypatch.setattr(keys, "isatty", lambda: True)
+        monkeypatch.setattr("sys.stdin", keys)
+        if not lasts(line):
+            return
+        write = shell._print
+
+        def written(text: str) -> None:
+            write(text)
+            signal.raise_signal(signal.SIGINT)
+
+        monkeypatch.setattr(shell, "_print", written)
+
+    return press
 
 
-@pytest.mark.parametrize("line", [*filter(can_run, FOUND)], ids=lambda line: f"{line.place} {line.words[0]}")
-def test_it_does_what_it_says(line: Line, engine: ScriptedEngine, capsys: pytest.CaptureFixture[str]) -> None:
-    arguments = parser_and_commands()[0].parse_args(line.words)
-    assert arguments.command(arguments) == 0, capsys.readouterr().err
-    assert engine.session.name == "robot1"
+RUN_HERE = {each.text: each for each in FOUND if each.text not in _ELSEWHERE and not lacks_arguments(each)}.values()
+"""Each line once, wherever it stands."""
+
+
+def over_zenoh(line: Line) -> bool:
+    return "--fleet" in line.words and line.words[0] != "demo"
+
+
+def check(line: str, capsys: pytest.CaptureFixture[str], consoles: list[object]) -> None:
+    """Run a line, and check that it does what it says."""
+    assert run(line) == (INTERRUPTED if lasts(line) else OK), capsys.readouterr().err
+    assert bool(consoles) is opens_console(line)
+
+
+@pytest.mark.parametrize("line", [each for each in RUN_HERE if not over_zenoh(each)], ids=ids)
+def test_it_works(
+    line: Line,
+    serve: Callable[[str], None],
+    press_keys: Callable[[str], None],
+    consoles: list[object],
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    text = _COMPLETE.get(line.text, line.text)
+    prepare(text)
+    serve(text)
+    press_keys(text)
+    monkeypatch.setattr(figures, "_EVERY", 0.05)
+    monkeypatch.setattr(bench_command, "_measure", lambda *_: OK)  # tests/bench measures
+    if text in _BEFORE:
+        assert run(_BEFORE[text]) == OK
+    check(text, capsys, consoles)
+
+
+@pytest.mark.parametrize("line", [each for each in RUN_HERE if over_zenoh(each)], ids=ids)
+def test_it_works_over_zenoh(
+    line: Line,
+    folder: Path,
+    press_keys: Callable[[str], None],
+    consoles: list[object],
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    pytest.importorskip("zenoh", reason="needs Zenoh")
+    from tests.support.zenoh_fleet import Fleet
+
+    with contextlib.closing(Fleet(folder)) as fleet:
+        fleet.add("robot1", Robot())
+        fleet.write_file("anna", ANNA).rename("harbour.yaml")
+        press_keys(line.text)
+        check(line.text, capsys, consoles)
+
+
+def test_what_cannot_run_here_is_run_by_a_test() -> None:
+    assert {line.text for line in FOUND} >= set(_ELSEWHERE)
+    for file, name in _ELSEWHERE.values():
+        assert f"\ndef {name}(" in (_ROOT / "tests" / file).read_text(encoding="utf-8")
+
+
+def test_each_command_that_is_named_is_run() -> None:
+    named = {line.words[0] for line in FOUND if lacks_arguments(line)}
+    assert named <= {word for line in RUN_HERE for word in line.words}

@@ -11,8 +11,8 @@ import pytest
 from nav_msgs.msg import Odometry
 from rclpy.serialization import serialize_message
 from std_msgs.msg import String
-from tests.command.test_remote import Ran
 from tests.console.scripted import NOW, SESSION, ScriptedEngine, route
+from tests.support.commands import Ran
 from tests.support.wording import says
 
 from rsb_bridge.model.session import Topic

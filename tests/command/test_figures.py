@@ -11,10 +11,11 @@ from typing import TYPE_CHECKING, Any, cast
 
 import msgspec
 import pytest
-from tests.command.test_remote import Ran
 from tests.console.scripted import LINK, NOW, SESSION, ScriptedEngine, route
 from tests.support.bridge import carries, linked
+from tests.support.commands import Ran, parser_and_commands
 from tests.support.domain import text
+from tests.support.running import Running
 from tests.support.waiting import eventually
 
 from rsb_bridge.control import attached_console
@@ -23,7 +24,6 @@ from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import Ledger, RouteSnapshot, State
 from rsb_bridge.model.verdict import LinkCause
 from rsb_console.command import figures
-from rsb_console.command.arguments import parser_and_commands
 from rsb_console.command.figures import Window
 from rsb_console.command.formatting import link_word, links_of
 
@@ -57,37 +57,6 @@ def publishing(out: Publisher, period: float) -> Iterator[None]:
     finally:
         ends.set()
         thread.join()
-
-
-class Running(ScriptedEngine):
-    """An engine whose topic has ten more messages a second, of 100 bytes each, at each look.
-
-    Attributes:
-        waits: whether it stays as it is until the command has seen it, however often the server looks.
-        seen: whether the command has seen it.
-    """
-
-    step = 10
-    waits = seen = False
-
-    def snapshot(self) -> Any:
-        if self.waits and not self.seen:
-            return self.now
-        self.seen = False
-        now = self.now
-        routes = tuple(self._more(each) for each in now.routes)
-        self.now = replace(now, time=now.time + 1, routes=routes)
-        return self.now
-
-    def _more(self, before: RouteSnapshot) -> RouteSnapshot:
-        ledger = before.ledger
-        return replace(
-            before,
-            messages_total=before.messages_total + self.step,
-            bytes_total=before.bytes_total + 100 * self.step,
-            ledger=replace(ledger, offered=ledger.offered + 2 * self.step, delivered=ledger.delivered + self.step),
-            history=(*before.history, self.step)[-120:],
-        )
 
 
 @pytest.fixture

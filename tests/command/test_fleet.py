@@ -3,22 +3,21 @@
 from __future__ import annotations
 
 import io
-import json
 import os
 import re
 import signal
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import pytest
 from tests.console.scripted import NOW, ScriptedEngine
+from tests.support.commands import Ran, parser_and_commands
 from tests.support.fleet import ServerEngine
 
 from rsb_bridge.model.robot_summary import RobotState
 from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import RouteSnapshot, State
-from rsb_console.command.arguments import parser_and_commands
 from rsb_console.command.remote_arguments import IN_FLEET
 from rsb_console.fleet.fleet import Memory, Remembered, memory_path
 
@@ -43,18 +42,8 @@ def engine(machine: Machine) -> ServerEngine:
     return made
 
 
-class Ran:
-    """What became of a command."""
-
-    def __init__(self, capsys: pytest.CaptureFixture[str], *arguments: str) -> None:
-        parsed = parser_and_commands()[0].parse_args(("fleet", *arguments))
-        self.code = parsed.command(parsed)
-        self.out, self.err = capsys.readouterr()
-
-    @property
-    def json(self) -> Any:
-        """Its one line."""
-        return json.loads(self.out)
+def fleet(capsys: pytest.CaptureFixture[str], *words: str) -> Ran:
+    return Ran(capsys, "fleet", *words)
 
 
 def answers(monkeypatch: pytest.MonkeyPatch, text: str) -> None:
@@ -68,7 +57,7 @@ def answers(monkeypatch: pytest.MonkeyPatch, text: str) -> None:
 
 
 def test_all_is_well(engine: ServerEngine, capsys: pytest.CaptureFixture[str]) -> None:
-    ran = Ran(capsys, "--json", *QUICK)
+    ran = fleet(capsys, "--json", *QUICK)
     assert ran.code == 0
     assert ran.json["ok"] is True
     assert ran.json["summary"]["robots"] == 3
@@ -82,7 +71,7 @@ def test_all_is_well(engine: ServerEngine, capsys: pytest.CaptureFixture[str]) -
 
 def test_something_is_wrong(engine: ServerEngine, capsys: pytest.CaptureFixture[str]) -> None:
     engine.link("robot2", state=State.DOWN, reason="no answer")
-    ran = Ran(capsys, "--json", *QUICK)
+    ran = fleet(capsys, "--json", *QUICK)
     assert ran.code == 1
     assert (ran.json["ok"], ran.json["robots"][0]["name"], ran.json["robots"][0]["state"]) == (
         False,
@@ -95,21 +84,21 @@ def test_a_robot_that_has_gone_is_dismissed(engine: ServerEngine, capsys: pytest
     memory = Memory(memory_path())
     memory.saw(Remembered("control", "robot9", NOW - 3600))
     memory.save()
-    ran = Ran(capsys, "--json", *QUICK)
+    ran = fleet(capsys, "--json", *QUICK)
     assert (ran.code, ran.json["robots"][0]["name"], ran.json["robots"][0]["gone"]) == (1, "robot9", True)
-    assert Ran(capsys, "dismiss", "robot1").code == 2  # it is there
-    assert Ran(capsys, "dismiss").code == 2
-    ran = Ran(capsys, "exec", "--all", "--", "topics")
+    assert fleet(capsys, "dismiss", "robot1").code == 2  # it is there
+    assert fleet(capsys, "dismiss").code == 2
+    ran = fleet(capsys, "exec", "--all", "--", "topics")
     assert "robot9" in ran.err
     assert "robot9" not in ran.out
-    assert Ran(capsys, "dismiss", "robot9", "--json").json == {"ok": True, "dismissed": ["robot9"]}
-    assert Ran(capsys, "--json", *QUICK).code == 0
+    assert fleet(capsys, "dismiss", "robot9", "--json").json == {"ok": True, "dismissed": ["robot9"]}
+    assert fleet(capsys, "--json", *QUICK).code == 0
 
 
 def test_no_server(machine: Machine, capsys: pytest.CaptureFixture[str]) -> None:
     machine.serve(ScriptedEngine())  # a client
     for arguments, code in ((("--json",), 3), (("--json", "--bridge", "robot1"), 2), (("--json", "--bridge", "no"), 3)):
-        ran = Ran(capsys, *arguments)
+        ran = fleet(capsys, *arguments)
         assert (ran.code, ran.json["ok"]) == (code, False)
 
 
@@ -118,14 +107,14 @@ def test_the_screen_needs_a_terminal(
 ) -> None:
     with Path(os.devnull).open() as nothing:
         monkeypatch.setattr("sys.stdin", nothing)
-        ran = Ran(capsys)
+        ran = fleet(capsys)
     assert (ran.code, "fleet --json" in ran.err) == (2, True)
 
 
 def test_the_fields_that_are_documented_are_printed(engine: ServerEngine, capsys: pytest.CaptureFixture[str]) -> None:
     section = (Path(__file__).parents[2] / "docs" / "headless.md").read_text().partition("| field of a robot |")[2]
     rows = [line.split("|")[1] for line in section.partition("\n\n")[0].splitlines()[2:]]
-    printed = Ran(capsys, "--json", *QUICK).json["robots"][0]
+    printed = fleet(capsys, "--json", *QUICK).json["robots"][0]
     assert {field for row in rows for field in re.findall(r"`(\w+)`", row)} == printed.keys()
 
 
@@ -133,7 +122,7 @@ def test_the_fields_that_are_documented_are_printed(engine: ServerEngine, capsys
 
 
 def test_a_command_for_each(engine: ServerEngine, capsys: pytest.CaptureFixture[str]) -> None:
-    ran = Ran(capsys, "exec", "robot1", "robot3", "--", "pause", "/camera")
+    ran = fleet(capsys, "exec", "robot1", "robot3", "--", "pause", "/camera")
     assert ran.code == 0
     assert ran.out.splitlines() == ["robot1: done", "robot3: done"]
     assert engine.commands == [("pause", "robot1 /camera", True), ("pause", "robot3 /camera", True)]
@@ -141,15 +130,15 @@ def test_a_command_for_each(engine: ServerEngine, capsys: pytest.CaptureFixture[
 
 def test_options_may_stand_before_the_command(engine: ServerEngine, capsys: pytest.CaptureFixture[str]) -> None:
     """As well as behind it."""
-    assert Ran(capsys, "--json", "--bridge", "control", "exec", "robot1", "--", "status").json["ok"] is True
-    assert Ran(capsys, "exec", "robot1", "--json", "--bridge", "control", "--", "status").json["ok"] is True
+    assert fleet(capsys, "--json", "--bridge", "control", "exec", "robot1", "--", "status").json["ok"] is True
+    assert fleet(capsys, "exec", "robot1", "--json", "--bridge", "control", "--", "status").json["ok"] is True
     for arguments in (("--bridge", "no", "exec", "robot1"), ("exec", "robot1", "--bridge", "no")):
-        assert Ran(capsys, *arguments, "--", "status").code == 3
-    assert Ran(capsys, "exec", "robot1", "--", "status").code == 0
+        assert fleet(capsys, *arguments, "--", "status").code == 3
+    assert fleet(capsys, "exec", "robot1", "--", "status").code == 0
 
 
 def test_for_a_group_as_json(engine: ServerEngine, capsys: pytest.CaptureFixture[str]) -> None:
-    ran = Ran(capsys, "exec", "--group", "hall", "--json", "--", "topics")
+    ran = fleet(capsys, "exec", "--group", "hall", "--json", "--", "topics")
     (one,) = ran.json["robots"]
     assert (ran.code, ran.json["ok"], one["robot"], one["code"]) == (0, True, "robot1", 0)
     assert {topic["topic"] for topic in one["output"][0]["topics"]} == {"/robot1/scan", "/robot1/camera"}
@@ -158,18 +147,18 @@ def test_for_a_group_as_json(engine: ServerEngine, capsys: pytest.CaptureFixture
 def test_what_fails_for_one_is_named(engine: ServerEngine, capsys: pytest.CaptureFixture[str]) -> None:
     now = engine.now
     engine.now = replace(now, routes=tuple(each for each in now.routes if each.key != "robot2 /camera"))
-    ran = Ran(capsys, "exec", "--all", "--", "pause", "/camera")
+    ran = fleet(capsys, "exec", "--all", "--", "pause", "/camera")
     assert ran.code == 1
     one, two, three = ran.out.splitlines()
     assert (one, three) == ("robot1: done", "robot3: done")
     assert two.startswith("robot2: /camera is not bridged")
-    ran = Ran(capsys, "exec", "--all", "--json", "--", "pause", "/camera")
+    ran = fleet(capsys, "exec", "--all", "--json", "--", "pause", "/camera")
     assert [each["code"] for each in ran.json["robots"]] == [0, 2, 0]
 
 
 def test_a_status_is_of_one_robot(engine: ServerEngine, capsys: pytest.CaptureFixture[str]) -> None:
     engine.link("robot1", state=State.DOWN, reason="no answer")
-    ran = Ran(capsys, "exec", "--all", "--json", "--", "status")
+    ran = fleet(capsys, "exec", "--all", "--json", "--", "status")
     assert [each["code"] for each in ran.json["robots"]] == [1, 0, 0]
     assert [*ran.json["robots"][1]["output"][0]["links"]] == ["robot2"]
 
@@ -199,7 +188,7 @@ def test_a_status_is_of_one_robot(engine: ServerEngine, capsys: pytest.CaptureFi
 def test_what_is_no_command_for_a_robot(
     engine: ServerEngine, capsys: pytest.CaptureFixture[str], arguments: tuple[str, ...]
 ) -> None:
-    assert Ran(capsys, "exec", *arguments).code == 2
+    assert fleet(capsys, "exec", *arguments).code == 2
     assert engine.commands == []
 
 
@@ -211,9 +200,9 @@ def test_every_command_that_is_allowed_exists() -> None:
 
 
 def test_what_would_change(engine: ServerEngine, capsys: pytest.CaptureFixture[str]) -> None:
-    ran = Ran(capsys, "edit", "robot1", "robot2", "/camera", "max_rate=5", "--dry-run")
+    ran = fleet(capsys, "edit", "robot1", "robot2", "/camera", "max_rate=5", "--dry-run")
     assert (ran.code, ran.out.splitlines()) == (0, [f"{name}: max_rate none → 5" for name in ("robot1", "robot2")])
-    ran = Ran(capsys, "edit", "--all", "/camra", "max_rate=5", "--dry-run", "--json")
+    ran = fleet(capsys, "edit", "--all", "/camra", "max_rate=5", "--dry-run", "--json")
     assert (ran.code, len(ran.json["plan"])) == (1, 3)
     assert engine.commands == []
 
@@ -223,12 +212,12 @@ def test_a_change_after_a_yes(
 ) -> None:
     wanted = ("edit", "--group", "yard", "/camera", "max_rate=5", *SETTLE)
     answers(monkeypatch, "\n")
-    assert Ran(capsys, *wanted).code == 1
+    assert fleet(capsys, *wanted).code == 1
     assert engine.commands == []
     answers(monkeypatch, "y\n")
-    assert Ran(capsys, *wanted).code == 0
+    assert fleet(capsys, *wanted).code == 0
     assert [(each[0], each[1]) for each in engine.commands] == [("edit", "robot2 /camera")]
-    assert Ran(capsys, *wanted).code == 0  # nothing is to change any more
+    assert fleet(capsys, *wanted).code == 0  # nothing is to change any more
     assert len(engine.commands) == 1
 
 
@@ -236,8 +225,8 @@ def test_nobody_is_asked(
     engine: ServerEngine, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("sys.stdin", io.StringIO())
-    assert Ran(capsys, "edit", "robot1", "/camera", "max_rate=5").code == 2
-    assert Ran(capsys, "edit", "robot1", "/camera", "max_rate=5", "--json").code == 2
+    assert fleet(capsys, "edit", "robot1", "/camera", "max_rate=5").code == 2
+    assert fleet(capsys, "edit", "robot1", "/camera", "max_rate=5", "--json").code == 2
     assert engine.commands == []
 
 
@@ -245,7 +234,7 @@ def test_nobody_is_asked(
     "words", [("robot1", "/camera"), ("robot1", "max_rate=5"), ("robot1", "/a", "/b", "max_rate=5")]
 )
 def test_what_is_no_change(engine: ServerEngine, capsys: pytest.CaptureFixture[str], words: tuple[str, ...]) -> None:
-    assert Ran(capsys, "edit", *words).code == 2
+    assert fleet(capsys, "edit", *words).code == 2
 
 
 def max_rate(edit: tuple[object, ...]) -> float | None:
@@ -270,7 +259,7 @@ def broken_at(name: str) -> ServerEngine:
 def test_it_stops_and_says_the_way_back(machine: Machine, capsys: pytest.CaptureFixture[str]) -> None:
     engine = broken_at("robot2")
     machine.serve(engine)
-    ran = Ran(capsys, "edit", "--all", "/camera", "max_rate=5", "--yes", *SETTLE)
+    ran = fleet(capsys, "edit", "--all", "/camera", "max_rate=5", "--yes", *SETTLE)
     assert ran.code == 1
     assert [each[1] for each in engine.commands] == ["robot1 /camera", "robot2 /camera"]
     assert "stopped at robot2" in ran.err
@@ -287,7 +276,7 @@ def test_it_stops_after_the_robot_at_which_it_is_interrupted(
     before = signal.getsignal(signal.SIGINT)
     engine = ServerEngine("robot1", "robot2", edited=edited)
     machine.serve(engine)
-    ran = Ran(capsys, "edit", "--all", "/camera", "max_rate=5", "--yes", "--json", *SETTLE)
+    ran = fleet(capsys, "edit", "--all", "/camera", "max_rate=5", "--yes", "--json", *SETTLE)
     assert (ran.code, ran.json["done"], ran.json["left"]) == (1, ["robot1"], ["robot2"])
     assert signal.getsignal(signal.SIGINT) is before
 
@@ -295,7 +284,7 @@ def test_it_stops_after_the_robot_at_which_it_is_interrupted(
 def test_it_goes_back_by_itself(machine: Machine, capsys: pytest.CaptureFixture[str]) -> None:
     engine = broken_at("robot2")
     machine.serve(engine)
-    ran = Ran(capsys, "edit", "--all", "/camera", "max_rate=5", "--yes", "--undo", "--json", *SETTLE)
+    ran = fleet(capsys, "edit", "--all", "/camera", "max_rate=5", "--yes", "--undo", "--json", *SETTLE)
     assert ran.code == 1
     assert (ran.json["done"], ran.json["failed"]["robot"], ran.json["left"]) == (["robot1"], "robot2", ["robot3"])
     assert (ran.json["undone"], ran.json["not_undone"]) == (True, [])
@@ -310,5 +299,5 @@ def test_it_offers_to_go_back(
     engine = broken_at("robot1")
     machine.serve(engine)
     answers(monkeypatch, "y\ny\n")
-    assert Ran(capsys, "edit", "--all", "/camera", "max_rate=5", *SETTLE).code == 1
+    assert fleet(capsys, "edit", "--all", "/camera", "max_rate=5", *SETTLE).code == 1
     assert [max_rate(each) for each in engine.commands] == [5.0, None]

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 import pytest
-from tests.command.test_remote import Ran
+from tests.support.commands import Ran
 from tests.support.operators import ANNA, BOB, granted
 from tests.support.wording import says
 from tests.support.zenoh_fleet import Fleet

@@ -10,8 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
-
-from rsb_console.command.arguments import parser_and_commands
+from tests.support.commands import parser_and_commands
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

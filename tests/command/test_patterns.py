@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 import msgspec
 import pytest
-from tests.command.test_remote import LINK, Ran
-from tests.console.scripted import SESSION, ScriptedEngine, route
+from tests.console.scripted import LINK, SESSION, ScriptedEngine, route
+from tests.support.commands import Ran
 
 from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import PatternSnapshot, State

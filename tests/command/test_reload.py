@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Any
 
 import msgspec
 import pytest
+from tests.support.commands import Ran
 from tests.support.ports import free_port
 from tests.support.waiting import eventually
 
@@ -116,17 +117,12 @@ def says(process: subprocess.Popen[str], code: str) -> Any:
     return next(event for line in process.stdout if (event := json.loads(line)).get("code") == code)
 
 
-def topics() -> list[str]:
-    """What the bridge bridges, as another process sees it."""
-    done = command("topics", "--json")
-    return [each["topic"] for each in json.loads(done.stdout)["topics"]]
+def topics(capsys: pytest.CaptureFixture[str]) -> list[str]:
+    """What the bridge bridges."""
+    return [each["topic"] for each in Ran(capsys, "topics", "--json").json["topics"]]
 
 
-def command(*arguments: str) -> subprocess.CompletedProcess[str]:
-    return subprocess.run([COMMAND, *arguments], capture_output=True, text=True, timeout=120, check=False)
-
-
-def test_sighup_without_a_terminal_reloads(path: Path, systemd: Systemd) -> None:
+def test_sighup_without_a_terminal_reloads(path: Path, systemd: Systemd, capsys: pytest.CaptureFixture[str]) -> None:
     with start(path, {"NOTIFY_SOCKET": str(systemd.path)}) as process:
         try:
             systemd.hear("READY=1")
@@ -139,7 +135,7 @@ def test_sighup_without_a_terminal_reloads(path: Path, systemd: Systemd) -> None
             assert name == "MONOTONIC_USEC"
             assert before <= int(moment) <= time.monotonic_ns() // 1000
             systemd.hear("READY=1")
-            assert topics() == ["/scan", "/map"]
+            assert topics(capsys) == ["/scan", "/map"]
             event = says(process, "operator.reloaded")
             assert event["who"] == "SIGHUP"
             assert event["text"].startswith("reload by SIGHUP: /map (receive)")
@@ -152,7 +148,7 @@ def test_sighup_without_a_terminal_reloads(path: Path, systemd: Systemd) -> None
             assert failed["level"] == "ERROR"
             assert "robot1.yaml:" in failed["text"]
             assert "nonsense" in failed["text"]
-            assert topics() == ["/scan", "/map"]
+            assert topics(capsys) == ["/scan", "/map"]
             process.terminate()
             systemd.hear("STOPPING=1")
             assert process.wait(ENDS_WITHIN) == 0
@@ -174,7 +170,9 @@ def test_sighup_with_a_terminal_ends_the_bridge(path: Path, systemd: Systemd) ->
             process.kill()
 
 
-def test_nohup_keeps_the_bridge_when_the_terminal_goes(path: Path, systemd: Systemd) -> None:
+def test_nohup_keeps_the_bridge_when_the_terminal_goes(
+    path: Path, systemd: Systemd, capsys: pytest.CaptureFixture[str]
+) -> None:
     here, there = pty.openpty()
     with start(path, {"NOTIFY_SOCKET": str(systemd.path)}, there, nohup=True) as process:
         try:
@@ -183,7 +181,7 @@ def test_nohup_keeps_the_bridge_when_the_terminal_goes(path: Path, systemd: Syst
             os.close(there)
             process.send_signal(signal.SIGHUP)
             # It waits (0) until its first attempt to connect has failed.
-            eventually(lambda: command("status", "--json").returncode == 1, what="it runs, and is not linked")
+            eventually(lambda: Ran(capsys, "status", "--json").code == 1, what="it runs, and is not linked")
             process.terminate()
             assert process.wait(ENDS_WITHIN) == 0
             assert process.stdout
@@ -192,23 +190,23 @@ def test_nohup_keeps_the_bridge_when_the_terminal_goes(path: Path, systemd: Syst
             process.kill()
 
 
-def test_the_command_reloads(path: Path, systemd: Systemd) -> None:
+def test_the_command_reloads(path: Path, systemd: Systemd, capsys: pytest.CaptureFixture[str]) -> None:
     with start(path, {"NOTIFY_SOCKET": str(systemd.path)}) as process:
         try:
             systemd.hear("READY=1")
             session = load(path)
             save(msgspec.structs.replace(session, topics=(Topic("/scan", "transmit", max_rate=2.0),)), path)
-            done = command("reload")
-            assert (done.returncode, done.stdout) == (0, "/scan (transmit): max_rate none → 2.0\n")
+            done = Ran(capsys, "reload")
+            assert (done.code, done.out) == (0, "/scan (transmit): max_rate none → 2.0\n")
             assert says(process, "operator.reloaded")["who"].startswith(pwd.getpwuid(os.getuid()).pw_name)
             path.write_text(path.read_text().replace("2.0", "fast"))
-            bad = command("reload", "--json")
-            assert bad.returncode == 1
-            assert "robot1.yaml:" in json.loads(bad.stdout)["error"]
-            assert "max_rate" in json.loads(bad.stdout)["error"]
-            assert command("stop").returncode == 0
+            bad = Ran(capsys, "reload", "--json")
+            assert bad.code == 1
+            assert "robot1.yaml:" in bad.json["error"]
+            assert "max_rate" in bad.json["error"]
+            assert Ran(capsys, "stop").code == 0
             assert says(process, "operator.stopped")["who"].startswith(pwd.getpwuid(os.getuid()).pw_name)
             assert process.wait(ENDS_WITHIN) == 0
         finally:
             process.kill()
-    eventually(lambda: command("status").returncode == 3)
+    eventually(lambda: Ran(capsys, "status").code == 3)

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 import msgspec
 import pytest
 from tests.console.scripted import EVENTS, ROUTES, SESSION, ScriptedEngine, route
+from tests.support.commands import Ran
 from tests.support.ports import free_port
 from tests.support.waiting import eventually
 from tests.support.wording import says
@@ -31,7 +32,6 @@ from rsb_bridge.model.snapshot import (
     RouteSnapshot,
     State,
 )
-from rsb_console.command.arguments import parser_and_commands
 from rsb_console.command.headless import HeadlessText
 from rsb_console.command.remote import COMMANDS, RemoteProblem
 from rsb_console.command.target import BridgeChoice, RouteChoice
@@ -44,6 +44,8 @@ if TYPE_CHECKING:
 
 COMMAND = str(Path(sys.executable).with_name("rsb-console"))
 LINK = ScriptedEngine().now.links[0]
+NO_LINK = RouteChoice.UNKNOWN_LINK(bridge="robot1", name="robot7", known="robot1")
+NOT_BRIDGED = RouteChoice.NOT_BRIDGED(topic="/scna", hint="; did you mean /scan?")
 SCAN = route("/scan", outgoing=True, spec=Topic("/scan", "transmit", max_rate=5.0))
 
 
@@ -58,20 +60,6 @@ def engine(machine: Machine) -> ScriptedEngine:
     made = ScriptedEngine(msgspec.structs.replace(SESSION, topics=(SCAN.spec,)), routes=(SCAN,))
     machine.serve(made)
     return made
-
-
-class Ran:
-    """What became of a command."""
-
-    def __init__(self, capsys: pytest.CaptureFixture[str], *arguments: str) -> None:
-        parsed = parser_and_commands()[0].parse_args(arguments)
-        self.code = parsed.command(parsed)
-        self.out, self.err = capsys.readouterr()
-
-    @property
-    def json(self) -> Any:
-        """Its output, one object."""
-        return json.loads(self.out)
 
 
 @pytest.fixture
@@ -246,17 +234,17 @@ def test_commands_do_what_they_say(ran: Any, engine: ScriptedEngine) -> None:
         (("add", "/map"), RemoteProblem.DIRECTION_MISSING(topic="/map")),
         (("add", "/map", "type=String"), RemoteProblem.DIRECTION_MISSING(topic="/map")),
         (("edit", "/scan"), RemoteProblem.NOTHING_TO_CHANGE(topic="/scan")),
-        (("retry", "--link", "robot7"), "robot1 has no link 'robot7', only robot1"),
-        (("pause", "/scan", "--link", "robot7"), "robot1 has no link 'robot7', only robot1"),
+        (("retry", "--link", "robot7"), NO_LINK),
+        (("pause", "/scan", "--link", "robot7"), NO_LINK),
         (
             ("add", "/map", "recieve"),
             RemoteProblem.DIRECTION_UNKNOWN(topic="/map", word="recieve", hint="; did you mean receive?"),
         ),
         (("add", "/map", "receive", "max_rate=fast"), "max_rate: "),
         (("add", "/scan", "transmit"), "topic: "),
-        (("pause", "/scna"), "/scna is not bridged; did you mean /scan?"),
-        (("wait", "--for", "flowing", "/scna"), "/scna is not bridged; did you mean /scan?"),
-        (("wait", "--for", "linked", "robot7"), "robot1 has no link 'robot7', only robot1"),
+        (("pause", "/scna"), NOT_BRIDGED),
+        (("wait", "--for", "flowing", "/scna"), NOT_BRIDGED),
+        (("wait", "--for", "linked", "robot7"), NO_LINK),
         (("wait", "--for", "happy"), RemoteProblem.CONDITION_UNKNOWN(condition="happy")),
     ],
 )
@@ -531,28 +519,30 @@ def command(*arguments: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run([COMMAND, *arguments], capture_output=True, text=True, timeout=120, check=False)
 
 
-def test_a_headless_bridge_is_attached_to_changed_and_stopped(bridge: subprocess.Popen[str], session: Path) -> None:
-    status = json.loads(command("status", "--json").stdout)
+def test_a_headless_bridge_is_attached_to_changed_and_stopped(
+    ran: Any, bridge: subprocess.Popen[str], session: Path
+) -> None:
+    status = ran("status", "--json").json
     assert (status["pid"], status["file"]) == (bridge.pid, str(session))
     with start("events", "--json", "--follow") as following:
         assert following.stdout
         assert json.loads(following.stdout.readline())["code"] == "link.connecting"
-        assert command("add", "/map", "receive", "type=OccupancyGrid").returncode == 0
-        assert command("pause", "/scan").returncode == 0
-        assert command("remove", "/map").returncode == 0
-        waited = command("wait", "--for", "linked", "--timeout", "0.1")
-        assert waited.returncode == 1
-        topics = json.loads(command("topics", "--json").stdout)["topics"]
+        assert ran("add", "/map", "receive", "type=OccupancyGrid").code == 0
+        assert ran("pause", "/scan").code == 0
+        assert ran("remove", "/map").code == 0
+        waited = ran("wait", "--for", "linked", "--timeout", "0.1")
+        assert waited.code == 1
+        topics = ran("topics", "--json").json["topics"]
         assert [each["topic"] for each in topics] == ["/scan"]
-        assert command("stop").returncode == 0
+        assert ran("stop").code == 0
         assert bridge.wait(60) == 0
         codes = (json.loads(line)["code"] for line in following.stdout)
         assert next(code for code in codes if code == "attach.lost")
         following.terminate()
-    assert command("status").returncode == 3
+    assert ran("status").code == 3
 
 
-def test_a_session_is_not_started_twice(bridge: subprocess.Popen[str], session: Path) -> None:
+def test_a_session_is_not_started_twice(ran: Any, bridge: subprocess.Popen[str], session: Path) -> None:
     second = command("run", "--no-ui", str(session))
     assert second.returncode == 4
     assert says(second.stderr, SessionRuns.ANSWERING, name="robot1", pid=bridge.pid)
@@ -561,7 +551,7 @@ def test_a_session_is_not_started_twice(bridge: subprocess.Popen[str], session: 
     bridge.send_signal(signal.SIGKILL)
     bridge.wait()
     with start("run", "--no-ui", str(session)) as third:
-        eventually(lambda: command("status").returncode != 3, what="the dead one's socket is replaced")
+        eventually(lambda: ran("status").code != 3, what="the dead one's socket is replaced")
         third.terminate()
         assert third.wait(60) == 0
 
@@ -576,7 +566,7 @@ def test_disarm_answers_also_where_the_name_has_one_route(ran: Any, engine: Scri
 
 def test_the_details_say_who_has_armed_it_and_the_limit_of_its_age(ran: Any, engine: ScriptedEngine) -> None:
     armed = ArmingSnapshot(armed=True, by="anna on pts/3", left=12.0, deadman=20.0)
-    engine.now = replace(engine.now, routes=(replace(SCAN, arming=armed, max_age=0.5),))
+    engine.now = replace(engine.now, routes=(replace(SCAN, arming=armed, max_age=0.5, ledger=Ledger()),))
     text = ran("info", "/scan").out
     assert "anna on pts/3" in text
     assert "0.5 s" in text

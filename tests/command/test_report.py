@@ -10,9 +10,9 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import pytest
-from tests.command.test_remote import Ran
 from tests.console.scripted import LINK, NOW, REMEMBERED, ScriptedEngine
 from tests.history.world import World
+from tests.support.commands import Ran
 from tests.support.wording import says
 
 from rsb_bridge.history import history_files
@@ -21,6 +21,7 @@ from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.history import Gap, Track
 from rsb_bridge.model.snapshot import Event, Level, State
 from rsb_console.command.formatting import where_and_why
+from rsb_console.command.remote import RemoteProblem
 from rsb_console.session.history_report import ReportText, csv_report, did, length, parse_span, percent, text_report
 
 if TYPE_CHECKING:
@@ -122,7 +123,7 @@ def test_of_a_bridge_that_does_not_run_it_comes_from_its_files(
 
 def test_what_it_cannot_do_is_said(ran: Any, machine: Machine) -> None:
     assert ran("report").code == 3
-    assert "no bridge named 'robot9'" in ran("report", "robot9").err
+    assert says(ran("report", "robot9").err, RemoteProblem.NOTHING_OF_BRIDGE_TO_REPORT, name="robot9")
     machine.serve(ScriptedEngine())
     assert says(ran("report", "--last", "8").err, ReportText.NO_TIME, span="8")
     assert says(ran("report", "--last", "3d").err, ReportText.TOO_LONG_AGO, span="3d")

@@ -9,13 +9,13 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from tests.support.commands import parser_and_commands
 from tests.support.systemd import exposure
 from tests.support.wording import says
 
 from rsb_bridge.config.session_file import save
 from rsb_bridge.model.session import Session
 from rsb_console.command import service
-from rsb_console.command.arguments import parser_and_commands
 from rsb_console.command.service import KEPT_VARIABLES, Service, ServiceText, unit_name
 
 
@@ -80,14 +80,14 @@ def test_a_unit_that_differs_is_replaced_by_force_only(ran: Any, session: Path, 
 
 def test_a_service_is_uninstalled_once_it_is_disabled(ran: Any, session: Path, home: Path) -> None:
     unit = home / "config/systemd/user/rsb-console-robot1.service"
-    assert "no such unit" in ran("uninstall", session)[2]
+    assert says(ran("uninstall", session)[2], ServiceText.NO_UNIT, path=unit)
     ran("install", session)
     enabled = unit.parent / "default.target.wants" / unit.name
     enabled.parent.mkdir()
     enabled.symlink_to(unit)
     code, _, err = ran("uninstall", session)
     assert code == 1
-    assert f"first run: systemctl --user disable --now {unit.name}" in err
+    assert says(err, ServiceText.ENABLED, name=unit.name, control="systemctl --user")
     enabled.unlink()
     code, out, _ = ran("uninstall", session)
     assert code == 0

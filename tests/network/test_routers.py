@@ -66,9 +66,7 @@ def test_a_robot_goes_from_one_network_to_another(network: Network, robot: Host,
     wired.mtu(1280)
     left = time.time()
     robot.run("ip", "link", "set", "eth0", "down")
-    bridge.client.happens(
-        EventCode.LINK_LOST, "this machine's address towards 10.99.2.1 changed: 10.99.1.2 to 10.99.3.2"
-    )
+    bridge.client.happens(EventCode.LINK_LOST, "10.99.1.2 to 10.99.3.2")
     assert bridge.server.happens(EventCode.LINK_UP, "10.99.3.2", since=left) - left < _BACK_WITHIN
     bridge.all_flow(_BACK_WITHIN)
 

@@ -55,23 +55,24 @@ class Fleet:
     def settings(self) -> ZenohSettings:
         return ZenohSettings((self.router.endpoint,), fleet="lab")
 
-    def add(self, name: str, *, host: str = "robot") -> None:
+    def add(self, name: str, engine: ScriptedEngine | None = None, *, host: str = "robot") -> None:
         """Announce an engine, and wait until the router knows it.
 
         Args:
             name: of its session.
+            engine: a scripted one if none is given.
             host: of a second one of a name, tells its socket from the first one's.
         """
         with stranger(self.router) as somebody:
             before = announced(somebody)
-            self.begin(name, host=host)
+            self.begin(name, engine, host=host)
             eventually(lambda: announced(somebody) - before)
 
-    def begin(self, name: str, *, host: str = "robot") -> None:
+    def begin(self, name: str, engine: ScriptedEngine | None = None, *, host: str = "robot") -> None:
         """As `add`, and wait for nothing."""
         folder = self.folder / host
         folder.mkdir(exist_ok=True)
-        engine = ScriptedEngine(msgspec.structs.replace(SESSION, name=name))
+        engine = engine or ScriptedEngine(msgspec.structs.replace(SESSION, name=name))
         machine = Machine(folder)
         server = machine.serve(engine)
         access = Access(name, EventLog(Clock()), Clock())

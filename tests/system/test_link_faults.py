@@ -20,9 +20,11 @@ from tests.console.live import COMMAND
 from tests.console.tmux import Tmux
 from tests.support.log_lines import check_lines
 from tests.support.waiting import eventually
+from tests.support.wording import says
 
 from rsb_bridge.config.keys import fingerprint, read_key
 from rsb_bridge.config.session_file import save
+from rsb_bridge.link.refused_clients import SameName
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.wire.preamble import RefusalText
 
@@ -179,27 +181,25 @@ def test_the_versions_differ(sides: Sides, there: int, older: str, newer: str) -
 def test_two_clients_of_one_name(sides: Sides) -> None:
     server, first = sides.server(), sides.client()
     eventually(lambda: first.link()["state"] == "ok")
-    second = sides.client()
+    second, address = sides.client(), f"127.0.0.1 (host {socket.gethostname()})"
     shown = has_cause(second, "name_taken")
     assert shown["state"] == "down"
-    assert "is linked already, since 2" in shown["reason"]
+    assert says(shown["reason"], SameName.TAKEN, name="robot1")
     assert server.link()["peer"] in shown["reason"]
     shown = has_cause(server, "name_taken")
     assert shown["state"] == "ok"
-    assert "a second client at 127.0.0.1" in shown["reason"]
+    assert says(shown["reason"], SameName.SECOND, name="robot1", address=address)
     (event,) = server.events(EventCode.LINK_NAME_TAKEN)
     assert (event["link"], event["level"]) == ("robot1", "WARNING")
     shown = has_cause(first, "name_taken")
     assert shown["state"] == "ok"
-    assert "a second client at 127.0.0.1" in shown["reason"]
-    host = socket.gethostname()
-    since = r"since \d{4}-\d\d-\d\d \d\d:\d\d UTC"
-    peer = server.link()["peer"]
-    said = second.screen("✗ robot1: 'robot1' is linked already, since ", f", at {peer} (host {host})")
-    assert re.search(rf"{since}, at {peer} \(host {host}\)", said)
-    calls = f"robot1: a second client at 127.0.0.1 (host {host}) calls itself 'robot1' too"
-    server.screen(calls, "● LINKED", "is refused, for ")
-    first.screen("robot1: a second client at 127.0.0.1", "● LINKED")
+    assert says(shown["reason"], SameName.SECOND, name="robot1", address=address)
+    peer = f"{server.link()['peer']} (host {socket.gethostname()})"
+    said = second.screen("✗ robot1: ", peer)
+    assert says(said, SameName.TAKEN, name="robot1", address=peer)
+    assert re.search(r"\d{4}-\d\d-\d\d \d\d:\d\d UTC", said)
+    for side in (server, first):
+        side.screen(f"robot1: {SameName.SECOND(name='robot1', address=address)}", "● LINKED")
 
 
 def test_a_restart_takes_the_place_of_one_that_is_silent(sides: Sides) -> None:

@@ -1,0 +1,67 @@
+"""The command `rsb-console` in the test's own process: a process of its own takes much longer to start."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import json
+import signal
+import subprocess
+from functools import cache
+from typing import Any
+
+import pytest
+
+from rsb_console import cli
+from rsb_console.command import arguments, local_commands
+
+parser_and_commands = cache(arguments.parser_and_commands)
+
+
+class Ran:
+    """The result of a command.
+
+    Attributes:
+        code: exit code.
+        out: standard output.
+        err: standard error.
+    """
+
+    def __init__(self, capsys: pytest.CaptureFixture[str], *words: str) -> None:
+        parsed = parser_and_commands()[0].parse_args(words)
+        self.code = parsed.command(parsed)
+        self.out, self.err = capsys.readouterr()
+
+    @property
+    def json(self) -> Any:
+        """The output, one object."""
+        return json.loads(self.out)
+
+
+def rsb_console(*words: str, may_crash: bool = False) -> subprocess.CompletedProcess[str]:
+    """Run the program from its arguments to its exit code, wrong usage included.
+
+    Args:
+        words: its arguments.
+        may_crash: report an unexpected exception as the program does, instead of raising it here.
+    """
+
+    def raise_again(error: Exception, **_: object) -> None:
+        raise error
+
+    out, err = (io.TextIOWrapper(io.BytesIO(), encoding="utf-8", write_through=True) for _ in range(2))
+    handlers = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+    with pytest.MonkeyPatch.context() as patch, contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
+        patch.setattr(local_commands, "allow_many_descriptors", lambda: None)  # of the test's process
+        if not may_crash:
+            patch.setattr(cli, "_unexpected", raise_again)
+            patch.setattr(arguments, "parser_and_commands", parser_and_commands)
+        try:
+            code = cli.main(words)
+        except SystemExit as ended:
+            code = int(ended.code or 0)
+        finally:
+            for number, handler in handlers.items():
+                signal.signal(number, handler)
+    printed = [stream.buffer.getvalue().decode() for stream in (out, err)]
+    return subprocess.CompletedProcess(words, code, *printed)
