@@ -14,6 +14,7 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 from msgspec.structs import replace
 from tests.config.test_call_entries import called
+from tests.support.long import long
 from tests.support.wording import pattern
 
 from rsb_bridge.config.merge import identity, merge
@@ -571,8 +572,15 @@ def kept(file: Written, owners: set[Any]) -> Iterator[tuple[str, bool]]:
             yield line, at in headless
 
 
-@pytest.mark.parametrize("sessions", [clients_sessions, servers_sessions], ids=["client", "server"])
-@pytest.mark.parametrize("line_break", ["\n", "\r\n"], ids=["lf", "crlf"])
+@pytest.mark.parametrize(
+    ("sessions", "line_break"),
+    [
+        (clients_sessions, "\r\n"),
+        (servers_sessions, "\n"),
+        *long((clients_sessions, "\n"), (servers_sessions, "\r\n")),
+    ],
+    ids=["client-crlf", "server-lf", "client-lf", "server-crlf"],
+)
 @given(data=st.data())
 def test_a_save_is_a_merge(sessions: st.SearchStrategy[Session], line_break: str, data: st.DataObject) -> None:
     """Of any file, after any edits: lines that did not change are as they were, and what is loaded is the session."""

@@ -7,6 +7,7 @@ from contextlib import closing
 from typing import TYPE_CHECKING
 
 import pytest
+from tests.support.long import long
 from tests.support.operators import ANNA, BOB, granted
 from tests.support.waiting import eventually
 from tests.support.wording import pattern
@@ -273,7 +274,7 @@ def test_an_operator_attaches_though_a_stranger_answers_each_stream(fleet: Fleet
     assert fleet.engines["robot1"].commands == [("retry", "")]
 
 
-@pytest.mark.parametrize("attack", ["ends", "following", "windows", "deletes"])
+@pytest.mark.parametrize("attack", ["ends", "windows", *long("following", "deletes")])
 def test_an_operator_stays_attached_under_forged_samples(fleet: Fleet, attack: str) -> None:
     fleet.add("robot1")
     remote = fleet.attach("robot1")

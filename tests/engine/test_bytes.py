@@ -11,6 +11,7 @@ from rclpy.serialization import serialize_message
 from tests.support.bridge import carries, happened, heard, link, protocol_of, route, settled
 from tests.support.domain import text
 from tests.support.filled import filled
+from tests.support.long import long
 from tests.support.participants import KnownNode
 from tests.support.waiting import eventually
 
@@ -34,7 +35,7 @@ CDR = b"\x00\x01\x00\x00"
 MEGABYTE = 1 << 20
 
 
-@pytest.mark.parametrize("protocol", ["tcp", "udp"])
+@pytest.mark.parametrize("protocol", ["tcp", *long("udp")])
 def test_every_common_type(protocol: Any, bridge: Bridge, robot: Domain, pc: Domain) -> None:
     topics = {f"/{name.replace('/', '_').lower()}": kind for name, kind in INSTALLED.items()}
     assert len(topics) > 100

@@ -9,6 +9,7 @@ import msgspec
 import pytest
 from tests.support.bridge import happened, linked, now, route
 from tests.support.domain import text
+from tests.support.long import long
 from tests.support.waiting import eventually, holds
 
 from rsb_bridge.api import EngineError
@@ -95,8 +96,10 @@ def demanding(way: str, name: str, direction: Direction) -> tuple[tuple[Topic, .
     return ((Topic(f"{stem}*", direction), pattern) if way == "shadowed" else (pattern,)), ()
 
 
-@pytest.mark.parametrize("lists", ["client", "server"])
-@pytest.mark.parametrize("demands", ["client", "server"])
+@pytest.mark.parametrize(
+    ("demands", "lists"),
+    [("client", "server"), ("server", "client"), *long(("client", "client"), ("server", "server"))],
+)
 def test_a_name_that_either_session_demands_never_crosses_unarmed(
     demands: str, lists: str, bridge: Bridge, yard: Yard
 ) -> None:

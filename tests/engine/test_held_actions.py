@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 import msgspec
 import pytest
+from tests.support.long import long
 
 pytest.importorskip("test_msgs", reason="no package with an action is installed (ros-jazzy-test-msgs)")
 
@@ -38,8 +39,7 @@ def consoles() -> Iterator[Consoles]:
     made.close()
 
 
-@pytest.mark.parametrize("who", [0, 1])
-@pytest.mark.parametrize("how", ["paused", "disarmed"])
+@pytest.mark.parametrize(("how", "who"), [("paused", 0), ("disarmed", 1), *long(("paused", 1), ("disarmed", 0))])
 def test_goals_are_cancelled_and_end_while_no_new_one_may_begin(
     who: int, how: str, bridge: Bridge, server: FibonacciServer, client: FibonacciClient, consoles: Consoles
 ) -> None:

@@ -10,6 +10,7 @@ import pytest
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from tests.support.bridge import balance, connections, linked, listeners, route, settled
 from tests.support.domain import Domain, text
+from tests.support.long import long
 from tests.support.ports import free_port
 from tests.support.waiting import eventually, holds
 
@@ -241,7 +242,9 @@ def test_a_second_bridge_has_what_the_first_one_brought(
     assert len(steady.payloads) == 1
 
 
-@pytest.mark.parametrize("how", ["client restarts", "server restarts", "cut", "client's process", "server's process"])
+@pytest.mark.parametrize(
+    "how", ["client restarts", "cut", "server's process", *long("server restarts", "client's process")]
+)
 def test_a_newest_message_that_the_far_side_has_is_fine_after_a_reconnect(
     how: str, bridge: Bridge, relay: Relay, robot: Domain, pc: Domain
 ) -> None:

@@ -10,6 +10,7 @@ from rclpy.qos import QoSDurabilityPolicy, QoSProfile
 from std_msgs.msg import String
 from tests.support.bridge import find, happened, linked, route
 from tests.support.domain import Domain, text
+from tests.support.long import long
 from tests.support.ports import free_port
 from tests.support.waiting import eventually
 
@@ -177,7 +178,7 @@ def test_two_bridges_side_by_side(bridge: Bridge, robot: Domain, pc: Domain) -> 
     eventually(lambda: counts(domains, publishers) == ways, 180.0)
 
 
-@pytest.mark.parametrize("how", ["removed", "stopped"])
+@pytest.mark.parametrize("how", ["removed", *long("stopped")])
 def test_a_refused_route_opens_when_the_loop_is_gone(
     how: str, bridge: Bridge, robot: Domain, pc: Domain, third: Domain
 ) -> None:

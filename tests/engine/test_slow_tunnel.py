@@ -14,6 +14,7 @@ from std_msgs.msg import String
 from tests.support.bridge import balance, carries, connections, linked, now, outgoing, settled
 from tests.support.calls import CallNode
 from tests.support.domain import BEST_EFFORT, text
+from tests.support.long import long
 from tests.support.slow_relay import SlowRelay, read_stamp, stamped
 from tests.support.waiting import eventually
 
@@ -98,7 +99,7 @@ def publish_for(seconds: float, out: Publisher, rate: float, size: int) -> int:
     return publishing.count
 
 
-@pytest.mark.parametrize("qos", ["auto", {"depth": 10}, "sensor_data"])
+@pytest.mark.parametrize("qos", ["auto", "sensor_data", *long({"depth": 10})])
 def test_live_topic_stays_fresh(qos: Any, bridge: Bridge, robot: Domain, pc: Domain) -> None:
     """14 kB/s through 5 kB/s: what arrives is a few seconds old at most, and every message is accounted for."""
     out, there = robot.publisher("/tcp"), pc.listener("/tcp", qos=BEST_EFFORT)

@@ -14,6 +14,7 @@ from sensor_msgs.msg import LaserScan
 from std_msgs.msg import Int32, String
 from tests.support.bridge import carries, happened, heard, link, now, route, says, stage
 from tests.support.domain import BEST_EFFORT, LATCHED, text
+from tests.support.long import long
 from tests.support.participants import KnownNode
 from tests.support.ports import free_port
 from tests.support.waiting import eventually, holds
@@ -95,7 +96,7 @@ class OtherVersions(KnownNode):
         return "RIHS01_" + "0" * 64 if type_name == INT32 else super().installed_hash(type_name)
 
 
-@pytest.mark.parametrize("direction", ["transmit", "receive"])
+@pytest.mark.parametrize("direction", ["transmit", *long("receive")])
 def test_versions_of_a_type_that_differ(direction: Any, bridge: Bridge, robot: Domain, pc: Domain) -> None:
     near = robot if direction == "transmit" else pc
     near.publisher("/count", Int32)

@@ -44,7 +44,7 @@ def aging_world(seed: int, protocol: Protocol = "tcp", max_rate: float | None = 
 
 
 @pytest.mark.parametrize("protocol", ["tcp", "udp"])
-@pytest.mark.parametrize("seed", [1, 2, *long(3, 4, 5, 6)])
+@pytest.mark.parametrize("seed", [2, *long(1, 3, 4, 5, 6)])
 def test_nothing_old_is_published(seed: int, protocol: Protocol, play: Play) -> None:
     world, flow = aging_world(seed, protocol, None if seed % 2 else 10.0)
     play(world, _SECONDS, aged(world))

@@ -22,7 +22,7 @@ _TIMES = 5
 _CLIMATE = replace(STILL, topics=(8,), periods=(0.5, 2.0))
 
 
-@pytest.mark.parametrize("restarts", [server_restarts, client_restarts])
+@pytest.mark.parametrize("restarts", [client_restarts, *long(server_restarts)])
 @pytest.mark.parametrize("seed", [1, *long(2, 3)])
 def test_a_goodbye_ends_the_topics_streams_without_an_error(
     seed: int, restarts: Callable[[World, int], Coroutine[None, None, None]], play: Play

@@ -14,6 +14,7 @@ from std_msgs.msg import String
 from tests.support.bridge import balance, linked, route
 from tests.support.consoles import Consoles
 from tests.support.domain import RELIABLE, text
+from tests.support.long import long
 from tests.support.waiting import eventually
 
 from rsb_bridge.model.session import Topic
@@ -145,9 +146,16 @@ def start(frozen: str, protocol: str, bridge: Bridge, programs: Programs) -> tup
     return engine, program
 
 
-@pytest.mark.parametrize("seconds", [0.8, 3.0])
-@pytest.mark.parametrize("frozen", ["robot", "control PC"])
-@pytest.mark.parametrize("protocol", ["tcp", "udp"])
+@pytest.mark.parametrize(
+    ("protocol", "frozen", "seconds"),
+    [
+        ("tcp", "robot", 3.0),
+        ("udp", "robot", 0.8),
+        ("tcp", "control PC", 0.8),
+        ("udp", "control PC", 3.0),
+        *long(("tcp", "robot", 0.8), ("udp", "robot", 3.0), ("tcp", "control PC", 3.0), ("udp", "control PC", 0.8)),
+    ],
+)
 def test_nothing_old_is_published_after_a_side_was_stopped(
     protocol: str,
     frozen: str,
