@@ -17,7 +17,6 @@ import msgspec
 
 from rsb_bridge.model.calls import GET_RESULT, SEND_GOAL, STATUS, Refused
 from rsb_bridge.model.codes import EventCode
-from rsb_bridge.model.snapshot import Stage
 from rsb_bridge.model.sources import MOST_HOPS
 from rsb_bridge.model.verdict import Cause
 from rsb_bridge.ros.parameter_events import ParameterEventError
@@ -26,7 +25,7 @@ from rsb_bridge.route.calls.call_endpoints import Clients, name_of
 from rsb_bridge.route.calls.call_servers import CallLoopGuard, Provision, provision
 from rsb_bridge.route.calls.calls_ledger import REMEDIES
 from rsb_bridge.route.calls.calls_route import CallsRoute, frame_size
-from rsb_bridge.route.calls.calls_verdict import CallsFacts, Trouble
+from rsb_bridge.route.calls.calls_verdict import CallsFacts, CallsProgress, Trouble
 from rsb_bridge.route.calls.goals import Goals, accepted_by
 from rsb_bridge.route.calls.kept_calls import (
     INTERRUPTION,
@@ -608,20 +607,21 @@ class ProvidingRoute(CallsRoute):
         hint = self.context.meant.by(self.spec.kind, self.local_topic)
         return facts._replace(unavailable=Trouble(trouble.cause, f"{trouble.text}; {hint}")) if hint else facts
 
-    def _provider_stages(self) -> tuple[Stage, Stage]:
-        seen, known = bool(self.endpoints), bool(self._provision.entries)
-        trouble = self._unavailable.text if self._unavailable is not None else ""
-        return (
-            Stage("server seen", seen, ", ".join(self.provider_nodes) if seen else trouble),
-            Stage(
-                "type known", known or (False if seen else None), self.type_name if known else trouble if seen else ""
-            ),
+    def progress(self) -> CallsProgress:
+        failure = self._retry.trouble.text if self._retry.trouble else ""
+        return CallsProgress(
+            bool(self.endpoints),
+            self.provider_nodes,
+            why_unserved=self._unavailable.text if self._unavailable is not None else "",
+            type_known=bool(self._provision.entries),
+            type_name=self.type_name,
+            offered=self.offered,
+            offer_failed=bool(failure),
+            why_not_offered="" if self.offered else failure or self.judged.peer.text,
+            asked=self.calls.asked,
+            answered=self.calls.answered,
+            last_failure=self.calls.last_failure,
         )
-
-    def _offered_stage(self) -> Stage:
-        failed = self._retry.trouble.text if self._retry.trouble else ""
-        why_not = "" if self.offered else failed or self.judged.peer.text
-        return Stage("offered", False if failed else self.offered or None, why_not)
 
     def snapshot(self) -> RouteSnapshot:
         found = super().snapshot()
