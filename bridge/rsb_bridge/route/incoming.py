@@ -63,12 +63,12 @@ _LATENCIES = ("latency", "latency_p50", "latency_p99")
 
 
 def _with_latencies(
-    told: SentReport | ReceivedReport | None, report: ReceivedReport
+    before: SentReport | ReceivedReport | None, report: ReceivedReport
 ) -> SentReport | ReceivedReport | None:
     """Return an earlier report with the latencies of a newer one, which are no news without new messages."""
-    if not isinstance(told, ReceivedReport):
-        return told
-    return msgspec.structs.replace(told, **{name: getattr(report, name) for name in _LATENCIES})
+    if not isinstance(before, ReceivedReport):
+        return before
+    return msgspec.structs.replace(before, **{name: getattr(report, name) for name in _LATENCIES})
 
 
 class _NotPublishedError(Exception):
@@ -451,8 +451,8 @@ class IncomingRoute(TopicRoute[ReceivingChannel]):
         a report after some time.
         """
         report = self._received_report()
-        told, self._told_report = self._told_report, report
-        if report == _with_latencies(told, report) and not (self._sender_ledger.in_flight and self.life.ready):
+        before, self._last_report = self._last_report, report
+        if report == _with_latencies(before, report) and not (self._sender_ledger.in_flight and self.life.ready):
             return None
         verdict = lasting(report.verdict, self.verdict(), self.context.now())
         return msgspec.structs.replace(report, verdict=verdict)

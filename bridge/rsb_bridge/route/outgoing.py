@@ -430,7 +430,7 @@ class OutgoingRoute(TopicRoute[SendingChannel]):
             self._shortest = report.latency if self._shortest is None else min(self._shortest, report.latency)
             # In a queue one message takes as long as the next; where they do not, the path is uneven, not full.
             self.longer = max(0.0, report.latency - self._shortest - _JITTERS * max(0.0, report.jitter or 0.0))
-        self.latency.told(report.latency_p50, report.latency_p99, report.jitter)
+        self.latency.take_reported(report.latency_p50, report.latency_p99, report.jitter)
 
     def ledger(self) -> Ledger:
         """Return the ledger, by the peer's last report."""
@@ -440,9 +440,9 @@ class OutgoingRoute(TopicRoute[SendingChannel]):
     def news(self) -> SentReport | None:
         """Return the report to send to the peer now, or None if nothing has changed."""
         report = self._sent_report()
-        if report == self._told_report:
+        if report == self._last_report:
             return None
-        self._told_report = report
+        self._last_report = report
         verdict = lasting(report.verdict, self.verdict(), self.context.now())
         return msgspec.structs.replace(report, verdict=verdict)
 

@@ -226,7 +226,7 @@ class Route:
         return self.life.refusal
 
     @property
-    def standing_refusal(self) -> str:
+    def shown_refusal(self) -> str:
         """The refusal to show to operators: the last one, until a retry succeeds."""
         if self.id and (self.life.ready or self.context.now() - self.opened_at >= _REFUSED_WITHIN):
             self._refused = ""
@@ -445,7 +445,7 @@ class Route:
             domain_id=self.context.domain_id,
             link_down=None if self.peer.linked else self.peer.down_reason,
             accepted=False if self.refusal else self.accepted or None,
-            refusal=self.standing_refusal,
+            refusal=self.shown_refusal,
             loop=self.notices.loop,
             paused=self.paused,
             paused_by=self.pausing.who,

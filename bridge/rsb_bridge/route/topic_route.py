@@ -142,7 +142,7 @@ class TopicRoute(Route, Generic[ChannelT]):
         self.set_stale_after()
         self.peek_slot = PeekSlot()
         self.thinning = Thinning(context.now())
-        self._told_report: SentReport | ReceivedReport | None = None  # the last one of the present opening
+        self._last_report: SentReport | ReceivedReport | None = None  # the last one of the present opening
 
     # --- what the halves do differently
 
@@ -163,7 +163,7 @@ class TopicRoute(Route, Generic[ChannelT]):
     def open(self, route_id: int) -> None:
         """Begin a new opening on the present connection."""
         super().open(route_id)
-        self._told_report = None
+        self._last_report = None
         self._full_at = None
 
     def amend(self, spec: Topic, proposal: Propose) -> None:

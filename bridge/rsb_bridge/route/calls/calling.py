@@ -70,7 +70,7 @@ class LaneMessages:
         members: of the route.
         offers: have the publishers.
         budget: bytes that may be kept on the link.
-        notices: told of messages that cannot be published.
+        notices: report messages that cannot be published.
     """
 
     def __init__(self, members: Sequence[ServiceMember], offers: Offers, budget: Budget, notices: Notices) -> None:
@@ -231,7 +231,7 @@ class CallingRoute(CallsRoute):
             return f"the other side provides {len(provide.lanes)} lanes, not {len(self.members)}"
         for member, entry in zip(self.members, provide.lanes, strict=False):
             agreed = type_of(member, self.proposal.type)
-            if agreed and entry.type != agreed and not member.is_topic:  # whether it has to be armed may depend on this
+            if agreed and entry.type != agreed and not member.is_topic:  # whether it requires arming may depend on this
                 return f"the other side provides {entry.type}, though {agreed} was agreed on"
         return ""
 
@@ -296,11 +296,11 @@ class CallingRoute(CallsRoute):
     def _offer(self, provided: Provide, lanes: frozenset[int]) -> None:
         """Offer these lanes of what is provided, and no others."""
         offers, entries, before = self._offers, provided.lanes, self._reach
-        ways = [
+        vias = [
             way_here(provided.via, self.peer.bridges, name_of(member, self.remote_topic)) for member in self.members
         ]
         try:
-            offers.announce(ways)
+            offers.announce(vias)
             if any(offers.services_of(entries)[lane] != kind for lane, kind in offers.types.items()):
                 self._end_offer()
             was_offered = self.offered

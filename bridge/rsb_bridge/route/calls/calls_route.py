@@ -78,7 +78,7 @@ class CallsRoute(Route):
         self._loading: tuple[str, ...] = ()
         self._later: deque[Message] = deque()
         self._report: CallsReport | None = None  # the peer's, of the present opening
-        self._told_report: CallsReport | None = None
+        self._last_report: CallsReport | None = None
         self._came = False  # a call, in the present opening
         self._failing_since: float | None = None
         self._unavailable: Trouble | None = None
@@ -234,7 +234,7 @@ class CallsRoute(Route):
     def open(self, route_id: int) -> None:
         """Begin a new opening."""
         super().open(route_id)
-        self._report = self._told_report = None
+        self._report = self._last_report = None
         self._came = False
 
     def close(self, reason: str) -> None:
@@ -417,9 +417,9 @@ class CallsRoute(Route):
         verdict = self.verdict()
         report = self.calls.report(self.id, record_of(verdict), node_names(self.endpoints))
         report = msgspec.structs.replace(report, offered=self.offered)
-        if report == self._told_report:
+        if report == self._last_report:
             return None
-        self._told_report = report
+        self._last_report = report
         return msgspec.structs.replace(report, verdict=lasting(report.verdict, verdict, self.context.now()))
 
     def facts(self) -> CallsFacts:
