@@ -320,6 +320,8 @@ class LoopFilter:
     def left_out(self) -> str:
         """Return the nodes whose messages are left out, as the end of a sentence, or an empty string."""
         words = ""
+        if not self.table.echoes and not self.table.too_far:  # as nearly always
+            return words
         if echoes := _nodes(self.table.echoes):
             words += f"; left out: messages from {echoes}, which come from the other side"
         if too_far := _nodes(self.table.too_far):

@@ -514,13 +514,19 @@ class OutgoingRoute(TopicRoute[SendingChannel]):
             deaf=report.nodes if report else (),
         )
 
+    @property
+    def breaking(self) -> str:
+        return "" if self.peer.full_out is not None or self.peer.fullness_undecided else self.losses.repeated
+
     def facts(self) -> Facts:
-        facts, full = super().facts(), self.peer.full_out is not None or self.peer.fullness_undecided
-        facts = facts._replace(
-            status=facts.status._replace(breaking="" if full else self.losses.repeated),
-            left_out=self.notices.warning,
-            rate=self.meter.rate,
-            datagrams=self._datagrams(),
+        facts = (
+            super()
+            .facts()
+            ._replace(
+                left_out=self.notices.warning,
+                rate=self.meter.rate,
+                datagrams=self._datagrams(),
+            )
         )
         facts = self._health.added_to(facts)
         loss = facts.loss

@@ -170,6 +170,16 @@ class Route:
         """Whether messages or calls came in an earlier opening, and none in this one."""
         raise NotImplementedError
 
+    @property
+    def breaking(self) -> str:
+        """The reason why its channel breaks before anything arrives, or an empty string."""
+        return ""
+
+    @property
+    def crowded_out(self) -> str:
+        """The reason why it yields to other routes of its link, or an empty string."""
+        return ""
+
     def _judge(self) -> Verdict:
         raise NotImplementedError
 
@@ -433,27 +443,37 @@ class Route:
 
     # --- verdict
 
+    def setup(self) -> RouteStatus:
+        """Return the part of the status that stages follow from. Every snapshot needs it, so the rest is left out."""
+        here, there = (self.topic, self.remote_topic) if self.outgoing else (self.remote_topic, self.topic)
+        refusal = self.life.refusal
+        return RouteStatus(
+            self.outgoing,
+            here,
+            there,
+            self.context.domain_id,
+            link_down=None if self.peer.linked else self.peer.down_reason,
+            accepted=False if refusal else self.life.accepted or None,
+            refusal=refusal,
+            loop=self.notices.loop,
+            no_path=self.trouble(),
+        )
+
     def status(self) -> RouteStatus:
         """Return the part of this half's knowledge that does not depend on what the route carries."""
         now = self.context.now()
         stands, overdue = self.arming.stands(now), self.arming.overdue(now)
         why_not = self._why_not_armable()
-        return RouteStatus(
-            sends=self.outgoing,
-            topic=self.local_topic,
-            far_topic=self.far_topic,
-            domain_id=self.context.domain_id,
-            link_down=None if self.peer.linked else self.peer.down_reason,
-            accepted=False if self.refusal else self.accepted or None,
+        return self.setup()._replace(
             refusal=self.shown_refusal,
-            loop=self.notices.loop,
             paused=self.paused,
             paused_by=self.pausing.who,
             disarmed=self._disarmed_text(stands, why_not or overdue),
             disarming=self.settling.under_way
             or (self.outgoing and self.arming.armed and overdue is not None and not stands),
             can_be_armed=why_not is None,
-            no_path=self.trouble(),
+            breaking=self.breaking,
+            crowded_out=self.crowded_out,
             awaits_full_link=self.link_full is not None and self.transport.reliable,
             flowing=self.flowing,
             came=self.came,

@@ -286,17 +286,21 @@ class TopicRoute(Route, Generic[ChannelT]):
 
     def facts(self) -> Facts:
         """Return the facts that both halves know; each half adds its own."""
-        thinned = self.thinning.shown()
         return Facts(
-            self.status()._replace(crowded_out="" if thinned is None else why(thinned)),
+            self.status(),
             self.progress(),
             stale_since=self._stale_since(),
-            thinned=thinned,
+            thinned=self.thinning.shown(),
             late=self.late(),
             expired=self.age.late() if self.flowing else None,
             full=self.link_full,
             shown_cause=self.judged.shown_cause,
         )
+
+    @property
+    def crowded_out(self) -> str:
+        thinned = self.thinning.shown()
+        return "" if thinned is None else why(thinned)
 
     def _stale_since(self) -> float | None:
         if not self.flowing or not self.silence_counts:
@@ -309,7 +313,7 @@ class TopicRoute(Route, Generic[ChannelT]):
 
     def stages(self) -> tuple[Stage, ...]:
         """Return the stages of a message's path."""
-        return topic_stages(self.status(), self.progress())
+        return topic_stages(self.setup(), self.progress())
 
     def _judge(self) -> Verdict:
         return judge(self.facts())

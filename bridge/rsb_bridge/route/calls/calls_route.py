@@ -422,10 +422,14 @@ class CallsRoute(Route):
         self._last_report = report
         return msgspec.structs.replace(report, verdict=lasting(report.verdict, verdict, self.context.now()))
 
+    @property
+    def breaking(self) -> str:
+        return self.losses.repeated
+
     def facts(self) -> CallsFacts:
         """Return what this half's verdict is judged from."""
         return CallsFacts(
-            self.status()._replace(breaking=self.losses.repeated),
+            self.status(),
             self.progress(),
             unavailable=self._unavailable or self._retry.trouble,
             warning=self._warning,
@@ -441,7 +445,7 @@ class CallsRoute(Route):
 
     def stages(self) -> tuple[Stage, ...]:
         """Return the stages of a call's path."""
-        return calls_stages(self.status(), self.progress())
+        return calls_stages(self.setup(), self.progress())
 
     @property
     def came(self) -> bool:
