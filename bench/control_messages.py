@@ -21,7 +21,7 @@ from tests.support.rogue import Rogue
 
 from rsb_bridge.config.keys import write_key
 from rsb_bridge.engine import Engine
-from rsb_bridge.model.benchmark import TYPE, TYPE_HASH, Leave, bench_topic
+from rsb_bridge.model.benchmark import TYPE, TYPE_HASH, BenchmarkLimits, bench_topic
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.model.session import Client, Session
 from rsb_bridge.ros.stand_in import NoRos
@@ -116,7 +116,7 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         key, port = write_key(folder / "k.key").secret, free_port()
-        clients = (Client("robot1", "k.key", bench=Leave()),)
+        clients = (Client("robot1", "k.key", bench=BenchmarkLimits()),)
         server = Engine(
             Session(
                 name="pc", role="server", server_ip="127.0.0.1", server_port=port, shutdown_topic=None, clients=clients

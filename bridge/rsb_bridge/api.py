@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from concurrent.futures import Future
     from pathlib import Path
 
-    from rsb_bridge.model.benchmark import Order, Outcome
+    from rsb_bridge.model.benchmark import BenchmarkStep, Outcome
     from rsb_bridge.model.commands import Command, R
     from rsb_bridge.model.history import HistoryReport
     from rsb_bridge.model.session import Client, Session, Topic
@@ -174,7 +174,7 @@ class EngineApi(ABC):
     def history(self, seconds: float) -> Future[HistoryReport]:
         return self.do(commands.History(seconds))
 
-    def bench(self, order: Order) -> Future[Outcome]:
+    def bench(self, order: BenchmarkStep) -> Future[Outcome]:
         return self.do(commands.Bench(order))
 
     def stop_bridge(self) -> Future[None]:

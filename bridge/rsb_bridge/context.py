@@ -16,7 +16,7 @@ from rsb_bridge.model.demands import RunningDemands
 from rsb_bridge.model.snapshot import Level
 from rsb_bridge.ros.announcements import Announcements
 from rsb_bridge.ros.parameter_events import ParameterEvents
-from rsb_bridge.ros.ros_graph import Meant, SimilarTopics
+from rsb_bridge.ros.ros_graph import NameSuggester, SimilarTopics
 from rsb_bridge.ros.type_descriptions import TypeCheckers, TypeDescriptions
 from rsb_bridge.telemetry.event_log import RateLimitedEventLog
 from rsb_bridge.transport.registry import Transports, default_transports
@@ -54,7 +54,7 @@ class Context:
         checkers: of the types of peers' messages.
         parameter_events: of the nodes whose parameters are bridged.
         similar_topics: suggests topics for a misspelt name.
-        meant: suggests services, actions and nodes for a misspelt name.
+        suggester: suggests services, actions and nodes for a misspelt name.
         demands: the names that have to be armed, as the running session demands it.
         names_changed: to be called when another set of names of the graph is followed (`rsb_bridge.link.name_watch`).
     """
@@ -76,7 +76,7 @@ class Context:
     checkers: TypeCheckers = field(init=False)
     parameter_events: ParameterEvents = field(init=False)
     similar_topics: SimilarTopics = field(init=False)
-    meant: Meant = field(init=False)
+    suggester: NameSuggester = field(init=False)
     demands: RunningDemands = field(init=False)
     names_changed: Callable[[], None] = lambda: None
 
@@ -89,7 +89,7 @@ class Context:
         self.checkers = TypeCheckers(self.ros, self.descriptions)
         self.parameter_events = ParameterEvents(self.ros, self.call)
         self.similar_topics = SimilarTopics(self.ros, self.now)
-        self.meant = Meant(self.ros, self.now)
+        self.suggester = NameSuggester(self.ros, self.now)
         self.demands = RunningDemands(
             lambda: self.session.armed,
             self._set_armed,

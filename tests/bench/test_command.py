@@ -20,7 +20,7 @@ from tests.support.waiting import eventually
 from tests.support.wording import says
 
 from rsb_bridge.control.bridges import serve
-from rsb_bridge.model.benchmark import Leave
+from rsb_bridge.model.benchmark import BenchmarkLimits
 from rsb_console.bench.results import Report, from_json
 from rsb_console.command.argument_values import domains, sizes, topics, transports
 from rsb_console.command.target import BridgeChoice
@@ -162,7 +162,7 @@ def over_link(socket: str, *options: str, seconds: str = "3") -> tuple[int, Repo
 
 def test_over_the_link_of_a_running_bridge(socket: Callable[..., str]) -> None:
     # A machine that starves it has lost some by the first try: then there are more, and each transport has its share.
-    code, report = over_link(socket(to_client=Leave(600.0, LEAVE.max_rate, 1000.0)), seconds="12")
+    code, report = over_link(socket(to_client=BenchmarkLimits(600.0, LEAVE.max_rate, 1000.0)), seconds="12")
     assert code == 0
     assert {point.transport for point in report.points} == {"tcp", "udp"}
     for point in report.points:

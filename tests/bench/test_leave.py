@@ -8,7 +8,7 @@ from rsb_bridge.config.client_entries import with_client
 from rsb_bridge.config.rights import Use, rights_of_client, rights_of_server
 from rsb_bridge.config.validation import build, validate
 from rsb_bridge.link.link_bench import HOUR, BenchBudget
-from rsb_bridge.model.benchmark import Leave, bench_topic, is_bench_topic
+from rsb_bridge.model.benchmark import BenchmarkLimits, bench_topic, is_bench_topic
 from rsb_bridge.model.session import Client, Session
 
 TOPIC = bench_topic("tcp", "transmit")
@@ -39,7 +39,7 @@ def test_nobody_may_measure_without_leave_whatever_else_is_allowed() -> None:
 
 
 def test_with_leave_a_peer_measures_whatever_else_is_denied() -> None:
-    client = Client("robot1", allow=("/scan",), deny=("*",), bench=Leave(max_rate=50.0))
+    client = Client("robot1", allow=("/scan",), deny=("*",), bench=BenchmarkLimits(max_rate=50.0))
     rights = rights_of_client(client, "pc")
     assert rights.refusal(Use(TOPIC, "publish", "tcp")) is None
     assert not rights.max_rate(Use(TOPIC, "publish", "tcp")), "the benchmark is held to it, and no single message"
@@ -51,14 +51,14 @@ def test_a_client_s_session_gives_leave_to_the_server() -> None:
     session = Session(name="robot1", role="client", server_ip="10.0.0.1", server_port=7060, key_file="k")
     use = Use(TOPIC, "publish", "udp")
     assert rights_of_server(session).refusal(use) is not None
-    given = Session(name="robot1", role="client", server_ip="10.0.0.1", server_port=7060, bench=Leave())
+    given = Session(name="robot1", role="client", server_ip="10.0.0.1", server_port=7060, bench=BenchmarkLimits())
     assert rights_of_server(given).refusal(use) is None
 
 
 def test_it_is_read_from_the_file_and_its_mistakes_are_found() -> None:
     session, problems = build({**SERVER, "clients": [{"name": "robot1", "key_file": "k", "bench": {"seconds": 10}}]})
     assert not problems
-    assert session.clients[0].bench == Leave(seconds=10)
+    assert session.clients[0].bench == BenchmarkLimits(seconds=10)
     assert validate(session) == []
     for wrong in ({"seconds": 0}, {"megabytes": -1}, {"max_rate": 0}, {"bytes": 5}, "yes"):
         _, problems = build({**SERVER, "bench": wrong})
@@ -68,9 +68,9 @@ def test_it_is_read_from_the_file_and_its_mistakes_are_found() -> None:
 def test_a_server_s_own_leave_is_for_its_only_client() -> None:
     session, problems = build({**SERVER, "bench": {}})
     assert not problems
-    assert session.accepted_clients[0].bench == Leave()
+    assert session.accepted_clients[0].bench == BenchmarkLimits()
     both = with_client(session, Client("robot2", key_file="l"))
-    assert [client.bench for client in both.clients] == [Leave(), None]
+    assert [client.bench for client in both.clients] == [BenchmarkLimits(), None]
     assert validate(both) == []
     assert build({**SERVER, "bench": {}, "clients": [{"name": "robot1", "key_file": "k"}]})[1]
 
@@ -81,7 +81,7 @@ class Clock:
 
 
 def test_the_budget_is_of_time_rate_and_bytes_and_begins_anew_after_an_hour() -> None:
-    clock, leave = Clock(), Leave(seconds=10.0, max_rate=100.0, megabytes=1.0)
+    clock, leave = Clock(), BenchmarkLimits(seconds=10.0, max_rate=100.0, megabytes=1.0)
     budget = BenchBudget(lambda: clock.now)
     assert budget.refusal(None)
     assert not budget.refusal(leave)
@@ -99,7 +99,7 @@ def test_the_budget_is_of_time_rate_and_bytes_and_begins_anew_after_an_hour() ->
 
 
 def test_the_hour_begins_with_the_first_use() -> None:
-    clock, leave = Clock(), Leave(seconds=10.0)
+    clock, leave = Clock(), BenchmarkLimits(seconds=10.0)
     budget = BenchBudget(lambda: clock.now)
     clock.now += 0.9 * HOUR
     budget.spend(10.0, 0.0)

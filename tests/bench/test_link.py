@@ -17,7 +17,7 @@ from rsb_bridge.config.keys import read_key, write_key
 from rsb_bridge.engine import Engine
 from rsb_bridge.link.errors import LinkError
 from rsb_bridge.link.link_bench import REOPENED
-from rsb_bridge.model.benchmark import ENDED_BY_PEER, TYPE, TYPE_HASH, Leave, Order, bench_topic
+from rsb_bridge.model.benchmark import ENDED_BY_PEER, TYPE, TYPE_HASH, BenchmarkLimits, BenchmarkStep, bench_topic
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.model.session import Client, Session
 from rsb_bridge.model.snapshot import State
@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from rsb_bridge.model.benchmark import Outcome
     from rsb_bridge.wire.messages import BenchAnswer
 
-LEAVE = Leave(seconds=60.0, max_rate=5_000.0, megabytes=50.0)
+LEAVE = BenchmarkLimits(seconds=60.0, max_rate=5_000.0, megabytes=50.0)
 T = TypeVar("T")
 WITHIN = 60.0
 
@@ -80,7 +80,7 @@ class Pair:
 
     def run(self, engine: Engine, **order: Any) -> Outcome:
         wanted = {"transport": "tcp", "size": 2500, "rate": 200.0, "count": 40, **order}
-        return engine.bench(Order(**wanted)).result(WITHIN)
+        return engine.bench(BenchmarkStep(**wanted)).result(WITHIN)
 
     def refused(self, engine: Engine, **order: Any) -> str:
         with pytest.raises(EngineError) as refused:
@@ -96,7 +96,7 @@ def pair(tmp_path: Path) -> Iterator[Callable[..., Pair]]:
     """Makes a linked pair; what each gives the other leave for."""
     started: list[Engine] = []
 
-    def make(to_client: Leave | None = None, to_server: Leave | None = None) -> Pair:
+    def make(to_client: BenchmarkLimits | None = None, to_server: BenchmarkLimits | None = None) -> Pair:
         write_key(tmp_path / "k.key")
         common: dict[str, Any] = {"server_ip": "127.0.0.1", "server_port": free_port(), "shutdown_topic": None}
         server = Session(
@@ -150,7 +150,7 @@ def test_a_run_whose_topic_is_opened_anew_has_no_figures(
     """
     both = pair(to_client=LEAVE)
     both.run(both.client)
-    running = both.client.bench(Order("run", "", "tcp", "transmit", 2500, 50.0, 100))
+    running = both.client.bench(BenchmarkStep("run", "", "tcp", "transmit", 2500, 50.0, 100))
 
     async def open_anew(bridge: Bridge) -> bool:
         (link,) = bridge.links()
@@ -209,7 +209,7 @@ def test_two_clients_that_measure_at_once_have_their_own_figures(tmp_path: Path)
             engine.start()
         eventually(lambda: all(link.state is State.OK for each in engines for link in each.snapshot().links), WITHIN)
         for direction in ("transmit", "receive"):
-            orders = [Order("run", "", "tcp", direction, 2500, rate, 60) for rate in (50.0, 30.0)]
+            orders = [BenchmarkStep("run", "", "tcp", direction, 2500, rate, 60) for rate in (50.0, 30.0)]
             under_way = [engine.bench(order) for engine, order in zip(engines[1:], orders, strict=True)]
             found = [each.result(WITHIN) for each in under_way]
             assert [(each.sent, each.received) for each in found] == [(60, 60)] * 2
@@ -223,7 +223,7 @@ def test_a_session_does_not_keep_the_topics(pair: Callable[..., Pair]) -> None:
     before = both.client.session
     both.run(both.client)
     assert both.client.session == before
-    both.client.bench(Order("end")).result(WITHIN)
+    both.client.bench(BenchmarkStep("end")).result(WITHIN)
     eventually(lambda: not both.topics(), WITHIN)
 
 
@@ -237,7 +237,7 @@ def test_the_topics_of_one_that_has_gone_are_removed(pair: Callable[..., Pair]) 
 def test_the_peer_s_operator_can_stop_it(pair: Callable[..., Pair]) -> None:
     both = pair(to_client=LEAVE)
     both.run(both.client)
-    running = both.client.bench(Order("run", "", "tcp", "transmit", 2500, 50.0, 1000))
+    running = both.client.bench(BenchmarkStep("run", "", "tcp", "transmit", 2500, 50.0, 1000))
     key = eventually(lambda: next((route.key for route in both.server.snapshot().routes), None), WITHIN)
     both.server.remove_topic(key).result(WITHIN)
     with pytest.raises(EngineError) as stopped:
@@ -249,7 +249,7 @@ def test_the_peer_s_operator_can_stop_it(pair: Callable[..., Pair]) -> None:
 
 @pytest.mark.parametrize("direction", ["transmit", "receive"])
 def test_more_bytes_than_the_leave_has_are_refused(pair: Callable[..., Pair], direction: str) -> None:
-    both = pair(to_client=Leave(megabytes=1.0))
+    both = pair(to_client=BenchmarkLimits(megabytes=1.0))
     both.run(both.client, direction=direction)
     reason = ""
     for _ in range(3):  # what arrives is looked at once a second
@@ -263,13 +263,13 @@ def test_more_bytes_than_the_leave_has_are_refused(pair: Callable[..., Pair], di
 
 
 def test_a_higher_rate_than_the_leave_has_is_not_made(pair: Callable[..., Pair]) -> None:
-    both = pair(to_client=Leave(max_rate=50.0))
+    both = pair(to_client=BenchmarkLimits(max_rate=50.0))
     for direction in ("transmit", "receive"):
         assert "50 messages a second" in both.refused(both.client, direction=direction, rate=60.0)
 
 
 def test_who_sends_faster_all_the_same_is_cut_off(pair: Callable[..., Pair]) -> None:
-    both = pair(to_client=Leave(max_rate=100.0))
+    both = pair(to_client=BenchmarkLimits(max_rate=100.0))
     both.run(both.client, rate=50.0, count=5)
     source = synthetic_of(both.client._bridge.context.ros).sources["/rsb_bench/tcp/transmit", "robot1"]  # type: ignore[union-attr]
     source.start(100, 1000.0, 5000)
@@ -352,7 +352,7 @@ def test_no_byte_beyond_the_limit_is_taken(
     pair: Callable[..., Pair], tmp_path: Path, transport: str, what: str, size: int
 ) -> None:
     """Over several connections, since the leave is for an hour."""
-    both = pair(to_client=Leave(megabytes=1.0, max_rate=1e6))
+    both = pair(to_client=BenchmarkLimits(megabytes=1.0, max_rate=1e6))
     both.client.stop()
     port = both.server.session.server_port
     refused = 0

@@ -7,7 +7,7 @@ from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any, cast
 
 from rsb_bridge.link.link_bench import LinkBench
-from rsb_bridge.model.benchmark import Leave, Order, bench_topic
+from rsb_bridge.model.benchmark import BenchmarkLimits, BenchmarkStep, bench_topic
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.ros.stand_in import NoRos
 from rsb_bridge.ros.synthetic import Synthetic, Time
@@ -45,7 +45,7 @@ class Here:
             name=PEER,
             send=lambda _: None,
             spawn=lambda _: None,
-            rights=SimpleNamespace(bench=Leave(seconds=10.0, max_rate=100.0, megabytes=1.0)),
+            rights=SimpleNamespace(bench=BenchmarkLimits(seconds=10.0, max_rate=100.0, megabytes=1.0)),
         )
         self.bench = LinkBench(cast("BaseLink", link), cast("RouteTable", table), cast("Any", None))
 
@@ -136,7 +136,7 @@ def test_a_peer_whose_count_goes_on_growing_is_not_waited_for_for_ever(monkeypat
 
     monkeypatch.setattr(asyncio, "sleep", sleep)
     monkeypatch.setattr(here.bench, "_ask", ask)
-    order = Order("run", PEER, "tcp", "transmit", 100, 100_000.0, 1_000_000)
+    order = BenchmarkStep("run", PEER, "tcp", "transmit", 100, 100_000.0, 1_000_000)
     assert asyncio.run(here.bench._settled_there(cast("Route", None), 1, order)).received == received
 
 

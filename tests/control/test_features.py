@@ -21,7 +21,7 @@ from rsb_bridge.control.features import (
     without_unknown,
 )
 from rsb_bridge.control.protocol import State, decode_route
-from rsb_bridge.model.benchmark import Leave
+from rsb_bridge.model.benchmark import BenchmarkLimits
 from rsb_bridge.model.commands import AddTopic, AnyCommand, ChangeClient, EditTopic
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.model.session import Client, Grant, Operator, Session, Topic, ZenohSettings
@@ -51,7 +51,7 @@ FIRST_FIELDS: dict[type[msgspec.Struct], str] = {
     Session: "name role server_ip server_port bluetooth_address domain_id use_name use_encryption key_file"
     " next_key_file stale_after stale_warnings shutdown_topic diagnostics_topic metrics topics clients allow deny ports"
     " shared_keys profile bench zenoh operators group",
-    Leave: "seconds max_rate megabytes",
+    BenchmarkLimits: "seconds max_rate megabytes",
     Qos: "reliability durability history depth deadline lifespan",
 }
 """The fields of the first version 1 in what it refuses to read with an unknown field."""

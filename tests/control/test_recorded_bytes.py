@@ -10,7 +10,7 @@ import pytest
 from rsb_bridge.control import protocol
 from rsb_bridge.control.protocol import Request
 from rsb_bridge.model import commands as c
-from rsb_bridge.model.benchmark import Order
+from rsb_bridge.model.benchmark import BenchmarkStep
 from rsb_bridge.model.session import Client, Topic
 
 SCAN = Topic("/scan", "transmit")
@@ -58,7 +58,7 @@ RECORDED: tuple[tuple[c.AnyCommand, bytes], ...] = (
     (c.Call("k", "{}"), b"\x83\xa2is\xa4call\xa3key\xa1k\xa7request\xa2{}"),
     (c.Call("k", "{data: true}", "l"), b"\x84\xa2is\xa4call\xa3key\xa1k\xa7request\xac{data: true}\xa4lane\xa1l"),
     (c.History(60.0), b"\x82\xa2is\xa7history\xa7seconds\xcb@N\x00\x00\x00\x00\x00\x00"),
-    (c.Bench(Order()), b"\x82\xa2is\xa5bench\xa5order\x80"),
+    (c.Bench(BenchmarkStep()), b"\x82\xa2is\xa5bench\xa5order\x80"),
     (c.Stop(), b"\x81\xa2is\xa4stop"),
 )
 """Commands, and their bytes in a request with the id 7."""

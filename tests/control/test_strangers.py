@@ -21,7 +21,7 @@ from rsb_bridge.control.protocol import CONSOLES, Failed, Hello, PollState, Refu
 from rsb_bridge.link import pending_connections
 from rsb_bridge.link.pending_connections import Stage
 from rsb_bridge.model import commands
-from rsb_bridge.model.benchmark import Order
+from rsb_bridge.model.benchmark import BenchmarkStep
 from rsb_bridge.model.budgets import CONNECTION, Strangers
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.commands import AnyCommand, Right
@@ -63,7 +63,7 @@ def test_who_may_look_is_refused_every_change_whatever_their_console_says(machin
     robot = Reachable(machine)
     with Stranger(robot.port, "bob", BOB) as bob:
         bob.attach(read_only=read_only)
-        for number, command in enumerate((*CHANGES, commands.Bench(Order()))):
+        for number, command in enumerate((*CHANGES, commands.Bench(BenchmarkStep()))):
             bob.say(Request(number, command))
             answer = bob.answer()
             assert isinstance(answer, Failed)

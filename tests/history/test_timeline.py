@@ -10,7 +10,7 @@ import pytest
 from tests.history.clocks import EPOCH, HandClock
 from tests.history.world import World, brief
 
-from rsb_bridge.history import subject, timeline
+from rsb_bridge.history import timeline, track_record
 from rsb_bridge.history.timeline import Timeline
 from rsb_bridge.model.calls import CallsSnapshot
 from rsb_bridge.model.codes import EventCode
@@ -215,7 +215,7 @@ def test_a_day_is_kept_and_no_more() -> None:
         world.put("/scan", State.OK)
         world.go(HOUR - 60, step=5)
     assert len(world.outages(KEPT_FOR)) == 24
-    kept = world.recorder._timeline._subjects["robot1", "topic", "/scan", False]
+    kept = world.recorder._timeline._records["robot1", "topic", "/scan", False]
     assert len(kept.outages) <= 25
     assert len(kept.series) <= 1500
     track = world.track("/scan", KEPT_FOR)
@@ -260,27 +260,27 @@ def test_a_flapping_topic_displaces_nobodys_outages(monkeypatch: pytest.MonkeyPa
     report = world.report()
     topics = [each.topic for each in report.outages]
     assert topics.count("/map") == 1
-    assert topics.count("/scan") <= subject.OUTAGES_OF_ONE
+    assert topics.count("/scan") <= track_record.OUTAGES_OF_ONE
     assert len(topics) <= 120
     assert len(topics) + report.outages_left_out == 601, "how many are missing is told"
     assert world.track("/scan").outages == 300
 
 
 def test_what_a_peer_can_name_is_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(timeline, "SUBJECTS", 20)
+    monkeypatch.setattr(timeline, "MOST_TRACKS", 20)
     world = World()
     for number in range(100):
         world.routes = World(f"/t{number}", clock=world.clock).routes
         world.go(1)
-    assert len(world.recorder._timeline._subjects) == 11
+    assert len(world.recorder._timeline._records) == 11
     world.routes = World(*(f"/more{number}" for number in range(50)), clock=world.clock).routes
     world.go(1)
-    assert len(world.recorder._timeline._subjects) == 11
+    assert len(world.recorder._timeline._records) == 11
 
 
 def test_one_link_that_makes_up_names_displaces_nobody_elses(monkeypatch: pytest.MonkeyPatch) -> None:
     """What a robot's topic did stays known, and its next topic is recorded, whatever another client is called for."""
-    monkeypatch.setattr(timeline, "SUBJECTS", 20)
+    monkeypatch.setattr(timeline, "MOST_TRACKS", 20)
     world = World("/scan", "/gone")
     world.go(1)
     robot = {"/scan": world.routes["/scan"]}
@@ -290,27 +290,27 @@ def test_one_link_that_makes_up_names_displaces_nobody_elses(monkeypatch: pytest
         world.go(1)
     world.routes |= World("/map", clock=world.clock).routes
     world.go(1)
-    known = world.recorder._timeline._subjects
+    known = world.recorder._timeline._records
     assert {topic for link, _, topic, _ in known if link != "rogue" and topic} == {"/scan", "/gone", "/map"}
     assert len(known) <= 20
 
 
 def test_what_finds_no_room_costs_one_walk_a_look(monkeypatch: pytest.MonkeyPatch) -> None:
     """All of them together: there may be thousands of topics beyond those that are kept."""
-    monkeypatch.setattr(timeline, "SUBJECTS", 20)
+    monkeypatch.setattr(timeline, "MOST_TRACKS", 20)
     walks = []
 
-    def items(self: timeline.Subjects) -> object:
+    def items(self: timeline.TrackRecords) -> object:
         walks.append(len(self))
         return dict.items(self)
 
-    monkeypatch.setattr(timeline.Subjects, "items", items)
+    monkeypatch.setattr(timeline.TrackRecords, "items", items)
     world = World(*(f"/t{number}" for number in range(100)))
     world.go(1)
     walks.clear()
     world.go(3)
     assert len(walks) <= 3
-    assert len(world.recorder._timeline._subjects) <= 20
+    assert len(world.recorder._timeline._records) <= 20
 
 
 def test_operators_actions_are_remembered() -> None:

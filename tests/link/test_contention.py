@@ -101,12 +101,12 @@ def test_a_message_that_was_held_back_goes_once_there_is_room_for_it() -> None:
     """However little there was when the one before it went."""
     thinning, reliable = Thinning(0.0), Qos()
     for share in (0.0, 1e5):
-        thinning.told(Share(share, 1e5, 2e5, "/first"), low=False, qos=reliable, now=10.0)
+        thinning.take_share(Share(share, 1e5, 2e5, "/first"), low=False, qos=reliable, now=10.0)
         if not share:
             thinning.sent(1_000_000, 10.0)
     assert thinning.wait(10.0) == pytest.approx(10.0)
-    thinning.told(None, low=False, qos=reliable, now=10.0)
-    thinning.told(Share(1e5, 1e5, 2e5, "/first"), low=False, qos=reliable, now=11.0)
+    thinning.take_share(None, low=False, qos=reliable, now=10.0)
+    thinning.take_share(Share(1e5, 1e5, 2e5, "/first"), low=False, qos=reliable, now=11.0)
     assert thinning.wait(11.0) == 0.0
 
 
@@ -116,7 +116,7 @@ def test_what_is_held_back_is_looked_at_again_as_often_as_shares_change() -> Non
     clock = SimpleNamespace(call_later=lambda delay, _: delays.append(delay), now=lambda: 1000.0)
     clock.loop = clock
     thinning = Thinning(1000.0)
-    thinning.told(Share(0.0, 1e5, 2e5, "/first"), low=False, qos=Qos(), now=1000.0)
+    thinning.take_share(Share(0.0, 1e5, 2e5, "/first"), low=False, qos=Qos(), now=1000.0)
     transport = default_transports()["tcp"]
     proposal = proposal_of(Topic("/map", "transmit"), transport, client_name="robot1", use_name=False)
     route = SimpleNamespace(

@@ -8,7 +8,7 @@ import pytest
 
 from rsb_bridge.model.calls import LANES
 from rsb_bridge.model.qos import Qos
-from rsb_bridge.ros.ros_graph import Meant
+from rsb_bridge.ros.ros_graph import NameSuggester
 from rsb_bridge.ros.ros_interface import Endpoint
 from rsb_bridge.ros.stand_in import NoRos
 
@@ -53,13 +53,13 @@ class _Graph(NoRos):
     ],
 )
 def test_what_is_of_another_kind_or_alike_is_named(kind: Kind, name: str, words: str) -> None:
-    hint = Meant(_Graph(), lambda: 0.0).by(kind, name)
+    hint = NameSuggester(_Graph(), lambda: 0.0).by(kind, name)
     assert bool(hint) is bool(words)
     assert words in hint
 
 
 def test_it_is_not_searched_for_at_each_question() -> None:
     graph = _Graph()
-    meant = Meant(graph, lambda: 0.0)
+    meant = NameSuggester(graph, lambda: 0.0)
     assert [meant.by("service", name) for name in ("/dokc", "/dokc", "/navigate")] == ["did you mean /dock?"] * 2 + [""]
     assert graph.asked == 1

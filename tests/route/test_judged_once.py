@@ -11,9 +11,10 @@ from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.verdict import Cause, Verdict
 from rsb_bridge.route import topic_route as module
+from rsb_bridge.route.blocking_rules import ACCEPTED
 from rsb_bridge.route.incoming import IncomingRoute
 from rsb_bridge.route.outgoing import OutgoingRoute
-from rsb_bridge.route.topic_verdict import judge
+from rsb_bridge.route.topic_verdict import judge, waits_for
 from rsb_bridge.wire.messages import Propose
 from rsb_bridge.wire.records import SentReport
 
@@ -81,10 +82,10 @@ def test_a_receiver_claims_to_wait_for_nothing_that_only_the_sender_knows(make_c
     for number in (1, 3):
         receiver.close("opened anew")
         receiver.open(number)
-        assert receiver.status().waits_for == "peer accepted"
+        assert waits_for(receiver.status(), receiver.progress()) == ACCEPTED
         receiver.on_accepted()
         claims = {stage.name for stage in receiver.stages()}
-        assert receiver.status().waits_for not in claims
+        assert waits_for(receiver.status(), receiver.progress()) not in claims
         assert {stage.name for stage in receiver.stages() if stage.done is False} == set()
         before = receiver.verdict()
         assert (before.state, before.cause) == (State.WAITING, Cause.NO_MESSAGE)
@@ -101,12 +102,12 @@ def test_the_sending_side_knows_of_messages_before_its_own_start(make_context: C
     for route in (sender, receiver):
         route.open(1)
         route.on_accepted()
-    assert not sender.facts().came_before
+    assert not sender.status().came_before
     receiver.meter.last = receiver.opened_at - 46.0
     report = receiver.news()
     assert report is not None
     sender.reported(report)
-    assert sender.facts().came_before
-    assert receiver.facts().came_before
+    assert sender.status().came_before
+    assert receiver.status().came_before
     sender.count(1, 10)
-    assert not sender.facts().came_before
+    assert not sender.status().came_before

@@ -106,7 +106,7 @@ def test_no_goal_begins_that_became_old_on_the_way_to_dds(
 ) -> None:
     context = make_context()
     route = providing(context)
-    route._told = Provide(route=1, lanes=(LaneEntry("a/action/B_SendGoal", "h", 1),))
+    route._last_sent = Provide(route=1, lanes=(LaneEntry("a/action/B_SendGoal", "h", 1),))
     number = _arm(route, context)
 
     def slow(frame: CallFrame, part: str) -> Refused | None:

@@ -173,15 +173,15 @@ class Route:
         self.budget = Budget(1 << 30)
         self.offered = self.sent = self.held = 0
         self.topic = self.make_topic()
-        self.intake = self.make_intake()
+        self.subscription = self.make_subscription()
 
     def make_topic(self) -> LatchedTopic:
         return LatchedTopic(self.context.loop, self.far.advertise, self.budget, 1, unexpected)
 
-    def make_intake(self) -> TopicSubscription:
+    def make_subscription(self) -> TopicSubscription:
         subject = SubscriptionSpec("/latched", "std_msgs/msg/String", "", LATCHED, "robot1")
         self.topic.opened()
-        intake = TopicSubscription(
+        subscription = TopicSubscription(
             self.context,
             subject,
             cast("OutgoingPath", self),
@@ -191,12 +191,12 @@ class Route:
             expected_rate=None,
             known=self.topic.newest(),
         )
-        intake.subscribe()
-        return intake
+        subscription.subscribe()
+        return subscription
 
     def offer(self, batch: Sequence[RawMessage]) -> None:
-        assert self.intake.histories is not None
-        self.offered += self.intake.histories.take(batch)
+        assert self.subscription.histories is not None
+        self.offered += self.subscription.histories.take(batch)
 
     def emit(self, samples: Sequence[Sample]) -> None:
         for header, message, _ in samples:
@@ -208,22 +208,22 @@ class Route:
         pytest.fail("nothing is on its way when an opening ends")
 
     def cut(self) -> None:
-        self.held += self.intake.close()
-        self.intake = self.make_intake()
+        self.held += self.subscription.close()
+        self.subscription = self.make_subscription()
 
     def restart_far(self) -> None:
-        self.held += self.intake.close()
+        self.held += self.subscription.close()
         self.topic.close()
         assert not self.far.open
         assert self.budget.held == 0
         self.far.heard.clear()
         self.topic = self.make_topic()
-        self.intake = self.make_intake()
+        self.subscription = self.make_subscription()
 
     def second(self) -> None:
         present = set(self.near.writers)
-        self.intake.look(present)
-        self.intake.tick()
+        self.subscription.look(present)
+        self.subscription.tick()
         self.topic.present(present)
         self.topic.tick()
 
@@ -299,7 +299,7 @@ def test_late_joiners_get_the_same_on_both_sides(seed: int) -> None:
         assert len(set(world.far.heard)) == len(world.far.heard)
         route = world.route
         assert route.offered == route.sent + route.held
-        route.held += route.intake.close()
+        route.held += route.subscription.close()
         route.topic.close()
         assert route.budget.held == 0
         assert not loop.errors

@@ -204,13 +204,13 @@ def test_the_shown_latency_is_of_the_last_ten_seconds() -> None:
 
 def test_figures_of_the_other_side_count_for_as_long() -> None:
     meter = LatencyMeter(10)
-    meter.told(0.01, 0.02, 0.0)
+    meter.take_reported(0.01, 0.02, 0.0)
     for _ in range(9):
         meter.tick()
     assert (meter.p50, meter.p99) == (0.01, 0.02)
     meter.tick()
     assert (meter.p50, meter.p99, meter.jitter) == (None, None, 0.0)
-    meter.told(0.01, 0.02, 0.0)
+    meter.take_reported(0.01, 0.02, 0.0)
     assert meter.p50 == 0.01
-    meter.told(None, None, 0.0)
+    meter.take_reported(None, None, 0.0)
     assert meter.p50 is None

@@ -38,11 +38,11 @@ def unlimited(world: World) -> None:
 
 def thinned(world: World) -> None:
     world.route.thinning.look(1.0)
-    world.route.thinning.told(Share(1_000.0, 1e4, 1e5, "/first"), low=False, qos=BEST_EFFORT, now=0.0)
+    world.route.thinning.take_share(Share(1_000.0, 1e4, 1e5, "/first"), low=False, qos=BEST_EFFORT, now=0.0)
 
 
 def not_thinned(world: World) -> None:
-    world.route.thinning.told(None, low=False, qos=BEST_EFFORT, now=0.0)
+    world.route.thinning.take_share(None, low=False, qos=BEST_EFFORT, now=0.0)
 
 
 @pytest.mark.parametrize(

@@ -22,12 +22,12 @@ class TakesAll:
 
 def test_a_topic_that_is_held_back_goes_on_as_soon_as_its_share_is_larger() -> None:
     thinning = Thinning(0.0)
-    thinning.told(Share(1.0, 10.0, 20.0, "/first"), low=False, qos=Qos(), now=0.0)
+    thinning.take_share(Share(1.0, 10.0, 20.0, "/first"), low=False, qos=Qos(), now=0.0)
     thinning.over(cast("SendingChannel", TakesAll()), 0.0).send([(bytes(1940), 0, 0)])
     assert thinning.wait(0.0) == 2000.0
-    thinning.told(Share(1000.0, 1e4, 2e4, "/first"), low=False, qos=Qos(), now=0.0)
+    thinning.take_share(Share(1000.0, 1e4, 2e4, "/first"), low=False, qos=Qos(), now=0.0)
     assert thinning.wait(0.0) == 2.0
-    thinning.told(None, low=False, qos=Qos(), now=1.0)
+    thinning.take_share(None, low=False, qos=Qos(), now=1.0)
     assert thinning.wait(1.0) == 0.0
 
 
@@ -37,7 +37,7 @@ def test_a_topic_that_recovers_is_not_said_to_be_thinned_to_what_it_wants() -> N
     said: dict[int, tuple[float, float] | None] = {}
     for second in range(40):
         share = Share(15_000.0 if second < 20 else 50_000.0, 1e4, 4e4, "/first")
-        thinning.told(share, low=False, qos=qos, now=second)
+        thinning.take_share(share, low=False, qos=qos, now=second)
         stamps = [int((second + each / 20) * 1e9) for each in range(20)]
         kept = thinning.keep([RawMessage(b"", stamp, b"gid", 1) for stamp in stamps], second + 0.9)
         thinning.offered += len(kept)

@@ -19,7 +19,7 @@ from rsb_bridge.telemetry.snapshot_publisher import SnapshotPublisher
 NOW = 1_700_000_000.0
 
 
-class Hand(Clock):
+class ManualClock(Clock):
     """A clock that a test moves."""
 
     moved = 0.0
@@ -40,7 +40,7 @@ class Table:
     """Acknowledgements, and the snapshots that they mark."""
 
     def __init__(self) -> None:
-        self.clock = Hand()
+        self.clock = ManualClock()
         self.ended: list[object] = []
         self.known = Acknowledgements(self.clock, self.ended.append)
 
@@ -161,7 +161,7 @@ def test_an_acknowledgement_that_ends_is_told_once_and_only_if_a_fault_is_left(t
 
 
 def test_the_end_of_an_acknowledgement_is_an_event() -> None:
-    clock = Hand()
+    clock = ManualClock()
     events = EventLog(clock)
     shown = [SCAN]
     link = Mock(routes={"scan": Mock(snapshot=lambda: shown[0])}, snapshot=lambda: LINK)

@@ -314,7 +314,7 @@ class DatagramReceiver(_DatagramChannel):
         self._whole.append(message)
         return True
 
-    def hand_over(self) -> None:
+    def deliver_whole(self) -> None:
         """Deliver the messages that are whole, and have the sender know what has come, when that is due."""
         whole, self._whole = self._whole, []
         if self._since_receipt >= self._due and self._codec.opened:

@@ -106,7 +106,7 @@ class DatagramSink(Protocol):
         """A datagram of its route came; returns whether it made a message whole, and with that authentic."""
         ...
 
-    def hand_over(self) -> None:
+    def deliver_whole(self) -> None:
         """Deliver the messages that are whole; called once for all datagrams that came together."""
         ...
 
@@ -217,7 +217,7 @@ class UdpChannel:
                     self._heard = self.received_at = now
             # else the route was closed before the datagram arrived, or the peer may not send on it
         for receiver in touched:
-            receiver.hand_over()
+            receiver.deliver_whole()
         if self.ready and not was_ready:
             self._on_ready()
 

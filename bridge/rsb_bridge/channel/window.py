@@ -164,7 +164,7 @@ class Window:
 
     @property
     def _credit(self) -> float:
-        """The s that receipts take to come back, as far as they are believed."""
+        """The s that receipts take to come back, as far as they are trusted."""
         return min(self.back, _LONGEST_BACK)
 
     def check(self, sent: int, now: float) -> None:

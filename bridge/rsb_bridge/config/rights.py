@@ -30,13 +30,13 @@ if TYPE_CHECKING:
     from collections.abc import Collection, Hashable, Iterator, Mapping, Sequence, Set
 
     from rsb_bridge.config.keys import Key
-    from rsb_bridge.model.benchmark import Leave
+    from rsb_bridge.model.benchmark import BenchmarkLimits
     from rsb_bridge.model.session import Client, Direction, Identity, Kind, Operator, Session
 
 TOPIC_USES: Final[tuple[May, May]] = ("publish", "read")
 CALL_USES: Final[tuple[May, May]] = ("call", "serve")
 """The two rights of a peer: to send messages or requests here, and to take them."""
-_MOST_LEAVE = 1e6
+_MOST_BENCHMARKED = 1e6
 _ENTRY = re.compile(r"\{[^{}]*\}?|[^\s,{]+")
 """A mapping, or a word: entries have blanks or commas between them."""
 _NAMED = 6
@@ -221,14 +221,14 @@ def _pattern_problems(pattern: str, noun: str, location: str) -> Iterator[Proble
         yield Problem(location, RightsMistake.SLASHES(pattern=show(pattern), noun=noun))
 
 
-def leave_problems(leave: Leave | None, location: str) -> Iterator[Problem]:
+def benchmark_limit_problems(leave: BenchmarkLimits | None, location: str) -> Iterator[Problem]:
     """Mistakes in what a benchmark may cause."""
     if leave is None:
         return
     yield from range_problems(leave, location)
     for key, value in (("seconds", leave.seconds), ("megabytes", leave.megabytes)):
-        if not 0 < value <= _MOST_LEAVE:
-            yield Problem(join(location, key), RightsMistake.LIMIT(value=f"{value:g}", limit=f"{_MOST_LEAVE:g}"))
+        if not 0 < value <= _MOST_BENCHMARKED:
+            yield Problem(join(location, key), RightsMistake.LIMIT(value=f"{value:g}", limit=f"{_MOST_BENCHMARKED:g}"))
 
 
 class Use(NamedTuple):
@@ -294,7 +294,7 @@ class Rights:
     deny: tuple[Grant, ...]
     prefix: str = ""
     listed: Set[Identity] | None = None
-    bench: Leave | None = None
+    bench: BenchmarkLimits | None = None
 
     def refusal(self, use: Use) -> Refusal | None:
         """Return the reason why the peer may not do something, or None if it may."""

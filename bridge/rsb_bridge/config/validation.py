@@ -29,7 +29,7 @@ from rsb_bridge.config.file_form import (
 )
 from rsb_bridge.config.files import kind_of_file, typed_path
 from rsb_bridge.config.keys import conceal
-from rsb_bridge.config.rights import grant_problems, leave_problems, operator_problems
+from rsb_bridge.config.rights import benchmark_limit_problems, grant_problems, operator_problems
 from rsb_bridge.config.topic_rules import (
     A_KIND,
     form_problems,
@@ -525,13 +525,13 @@ def _clients(session: Session) -> Iterator[Problem]:
     yield from grant_problems(session, "")
     if session.role == "server" and (session.allow or session.deny):
         yield Problem("allow" if session.allow else "deny", SessionMistake.KEY_OF_ITS_CLIENT())
-    yield from leave_problems(session.bench, "bench")
+    yield from benchmark_limit_problems(session.bench, "bench")
     if session.bench is not None and session.clients:
         yield Problem("bench", SessionMistake.KEY_OF_ITS_CLIENT())
     names: dict[str, int] = {}
     for at, client in enumerate(session.clients):
         location = join("clients", at)
-        yield from leave_problems(client.bench, join(location, "bench"))
+        yield from benchmark_limit_problems(client.bench, join(location, "bench"))
         yield from _group(client.group, join(location, "group"))
         use_name = session.use_name if client.use_name is None else client.use_name
         yield from _name(client.name, join(location, "name"), use_name=use_name)

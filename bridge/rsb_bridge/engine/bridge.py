@@ -57,7 +57,7 @@ if TYPE_CHECKING:
     from rsb_bridge.context import Context
     from rsb_bridge.link.link import Link
     from rsb_bridge.link.name_watch import Follower
-    from rsb_bridge.model.benchmark import Order
+    from rsb_bridge.model.benchmark import BenchmarkStep
     from rsb_bridge.model.commands import Command, R
     from rsb_bridge.model.demands import Source
     from rsb_bridge.model.session import Client, Session
@@ -471,7 +471,7 @@ class Bridge:
         return tuple(await topics_of_peer(self.links(), command.link))
 
 
-async def carry_out(order: Order, links: Sequence[Link]) -> Outcome:
+async def carry_out(order: BenchmarkStep, links: Sequence[Link]) -> Outcome:
     """Do what a benchmark orders.
 
     Raises:

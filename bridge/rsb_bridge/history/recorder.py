@@ -247,8 +247,8 @@ class Recorder:
         moved = self._axis.set(wall, self._timeline.earliest(self._axis.now))
         self._timeline.move(moved)
         self._observed += moved
-        way = "forward" if jump > 0 else "back"
-        text = f"the clock was set {way} by {_span(abs(jump))}; the time line since the start moves with it"
+        direction = "forward" if jump > 0 else "back"
+        text = f"the clock was set {direction} by {_span(abs(jump))}; the time line since the start moves with it"
         self._events.add(Level.WARNING, EventCode.ENGINE_CLOCK_SET, text)
 
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Literal
 
 import msgspec
 
-from rsb_bridge.history.subject import OUTAGES_OF_ONE, Ended, Series, Subject
+from rsb_bridge.history.track_record import OUTAGES_OF_ONE, Ended, Series, TrackRecord
 from rsb_bridge.model import history as model
 from rsb_bridge.model.history import KEPT_FOR, LINK, Gap, HistoryReport
 from rsb_bridge.model.session import Kind
@@ -21,11 +21,11 @@ if TYPE_CHECKING:
     from rsb_bridge.model.history import Outage, Track
     from rsb_bridge.model.snapshot import RouteSnapshot, Snapshot, State
 
-SUBJECTS = 2000
+MOST_TRACKS = 2000
 """The most links and topics kept, including removed ones."""
 
 Key = tuple[str, Kind | Literal["link"], str, bool]
-"""Of a subject: link, kind, topic, outgoing."""
+"""Of a track: link, kind, topic, outgoing."""
 VERSION = 1
 FROM_THE_FUTURE = "it is from the future: the clock was wrong then, or it is now"
 OUTAGES = 10_000
@@ -38,7 +38,7 @@ _SHORT_GAP = 5.0
 """s between two runs that are not worth a word."""
 
 
-class Subjects(dict[Key, Subject]):
+class TrackRecords(dict[Key, TrackRecord]):
     """Links and topics that a timeline remembers, by key; where there are too many, some give way.
 
     What the timeline looks up for each route, every second, takes no walk over all of them.
@@ -50,9 +50,9 @@ class Subjects(dict[Key, Subject]):
         self._gone: list[Key] = []
         self._gone_in = -1
 
-    def __setitem__(self, key: Key, subject: Subject) -> None:
+    def __setitem__(self, key: Key, record: TrackRecord) -> None:
         self._topics[key[0]] += key[1] != LINK and key not in self
-        super().__setitem__(key, subject)
+        super().__setitem__(key, record)
 
     def __delitem__(self, key: Key) -> None:
         super().__delitem__(key)
@@ -61,20 +61,20 @@ class Subjects(dict[Key, Subject]):
             del self._topics[key[0]]
 
     def make_room(self, key: Key, turn: int) -> bool:
-        """Make room for a new subject, and return whether there is room.
+        """Make room for a new track, and return whether there is room.
 
-        A link may have as many topics as it leaves room for the others. Beyond that, a removed subject makes room:
-        one of the link with the most topics, unless the new subject's link has more.
+        A link may have as many topics as it leaves room for the others. Beyond that, a removed track makes room:
+        one of the link with the most topics, unless the new track's link has more.
 
         Args:
-            key: the new subject's.
+            key: the new track's.
             turn: number of the present `observe`.
         """
         topics, own = self._topics, self._topics[key[0]]
-        if key[1] == LINK or own <= SUBJECTS - len(self):
+        if key[1] == LINK or own <= MOST_TRACKS - len(self):
             return True
         if turn != self._gone_in:
-            self._gone_in, self._gone = turn, [each for each, subject in self.items() if not subject.live]
+            self._gone_in, self._gone = turn, [each for each, record in self.items() if not record.live]
         gone = [each for each in self._gone if each in self and not self[each].live and topics[each[0]] >= own]
         if not gone:
             return False
@@ -82,8 +82,8 @@ class Subjects(dict[Key, Subject]):
         return True
 
 
-class SavedSubject(msgspec.Struct, frozen=True, array_like=True):
-    """A `Subject` as it is kept on disk: its name, its series, its outages.
+class SavedTrack(msgspec.Struct, frozen=True, array_like=True):
+    """A `TrackRecord` as it is kept on disk: its name, its series, its outages.
 
     Attributes:
         kind: of what it is. A file from before anything but topics crossed says none.
@@ -119,7 +119,7 @@ class Saved(msgspec.Struct, frozen=True):
     role: str
     time: float
     runs: tuple[tuple[float, float], ...]
-    subjects: tuple[SavedSubject, ...]
+    subjects: tuple[SavedTrack, ...]
     actions: tuple[Event, ...]
 
 
@@ -137,7 +137,7 @@ class Timeline:
     def __init__(self, name: str, role: str) -> None:
         self.changes = 0
         self._name, self._role = name, role
-        self._subjects = Subjects()
+        self._records = TrackRecords()
         self._runs: deque[tuple[float, float]] = deque(maxlen=_RUNS)
         self._run: tuple[float, float] | None = None
         self._did: deque[Event] = deque(maxlen=_ACTIONS)
@@ -159,9 +159,9 @@ class Timeline:
             total = route.ledger.delivered if route.calls is None else route.calls.asked
             reason = route.reason or route.last_error
             self._observe(key, now, route.state, reason, total=total, is_open=_is_open(route))
-        for subject in [each for each in self._subjects.values() if each.live and each.turn != self._turn]:
-            self.changes += subject.is_out
-            subject.cut(now, self._link_of(subject), cut_off=False)
+        for record in [each for each in self._records.values() if each.live and each.turn != self._turn]:
+            self.changes += record.is_out
+            record.cut(now, self._link_of(record), cut_off=False)
         if now - self._tidied >= _TIDIED_EVERY:
             self._tidy(now)
 
@@ -176,16 +176,16 @@ class Timeline:
         total: int = 0,
         is_open: bool = False,
     ) -> None:
-        subject = self._subjects.get(key)
-        if subject is None:
-            if not self._subjects.make_room(key, self._turn):
+        record = self._records.get(key)
+        if record is None:
+            if not self._records.make_room(key, self._turn):
                 return
-            subject = self._subjects[key] = Subject(*key)
-        subject.turn = self._turn
-        was_out = subject.is_out
-        subject.count(total)
-        subject.observe(now, state, reason, self._link_of(subject), rate, is_open=is_open)
-        self.changes += was_out != subject.is_out
+            record = self._records[key] = TrackRecord(*key)
+        record.turn = self._turn
+        was_out = record.is_out
+        record.count(total)
+        record.observe(now, state, reason, self._link_of(record), rate, is_open=is_open)
+        self.changes += was_out != record.is_out
 
     def did(self, event: Event, now: float) -> bool:
         """Remember an event, if an operator caused it or it concerns the whole bridge; whether it is so.
@@ -215,8 +215,8 @@ class Timeline:
         if self._run is None:
             return
         _, now = self._run
-        for subject in sorted(self._subjects.values(), key=lambda each: bool(each.topic), reverse=True):
-            subject.cut(now, self._link_of(subject), cut_off=True)  # the topics before their links
+        for record in sorted(self._records.values(), key=lambda each: bool(each.topic), reverse=True):
+            record.cut(now, self._link_of(record), cut_off=True)  # the topics before their links
         self._runs.append(self._run)
         self._run = None
 
@@ -230,8 +230,8 @@ class Timeline:
         if self._run is None:
             return
         since, until = self._run
-        for subject in self._subjects.values():
-            subject.move(since, seconds)
+        for record in self._records.values():
+            record.move(since, seconds)
         for events in (self._did, self._happened):
             moved = [replace(each, time=each.time + seconds) if each.time >= since else each for each in events]
             events.clear()
@@ -242,16 +242,16 @@ class Timeline:
         """The earliest time that it may be now instead, so that this run does not begin before the last one ended."""
         return now + self.last - self._run[0] if self._run else self.last
 
-    def _link_of(self, subject: Subject) -> Subject | None:
-        return self._subjects.get(_key_of(subject.link)) if subject.topic else None
+    def _link_of(self, record: TrackRecord) -> TrackRecord | None:
+        return self._records.get(_key_of(record.link)) if record.topic else None
 
     def _tidy(self, now: float) -> None:
-        """Drop what is too old, and outages beyond the limit, first of the subjects with the most outages."""
+        """Drop what is too old, and outages beyond the limit, first of the tracks with the most outages."""
         self._tidied = now
-        for key, subject in list(self._subjects.items()):
-            if not subject.forget(now - KEPT_FOR):
-                del self._subjects[key]
-        by_outages = sorted(self._subjects.values(), key=lambda each: len(each.outages))
+        for key, record in list(self._records.items()):
+            if not record.forget(now - KEPT_FOR):
+                del self._records[key]
+        by_outages = sorted(self._records.values(), key=lambda each: len(each.outages))
         excess = sum(len(each.outages) for each in by_outages) - OUTAGES
         while excess > 0:
             most = max(by_outages, key=lambda each: len(each.outages))
@@ -275,14 +275,14 @@ class Timeline:
         start = now - span
         tracks: list[Track] = []
         outages: list[Outage] = []
-        subjects = self._subjects.values()
-        for subject in sorted(subjects, key=lambda each: (each.link, each.topic, each.kind, each.outgoing)):
-            found = list(subject.outages_in(start, now, self._link_of(subject)))
+        records = self._records.values()
+        for record in sorted(records, key=lambda each: (each.link, each.topic, each.kind, each.outgoing)):
+            found = list(record.outages_in(start, now, self._link_of(record)))
             outages += found
-            track = subject.track(start, now, len(found), model.RATES_AT_ONCE)
-            if subject.live or found or track.up or track.out or track.waiting:
+            track = record.track(start, now, len(found), model.RATES_AT_ONCE)
+            if record.live or found or track.up or track.out or track.waiting:
                 tracks.append(track)
-        dropped = sum(each.dropped_in(start) for each in self._subjects.values())
+        dropped = sum(each.dropped_in(start) for each in self._records.values())
         outages.sort(key=lambda each: each.start)
         actions = sorted(
             (each for each in (*self._did, *self._happened) if each.time >= start), key=lambda each: each.time
@@ -308,15 +308,15 @@ class Timeline:
 
     def save(self, now: float) -> Saved:
         """All of it as it is now, for `restore`."""
-        subjects = tuple(
-            SavedSubject(
+        tracks = tuple(
+            SavedTrack(
                 each.link, each.topic, each.outgoing, *each.series.dump(),
                 tuple(each.present(now, self._link_of(each))), each.kind,
             )
-            for each in self._subjects.values()
+            for each in self._records.values()
         )  # fmt: skip
         runs = (*self._runs, *((self._run,) if self._run else ()))
-        return Saved(VERSION, self._name, self._role, now, runs, subjects, (*self._did, *self._happened))
+        return Saved(VERSION, self._name, self._role, now, runs, tracks, (*self._did, *self._happened))
 
     @classmethod
     def restore(cls, saved: Saved, name: str, role: str) -> Timeline:
@@ -326,12 +326,12 @@ class Timeline:
             ValueError: it contradicts itself.
         """
         timeline = cls(name, role)
-        for each in saved.subjects[:SUBJECTS]:
+        for each in saved.subjects[:MOST_TRACKS]:
             key: Key = (each.link, each.kind, each.topic, each.outgoing) if each.topic else _key_of(each.link)
-            subject = Subject(*key)
-            subject.series = Series.load(each.first, each.rates, each.up, each.out, each.waiting)
-            subject.outages.extend(each.outages[-OUTAGES_OF_ONE:])
-            timeline._subjects[key] = subject
+            record = TrackRecord(*key)
+            record.series = Series.load(each.first, each.rates, each.up, each.out, each.waiting)
+            record.outages.extend(each.outages[-OUTAGES_OF_ONE:])
+            timeline._records[key] = record
         timeline._runs.extend(saved.runs)
         for event in saved.actions:
             timeline.did(event, event.time)

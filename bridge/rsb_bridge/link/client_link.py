@@ -269,7 +269,7 @@ class ClientLink(Link):
     def on_duplicate(self, message: Duplicate) -> None:
         now = self.context.now()
         begins = self.cause is not LinkCause.NAME_TAKEN
-        self.duplicates.told(message, self.context.wall())
+        self.duplicates.take_news(message, self.context.wall())
         if not message.address and not begins:
             self.log(Level.INFO, EventCode.LINK_NAME_FREE, self.duplicates.over(), link_status=True)
         if message.address and (begins or now - self._duplicates_logged_at >= _DUPLICATES_LOGGED_EVERY):

@@ -330,7 +330,7 @@ class Contention:
         self.receiving.disconnected()
         for route in self._routes():
             if isinstance(route, OutgoingRoute):
-                route.thinning.told(None, low=False, qos=route.qos, now=self._context.now())
+                route.thinning.take_share(None, low=False, qos=route.qos, now=self._context.now())
 
     def _looked(self, asking: Collection[_Asking]) -> tuple[float, float, bool]:
         """Count what has arrived since the last check.
@@ -415,7 +415,7 @@ class Contention:
             share = None
             if first is not None and route in shares and wishes[route].rank < top:
                 share = Share(shares[route], min(self._carried, asked), asked, first.topic)
-            route.thinning.told(share, low=route.rank < 0, qos=route.qos, now=now)
+            route.thinning.take_share(share, low=route.rank < 0, qos=route.qos, now=now)
 
     def _warn(self, features: Collection[str], connection: int) -> None:
         """Warn once a connection if the other side is too old for priorities of its topics."""

@@ -38,7 +38,7 @@ if TYPE_CHECKING:
     from rsb_bridge.link.base_link import BaseLink
     from rsb_bridge.link.proposed_topics import ProposedTopics
     from rsb_bridge.link.route_table import RouteTable
-    from rsb_bridge.model.benchmark import Leave, Order
+    from rsb_bridge.model.benchmark import BenchmarkLimits, BenchmarkStep
     from rsb_bridge.ros.synthetic import Drain, Source
     from rsb_bridge.route.route import Route
 
@@ -73,7 +73,7 @@ class BenchBudget:
         self._wire = self._payload = 0
         self._full = False
 
-    def refusal(self, leave: Leave | None, seconds: float = 0.0, size: float = 0.0, rate: float = 0.0) -> str:
+    def refusal(self, leave: BenchmarkLimits | None, seconds: float = 0.0, size: float = 0.0, rate: float = 0.0) -> str:
         """Return why the peer may not cause this now, or an empty string.
 
         Args:
@@ -101,7 +101,7 @@ class BenchBudget:
         self._seconds += seconds
         self._bytes += size
 
-    def take(self, leave: Leave | None, *, wire: int = 0, payload: int = 0) -> bool:
+    def take(self, leave: BenchmarkLimits | None, *, wire: int = 0, payload: int = 0) -> bool:
         """Count bytes from the peer before they are used; return False if they exceed the peer's limits.
 
         Args:
@@ -282,7 +282,7 @@ class LinkBench(Extension):
 
     # --- for this side's operator
 
-    async def run(self, order: Order) -> Outcome:
+    async def run(self, order: BenchmarkStep) -> Outcome:
         """Send messages over the link, wait until all have arrived or are lost, and return the outcome.
 
         Raises:
@@ -317,7 +317,7 @@ class LinkBench(Extension):
         carriers = self._link.carriers()
         return sum(each.sent_bytes for each in carriers), sum(each.received_bytes for each in carriers)
 
-    def _check(self, order: Order) -> None:
+    def _check(self, order: BenchmarkStep) -> None:
         if self._synthetic is None:
             raise LinkError("nothing can be measured here")
         if not self._link.linked:
@@ -329,7 +329,7 @@ class LinkBench(Extension):
         if order.count < 1 or not 0 < order.rate < 1e6 or order.count / order.rate > MOST_SECONDS:
             raise LinkError(f"a run has a message at least, and takes at most {MOST_SECONDS:g} s")
 
-    async def _run(self, order: Order) -> Outcome:
+    async def _run(self, order: BenchmarkStep) -> Outcome:
         route = await self._opened(order)
         sends, opening = route.outgoing, route.id
         theirs = await self._ask(route, opening, reset=True)
@@ -378,7 +378,7 @@ class LinkBench(Extension):
             answer.max_rate,
         )
 
-    async def _opened(self, order: Order) -> Route:
+    async def _opened(self, order: BenchmarkStep) -> Route:
         """Return the topic's route, once messages can cross on it."""
         link_transport = self._context.transports.of_link(self._context.session.server_ip)
         transport = order.transport or link_transport.name
@@ -420,12 +420,12 @@ class LinkBench(Extension):
             raise LinkError(f"{REFUSED}: {answer.problem}")
         return answer
 
-    async def _until_idle(self, busy: Callable[[], bool], order: Order) -> None:
+    async def _until_idle(self, busy: Callable[[], bool], order: BenchmarkStep) -> None:
         deadline = self._deadline(order)
         while busy() and self._now() < deadline:  # noqa: ASYNC110 -- a thread's state
             await asyncio.sleep(_LOOK_EVERY)
 
-    async def _settled_there(self, route: Route, opening: int, order: Order) -> BenchAnswer:
+    async def _settled_there(self, route: Route, opening: int, order: BenchmarkStep) -> BenchAnswer:
         answer, grown = await self._ask(route, opening), self._now()
         deadline, interval = self._deadline(order), max(_QUIET, 2 / order.rate)
         while answer.received < order.count and self._now() < min(grown + interval, deadline):
@@ -436,7 +436,7 @@ class LinkBench(Extension):
             answer = newer
         return answer
 
-    async def _settled_here(self, drain: Drain, order: Order) -> None:
+    async def _settled_here(self, drain: Drain, order: BenchmarkStep) -> None:
         come, grown = drain.count, self._now()
         deadline, interval = self._deadline(order), max(_QUIET, 2 / order.rate)
         while come < order.count and self._now() < min(grown + interval, deadline):
@@ -444,7 +444,7 @@ class LinkBench(Extension):
             if drain.count > come:
                 come, grown = drain.count, self._now()
 
-    def _deadline(self, order: Order) -> float:
+    def _deadline(self, order: BenchmarkStep) -> float:
         """Return when to give up waiting for a run and its last messages."""
         return self._now() + 2 * order.count / order.rate + _QUIET
 

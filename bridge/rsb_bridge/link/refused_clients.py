@@ -308,7 +308,7 @@ class DuplicateClients:
             del self._tried[min(self._tried, key=self._tried.__getitem__)]
         self._tried[address, host] = now
 
-    def told(self, news: Duplicate, wall: float) -> None:
+    def take_news(self, news: Duplicate, wall: float) -> None:
         """Take the server's message about them, which is valid until the next one."""
         if not self._tried:
             self._since = wall

@@ -13,11 +13,11 @@ TYPE_HASH = "RIHS01_" + "0" * 64
 _PART = "rsb_bench"
 
 
-class Leave(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True):
+class BenchmarkLimits(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True):
     """Limits on the load that a measuring peer may cause in any hour.
 
     Attributes:
-        seconds: seconds of sending, by the peer or by this side on its order.
+        seconds: seconds of sending, by the peer or by this side at its request.
         max_rate: messages a second.
         megabytes: megabytes of payload.
     """
@@ -27,8 +27,8 @@ class Leave(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defaul
     megabytes: float = 4_000.0
 
 
-class Order(msgspec.Struct, frozen=True, omit_defaults=True):
-    """An order of a benchmark to a bridge.
+class BenchmarkStep(msgspec.Struct, frozen=True, omit_defaults=True):
+    """A step of a benchmark, which a bridge does.
 
     Attributes:
         what: ``run`` sends messages over a link; ``measure`` only reads the usage of the bridge's process so far;
@@ -76,10 +76,10 @@ class Usage(msgspec.Struct, frozen=True, omit_defaults=True):
 
 
 class Outcome(msgspec.Struct, frozen=True, omit_defaults=True):
-    """The result of an `Order`.
+    """The result of an `BenchmarkStep`.
 
     Attributes:
-        usage: usage of the process that got the order, at the end.
+        usage: usage of the process that did the step, at the end.
         sent: number of messages.
         received: number of messages.
         rate: Hz that the sending side reached.

@@ -58,8 +58,8 @@ class LinkFull(Wording):
     """Texts about a direction of a link that is full."""
 
     SHARE = "carries {rates}"
-    WARNING = "link full {way}: {share}; set max_rate, compression: zstd or priority"
-    WARNING_WITH_TOPICS = "link full {way}: {share} (most: {topics}); set max_rate, compression: zstd or priority"
+    WARNING = "link full {direction}: {share}; set max_rate, compression: zstd or priority"
+    WARNING_WITH_TOPICS = "link full {direction}: {share} (most: {topics}); set max_rate, compression: zstd or priority"
 
 
 class Fullness(msgspec.Struct, frozen=True, array_like=True, gc=False):
@@ -80,14 +80,14 @@ class Fullness(msgspec.Struct, frozen=True, array_like=True, gc=False):
         """Share that crosses: ``carries 25 of 48 kB/s``."""
         return LinkFull.SHARE(rates=rates_text(self.carried, self.asked))
 
-    def warning(self, way: str) -> str:
+    def warning(self, direction: str) -> str:
         """Return the warning for an operator.
 
         Args:
-            way: ``to`` or ``from`` and the peer.
+            direction: ``to`` or ``from`` and the peer.
         """
         text = LinkFull.WARNING_WITH_TOPICS if self.topics else LinkFull.WARNING
-        return text(way=way, share=self.share, topics=join_first(self.topics, _NAMED))
+        return text(direction=direction, share=self.share, topics=join_first(self.topics, _NAMED))
 
 
 def rates_text(part: float, whole: float) -> str:

@@ -11,7 +11,7 @@ from typing import ClassVar, Generic, TypeAlias, TypeVar
 
 import msgspec
 
-from rsb_bridge.model.benchmark import Order, Outcome
+from rsb_bridge.model.benchmark import BenchmarkStep, Outcome
 from rsb_bridge.model.history import HistoryReport
 from rsb_bridge.model.session import Client, Topic
 from rsb_bridge.model.snapshot import PeekedMessage, Reloaded, TopicInfo
@@ -269,12 +269,12 @@ class History(Command[HistoryReport], frozen=True, tag="history"):
 class Bench(Command[Outcome], frozen=True, tag="bench"):
     """Send messages over a link on a topic that no node has, and measure them.
 
-    The peer has to allow it (`rsb_bridge.model.benchmark.Leave`). The topic is removed some seconds after the last
-    order.
+    The peer has to allow it (`rsb_bridge.model.benchmark.BenchmarkLimits`). The topic is removed some seconds after the
+    last step.
     """
 
     right = Right.MEASURE
-    order: Order
+    order: BenchmarkStep
 
 
 class Stop(Command[None], frozen=True, tag="stop"):

@@ -1,4 +1,4 @@
-"""Names that have to be armed, or have a `max_age`. A session's demand belongs to the name, on every route."""
+"""Names that require arming, or have a `max_age`. A session's demand belongs to the name, on every route."""
 
 from __future__ import annotations
 
@@ -88,7 +88,7 @@ class Demand:
 
     @property
     def arm(self) -> bool:
-        """Whether it has to be armed."""
+        """Whether it requires arming."""
         return bool(self.sources)
 
 
@@ -367,7 +367,7 @@ def describe(source: Source, places: Mapping[SourceKey, str]) -> str:
 
 
 ARMED = 1.0
-"""The limit (s) of topics that have to be armed, unless a session sets another one."""
+"""The limit (s) of topics that require arming, unless a session sets another one."""
 
 
 def default_max_age(seconds: float | None, *, armed: bool) -> float | None:
@@ -527,7 +527,7 @@ class RunningDemands:
     def permit(self, sources: Collection[Source]) -> None:
         """Let demands go in the present change, as an operator has agreed to by name.
 
-        The other side is told now, before the change closes the routes; so nothing may refuse the change after this.
+        The other side learns of it now, before the change closes the routes: nothing may refuse the change after this.
         """
         self._permitted.update(sources)
         gone = {as_armed(each) for each in sources}

@@ -12,7 +12,7 @@ from typing import Any, Final, Literal
 
 import msgspec
 
-from rsb_bridge.model.benchmark import Leave
+from rsb_bridge.model.benchmark import BenchmarkLimits
 from rsb_bridge.model.patterns import is_pattern
 from rsb_bridge.model.profiles import Compression, ProfileName
 from rsb_bridge.model.qos import Qos, parse_qos
@@ -109,7 +109,7 @@ class Topic(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defaul
         stale_after: s without a message until a warning, 0 for no warning, or None for the session's.
         late_after: s that a message may take until the topic is late, 0 for no limit, or None for the session's.
         max_age: s; an older message or request is dropped instead of published, 0 for no limit, or None for
-            `rsb_bridge.model.demands.ARMED` on what has to be armed and no limit elsewhere.
+            `rsb_bridge.model.demands.ARMED` on what requires arming and no limit elsewhere.
         paused: the topic is set up, and carries nothing until it is resumed.
         arm: whether it carries nothing until an operator of either side arms it on a console.
         deadman: s without a key on that console after which it disarms, 0 for never, or None for `DEADMAN`.
@@ -216,7 +216,7 @@ class Client(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defau
     deny: tuple[str | Grant, ...] = ()
     topics: tuple[Topic, ...] = ()
     profile: ProfileName | None = None
-    bench: Leave | None = None
+    bench: BenchmarkLimits | None = None
     group: str | None = None
 
 
@@ -251,7 +251,7 @@ class Operator(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_def
 
 
 class Armed(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True):
-    """A name that has to be armed on this side, on every route.
+    """A name that requires arming on this side, on every route.
 
     Attributes:
         name: a name or a pattern on this side.
@@ -299,7 +299,7 @@ class Session(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defa
         on_fault: the command to run when a fault begins, changes or is over, or None. It is a list of words, or a text
             that `rsb_bridge.config.validation` splits into words as a shell would.
         topics: a client's topics.
-        armed: names and patterns on this side that have to be armed, with or without an entry.
+        armed: names and patterns on this side that require arming, with or without an entry.
         clients: the clients of a server, or empty for one client with the session's own name and key.
         ports: TCP and UDP ports that clients' topics may have on the server, or None for any 16 for each client.
         allow: on a client, the server's rights to bridge, as in `Client`. If empty, the server may read all topics, and
@@ -341,7 +341,7 @@ class Session(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defa
     ports: tuple[int, ...] | Literal["none"] | None = None
     shared_keys: bool = False
     profile: ProfileName | None = None
-    bench: Leave | None = None
+    bench: BenchmarkLimits | None = None
     zenoh: ZenohSettings | None = None
     operators: tuple[Operator, ...] = ()
     group: str | None = None

@@ -36,7 +36,7 @@ class State(StrEnum):
     """The topic was disarmed, and the other side may act on earlier messages for up to 1 s."""
     PAUSED = "paused"
     DISARMED = "disarmed"
-    """It has to be armed by an operator before anything crosses."""
+    """It requires arming by an operator before anything crosses."""
     OK = "ok"
 
     @property
@@ -171,7 +171,7 @@ class Ledger:
 
 @dataclass(frozen=True, slots=True)
 class ArmingSnapshot:
-    """Whether a topic that has to be armed is armed.
+    """Whether a topic that requires arming is armed.
 
     Attributes:
         armed: whether it is armed on this side.

@@ -21,7 +21,7 @@ class Cause(StrEnum):
     LOOP = "loop"
     PAUSED = "paused"
     DISARMED = "disarmed"
-    """It has to be armed by an operator before anything crosses."""
+    """It requires arming by an operator before anything crosses."""
     DISARMING = "disarming"
     """The topic was disarmed, and the other side may act on earlier messages for up to 1 s."""
     NO_PATH = "no_path"

@@ -201,7 +201,7 @@ _decode = msgspec.json.Decoder(Announcement).decode
 _ORDINARY = Origin(())
 
 
-class Told(NamedTuple):
+class AnnouncementContent(NamedTuple):
     """The contents of another bridge's announcement.
 
     Attributes:
@@ -217,7 +217,7 @@ class _Heard(NamedTuple):
     """A bridge's announcement."""
 
     size: int
-    told: Told
+    content: AnnouncementContent
 
 
 class _Inbox:
@@ -407,13 +407,13 @@ class Announcements:
 
     def origin_of(self, publisher: Endpoint) -> Origin | None:
         """Return a publisher's origin, or None if its bridge has not announced it or its node is unknown."""
-        return self._origin_of(publisher, lambda told: told.publishers.get(publisher.gid))
+        return self._origin_of(publisher, lambda content: content.publishers.get(publisher.gid))
 
     def origin_of_server(self, server: Endpoint, service: str) -> Origin | None:
         """Return the origin of a server's answers, or None as `origin_of` does."""
-        return self._origin_of(server, lambda told: told.services.get(service))
+        return self._origin_of(server, lambda content: content.services.get(service))
 
-    def _origin_of(self, endpoint: Endpoint, find: Callable[[Told], Origin | None]) -> Origin | None:
+    def _origin_of(self, endpoint: Endpoint, find: Callable[[AnnouncementContent], Origin | None]) -> Origin | None:
         own = self._own.origin_of(endpoint.gid)
         if own is not None:
             return own
@@ -423,7 +423,7 @@ class Announcements:
         if node not in self._by_node and node not in self._ordinary:
             self.look()
         if node in self._by_node:
-            found = (find(heard.told) for heard in self._by_node[node])
+            found = (find(heard.content) for heard in self._by_node[node])
             return next((origin for origin in found if origin is not None), None)
         if node not in self._ordinary:
             while len(self._ordinary) >= _ORDINARY_REMEMBERED:
@@ -489,7 +489,7 @@ class Announcements:
 
     def _hear(self, gid: bytes, payload: bytes) -> None:
         try:
-            told = read_announcement(payload)
+            content = read_announcement(payload)
         except AnnouncementError:
             self._heard.pop(gid, None)
             if self._warnings.take(1, self._loop.time()):
@@ -504,13 +504,13 @@ class Announcements:
             for other in self._heard.keys() - self._announcers.keys():
                 del self._heard[other]
         if self._has_room(len(payload)):
-            self._heard[gid] = _Heard(len(payload), told)
+            self._heard[gid] = _Heard(len(payload), content)
 
     def _has_room(self, size: int) -> bool:
         return len(self._heard) < MOST_BRIDGES and size + sum(heard.size for heard in self._heard.values()) <= _KEPT
 
 
-def read_announcement(payload: bytes) -> Told:
+def read_announcement(payload: bytes) -> AnnouncementContent:
     """Read another bridge's announcement.
 
     Args:
@@ -523,7 +523,7 @@ def read_announcement(payload: bytes) -> Told:
         announcement = _decode(string_bytes(payload))
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError):
         raise AnnouncementError("no announcement of a bridge") from None
-    return Told(
+    return AnnouncementContent(
         {bytes.fromhex(each.gid): Origin(each.via, each.live) for each in announcement.publishers},
         {each.service: Origin(each.via) for each in announcement.services},
     )

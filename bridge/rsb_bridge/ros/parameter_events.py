@@ -198,7 +198,7 @@ class ParameterEvents:
             qos: to subscribe with.
             node: its full name.
             sink: gets its events, on the ROS thread; and of what is no event at all, one of all sinks does.
-            on_failure: told once if the subscription fails, which then is closed.
+            on_failure: called once if the subscription fails, which then is closed.
 
         Raises:
             RosError: it cannot be subscribed to.

@@ -202,7 +202,7 @@ def _entry(ros: RosInterface, kind: Kind, name: str, type_name: str) -> TopicInf
     return TopicInfo(name, type_name, type_hash, None, len(servers), len(callers), kind)
 
 
-class Meant:
+class NameSuggester:
     """Finds an entry of the same name but another kind, or of a similar name.
 
     Args:

@@ -144,7 +144,7 @@ class MessageAge:
 
         Args:
             demands: limits of both sides: s, 0 for no limit, or None if a session sets none.
-            armed: whether it has to be armed.
+            armed: whether it requires arming.
             lifespan: s, of its publishers, or 0 for none.
         """
         self.max_age = effective_max_age(demands, armed=armed)

@@ -1,14 +1,17 @@
-"""The verdicts that all routes have in common: a link that is down, a pause, a limit and the like."""
+"""The verdicts and stages that all routes have in common: a link that is down, a pause, a limit and the like."""
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING, NamedTuple
 
-from rsb_bridge.model.snapshot import State
+from rsb_bridge.model.snapshot import Stage, State
 from rsb_bridge.model.verdict import FINE, Cause, Verdict
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
+
+_LINK_STAGE, ACCEPTED = "link up", "peer accepted"
+"""Names of stages."""
 
 
 class RouteStatus(NamedTuple):
@@ -17,9 +20,11 @@ class RouteStatus(NamedTuple):
     Attributes:
         sends: whether it is the sending half; of calls, the callers' half.
         topic: its name on this side.
+        far_topic: its name on the other side.
         domain_id: of this side.
-        link_down: the reason why the link is down, or empty.
-        refusal: the reason why the route is refused, or empty.
+        link_down: the reason why the link is down, which may be empty, or None if it is up.
+        accepted: whether both sides want it, False if it is refused, or None while the peer has not answered.
+        refusal: the reason why the route is refused, or was refused until shortly ago, or empty.
         loop: the reason why its messages or calls would loop, or empty.
         paused: whether an operator has paused it.
         paused_by: the operator, or empty if unknown.
@@ -27,17 +32,23 @@ class RouteStatus(NamedTuple):
         disarming: whether the other side may still act on messages from before it was disarmed.
         can_be_armed: whether an operator may arm it; if not, `disarmed` names the step that has to come first.
         no_path: the reason why its transport does not get through, or empty.
+        awaits_full_link: whether its stream only waits for a full link, so that `no_path` is no fault.
         breaking: the reason why its channel breaks before anything arrives, or empty.
         crowded_out: the reason why it yields to other routes of its link, or empty.
-        waits_for: the step that has to come before anything can cross.
+        flowing: whether messages or calls could cross now.
+        came: whether messages or calls have crossed since it was opened, or the receiving side keeps some of a latched
+            topic.
+        came_before: whether messages or calls crossed in an earlier opening, but none in this one.
         limit: Hz that an operator allows, or 0 for no limit.
         limited_by: the reason for the limit, in words.
     """
 
     sends: bool
     topic: str
+    far_topic: str = ""
     domain_id: int = 0
-    link_down: str = ""
+    link_down: str | None = None
+    accepted: bool | None = None
     refusal: str = ""
     loop: str = ""
     paused: bool = False
@@ -46,9 +57,12 @@ class RouteStatus(NamedTuple):
     disarming: bool = False
     can_be_armed: bool = True
     no_path: str = ""
+    awaits_full_link: bool = False
     breaking: str = ""
     crowded_out: str = ""
-    waits_for: str = ""
+    flowing: bool = False
+    came: bool = False
+    came_before: bool = False
     limit: float = 0.0
     limited_by: str = "set on purpose (max_rate)"
 
@@ -74,8 +88,41 @@ def blocked(status: RouteStatus) -> Verdict | None:
     return next((verdict for rule in _BLOCKING if (verdict := rule(status)) is not None), None)
 
 
+def stage(name: str, passed: bool, reason: str = "", *, failed: bool = False, note: str = "") -> Stage:
+    """Return a stage, with `note` if it has passed, or else with the reason."""
+    done = False if failed else passed or None
+    return Stage(name, done, note if done else reason)
+
+
+def link_and_acceptance(status: RouteStatus) -> tuple[Stage, Stage]:
+    """Return the stages of the link, which needs a working channel, and of the peer's acceptance."""
+    trouble = status.no_path or status.link_down or ""
+    failed = bool(status.no_path) or status.link_down is not None
+    refused = status.accepted is False
+    return (
+        stage(_LINK_STAGE, not failed, trouble, failed=failed),
+        stage(ACCEPTED, bool(status.accepted), status.refusal if refused else "", failed=refused),
+    )
+
+
+def as_known(status: RouteStatus, stages: tuple[Stage, ...]) -> tuple[Stage, ...]:
+    """Return the stages as far as they are known: without a link, only the link's is."""
+    if status.link_down is None:
+        return stages
+    return tuple(each if each.name == _LINK_STAGE else Stage(each.name, None) for each in stages)
+
+
+def first_missing(stages: Iterable[Stage]) -> str:
+    """Return the stage that has to pass before anything can cross; failed ones come before undecided ones."""
+    missing = [each for each in stages if not each.done]
+    first = next((each for each in missing if each.done is False), None) or next(iter(missing), None)
+    return (first.detail or first.name) if first else ""
+
+
 def _no_path(status: RouteStatus) -> Verdict | None:
-    return Verdict(State.DOWN, Cause.NO_PATH, status.no_path) if status.no_path else None
+    if not status.no_path or status.awaits_full_link:
+        return None
+    return Verdict(State.DOWN, Cause.NO_PATH, status.no_path)
 
 
 def _throttled(status: RouteStatus) -> Verdict | None:
@@ -85,7 +132,9 @@ def _throttled(status: RouteStatus) -> Verdict | None:
 
 
 def _link(status: RouteStatus) -> Verdict | None:
-    return Verdict(State.DOWN, Cause.LINK_DOWN, status.link_down) if status.link_down else None
+    if status.link_down is None:
+        return None
+    return Verdict(State.DOWN, Cause.LINK_DOWN, status.link_down or "the link is down")
 
 
 def _breaking(status: RouteStatus) -> Verdict | None:

@@ -55,7 +55,7 @@ _SAID_ELSEWHERE = frozenset(
     }
 )  # fmt: skip
 """Causes that have events of their own, on both sides."""
-_TOLD = frozenset({State.DOWN, State.STALE, State.STOPPED, State.LATE, State.SLOW, State.UNHEARD})
+_ANNOUNCED = frozenset({State.DOWN, State.STALE, State.STOPPED, State.LATE, State.SLOW, State.UNHEARD})
 
 
 class Shown(NamedTuple):
@@ -196,7 +196,7 @@ class Announcer:
             return self._over()
         if verdict.state is State.WAITING:
             return self._waiting(verdict, now)
-        if verdict.state not in _TOLD or verdict.cause in _SAID_ELSEWHERE:
+        if verdict.state not in _ANNOUNCED or verdict.cause in _SAID_ELSEWHERE:
             return None
         if verdict.cause == Cause.NO_SUBSCRIBER and not self._heard:
             return None  # nobody has been there yet, which the screen shows

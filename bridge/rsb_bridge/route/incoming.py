@@ -14,7 +14,7 @@ from rsb_bridge.channel.channel import ReceivingChannel
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.demands import full_type
 from rsb_bridge.model.qos import incompatible, match_subscriptions
-from rsb_bridge.model.snapshot import Ledger, Level, Stage, State
+from rsb_bridge.model.snapshot import Ledger, Level, State
 from rsb_bridge.model.text import sanitize_text
 from rsb_bridge.model.verdict import Cause
 from rsb_bridge.ros.ros_graph import type_hint
@@ -35,7 +35,7 @@ from rsb_bridge.route.source_publishers import (
     bounded,
 )
 from rsb_bridge.route.topic_route import TopicRoute
-from rsb_bridge.route.topic_verdict import no_subscriber
+from rsb_bridge.route.topic_verdict import TopicProgress
 from rsb_bridge.wire.framing import HISTORY, LEASED, SOURCE_SHIFT, ZSTD, Message
 from rsb_bridge.wire.headers import PUBLISHER_ID_LENGTH, HistoryHeader, split_history
 from rsb_bridge.wire.messages import Describe, Propose, Ready, Refuse
@@ -50,7 +50,6 @@ if TYPE_CHECKING:
     from rsb_bridge.model.session import Topic
     from rsb_bridge.route.arming import Disarmed
     from rsb_bridge.route.route import Owner
-    from rsb_bridge.route.topic_verdict import Facts
 
 _INCOMPLETE_IN_A_ROW = 3
 _ASKED_EVERY = 0.9
@@ -64,12 +63,12 @@ _LATENCIES = ("latency", "latency_p50", "latency_p99")
 
 
 def _with_latencies(
-    told: SentReport | ReceivedReport | None, report: ReceivedReport
+    before: SentReport | ReceivedReport | None, report: ReceivedReport
 ) -> SentReport | ReceivedReport | None:
     """Return an earlier report with the latencies of a newer one, which are no news without new messages."""
-    if not isinstance(told, ReceivedReport):
-        return told
-    return msgspec.structs.replace(told, **{name: getattr(report, name) for name in _LATENCIES})
+    if not isinstance(before, ReceivedReport):
+        return before
+    return msgspec.structs.replace(before, **{name: getattr(report, name) for name in _LATENCIES})
 
 
 class _NotPublishedError(Exception):
@@ -452,8 +451,8 @@ class IncomingRoute(TopicRoute[ReceivingChannel]):
         a report after some time.
         """
         report = self._received_report()
-        told, self._told_report = self._told_report, report
-        if report == _with_latencies(told, report) and not (self._sender_ledger.in_flight and self.life.ready):
+        before, self._last_report = self._last_report, report
+        if report == _with_latencies(before, report) and not (self._sender_ledger.in_flight and self.life.ready):
             return None
         verdict = lasting(report.verdict, self.verdict(), self.context.now())
         return msgspec.structs.replace(report, verdict=verdict)
@@ -481,8 +480,26 @@ class IncomingRoute(TopicRoute[ReceivingChannel]):
             came_before=self.came_before,
         )
 
-    def facts(self) -> Facts:
-        return super().facts()._replace(matched=self._subscribers)
+    def progress(self) -> TopicProgress:
+        report, peer = self._report if self._is_reported else None, self.judged.peer
+        return TopicProgress(
+            self.endpoints,
+            publishers=report.publishers if report else None,
+            described=self.life.described,
+            type_name=self.type_name,
+            qos=self.qos,
+            why_unresolved=peer.text,
+            clash=self._clash or (peer.text if peer.cause == Cause.QOS_INCOMPATIBLE else ""),
+            subscribed=report is not None and report.subscribed,
+            subscribe_failed=self._failure,
+            sent=report.offered if report else 0,
+            received=self._received,
+            published=self._delivered,
+            kept=self.has_kept,
+            undelivered="" if self._received else self.notices.undelivered,
+            subscribers=self._subscribers,
+            deaf=self.endpoints,
+        )
 
     @property
     def has_kept(self) -> bool:
@@ -500,49 +517,8 @@ class IncomingRoute(TopicRoute[ReceivingChannel]):
         peer = self.judged.peer
         return peer.text if peer.cause == Cause.SUBSCRIBE_FAILED else ""
 
-    @property
-    def awaits_report(self) -> bool:
-        return not self._is_reported
-
     def end_nodes(self) -> tuple[tuple[str, ...], tuple[str, ...]]:
         return self._report.nodes if self._report else (), node_names(self.endpoints)
 
     def end_qos(self) -> tuple[Qos | None, Qos | None]:
         return self._report.publisher_qos if self._report else None, self._subscriber_qos
-
-    def _stages(self) -> tuple[Stage, ...]:
-        """Return the stages from the publisher there to the subscriber here."""
-        report = self._report if self._is_reported else None
-        known = bool(self.type_name)
-        publishers = report.publishers if report else 0
-        clash = self._clash or (self.judged.peer.text if self.judged.peer.cause == Cause.QOS_INCOMPATIBLE else "")
-        return (
-            Stage(
-                "publisher seen",
-                publishers > 0 if report else None,
-                "" if publishers or not report else f"no publisher of {self.topic} on the other side",
-            ),
-            Stage("type known", known or None, self.type_name if known else self.judged.peer.text),
-            Stage("QoS compatible", not clash if known else None, clash),
-            Stage(
-                "subscribed",
-                False if self.notices.loop or self._failure else (report is not None and report.subscribed) or None,
-                self.notices.loop or self._failure,
-            ),
-            self._link_stage(),
-            self._accepted_stage(),
-            Stage("sent", (report is not None and report.offered > 0) or self.has_kept or None),
-            Stage(
-                "received",
-                self._received > 0 or self.has_kept or None,
-                "" if self._received else self.notices.undelivered,
-            ),
-            Stage("published", self._delivered > 0 or self.has_kept or None),
-            Stage(
-                "subscriber seen",
-                self._subscribers > 0 or None,
-                ""
-                if self._subscribers
-                else no_subscriber(self.remote_topic, f"in domain {self.context.domain_id}", self.endpoints),
-            ),
-        )

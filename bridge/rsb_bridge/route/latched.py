@@ -48,7 +48,7 @@ class LatchedFullError(Exception):
         )
 
 
-class _Output:
+class _OutputHistory:
     """A publisher here, and what it keeps.
 
     Attributes:
@@ -82,8 +82,8 @@ class _History:
 
     seen_at: float
     newest: int = 0
-    outputs: list[_Output] = field(default_factory=list)
-    waiting: deque[tuple[_Output, bytes, Callable[[], bool] | None]] = field(default_factory=deque)
+    outputs: list[_OutputHistory] = field(default_factory=list)
+    waiting: deque[tuple[_OutputHistory, bytes, Callable[[], bool] | None]] = field(default_factory=deque)
 
 
 class LatchedTopic:
@@ -115,11 +115,11 @@ class LatchedTopic:
         self._budget = budget
         self._failed = failed
         self._histories: dict[bytes, _History] = {}
-        self._retired: deque[tuple[float, _Output]] = deque()
+        self._retired: deque[tuple[float, _OutputHistory]] = deque()
         self._present: frozenset[bytes] = frozenset()
         self._timer: asyncio.TimerHandle | None = None
         self._first_depth = depth
-        self._spare: _Output | None = None
+        self._spare: _OutputHistory | None = None
         self._spare = self._output(depth)
 
     @property
@@ -215,7 +215,7 @@ class LatchedTopic:
         self._drop_older(history, number - depth)
         return True
 
-    def _output_for(self, history: _History, number: int, depth: int) -> _Output:
+    def _output_for(self, history: _History, number: int, depth: int) -> _OutputHistory:
         """Return the output for the next message of a history, so that just the newest `depth` are kept."""
         outputs = history.outputs
         if outputs and outputs[-1].depth == depth:
@@ -245,13 +245,13 @@ class LatchedTopic:
 
     # --- outputs
 
-    def _outputs(self) -> Iterator[_Output]:
+    def _outputs(self) -> Iterator[_OutputHistory]:
         if self._spare is not None:
             yield self._spare
         for history in self._histories.values():
             yield from history.outputs
 
-    def _output(self, depth: int) -> _Output:
+    def _output(self, depth: int) -> _OutputHistory:
         """Return an output of that depth, the spare one if it fits."""
         spare = self._spare
         if spare is not None and spare.depth == depth:
@@ -260,7 +260,7 @@ class LatchedTopic:
         if not self._budget.take(PUBLISHER_COST):
             raise LatchedFullError
         try:
-            return _Output(self._advertise(depth), depth, self._loop.time())
+            return _OutputHistory(self._advertise(depth), depth, self._loop.time())
         except RosError:
             self._budget.give(PUBLISHER_COST)
             raise
@@ -277,17 +277,17 @@ class LatchedTopic:
             except (RosError, LatchedFullError) as error:
                 self._failed(error)
 
-    def _retire(self, outputs: Iterable[_Output]) -> None:
+    def _retire(self, outputs: Iterable[_OutputHistory]) -> None:
         """Close outputs a little later: their last messages may still be on their way to a subscriber."""
         now = self._loop.time()
         self._retired.extend((now, output) for output in outputs)
 
-    def _close(self, output: _Output) -> None:
+    def _close(self, output: _OutputHistory) -> None:
         output.publisher.close()
         self._budget.give(PUBLISHER_COST + sum(size for _, size in output.kept))
         output.kept.clear()
 
-    def _matched(self, output: _Output, now: float) -> bool:
+    def _matched(self, output: _OutputHistory, now: float) -> bool:
         """Whether those who have discovered the other publishers have discovered an output's, or had time to."""
         if now - output.made_at >= _MATCHED_WITHIN:
             return True

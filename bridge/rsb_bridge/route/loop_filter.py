@@ -76,7 +76,7 @@ class SourceTable:
         self._one_place = False
         self._numbers: dict[bytes, int] = {}
         self._first_seen: dict[bytes, float] = {}
-        self._told = 0
+        self._described = 0
         self._answers_due = 0
         self._accepted = 0
 
@@ -122,7 +122,7 @@ class SourceTable:
             numbers[each.gid] = number
             if each.live:
                 live.add(number)
-            if self._accepted <= number < self._told and not self._answers_due:
+            if self._accepted <= number < self._described and not self._answers_due:
                 too_far.append(each)
         self._one_place = hop in there
         self._hop = hop
@@ -145,7 +145,7 @@ class SourceTable:
 
     def described(self) -> None:
         """Note that the present sources were sent to the peer; it answers each time."""
-        self._told = len(self.sources)
+        self._described = len(self.sources)
         self._answers_due += 1
 
     def answered(self, accepted: int) -> None:
@@ -163,7 +163,7 @@ class SourceTable:
         number = self._numbers.get(gid, HELD)
         if number < self._accepted:
             return number
-        return HELD if self._answers_due or number >= self._told else LEFT_OUT
+        return HELD if self._answers_due or number >= self._described else LEFT_OUT
 
     def knows(self, gid: bytes) -> bool:
         """Whether `update` has seen a publisher."""
@@ -320,6 +320,8 @@ class LoopFilter:
     def left_out(self) -> str:
         """Return the nodes whose messages are left out, as the end of a sentence, or an empty string."""
         words = ""
+        if not self.table.echoes and not self.table.too_far:  # as nearly always
+            return words
         if echoes := _nodes(self.table.echoes):
             words += f"; left out: messages from {echoes}, which come from the other side"
         if too_far := _nodes(self.table.too_far):

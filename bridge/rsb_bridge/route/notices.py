@@ -39,19 +39,19 @@ class Notices:
         self.last_error = ""
         self.undelivered = ""
         self._log = log
-        self._told = ""
+        self._reported = ""
         self._doubted = ""
 
     def error(self, code: EventCode, reason: str, level: Level = Level.ERROR) -> None:
         """Report that the route has failed; until messages flow, the same reason is not repeated."""
         self.last_error = reason
-        if reason != self._told:
-            self._told = reason
+        if reason != self._reported:
+            self._reported = reason
             self._log(level, code, reason)
 
     def flowing(self) -> None:
         """Note that messages flow, so that every later failure is reported."""
-        self._told = self.undelivered = ""
+        self._reported = self.undelivered = ""
 
     def message_error(self, code: EventCode, reason: str) -> None:
         """Report that a message could not be carried, although others can."""
@@ -65,7 +65,7 @@ class Notices:
         if reason and not self.loop:
             self.error(EventCode.ROUTE_LOOP, reason)
         elif self.loop and not reason:
-            self._told = ""
+            self._reported = ""
             self._log(Level.INFO, EventCode.ROUTE_LOOP_GONE, "messages would no longer loop")
         self.loop = reason
 

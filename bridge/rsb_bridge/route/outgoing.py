@@ -14,7 +14,7 @@ from rsb_bridge.channel.channel import SendingChannel
 from rsb_bridge.channel.datagram_channel import DatagramSender
 from rsb_bridge.channel.receipts import WindowedSender
 from rsb_bridge.model.codes import EventCode
-from rsb_bridge.model.snapshot import Ledger, Level, Stage
+from rsb_bridge.model.snapshot import Ledger, Level
 from rsb_bridge.ros.ros_interface import RosError
 from rsb_bridge.route.arming import without_history
 from rsb_bridge.route.combined_verdict import lasting, node_names, record_of
@@ -23,11 +23,11 @@ from rsb_bridge.route.ledger import RouteLedger, reported_drops
 from rsb_bridge.route.lifecycle import Event
 from rsb_bridge.route.loop_filter import LoopFilter
 from rsb_bridge.route.peer import TypeUse
-from rsb_bridge.route.resolving import MessageType, Resolver, qos_clash
+from rsb_bridge.route.resolving import MessageType, Resolver
 from rsb_bridge.route.sending import OutgoingPath
 from rsb_bridge.route.topic_route import MEASURED_FOR, TopicRoute
 from rsb_bridge.route.topic_subscription import SubscriptionSpec, TopicSubscription
-from rsb_bridge.route.topic_verdict import LATELY, no_subscriber
+from rsb_bridge.route.topic_verdict import LATELY, TopicProgress
 from rsb_bridge.telemetry.watches import LossWatch, SlowWatch, StopWatch
 from rsb_bridge.transport.transport import DatagramTransport
 from rsb_bridge.wire.fields import MOST_PUBLISHERS
@@ -430,7 +430,7 @@ class OutgoingRoute(TopicRoute[SendingChannel]):
             self._shortest = report.latency if self._shortest is None else min(self._shortest, report.latency)
             # In a queue one message takes as long as the next; where they do not, the path is uneven, not full.
             self.longer = max(0.0, report.latency - self._shortest - _JITTERS * max(0.0, report.jitter or 0.0))
-        self.latency.told(report.latency_p50, report.latency_p99, report.jitter)
+        self.latency.take_reported(report.latency_p50, report.latency_p99, report.jitter)
 
     def ledger(self) -> Ledger:
         """Return the ledger, by the peer's last report."""
@@ -440,9 +440,9 @@ class OutgoingRoute(TopicRoute[SendingChannel]):
     def news(self) -> SentReport | None:
         """Return the report to send to the peer now, or None if nothing has changed."""
         report = self._sent_report()
-        if report == self._told_report:
+        if report == self._last_report:
             return None
-        self._told_report = report
+        self._last_report = report
         verdict = lasting(report.verdict, self.verdict(), self.context.now())
         return msgspec.structs.replace(report, verdict=verdict)
 
@@ -491,17 +491,42 @@ class OutgoingRoute(TopicRoute[SendingChannel]):
     def end_nodes(self) -> tuple[tuple[str, ...], tuple[str, ...]]:
         return node_names(self.endpoints), self._report.nodes if self._report else ()
 
-    def facts(self) -> Facts:
-        unresolved = self._resolver.unresolved
-        facts, full = super().facts(), self.peer.full_out is not None or self.peer.fullness_undecided
-        facts = facts._replace(
+    def progress(self) -> TopicProgress:
+        report, unresolved = self._report, self._resolver.unresolved
+        looks = self.accepted and not self.paused
+        return TopicProgress(
+            self.endpoints,
+            publishers=len(self.endpoints) if self.endpoints or looks else None,
+            loop_note=self._loop_filter.left_out(),
             similar=self._resolver.similar,
-            status=facts.status._replace(breaking="" if full else self.losses.repeated),
+            described=self.life.described,
+            type_name=self.type_name,
+            qos=self.qos,
+            unresolved=None if unresolved is None else unresolved.cause,
+            why_unresolved=self._resolver.why(),
+            subscribed=self._subscribed,
             subscribe_failed=self._failure,
-            unresolved=(unresolved.cause, self._resolver.why()) if unresolved and self.accepted else None,
-            left_out=self.notices.warning,
-            rate=self.meter.rate,
-            datagrams=self._datagrams(),
+            sent=self._ledger.sent_now,
+            received=self._ledger.received_now,
+            published=self._ledger.delivered_now,
+            kept=self.has_kept,
+            subscribers=report.subscribers if report else None,
+            deaf=report.nodes if report else (),
+        )
+
+    @property
+    def breaking(self) -> str:
+        return "" if self.peer.full_out is not None or self.peer.fullness_undecided else self.losses.repeated
+
+    def facts(self) -> Facts:
+        facts = (
+            super()
+            .facts()
+            ._replace(
+                left_out=self.notices.warning,
+                rate=self.meter.rate,
+                datagrams=self._datagrams(),
+            )
         )
         facts = self._health.added_to(facts)
         loss = facts.loss
@@ -536,37 +561,3 @@ class OutgoingRoute(TopicRoute[SendingChannel]):
         if not isinstance(self.channel, DatagramSender) or not self.meter.count or not self.channel.ready:
             return 0
         return self.channel.datagrams(self.meter.bytes // self.meter.count)
-
-    def _stages(self) -> tuple[Stage, ...]:
-        """Return the stages from the publisher here to the subscriber there."""
-        report = self._report
-        known = self.life.described
-        publishers = len(self.endpoints)
-        looks = self.accepted and not self.paused
-        failed = self._resolver.unresolved.stage if self._resolver.unresolved else ""
-        clash = qos_clash(self.endpoints, self.type_name, self.qos)
-        failure = self.notices.loop or self._failure
-        return (
-            Stage(
-                "publisher seen",
-                publishers > 0 or (False if looks else None),
-                f"{publishers}{self._loop_filter.left_out()}" if publishers else self._resolver.no_publisher(),
-            ),
-            Stage(
-                "type known",
-                known or (False if failed == "type known" else None),
-                self.type_name if known else self._resolver.why(),
-            ),
-            Stage("QoS compatible", not clash if known else None, clash),
-            Stage("subscribed", False if failure else self._subscribed or None, failure),
-            self._link_stage(),
-            self._accepted_stage(),
-            Stage("sent", self._ledger.sent_now > 0 or self.has_kept or None),
-            Stage("received", self._ledger.received_now > 0 or self.has_kept or None),
-            Stage("published", self._ledger.delivered_now > 0 or self.has_kept or None),
-            Stage(
-                "subscriber seen",
-                (report is not None and report.subscribers > 0) or None,
-                "" if report is None or report.subscribers else no_subscriber(self.remote_topic, "there", report.nodes),
-            ),
-        )

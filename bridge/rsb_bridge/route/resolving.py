@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import msgspec
 
 from rsb_bridge.model.names import expand_type_name
-from rsb_bridge.model.qos import incompatible, match_publishers
+from rsb_bridge.model.qos import match_publishers
 from rsb_bridge.model.text import join_first
 from rsb_bridge.model.verdict import Cause
 from rsb_bridge.route.topic_verdict import no_publisher
@@ -60,13 +60,11 @@ class UnresolvedError(Exception):
     """The type or the QoS is not known yet; the message says why, and is empty where there is no publisher.
 
     Attributes:
-        stage: the one that fails.
         cause: of it.
     """
 
-    def __init__(self, stage: str, why: str, *, cause: Cause) -> None:
+    def __init__(self, why: str, *, cause: Cause) -> None:
         super().__init__(why)
-        self.stage = stage
         self.cause = cause
 
     @property
@@ -110,7 +108,7 @@ class Resolver:
         try:
             resolved = resolve(self._proposal, self._publishers, self.publisher_qos, used, self.hint, self._context.ros)
             if not loop_filter.table.to_describe():
-                raise UnresolvedError("publisher seen", loop_filter.unexplained(), cause=Cause.NO_MESSAGE)
+                raise UnresolvedError(loop_filter.unexplained(), cause=Cause.NO_MESSAGE)
         except UnresolvedError as error:
             self.unresolved = error
             return None
@@ -154,10 +152,10 @@ def resolve(
     wanted = "" if proposal.type in ("", "auto") else expand_type_name(proposal.type)
     name, type_hash = choose_type(publishers, wanted, used, hint, ros.installed_hash)
     if not name:
-        raise UnresolvedError("publisher seen", "", cause=Cause.NO_PUBLISHER)
+        raise UnresolvedError("", cause=Cause.NO_PUBLISHER)
     if not type_hash:
         why = f"{name} is not installed here, and nobody publishes it yet"
-        raise UnresolvedError("type known", why, cause=Cause.TYPE_UNKNOWN)
+        raise UnresolvedError(why, cause=Cause.TYPE_UNKNOWN)
     warning = left_out(publishers, wanted, name)
     if warning:
         publisher_qos = match_publishers([each.qos for each in publishers if each.type_name == name])
@@ -165,7 +163,7 @@ def resolve(
     if qos is None and publisher_qos is not None:
         qos = msgspec.structs.replace(publisher_qos, depth=0)
     if qos is None:
-        raise UnresolvedError("publisher seen", "", cause=Cause.NO_PUBLISHER)
+        raise UnresolvedError("", cause=Cause.NO_PUBLISHER)
     return Resolved(name, type_hash, qos, warning)
 
 
@@ -223,7 +221,7 @@ def left_out(publishers: Sequence[Endpoint], wanted: str, sent: str) -> str:
 
 
 def _clash(why: str) -> UnresolvedError:
-    return UnresolvedError("type known", why, cause=Cause.TYPE_CONFLICT)
+    return UnresolvedError(why, cause=Cause.TYPE_CONFLICT)
 
 
 def _nodes_by(publishers: Iterable[Endpoint], kind: Callable[[Endpoint], str]) -> dict[str, list[str]]:
@@ -239,11 +237,3 @@ def _named(nodes: dict[str, list[str]]) -> str:
     """Types or versions, each with its nodes."""
     parts = [f"{key} (from {join_first(names, _MOST_NODES)})" if names else key for key, names in nodes.items()]
     return join_first(parts, _MOST_TYPES)
-
-
-def qos_clash(publishers: Iterable[Endpoint], type_name: str, qos: Qos | None) -> str:
-    """Return the reason why a subscription with this QoS misses messages of a type, or an empty string."""
-    if qos is None:
-        return ""
-    clashes = (incompatible(each.qos, qos) for each in publishers if each.type_name == type_name)
-    return next(filter(None, clashes), "")

@@ -17,7 +17,7 @@ from rsb_bridge.model.budgets import Backoff
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.limits import MAX_AGE_FEATURE
 from rsb_bridge.model.session import HIGHEST, RANKS, priority_of
-from rsb_bridge.model.snapshot import Level, RouteSnapshot, Stage
+from rsb_bridge.model.snapshot import Level, RouteSnapshot
 from rsb_bridge.model.text import sanitize_text
 from rsb_bridge.route.age import MessageAge
 from rsb_bridge.route.arming import DISARM_TEXT, Arming, Disarmed, Settling
@@ -38,6 +38,7 @@ if TYPE_CHECKING:
     from rsb_bridge.context import Context
     from rsb_bridge.model.capacity import Fullness
     from rsb_bridge.model.session import Topic
+    from rsb_bridge.model.snapshot import Stage
     from rsb_bridge.model.verdict import Verdict
     from rsb_bridge.ros.ros_interface import Endpoint
     from rsb_bridge.route.combined_verdict import Announcement
@@ -45,7 +46,6 @@ if TYPE_CHECKING:
     from rsb_bridge.wire.framing import Message
     from rsb_bridge.wire.records import CallsReport, ReceivedReport, SentReport
 
-_LINK_STAGE = "link up"
 _FIRST_PAUSE, _LONGEST_PAUSE = 1.0, 10.0
 _PROPOSED_WITHIN = 3.0
 _REFUSED_WITHIN = 5.0
@@ -156,9 +156,29 @@ class Route:
     def _may_flow(self) -> None:
         """Restart all measurements over time, because messages may cross from now on."""
 
-    def _stages(self) -> tuple[Stage, ...]:
+    def stages(self) -> tuple[Stage, ...]:
         """Return the steps of a message's or a call's path."""
         raise NotImplementedError
+
+    @property
+    def came(self) -> bool:
+        """Whether messages or calls came in this opening, or the receiving side keeps some of a latched topic."""
+        raise NotImplementedError
+
+    @property
+    def came_before(self) -> bool:
+        """Whether messages or calls came in an earlier opening, and none in this one."""
+        raise NotImplementedError
+
+    @property
+    def breaking(self) -> str:
+        """The reason why its channel breaks before anything arrives, or an empty string."""
+        return ""
+
+    @property
+    def crowded_out(self) -> str:
+        """The reason why it yields to other routes of its link, or an empty string."""
+        return ""
 
     def _judge(self) -> Verdict:
         raise NotImplementedError
@@ -181,22 +201,6 @@ class Route:
             self._warned_of = self.peer.instance
             text = "only this side drops messages older than max_age: update the other side's rsb-console"
             self.log(Level.WARNING, EventCode.ROUTE_MAX_AGE_ONE_SIDED, text)
-
-    def stages(self) -> tuple[Stage, ...]:
-        """Return the steps of a message's path; without a link, the state of all others is unknown."""
-        steps = self._stages()
-        if self.peer.linked:
-            return steps
-        return tuple(step if step.name == _LINK_STAGE else Stage(step.name, None) for step in steps)
-
-    def _link_stage(self) -> Stage:
-        """Return the step of the link: the peer is connected and the route's channel works."""
-        trouble = self.trouble()
-        return Stage(_LINK_STAGE, self.peer.linked and not trouble, trouble or self.peer.down_reason)
-
-    def _accepted_stage(self) -> Stage:
-        """Return the step of the peer's acceptance."""
-        return Stage("peer accepted", False if self.refusal else self.accepted or None, self.refusal)
 
     @property
     def rank(self) -> int:
@@ -232,7 +236,7 @@ class Route:
         return self.life.refusal
 
     @property
-    def standing_refusal(self) -> str:
+    def shown_refusal(self) -> str:
         """The refusal to show to operators: the last one, until a retry succeeds."""
         if self.id and (self.life.ready or self.context.now() - self.opened_at >= _REFUSED_WITHIN):
             self._refused = ""
@@ -428,11 +432,6 @@ class Route:
         return self.channel.trouble() if self.channel is not None else ""
 
     @property
-    def awaits_report(self) -> bool:
-        """Whether only the other side knows the first steps and has not yet reported on this opening."""
-        return False
-
-    @property
     def connected(self) -> bool:
         """Whether there is a path for messages; messages in transit when the route is paused still arrive."""
         return self.accepted and self.channel is not None and self.channel.ready
@@ -444,26 +443,41 @@ class Route:
 
     # --- verdict
 
+    def setup(self) -> RouteStatus:
+        """Return the part of the status that stages follow from. Every snapshot needs it, so the rest is left out."""
+        here, there = (self.topic, self.remote_topic) if self.outgoing else (self.remote_topic, self.topic)
+        refusal = self.life.refusal
+        return RouteStatus(
+            self.outgoing,
+            here,
+            there,
+            self.context.domain_id,
+            link_down=None if self.peer.linked else self.peer.down_reason,
+            accepted=False if refusal else self.life.accepted or None,
+            refusal=refusal,
+            loop=self.notices.loop,
+            no_path=self.trouble(),
+        )
+
     def status(self) -> RouteStatus:
         """Return the part of this half's knowledge that does not depend on what the route carries."""
         now = self.context.now()
         stands, overdue = self.arming.stands(now), self.arming.overdue(now)
         why_not = self._why_not_armable()
-        return RouteStatus(
-            sends=self.outgoing,
-            topic=self.local_topic,
-            domain_id=self.context.domain_id,
-            link_down="" if self.peer.linked else self.peer.down_reason or "the link is down",
-            refusal=self.standing_refusal,
-            loop=self.notices.loop,
+        return self.setup()._replace(
+            refusal=self.shown_refusal,
             paused=self.paused,
             paused_by=self.pausing.who,
             disarmed=self._disarmed_text(stands, why_not or overdue),
             disarming=self.settling.under_way
             or (self.outgoing and self.arming.armed and overdue is not None and not stands),
             can_be_armed=why_not is None,
-            no_path=self._path_trouble(),
-            waits_for="" if self.flowing else self._first_missing(),
+            breaking=self.breaking,
+            crowded_out=self.crowded_out,
+            awaits_full_link=self.link_full is not None and self.transport.reliable,
+            flowing=self.flowing,
+            came=self.came,
+            came_before=self.came_before,
             limit=self.limit.rate,
             limited_by=self.limit.why,
         )
@@ -478,19 +492,6 @@ class Route:
         if LEASE_FEATURE not in self.peer.features:
             return Disarmed.PEER_TOO_OLD
         return Disarmed.LINK_SLOW if self.arming.why is Disarmed.LINK_SLOW else None
-
-    def _path_trouble(self) -> str:
-        """Return the reason why its channel does not get through; a stream that waits on a full link is none."""
-        return "" if self.link_full is not None and self.transport.reliable else self.trouble()
-
-    def _first_missing(self) -> str:
-        """Return the first missing step; failed steps come before undecided ones."""
-        missing = [stage for stage in self.stages() if not stage.done]
-        first = next((stage for stage in missing if stage.done is False), None)
-        if first is None and self.awaits_report:
-            return "the other side's report" if self.accepted else self._accepted_stage().name
-        first = first or next(iter(missing), None)
-        return (first.detail or first.name) if first else ""
 
     def verdict(self) -> Verdict:
         """Return this side's verdict, made at the last tick or at a later change by an operator or the peer."""

@@ -194,7 +194,7 @@ class Outbox:
         transport: what carries the route.
         proposal: what the two sides have agreed on.
         ledger: the route's.
-        failed: told of a message that the transport does not carry.
+        failed: called for a message that the transport does not carry.
         age: how old the messages may be when they are sent, or None for any age.
 
     Attributes:

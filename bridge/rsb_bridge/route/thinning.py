@@ -243,7 +243,7 @@ class Thinning:
 
     # --- the share of the link
 
-    def told(self, share: Share | None, *, low: bool, qos: Qos | None, now: float) -> None:
+    def take_share(self, share: Share | None, *, low: bool, qos: Qos | None, now: float) -> None:
         """Take a share at `now` (s).
 
         Args:

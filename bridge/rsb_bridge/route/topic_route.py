@@ -11,7 +11,7 @@ from rsb_bridge.route.lateness import Late, LateWatch
 from rsb_bridge.route.peeking import PeekSlot
 from rsb_bridge.route.route import Route
 from rsb_bridge.route.thinning import Thinning, why
-from rsb_bridge.route.topic_verdict import LOSS_CAUSES, Facts, judge
+from rsb_bridge.route.topic_verdict import LOSS_CAUSES, Facts, judge, topic_stages
 from rsb_bridge.telemetry.meters import LatencyMeter, StaleWatch
 
 if TYPE_CHECKING:
@@ -21,9 +21,10 @@ if TYPE_CHECKING:
     from rsb_bridge.context import Context
     from rsb_bridge.model.qos import Qos
     from rsb_bridge.model.session import Session, Topic
-    from rsb_bridge.model.snapshot import Ledger, RouteSnapshot
+    from rsb_bridge.model.snapshot import Ledger, RouteSnapshot, Stage
     from rsb_bridge.model.verdict import Verdict
     from rsb_bridge.route.route import Owner
+    from rsb_bridge.route.topic_verdict import TopicProgress
     from rsb_bridge.wire.messages import Propose
     from rsb_bridge.wire.records import ReceivedReport, SentReport
 
@@ -141,7 +142,7 @@ class TopicRoute(Route, Generic[ChannelT]):
         self.set_stale_after()
         self.peek_slot = PeekSlot()
         self.thinning = Thinning(context.now())
-        self._told_report: SentReport | ReceivedReport | None = None  # the last one of the present opening
+        self._last_report: SentReport | ReceivedReport | None = None  # the last one of the present opening
 
     # --- what the halves do differently
 
@@ -162,7 +163,7 @@ class TopicRoute(Route, Generic[ChannelT]):
     def open(self, route_id: int) -> None:
         """Begin a new opening on the present connection."""
         super().open(route_id)
-        self._told_report = None
+        self._last_report = None
         self._full_at = None
 
     def amend(self, spec: Topic, proposal: Propose) -> None:
@@ -285,28 +286,34 @@ class TopicRoute(Route, Generic[ChannelT]):
 
     def facts(self) -> Facts:
         """Return the facts that both halves know; each half adds its own."""
-        known = self.life.described
-        thinned = self.thinning.shown()
         return Facts(
-            self.status()._replace(crowded_out="" if thinned is None else why(thinned)),
-            endpoints=self.endpoints,
-            type_name=self.type_name if known else "",
-            qos=self.qos if known else None,
-            flowing=self.flowing,
-            came=self.came,
-            came_before=self.came_before,
+            self.status(),
+            self.progress(),
             stale_since=self._stale_since(),
-            thinned=thinned,
+            thinned=self.thinning.shown(),
             late=self.late(),
             expired=self.age.late() if self.flowing else None,
             full=self.link_full,
             shown_cause=self.judged.shown_cause,
         )
 
+    @property
+    def crowded_out(self) -> str:
+        thinned = self.thinning.shown()
+        return "" if thinned is None else why(thinned)
+
     def _stale_since(self) -> float | None:
         if not self.flowing or not self.silence_counts:
             return None
         return self.silence.stale_since(self.context.now())
+
+    def progress(self) -> TopicProgress:
+        """Return how far messages get, as this half knows it."""
+        raise NotImplementedError
+
+    def stages(self) -> tuple[Stage, ...]:
+        """Return the stages of a message's path."""
+        return topic_stages(self.setup(), self.progress())
 
     def _judge(self) -> Verdict:
         return judge(self.facts())

@@ -1,16 +1,16 @@
-"""The verdict of a topic's half: rules over its facts, which use no clock and change nothing."""
+"""The stages and the verdict of a topic's half: rules over its facts, without a clock or an effect."""
 
 from __future__ import annotations
 
 from dataclasses import replace
 from typing import TYPE_CHECKING, NamedTuple
 
-from rsb_bridge.model.qos import clashes
+from rsb_bridge.model.qos import clashes, incompatible
 from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.text import join_first
 from rsb_bridge.model.verdict import LASTING, Cause, Verdict
 from rsb_bridge.route.age import expired_verdict
-from rsb_bridge.route.blocking_rules import worst
+from rsb_bridge.route.blocking_rules import ACCEPTED, as_known, first_missing, link_and_acceptance, stage, worst
 from rsb_bridge.route.lateness import late_verdict
 from rsb_bridge.route.thinning import verdict_of
 from rsb_bridge.telemetry.watches import FAST_ABOVE
@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 
     from rsb_bridge.model.capacity import Fullness
     from rsb_bridge.model.qos import Qos
+    from rsb_bridge.model.snapshot import Stage
     from rsb_bridge.ros.ros_interface import Endpoint
     from rsb_bridge.route.age import Expired
     from rsb_bridge.route.blocking_rules import RouteStatus
@@ -41,6 +42,7 @@ _NAMED = 3
 """Nodes that a sentence names."""
 
 _SILENCE = frozenset({Cause.PUBLISHER_SILENT, Cause.NO_MESSAGE})
+_NO_TYPE = frozenset({Cause.TYPE_UNKNOWN, Cause.TYPE_CONFLICT})
 _EXPLAINS_SILENCE = frozenset({Cause.QOS_INCOMPATIBLE, Cause.TYPE_CONFLICT})
 """Where a publisher's messages are not taken, it is not silent."""
 _LOSSES: dict[str, tuple[Cause, str]] = {
@@ -59,22 +61,60 @@ _LOSSES: dict[str, tuple[Cause, str]] = {
 LOSS_CAUSES = frozenset({Cause.LOSSY, *(cause for cause, _ in _LOSSES.values())})
 
 
+class TopicProgress(NamedTuple):
+    """How far a topic's messages get, as one half knows it.
+
+    Attributes:
+        endpoints: the topic's publishers on the sending side, its subscriptions on the receiving side.
+        publishers: number of publishers on the sending side, or None if it is unknown.
+        loop_note: the publishers that are left out because their messages would loop, as the end of a sentence.
+        similar: a topic of the sending side with publishers and a similar name, where this one never had any; or empty.
+        described: whether the sender has described its messages in this opening, so that `type_name` and `qos` hold.
+        type_name: of its messages, as last known, or empty.
+        qos: of its subscription and publishers, as last known, or None.
+        unresolved: on the sending side, the cause why type or QoS is unknown, or None.
+        why_unresolved: the same in words, or the other side's reason.
+        clash: on the receiving side, the reason why a subscription does not match `qos`, or empty.
+        subscribed: whether the sending side subscribes.
+        subscribe_failed: the reason why its subscription failed, or empty.
+        sent: messages of this opening.
+        received: messages of this opening.
+        published: messages of this opening.
+        kept: whether the receiving side keeps messages of a latched topic.
+        undelivered: on the receiving side, the reason why none was received, or empty.
+        subscribers: subscriptions on the receiving side that DDS has matched, which may be known before their nodes
+            are, or None if their number is unknown.
+        deaf: the subscribers, if they do not match.
+    """
+
+    endpoints: Collection[Endpoint] = ()
+    publishers: int | None = None
+    loop_note: str = ""
+    similar: str = ""
+    described: bool = False
+    type_name: str = ""
+    qos: Qos | None = None
+    unresolved: Cause | None = None
+    why_unresolved: str = ""
+    clash: str = ""
+    subscribed: bool = False
+    subscribe_failed: str = ""
+    sent: int = 0
+    received: int = 0
+    published: int = 0
+    kept: bool = False
+    undelivered: str = ""
+    subscribers: int | None = None
+    deaf: Collection[object] = ()
+
+
 class Facts(NamedTuple):
     """One half's knowledge of its topic.
 
     Attributes:
         status: the part that does not depend on what the route carries.
-        endpoints: the topic's publishers on the sending side, its subscriptions on the receiving side.
-        matched: subscriptions on the receiving side that DDS has matched, which may be known before their nodes are.
-        similar: a topic of the sending side with publishers and a similar name, where this one never had any; or empty.
-        subscribe_failed: the reason why its subscription failed, or empty.
+        progress: how far messages get.
         left_out: the publishers with another type, which are not bridged, or empty.
-        unresolved: cause and reason if its type or QoS is unknown, or None.
-        type_name: of its messages, or empty if unknown yet.
-        qos: of its subscription and publishers, or None if unknown yet.
-        flowing: whether messages could cross now.
-        came: whether messages have crossed since it was opened, or the receiving side keeps some of a latched topic.
-        came_before: whether messages crossed in an earlier opening, but none in this one.
         stale_since: s, of the last message if silence counts and has lasted `stale_after`, or None.
         stopped_since: s, of the last message if its publishers have stopped, or None.
         slow_since: s, when it became slow, or None.
@@ -93,17 +133,8 @@ class Facts(NamedTuple):
     """
 
     status: RouteStatus
-    endpoints: Collection[Endpoint] = ()
-    matched: int = 0
-    similar: str = ""
-    subscribe_failed: str = ""
+    progress: TopicProgress = TopicProgress()
     left_out: str = ""
-    unresolved: tuple[Cause, str] | None = None
-    type_name: str = ""
-    qos: Qos | None = None
-    flowing: bool = False
-    came: bool = False
-    came_before: bool = False
     stale_since: float | None = None
     stopped_since: float | None = None
     slow_since: float | None = None
@@ -141,6 +172,69 @@ def no_subscriber(topic: str, where: str, present: Collection[object] = ()) -> s
     return f"the subscribers of {topic} {where} receive nothing" if present else f"nobody subscribes to {topic} {where}"
 
 
+def topic_stages(status: RouteStatus, progress: TopicProgress) -> tuple[Stage, ...]:
+    """Return the stages from the publisher to the subscriber, in order."""
+    known = progress.described if status.sends else bool(progress.type_name)
+    clash = _qos_clash(progress) if status.sends else progress.clash
+    failure = status.loop or progress.subscribe_failed
+    stages = (
+        stage(
+            "publisher seen",
+            bool(progress.publishers),
+            _why_none_seen(status, progress),
+            failed=progress.publishers == 0,
+            note=f"{progress.publishers}{progress.loop_note}" if status.sends else "",
+        ),
+        stage(
+            "type known",
+            known,
+            progress.why_unresolved,
+            failed=not known and progress.unresolved in _NO_TYPE,
+            note=progress.type_name,
+        ),
+        stage("QoS compatible", known and not clash, clash, failed=known and bool(clash)),
+        stage("subscribed", progress.subscribed, failure, failed=bool(failure)),
+        *link_and_acceptance(status),
+        stage("sent", progress.sent > 0 or progress.kept),
+        stage("received", progress.received > 0 or progress.kept, progress.undelivered, note=progress.undelivered),
+        stage("published", progress.published > 0 or progress.kept),
+        stage("subscriber seen", bool(progress.subscribers), _why_none_hears(status, progress)),
+    )
+    return as_known(status, stages)
+
+
+def waits_for(status: RouteStatus, progress: TopicProgress) -> str:
+    """Return the stage that has to pass before anything can cross, or its reason."""
+    stages = topic_stages(status, progress)
+    if not status.sends and progress.publishers is None and all(each.done is not False for each in stages):
+        # Only the sending side knows the first stages, and has not reported on this opening yet.
+        return "the other side's report" if status.accepted else ACCEPTED
+    return first_missing(stages)
+
+
+def _why_none_seen(status: RouteStatus, progress: TopicProgress) -> str:
+    if status.sends:
+        return no_publisher(status.topic, status.domain_id, progress.similar)
+    return "" if progress.publishers is None else f"no publisher of {status.far_topic} on the other side"
+
+
+def _why_none_hears(status: RouteStatus, progress: TopicProgress) -> str:
+    if progress.subscribers is None:
+        return ""
+    topic, where = (status.far_topic, "there") if status.sends else (status.topic, f"in domain {status.domain_id}")
+    return no_subscriber(topic, where, progress.deaf)
+
+
+def _qos_clash(progress: TopicProgress) -> str:
+    """Return the reason why a subscription on the sending side misses messages of the type, or an empty string."""
+    if progress.qos is None:
+        return ""
+    clashing = (
+        incompatible(each.qos, progress.qos) for each in progress.endpoints if each.type_name == progress.type_name
+    )
+    return next(filter(None, clashing), "")
+
+
 def named(nodes: Iterable[str]) -> str:
     """``/a``, ``/a and /b``, ``/a, /b, /c and 2 more``."""
     return join_first(sorted({node or "a node that is not known yet" for node in nodes}), _NAMED) or "nobody"
@@ -169,31 +263,33 @@ def _stale(facts: Facts) -> Verdict | None:
 
 def _why_silent(facts: Facts) -> tuple[Cause, str]:
     """Explain the silence. DDS lists a publisher for up to 40 s after its death, so it may not run any more."""
-    ever = facts.came or facts.came_before
-    if facts.endpoints:
+    ever = facts.status.came or facts.status.came_before
+    if facts.progress.endpoints:
         silent = STOPPED_PUBLISHING
         if not ever:
             silent = PUBLISHED_NOTHING
-        return Cause.PUBLISHER_SILENT, _plural(facts.endpoints, *silent)
+        return Cause.PUBLISHER_SILENT, _plural(facts.progress.endpoints, *silent)
     if ever:
         return Cause.PUBLISHER_GONE, f"{no_publisher(facts.status.topic, facts.status.domain_id)} any more"
-    return _nobody(facts), no_publisher(facts.status.topic, facts.status.domain_id, facts.similar)
+    return _nobody(facts), no_publisher(facts.status.topic, facts.status.domain_id, facts.progress.similar)
 
 
 def _nobody(facts: Facts) -> Cause:
-    return Cause.SIMILAR_NAME if facts.similar else Cause.NO_PUBLISHER
+    return Cause.SIMILAR_NAME if facts.progress.similar else Cause.NO_PUBLISHER
 
 
 def _waiting(facts: Facts) -> Verdict | None:
-    if facts.came and facts.flowing:
+    if facts.status.came and facts.status.flowing:
         return None
-    if facts.status.sends and facts.flowing and not facts.endpoints:
-        text = no_publisher(facts.status.topic, facts.status.domain_id, facts.similar)
+    if facts.status.sends and facts.status.flowing and not facts.progress.endpoints:
+        text = no_publisher(facts.status.topic, facts.status.domain_id, facts.progress.similar)
         return Verdict(State.WAITING, _nobody(facts), text)
-    if facts.status.sends and facts.flowing:
-        text = _plural(facts.endpoints, *(NOTHING_SINCE_OPENED if facts.came_before else PUBLISHED_NOTHING))
+    if facts.status.sends and facts.status.flowing:
+        verbs = NOTHING_SINCE_OPENED if facts.status.came_before else PUBLISHED_NOTHING
+        text = _plural(facts.progress.endpoints, *verbs)
         return Verdict(State.WAITING, Cause.PUBLISHER_SILENT, text)
-    text = "no message yet" if facts.flowing or not facts.status.waits_for else f"waiting: {facts.status.waits_for}"
+    missing = "" if facts.status.flowing else waits_for(facts.status, facts.progress)
+    text = f"waiting: {missing}" if missing else "no message yet"
     return Verdict(State.WAITING, Cause.NO_MESSAGE, text)
 
 
@@ -209,19 +305,21 @@ def _expired(facts: Facts) -> Verdict | None:
 
 
 def _subscription(facts: Facts) -> Verdict | None:
-    if not facts.subscribe_failed:
+    failure = facts.progress.subscribe_failed
+    if not failure or not facts.status.sends:
         return None
-    return Verdict(State.DOWN, Cause.SUBSCRIBE_FAILED, facts.subscribe_failed)
+    return Verdict(State.DOWN, Cause.SUBSCRIBE_FAILED, failure)
 
 
 def _publishers_qos(facts: Facts) -> Verdict | None:
-    if not facts.status.sends or facts.qos is None:
+    qos = facts.progress.qos
+    if not facts.status.sends or qos is None or not facts.progress.described:
         return None
-    ours = [each for each in facts.endpoints if each.type_name == facts.type_name]
-    others = [each for each in ours if clashes(each.qos, facts.qos)]
+    ours = [each for each in facts.progress.endpoints if each.type_name == facts.progress.type_name]
+    others = [each for each in ours if clashes(each.qos, qos)]
     if not others:
         return None
-    offer, asked = zip(*clashes(others[0].qos, facts.qos), strict=True)
+    offer, asked = zip(*clashes(others[0].qos, qos), strict=True)
     whose = "its" if len({each.node for each in others}) == 1 else "their"
     text = (
         f"{_plural(others, 'offers', 'offer')} {', '.join(offer)}, but this topic asks for {', '.join(asked)}: "
@@ -236,12 +334,12 @@ def _publishers_types(facts: Facts) -> Verdict | None:
 
 
 def _unresolved(facts: Facts) -> Verdict | None:
-    if facts.unresolved is None or facts.flowing:
+    cause = facts.progress.unresolved
+    if cause is None or facts.status.flowing or not facts.status.accepted:
         return None
-    cause, text = facts.unresolved
     if cause is Cause.NO_PUBLISHER:
         cause = _nobody(facts)
-    return Verdict(State.DOWN if cause is Cause.TYPE_CONFLICT else State.WAITING, cause, text)
+    return Verdict(State.DOWN if cause is Cause.TYPE_CONFLICT else State.WAITING, cause, facts.progress.why_unresolved)
 
 
 def _stopped(facts: Facts) -> Verdict | None:
@@ -255,7 +353,7 @@ def _stopped(facts: Facts) -> Verdict | None:
 
 def _departed(facts: Facts) -> Verdict | None:
     """Judge a topic whose publisher has left while no message was due."""
-    if not facts.status.sends or not facts.flowing or not facts.came or facts.endpoints:
+    if not facts.status.sends or not facts.status.flowing or not facts.status.came or facts.progress.endpoints:
         return None
     text = f"{no_publisher(facts.status.topic, facts.status.domain_id)} any more"
     return Verdict(State.OK, Cause.PUBLISHER_GONE, text)
@@ -278,7 +376,7 @@ def _slow(facts: Facts) -> Verdict | None:
     if facts.lost_in_dds > (facts.expected_rate - facts.rate) * LATELY / 2:  # it is the greater part of what is missing
         reason = f"DDS lost {facts.lost_in_dds:,} messages before they could be taken"
     else:
-        reason = f"that is all that {_plural(facts.endpoints, 'publishes', 'publish')}"
+        reason = f"that is all that {_plural(facts.progress.endpoints, 'publishes', 'publish')}"
     return Verdict(State.SLOW, Cause.SLOW, f"{text}: {reason}", facts.slow_since)
 
 
@@ -323,16 +421,16 @@ def _lossy(facts: Facts) -> Verdict | None:
 
 
 def _subscribers(facts: Facts) -> Verdict | None:
-    if facts.status.sends or facts.qos is None or not facts.type_name:
+    progress, qos = facts.progress, facts.progress.qos
+    if facts.status.sends or qos is None or not (progress.described and progress.type_name):
         return None
-    if others := [each for each in facts.endpoints if each.type_name != facts.type_name]:
-        text = (
-            f"{types_and_nodes(others)}, but {facts.status.topic} carries {facts.type_name}: correct the subscription"
-        )
+    if others := [each for each in progress.endpoints if each.type_name != progress.type_name]:
+        carries = f"{facts.status.topic} carries {progress.type_name}"
+        text = f"{types_and_nodes(others)}, but {carries}: correct the subscription"
         return Verdict(State.UNHEARD, Cause.TYPE_CONFLICT, text)
-    for each in facts.endpoints:
-        if found := clashes(facts.qos, each.qos):
-            alike = [other for other in facts.endpoints if clashes(facts.qos, other.qos) == found]
+    for each in progress.endpoints:
+        if found := clashes(qos, each.qos):
+            alike = [other for other in progress.endpoints if clashes(qos, other.qos) == found]
             offer, asked = zip(*found, strict=True)
             who = _plural(alike, "asks", "ask", "subscriptions")
             text = (
@@ -340,7 +438,7 @@ def _subscribers(facts: Facts) -> Verdict | None:
                 f"{', '.join(offer)}: change the QoS of the subscription, or of the publishers and this topic"
             )
             return Verdict(State.UNHEARD, Cause.QOS_INCOMPATIBLE, text)
-    if not facts.endpoints and not facts.matched and facts.came:
+    if not progress.endpoints and not progress.subscribers and facts.status.came:
         return Verdict(
             State.UNHEARD, Cause.NO_SUBSCRIBER, no_subscriber(facts.status.topic, f"in domain {facts.status.domain_id}")
         )

@@ -199,7 +199,18 @@ class LatencyMeter:
         recent: median of the samples between the last two ticks, or None without one.
     """
 
-    __slots__ = ("_counts", "_fresh", "_samples", "_ticks", "_told", "_transit", "jitter", "p50", "p99", "recent")
+    __slots__ = (
+        "_counts",
+        "_fresh",
+        "_reported_for",
+        "_samples",
+        "_ticks",
+        "_transit",
+        "jitter",
+        "p50",
+        "p99",
+        "recent",
+    )
 
     def __init__(self, ticks: int = 0) -> None:
         self._samples: deque[float] = deque(maxlen=_LATENCIES)
@@ -207,7 +218,7 @@ class LatencyMeter:
         self._counts: deque[int] = deque()  # samples in each of the last ticks
         self._transit: float | None = None
         self._fresh = 0  # samples since the last tick
-        self._told = 0  # ticks for which the other side's figures still count
+        self._reported_for = 0  # ticks for which the other side's figures still count
         self.recent: float | None = None
         self.p50: float | None = None
         self.p99: float | None = None
@@ -218,7 +229,7 @@ class LatencyMeter:
 
         An implausible time means that a clock was set: the samples are dropped.
         """
-        if not _EARLIEST < transit < _LATEST:
+        if not _EARLIEST < transit <= _LATEST:
             self._samples.clear()
             self._counts.clear()
             self._transit = self.p50 = self.p99 = self.jitter = None
@@ -231,18 +242,18 @@ class LatencyMeter:
         self._samples.append(transit)
         self._fresh += 1
 
-    def told(self, p50: float | None, p99: float | None, jitter: float | None) -> None:
+    def take_reported(self, p50: float | None, p99: float | None, jitter: float | None) -> None:
         """Take the figures of the other side, as far as they can be right. They, too, count for `ticks`."""
-        self._told = self._ticks
+        self._reported_for = self._ticks
         self.p50, self.p99, self.jitter = (
             figure if figure is not None and abs(figure) <= _LARGEST_FIGURE else None for figure in (p50, p99, jitter)
         )
 
     def tick(self) -> None:
         """Work out the percentiles over the last samples."""
-        if self._told:
-            self._told -= 1
-            if not self._told:
+        if self._reported_for:
+            self._reported_for -= 1
+            if not self._reported_for:
                 self.p50 = self.p99 = None
         fresh, self._fresh, self.recent = self._fresh, 0, None
         outdated = self._drop_outdated(fresh)

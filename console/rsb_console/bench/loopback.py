@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 from rsb_bridge.api import EngineError
 from rsb_bridge.control.control_sockets import ControlError
 from rsb_bridge.control.remote_engine import RemoteEngine
-from rsb_bridge.model.benchmark import Order
+from rsb_bridge.model.benchmark import BenchmarkStep
 from rsb_bridge.model.snapshot import State
 from rsb_console.bench.processes import Process, free_port
 from rsb_console.bench.results import BenchError, BenchProblem, Many, Run, Side, Way
@@ -128,7 +128,7 @@ def sent_bytes(socket: Path) -> int:
     try:
         engine.start()
         try:
-            return engine.bench(Order("measure")).result(_ANSWERS_WITHIN).usage.sent_bytes
+            return engine.bench(BenchmarkStep("measure")).result(_ANSWERS_WITHIN).usage.sent_bytes
         finally:
             engine.stop()
     except (ControlError, EngineError, TimeoutError) as error:

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, NamedTuple
 
 from rsb_bridge.api import EngineError
-from rsb_bridge.model.benchmark import ENDED_BY_PEER, MOST_SECONDS, Order, Outcome, is_bench_topic
+from rsb_bridge.model.benchmark import ENDED_BY_PEER, MOST_SECONDS, BenchmarkStep, Outcome, is_bench_topic
 from rsb_console.bench.results import BenchError, BenchProblem, Load, Point, Run, Side, StoppedError, Way
 from rsb_console.look.formats import byte_count
 
@@ -303,7 +303,7 @@ class OverLink:
     def close(self) -> None:
         """Remove the topics; a bridge that does not answer removes them itself later."""
         with contextlib.suppress(EngineError, TimeoutError):
-            self._engine.bench(Order("end", self._link)).result(_ENDED_WITHIN)
+            self._engine.bench(BenchmarkStep("end", self._link)).result(_ENDED_WITHIN)
 
 
 class _LinkEnds:
@@ -316,7 +316,9 @@ class _LinkEnds:
     def send(self, rate: float, seconds: float, size: int) -> Run:
         count = max(1, min(int(rate * seconds), math.floor(rate * MOST_SECONDS)))
         way: Any = self._way
-        outcome = _result(self._engine, Order("run", self._link, way.transport, way.direction, size, rate, count))
+        outcome = _result(
+            self._engine, BenchmarkStep("run", self._link, way.transport, way.direction, size, rate, count)
+        )
         self._last = outcome
         p50, p99, p999 = (each * 1e3 for each in (outcome.p50, outcome.p99, outcome.p999))
         sides = outcome.sending.cpu, outcome.receiving.cpu
@@ -338,9 +340,9 @@ class _LinkEnds:
         return (self._last.most_rate if self._last else 0.0) or math.inf
 
     def sides(self, idle: float) -> tuple[Side, Side]:
-        before, began = _result(self._engine, Order("measure")).usage, time.monotonic()
+        before, began = _result(self._engine, BenchmarkStep("measure")).usage, time.monotonic()
         time.sleep(idle)
-        used = _result(self._engine, Order("measure")).usage.cpu - before.cpu
+        used = _result(self._engine, BenchmarkStep("measure")).usage.cpu - before.cpu
         share = 100 * used / (time.monotonic() - began) if idle else None
         assert self._last is not None
         sending, receiving = (Side(each.memory / 1e6) for each in (self._last.sending, self._last.receiving))
@@ -352,7 +354,7 @@ class _LinkEnds:
         return (self._engine.snapshot().role == "client") == (self._way.direction == "transmit")
 
 
-def _result(engine: EngineApi, order: Order) -> Outcome:
+def _result(engine: EngineApi, order: BenchmarkStep) -> Outcome:
     try:
         return engine.bench(order).result(_ANSWERED_WITHIN)
     except EngineError as error:

@@ -7,22 +7,40 @@ from typing import Any
 import pytest
 
 from rsb_bridge.model.calls import Refused
-from rsb_bridge.model.snapshot import State
+from rsb_bridge.model.snapshot import Stage, State
 from rsb_bridge.model.verdict import Cause, Verdict
 from rsb_bridge.route.blocking_rules import RouteStatus
 from rsb_bridge.route.calls.calls_ledger import REMEDIES
-from rsb_bridge.route.calls.calls_verdict import CallsFacts, Trouble, judge_calls
+from rsb_bridge.route.calls.calls_verdict import CallsFacts, CallsProgress, Trouble, calls_stages, judge_calls
 from rsb_bridge.route.combined_verdict import CombinedVerdict, record_of
 
-FINE = CallsFacts(RouteStatus(sends=True, topic="/go"), offered=True, came=True, timeout=5.0, providers="/teller")
+FINE = CallsFacts(
+    RouteStatus(sends=True, topic="/go", accepted=True, came=True),
+    CallsProgress(served=True, providers=("/teller",), type_known=True, offered=True),
+    timeout=5.0,
+)
+CALL_STAGES = ("server seen", "type known", "link up", "peer accepted", "offered", "called", "answered")
+"""Scripts read these names in JSON."""
 NOBODY = Trouble(Cause.NO_SERVER, "no server of /go in domain 2")
 GONE = Trouble(Cause.SERVER_GONE, "no server of /go in domain 2 any more")
 TWO = Trouble(Cause.SEVERAL_SERVERS, "/go is served by /one and /two")
 
 
-def verdict_on(**changes: Any) -> Verdict:
+def changed(**changes: Any) -> CallsFacts:
+    """Return the facts with some of them changed, in whichever part they stand."""
     of_route = {name: changes.pop(name) for name in RouteStatus._fields if name in changes}
-    return judge_calls(FINE._replace(status=FINE.status._replace(**of_route), **changes))
+    of_path = {name: changes.pop(name) for name in CallsProgress._fields if name in changes}
+    status, progress = FINE.status._replace(**of_route), FINE.progress._replace(**of_path)
+    return FINE._replace(status=status, progress=progress, **changes)
+
+
+def verdict_on(**changes: Any) -> Verdict:
+    return judge_calls(changed(**changes))
+
+
+def stages_on(**changes: Any) -> dict[str, Stage]:
+    facts = changed(**changes)
+    return {each.name: each for each in calls_stages(facts.status, facts.progress)}
 
 
 @pytest.mark.parametrize(
@@ -39,7 +57,7 @@ def verdict_on(**changes: Any) -> Verdict:
         ({"unavailable": NOBODY, "offered": False}, State.WAITING, Cause.NO_SERVER),
         ({"unavailable": GONE, "offered": False}, State.DOWN, Cause.SERVER_GONE),
         ({"unavailable": GONE, "expired": 3, "failing_since": 1.0}, State.DOWN, Cause.SERVER_GONE),
-        ({"offered": False, "came": False, "waits_for": "peer accepted"}, State.WAITING, Cause.NO_CALL),
+        ({"offered": False, "came": False, "accepted": None}, State.WAITING, Cause.NO_CALL),
         ({"came": False}, State.WAITING, Cause.NO_CALL),
         ({"expired": 3, "failing_since": 1.0}, State.SLOW, Cause.UNANSWERED),
         ({"unanswered": True, "failing_since": 1.0}, State.SLOW, Cause.UNANSWERED),
@@ -56,6 +74,32 @@ def test_what_counts(changes: dict[str, Any], state: State, cause: Cause) -> Non
     assert bool(verdict.text) is (verdict.cause != Cause.NONE)
 
 
+@pytest.mark.parametrize(
+    ("changes", "name", "done", "detail"),
+    [
+        ({"accepted": None}, "peer accepted", None, ""),
+        ({"accepted": False, "refusal": "denied"}, "peer accepted", False, "denied"),
+        ({"no_path": "stuck"}, "link up", False, "stuck"),
+        ({"link_down": "cut"}, "link up", False, "cut"),
+        ({"link_down": "cut"}, "server seen", None, ""),
+        ({}, "server seen", True, "/teller"),
+        ({"served": False, "why_unserved": "nobody"}, "server seen", False, "nobody"),
+        ({"served": None}, "server seen", None, ""),
+        ({"type_known": False}, "type known", None, ""),
+        ({"sends": False, "type_known": False, "why_unserved": "two types"}, "type known", False, "two types"),
+        ({"offered": False, "why_not_offered": "later"}, "offered", None, "later"),
+        ({"offer_failed": True, "why_not_offered": "rcl"}, "offered", False, "rcl"),
+        ({"asked": 1}, "called", True, ""),
+        ({"asked": 1, "last_failure": "late"}, "answered", None, "late"),
+        ({"asked": 2, "answered": 1, "last_failure": "late"}, "answered", True, ""),
+    ],
+)
+def test_a_stage_follows_from_the_facts(changes: dict[str, Any], name: str, done: bool | None, detail: str) -> None:
+    stages = stages_on(**changes)
+    assert tuple(stages) == CALL_STAGES
+    assert (stages[name].done, stages[name].detail) == (done, detail)
+
+
 def test_what_is_refused_most_is_named() -> None:
     refused = {Refused.CALLS_A_SECOND: 1, Refused.CALLS_UNDER_WAY: 30}
     text = judge_calls(FINE._replace(refused=refused, failing_since=0.0)).said(20.0)
@@ -67,7 +111,7 @@ def test_what_is_refused_most_is_named() -> None:
 @pytest.mark.parametrize("sends", [True, False])
 def test_both_sides_show_the_same(sends: bool, trouble: Trouble, state: State) -> None:
     """Nobody serves it, as the providing side knows; the callers' side waits."""
-    near = verdict_on(offered=False, came=False, waits_for="server seen")
+    near = verdict_on(offered=False, came=False, served=False)
     far = judge_calls(CallsFacts(RouteStatus(sends=False, topic="/go"), unavailable=trouble))
     own, others = (near, far) if sends else (far, near)
     both = CombinedVerdict(sends=sends, peer_name="the other")

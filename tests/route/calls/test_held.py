@@ -61,7 +61,7 @@ def test_a_goal_that_is_only_asked_about_is_within_no_limit(
 ) -> None:
     route = providing(make_context())
     route.limit.allow_here(1.0)
-    route._told = Provide(route=1, lanes=(LaneEntry("a/action/B_SendGoal", "h", 1),))
+    route._last_sent = Provide(route=1, lanes=(LaneEntry("a/action/B_SendGoal", "h", 1),))
     refusals = {route._refusal(CallFrame(what, SEND_GOAL, n, 0, goal_request(goal(n)))) for n in range(1, 50)}
     assert refusals == ({None, Refused.CALLS_A_SECOND} if limited else {None})
 

@@ -125,7 +125,7 @@ class LaneEndpoints:
         context: what every part of the engine shares.
         peer: the other side of the link.
         members: of the route.
-        failed: told, on the I/O loop, of an endpoint that has failed and closed itself.
+        failed: called, on the I/O loop, for an endpoint that has failed and closed itself.
 
     Attributes:
         types: of the services that are open, by lane.
@@ -264,7 +264,7 @@ class Clients(LaneEndpoints):
         members: of the route.
         responded: gets a lane's responses.
         published: gets a lane's messages.
-        failed: told of a client or a subscription that has failed and closed itself.
+        failed: called for a client or a subscription that has failed and closed itself.
 
     Attributes:
         clients: by lane.
@@ -322,7 +322,7 @@ class Offers(LaneEndpoints):
         members: of the route.
         asked: gets a lane's requests.
         too_late: gets requests that come after the offer has ended.
-        failed: told of a server that has failed and closed itself.
+        failed: called for a server that has failed and closed itself.
         marks: returns the lease that requests are marked with, or None without arming.
 
     Attributes:
@@ -344,22 +344,22 @@ class Offers(LaneEndpoints):
         self._marks = marks
         self.servers: dict[int, ServiceServer] = {}
         self.publishers: dict[int, VolatileTopic] = {}
-        self._ways: list[Via] = []
+        self._vias: list[Via] = []
         self._announced: dict[int, bytes] = {}
         self._asked = asked
         self._too_late = too_late
 
-    def announce(self, ways: list[Via]) -> None:
+    def announce(self, vias: list[Via]) -> None:
         """Announce which bridges the answers cross, for present and later offers.
 
         Args:
-            ways: the bridges, by lane.
+            vias: the bridges, by lane.
 
         Raises:
             RosError: there are too many.
         """
-        if ways != self._ways:
-            self._ways = ways
+        if vias != self._vias:
+            self._vias = vias
             for lane, kind in self.types.items():
                 self._announce(lane, kind)
 
@@ -368,7 +368,7 @@ class Offers(LaneEndpoints):
         if lane in self._announced:
             announcements.withdraw(self._announced.pop(lane))
         self._announced[lane] = announcements.offer(
-            self._names[lane], self._peer.name, kind.type_name, kind.type_hash, self._ways[lane]
+            self._names[lane], self._peer.name, kind.type_name, kind.type_hash, self._vias[lane]
         )
 
     def _open_service(self, lane: int, name: str, kind: LaneType) -> ServiceServer:

@@ -355,15 +355,15 @@ class LocalServers:
         before, self._first_seen, self.unknown = self._first_seen, {}, False
         trouble: Trouble | None = None
         for service in services:
-            rivals = []
+            others = []
             for server in context.ros.servers(service):
-                is_rival = self._is_rival(server, service, offered=offered)
-                if is_rival is None:
+                counts = self._counts(server, service, offered=offered)
+                if counts is None:
                     seen = self._first_seen[server.gid] = before.get(server.gid, now)
                     self.unknown = self.unknown or now - seen < _ANNOUNCED_WITHIN
-                elif is_rival:
-                    rivals.append(server)
-            trouble = trouble or self._trouble(service, rivals)
+                elif counts:
+                    others.append(server)
+            trouble = trouble or self._trouble(service, others)
         if self.unknown and self._timer is None:
             self._timer = context.loop.call_later(_ANNOUNCED_WITHIN, self._due)
         return trouble
@@ -387,9 +387,9 @@ class LocalServers:
 
     def _is_node(self, server: Endpoint, service: str) -> bool:
         origin = self._context.announcements.origin_of_server(server, service)
-        return origin is not None and not origin.via and bool(self._is_rival(server, service, offered=False))
+        return origin is not None and not origin.via and bool(self._counts(server, service, offered=False))
 
-    def _is_rival(self, server: Endpoint, service: str, *, offered: bool) -> bool | None:
+    def _counts(self, server: Endpoint, service: str, *, offered: bool) -> bool | None:
         """Return whether a server counts, or None for a bridge of our name that has announced nothing."""
         ros, bridges, node = self._context.ros, self._peer.bridges, server.node.lstrip("/")
         origin = self._context.announcements.origin_of_server(server, service)
@@ -400,10 +400,10 @@ class LocalServers:
             return None
         return not yields and (not bridges or node_of(origin.via[-1]) != bridges[0])
 
-    def _trouble(self, service: str, rivals: list[Endpoint]) -> Trouble | None:
-        if rivals:
+    def _trouble(self, service: str, others: list[Endpoint]) -> Trouble | None:
+        if others:
             text = (
-                f"{named(each.node for each in rivals)} serves {service} on the callers' side, too: it is not offered "
+                f"{named(each.node for each in others)} serves {service} on the callers' side, too: it is not offered "
                 "there a second time; stop that node, or give the bridged one another name"
             )
             return Trouble(Cause.SERVED_HERE, text)

@@ -19,14 +19,14 @@ from typing import TYPE_CHECKING, ClassVar
 from rsb_bridge.model.budgets import TokenBucket
 from rsb_bridge.model.calls import CANCEL_GOAL, GET_RESULT, SEND_GOAL, Refused
 from rsb_bridge.model.codes import EventCode
-from rsb_bridge.model.snapshot import Level, Stage
+from rsb_bridge.model.snapshot import Level
 from rsb_bridge.model.verdict import Cause
 from rsb_bridge.ros.ros_interface import Request, RosError
 from rsb_bridge.route.calls.call_endpoints import Offers, name_of, type_of
 from rsb_bridge.route.calls.call_servers import LocalServers, others_called, types_clash, way_here
 from rsb_bridge.route.calls.calls_ledger import refused_as
 from rsb_bridge.route.calls.calls_route import CallsRoute, frame_size
-from rsb_bridge.route.calls.calls_verdict import CallsFacts, Trouble
+from rsb_bridge.route.calls.calls_verdict import CallsFacts, CallsProgress, Trouble
 from rsb_bridge.route.calls.goals import Goals, goal_of, rejection_of
 from rsb_bridge.route.calls.kept_calls import INTERRUPTION, KeptCall, KeptCalls
 from rsb_bridge.route.calls.manual_call import CallError, ManualCall
@@ -70,7 +70,7 @@ class LaneMessages:
         members: of the route.
         offers: have the publishers.
         budget: bytes that may be kept on the link.
-        notices: told of messages that cannot be published.
+        notices: report messages that cannot be published.
     """
 
     def __init__(self, members: Sequence[ServiceMember], offers: Offers, budget: Budget, notices: Notices) -> None:
@@ -231,7 +231,7 @@ class CallingRoute(CallsRoute):
             return f"the other side provides {len(provide.lanes)} lanes, not {len(self.members)}"
         for member, entry in zip(self.members, provide.lanes, strict=False):
             agreed = type_of(member, self.proposal.type)
-            if agreed and entry.type != agreed and not member.is_topic:  # whether it has to be armed may depend on this
+            if agreed and entry.type != agreed and not member.is_topic:  # whether it requires arming may depend on this
                 return f"the other side provides {entry.type}, though {agreed} was agreed on"
         return ""
 
@@ -296,11 +296,11 @@ class CallingRoute(CallsRoute):
     def _offer(self, provided: Provide, lanes: frozenset[int]) -> None:
         """Offer these lanes of what is provided, and no others."""
         offers, entries, before = self._offers, provided.lanes, self._reach
-        ways = [
+        vias = [
             way_here(provided.via, self.peer.bridges, name_of(member, self.remote_topic)) for member in self.members
         ]
         try:
-            offers.announce(ways)
+            offers.announce(vias)
             if any(offers.services_of(entries)[lane] != kind for lane, kind in offers.types.items()):
                 self._end_offer()
             was_offered = self.offered
@@ -691,18 +691,24 @@ class CallingRoute(CallsRoute):
         peer = self.judged.peer
         self.notices.set_loop(peer.text if peer.cause == Cause.LOOP else "")
 
-    def _provider_stages(self) -> tuple[Stage, Stage]:
-        seen, detail = None if self._provided is None else self._has_providers, ""
-        if seen:
-            detail = ", ".join(self.provider_nodes)
-        elif seen is False:
-            detail = self.judged.peer.text or f"no server of {self.remote_topic} on the other side"
-        return Stage("server seen", seen, detail), Stage("type known", bool(self.type_name) or None, self.type_name)
-
-    def _offered_stage(self) -> Stage:
+    def progress(self) -> CallsProgress:
+        served = None if self._provided is None else self._has_providers
+        text = self.judged.peer.text or f"no server of {self.remote_topic} on the other side"
         trouble = self._unavailable or self._retry.trouble
         failure = trouble.text if trouble is not None else ""
-        return Stage("offered", False if failure else self.offered or None, failure)
+        return CallsProgress(
+            served,
+            self.provider_nodes,
+            why_unserved=text if served is False else "",
+            type_known=bool(self.type_name),
+            type_name=self.type_name,
+            offered=self.offered,
+            offer_failed=bool(failure),
+            why_not_offered=failure,
+            asked=self.calls.asked,
+            answered=self.calls.answered,
+            last_failure=self.calls.last_failure,
+        )
 
     def snapshot(self) -> RouteSnapshot:
         found = super().snapshot()

@@ -19,12 +19,12 @@ from rsb_bridge.model.calls import LANES, Refused
 from rsb_bridge.model.clock import shifted
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.session import CALL_TIMEOUT
-from rsb_bridge.model.snapshot import Ledger, Level, Stage
+from rsb_bridge.model.snapshot import Ledger, Level
 from rsb_bridge.ros.ros_interface import RosError
 from rsb_bridge.route.calls.call_endpoints import RosRetry, name_of, route_type_of
 from rsb_bridge.route.calls.calls_ledger import REMEDIES, CallsLedger
 from rsb_bridge.route.calls.calls_outbox import CallsOutbox
-from rsb_bridge.route.calls.calls_verdict import CallsFacts, Trouble, judge_calls
+from rsb_bridge.route.calls.calls_verdict import CallsFacts, Trouble, calls_stages, judge_calls
 from rsb_bridge.route.combined_verdict import lasting, node_names, record_of
 from rsb_bridge.route.message_check import ExpandsTooMuchError, MessageCheck, Unpacker, malformed_text
 from rsb_bridge.route.route import Route
@@ -40,9 +40,10 @@ if TYPE_CHECKING:
     from rsb_bridge.channel.channel import DuplexChannel
     from rsb_bridge.context import Context
     from rsb_bridge.model.session import Topic
-    from rsb_bridge.model.snapshot import RouteSnapshot
+    from rsb_bridge.model.snapshot import RouteSnapshot, Stage
     from rsb_bridge.model.verdict import Verdict
     from rsb_bridge.route.arming import Disarmed
+    from rsb_bridge.route.calls.calls_verdict import CallsProgress
     from rsb_bridge.route.route import Owner
     from rsb_bridge.wire.messages import Propose
     from rsb_bridge.wire.records import LaneEntry
@@ -77,7 +78,7 @@ class CallsRoute(Route):
         self._loading: tuple[str, ...] = ()
         self._later: deque[Message] = deque()
         self._report: CallsReport | None = None  # the peer's, of the present opening
-        self._told_report: CallsReport | None = None
+        self._last_report: CallsReport | None = None
         self._came = False  # a call, in the present opening
         self._failing_since: float | None = None
         self._unavailable: Trouble | None = None
@@ -114,12 +115,8 @@ class CallsRoute(Route):
         """Close all endpoints in ROS."""
         raise NotImplementedError
 
-    def _provider_stages(self) -> tuple[Stage, Stage]:
-        """The steps "server seen" and "type known"."""
-        raise NotImplementedError
-
-    def _offered_stage(self) -> Stage:
-        """The step "offered"."""
+    def progress(self) -> CallsProgress:
+        """Return how far calls get, as this half knows it."""
         raise NotImplementedError
 
     @property
@@ -237,7 +234,7 @@ class CallsRoute(Route):
     def open(self, route_id: int) -> None:
         """Begin a new opening."""
         super().open(route_id)
-        self._report = self._told_report = None
+        self._report = self._last_report = None
         self._came = False
 
     def close(self, reason: str) -> None:
@@ -420,42 +417,43 @@ class CallsRoute(Route):
         verdict = self.verdict()
         report = self.calls.report(self.id, record_of(verdict), node_names(self.endpoints))
         report = msgspec.structs.replace(report, offered=self.offered)
-        if report == self._told_report:
+        if report == self._last_report:
             return None
-        self._told_report = report
+        self._last_report = report
         return msgspec.structs.replace(report, verdict=lasting(report.verdict, verdict, self.context.now()))
+
+    @property
+    def breaking(self) -> str:
+        return self.losses.repeated
 
     def facts(self) -> CallsFacts:
         """Return what this half's verdict is judged from."""
         return CallsFacts(
-            self.status()._replace(breaking=self.losses.repeated),
+            self.status(),
+            self.progress(),
             unavailable=self._unavailable or self._retry.trouble,
             warning=self._warning,
-            offered=self.offered,
-            came=self._came,
-            came_before=self.calls.asked > 0 and not self._came,
             expired=self.calls.expired_lately(),
             unanswered=self.calls.unanswered,
             refused=self.calls.refused_lately(),
             failing_since=self._failing_since,
             timeout=self.call_timeout,
-            providers=" and ".join(self.provider_nodes),
         )
 
     def _judge(self) -> Verdict:
         return judge_calls(self.facts())
 
-    def _stages(self) -> tuple[Stage, ...]:
-        """Return the steps from the server to the caller that has its answer."""
-        calls = self.calls
-        return (
-            *self._provider_stages(),
-            self._link_stage(),
-            self._accepted_stage(),
-            self._offered_stage(),
-            Stage("called", calls.asked > 0 or None),
-            Stage("answered", calls.answered > 0 or None, "" if calls.answered else calls.last_failure),
-        )
+    def stages(self) -> tuple[Stage, ...]:
+        """Return the stages of a call's path."""
+        return calls_stages(self.setup(), self.progress())
+
+    @property
+    def came(self) -> bool:
+        return self._came
+
+    @property
+    def came_before(self) -> bool:
+        return self.calls.asked > 0 and not self._came
 
     def snapshot(self) -> RouteSnapshot:
         """Return the route as it is now."""

@@ -1,4 +1,4 @@
-"""The rules by which one half of a route of calls is judged. They use no clock and change nothing."""
+"""The stages and the verdict of a half of a route of calls: rules over its facts, without a clock or an effect."""
 
 from __future__ import annotations
 
@@ -6,13 +6,14 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.verdict import LASTING, Cause, Verdict
-from rsb_bridge.route.blocking_rules import worst
+from rsb_bridge.route.blocking_rules import as_known, first_missing, link_and_acceptance, stage, worst
 from rsb_bridge.route.calls.calls_ledger import LATELY, REMEDIES
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
     from rsb_bridge.model.calls import Refused
+    from rsb_bridge.model.snapshot import Stage
     from rsb_bridge.route.blocking_rules import RouteStatus
 
 
@@ -28,41 +29,91 @@ class Trouble(NamedTuple):
     text: str
 
 
+class CallsProgress(NamedTuple):
+    """How far calls get, as one half knows it.
+
+    Attributes:
+        served: whether nodes answer, or None if it is unknown.
+        providers: names of these nodes.
+        why_unserved: the reason why none answers, or empty.
+        type_known: whether the type is known.
+        type_name: as last known, or empty.
+        offered: whether callers can call it, as far as this half knows.
+        offer_failed: whether this half is kept from its part in offering it.
+        why_not_offered: the reason why it is not offered, or empty.
+        asked: calls that came, since the route was made.
+        answered: calls that were answered, since the route was made.
+        last_failure: the reason why the last call without an answer had none, or empty.
+    """
+
+    served: bool | None = None
+    providers: tuple[str, ...] = ()
+    why_unserved: str = ""
+    type_known: bool = False
+    type_name: str = ""
+    offered: bool = False
+    offer_failed: bool = False
+    why_not_offered: str = ""
+    asked: int = 0
+    answered: int = 0
+    last_failure: str = ""
+
+
 class CallsFacts(NamedTuple):
     """One half's knowledge of its calls.
 
     Attributes:
         status: the part that does not depend on what the route carries.
+        progress: how far calls get.
         unavailable: the reason why nothing can be called, or None if this side knows of none.
         warning: the trouble that does not keep calls from crossing, or None.
-        offered: whether callers can call it, as far as this half knows.
-        came: whether calls have come in this opening.
-        came_before: whether calls have come in earlier openings, but none in this one.
         expired: calls in the last `LATELY` s that had no answer in time.
         unanswered: whether the last calls that are over had no answer in time, however long ago that was.
         refused: calls refused in the last `LATELY` s, by cause.
         failing_since: s, when calls began to fail, or None if none fails.
         timeout: s, after which a call is given up.
-        providers: the nodes that should answer, in words.
     """
 
     status: RouteStatus
+    progress: CallsProgress = CallsProgress()
     unavailable: Trouble | None = None
     warning: Trouble | None = None
-    offered: bool = False
-    came: bool = False
-    came_before: bool = False
     expired: int = 0
     unanswered: bool = False
     refused: Mapping[Refused, int] = {}
     failing_since: float | None = None
     timeout: float = 0.0
-    providers: str = ""
 
 
 def judge_calls(facts: CallsFacts) -> Verdict:
     """Return the verdict that counts."""
     return worst(facts.status, (rule(facts) for rule in _RULES))[0]
+
+
+def calls_stages(status: RouteStatus, progress: CallsProgress) -> tuple[Stage, ...]:
+    """Return the stages from the server to the caller that has its answer, in order."""
+    untyped = not status.sends and bool(progress.served) and not progress.type_known  # else the other side knows why
+    stages = (
+        stage(
+            "server seen",
+            bool(progress.served),
+            progress.why_unserved,
+            failed=progress.served is False,
+            note=", ".join(progress.providers),
+        ),
+        stage(
+            "type known",
+            progress.type_known,
+            progress.why_unserved if untyped else "",
+            failed=untyped,
+            note=progress.type_name,
+        ),
+        *link_and_acceptance(status),
+        stage("offered", progress.offered, progress.why_not_offered, failed=progress.offer_failed),
+        stage("called", progress.asked > 0),
+        stage("answered", progress.answered > 0, progress.last_failure),
+    )
+    return as_known(status, stages)
 
 
 def _unavailable(facts: CallsFacts) -> Verdict | None:
@@ -79,7 +130,7 @@ def _unanswered(facts: CallsFacts) -> Verdict | None:
         what = f"no call has been answered for {LASTING}: the last one timed out"
     else:
         return None
-    nodes = facts.providers or "the far node"
+    nodes = " and ".join(facts.progress.providers) or "the far node"
     text = f"{what}; see why {nodes} does not answer within {facts.timeout:g} s, or set a longer timeout"
     return Verdict(State.SLOW, Cause.UNANSWERED, text, facts.failing_since)
 
@@ -98,11 +149,11 @@ def _warning(facts: CallsFacts) -> Verdict | None:
 
 
 def _waiting(facts: CallsFacts) -> Verdict | None:
-    if facts.came and facts.offered:
+    if facts.status.came and facts.progress.offered:
         return None
-    text = "not called since it was opened again" if facts.came_before else "not called yet"
-    if not facts.offered and facts.status.waits_for:
-        text = f"waiting: {facts.status.waits_for}"
+    text = "not called since it was opened again" if facts.status.came_before else "not called yet"
+    if not facts.progress.offered and not facts.status.flowing:
+        text = f"waiting: {first_missing(calls_stages(facts.status, facts.progress))}"
     return Verdict(State.WAITING, Cause.NO_CALL, text)
 
 

@@ -69,15 +69,15 @@ async def call_directly(
     Raises:
         CallError: no response came.
     """
-    hand = ManualCall(context.loop)
+    call = ManualCall(context.loop)
 
     def take(responses: Sequence[Response]) -> None:
         payload = responses[0].payload
-        context.call(lambda: hand.answer(b"", payload))
+        context.call(lambda: call.answer(b"", payload))
 
     def failed(error: RosError) -> None:
         reason = str(error)
-        context.call(lambda: hand.fail(reason))
+        context.call(lambda: call.fail(reason))
 
     try:
         client = context.ros.call_service(service, entry.type, entry.type_hash, take, failed)
@@ -87,7 +87,7 @@ async def call_directly(
         await _until_ready(context, client, service)
         client.call(request)
         async with asyncio.timeout(within):
-            return await _answer(client, hand, service)
+            return await _answer(client, call, service)
     except RosError as error:
         raise CallError(str(error)) from None
     except TimeoutError:
@@ -96,12 +96,12 @@ async def call_directly(
         client.close()
 
 
-async def _answer(client: ServiceClient, hand: ManualCall, service: str) -> bytes:
+async def _answer(client: ServiceClient, call: ManualCall, service: str) -> bytes:
     """Wait for the response, or until the server has gone, which ends a wait without a timeout."""
-    while not (await asyncio.wait((hand.answered,), timeout=_LEFT_LOOKED_EVERY))[0]:
+    while not (await asyncio.wait((call.answered,), timeout=_LEFT_LOOKED_EVERY))[0]:
         if not client.ready:
             raise CallError(f"{service} gave no answer: its server has gone")
-    return hand.answered.result()
+    return call.answered.result()
 
 
 async def _until_ready(context: Context, client: ServiceClient, service: str) -> None:

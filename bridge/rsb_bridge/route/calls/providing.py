@@ -17,7 +17,6 @@ import msgspec
 
 from rsb_bridge.model.calls import GET_RESULT, SEND_GOAL, STATUS, Refused
 from rsb_bridge.model.codes import EventCode
-from rsb_bridge.model.snapshot import Stage
 from rsb_bridge.model.sources import MOST_HOPS
 from rsb_bridge.model.verdict import Cause
 from rsb_bridge.ros.parameter_events import ParameterEventError
@@ -26,7 +25,7 @@ from rsb_bridge.route.calls.call_endpoints import Clients, name_of
 from rsb_bridge.route.calls.call_servers import CallLoopGuard, Provision, provision
 from rsb_bridge.route.calls.calls_ledger import REMEDIES
 from rsb_bridge.route.calls.calls_route import CallsRoute, frame_size
-from rsb_bridge.route.calls.calls_verdict import CallsFacts, Trouble
+from rsb_bridge.route.calls.calls_verdict import CallsFacts, CallsProgress, Trouble
 from rsb_bridge.route.calls.goals import Goals, accepted_by
 from rsb_bridge.route.calls.kept_calls import (
     INTERRUPTION,
@@ -126,7 +125,7 @@ class ProvidingRoute(CallsRoute):
         self._loop_guard = CallLoopGuard(context, peer)
         self._via: dict[str, None] = {}  # the bridges that answers cross before they come here
         self._present: set[bytes] = set()  # ids of servers; the calls made since the last look share it
-        self._told: Provide | None = None  # in the present opening
+        self._last_sent: Provide | None = None  # in the present opening
         self._served_in = 0  # the last connection in which a server was there, or 0
         self._clients = Clients(context, peer, self.members, self._responded, self._published, self._client_failed)
         self._pending = PendingCalls[PeersCall](context.loop, peer.budget.provided, self._expired, self._ended)
@@ -233,8 +232,8 @@ class ProvidingRoute(CallsRoute):
             provide = msgspec.structs.replace(provide, lanes=entries, nodes=node_names(self.endpoints), via=via)
         if self._clients and not self._clients.ready:
             self._advance_after(_MATCHED_AGAIN)
-        if provide != self._told:
-            self._told = provide
+        if provide != self._last_sent:
+            self._last_sent = provide
             self.peer.send(provide)
         if self.action is not None and self.accepted:
             self._tell_of_goals(self.action)
@@ -284,7 +283,7 @@ class ProvidingRoute(CallsRoute):
     def close(self, reason: str) -> None:
         """End the opening; pending calls are lost, but an action's server goes on answering."""
         super().close(reason)
-        self._told = None
+        self._last_sent = None
         self._highest = 0
         if self.action is not None:
             self.action.status_sent = False
@@ -327,7 +326,7 @@ class ProvidingRoute(CallsRoute):
         now, limited = self.context.now(), self._is_limited(frame)
         if limited and (why := self._why_held(frame)) is not None:
             return why
-        if self._told is None or not self._told.lanes:  # a question to DDS at each call would take its time
+        if self._last_sent is None or not self._last_sent.lanes:  # a question to DDS at each call would take its time
             if self._is_answered(frame):
                 return self.peer.budget.provided.take(frame_size(frame.content), now)
             return Refused.PROVIDER_GONE
@@ -605,23 +604,24 @@ class ProvidingRoute(CallsRoute):
         trouble = facts.unavailable
         if trouble is None or trouble.cause is not Cause.NO_SERVER or self._served_in or self.endpoints:
             return facts
-        hint = self.context.meant.by(self.spec.kind, self.local_topic)
+        hint = self.context.suggester.by(self.spec.kind, self.local_topic)
         return facts._replace(unavailable=Trouble(trouble.cause, f"{trouble.text}; {hint}")) if hint else facts
 
-    def _provider_stages(self) -> tuple[Stage, Stage]:
-        seen, known = bool(self.endpoints), bool(self._provision.entries)
-        trouble = self._unavailable.text if self._unavailable is not None else ""
-        return (
-            Stage("server seen", seen, ", ".join(self.provider_nodes) if seen else trouble),
-            Stage(
-                "type known", known or (False if seen else None), self.type_name if known else trouble if seen else ""
-            ),
+    def progress(self) -> CallsProgress:
+        failure = self._retry.trouble.text if self._retry.trouble else ""
+        return CallsProgress(
+            bool(self.endpoints),
+            self.provider_nodes,
+            why_unserved=self._unavailable.text if self._unavailable is not None else "",
+            type_known=bool(self._provision.entries),
+            type_name=self.type_name,
+            offered=self.offered,
+            offer_failed=bool(failure),
+            why_not_offered="" if self.offered else failure or self.judged.peer.text,
+            asked=self.calls.asked,
+            answered=self.calls.answered,
+            last_failure=self.calls.last_failure,
         )
-
-    def _offered_stage(self) -> Stage:
-        failed = self._retry.trouble.text if self._retry.trouble else ""
-        why_not = "" if self.offered else failed or self.judged.peer.text
-        return Stage("offered", False if failed else self.offered or None, why_not)
 
     def snapshot(self) -> RouteSnapshot:
         found = super().snapshot()

@@ -71,7 +71,7 @@ class Series:
         Args:
             minute: its number, not less than the last one.
             rate: mean over the recorded part of the minute.
-            up: s in which the subject was fine.
+            up: s in which the track was fine.
             out: s in which it was not.
             waiting: s in which it waited for its first message.
         """
@@ -196,7 +196,7 @@ class _Open:
         return sanitize_text(f"{self._first}; then: {self._last}", 2 * _CAUSE_LENGTH + 10)
 
 
-class Subject:
+class TrackRecord:
     """A link, or what it carries in one direction: a topic, a service, an action, or parameters of a node.
 
     All times are s on the axis of `rsb_bridge.history.recorder.ClockAxis`.
@@ -240,7 +240,7 @@ class Subject:
     # --- as time goes by
 
     def observe(
-        self, now: float, state: State, reason: str, link: Subject | None, rate: float, *, is_open: bool = False
+        self, now: float, state: State, reason: str, link: TrackRecord | None, rate: float, *, is_open: bool = False
     ) -> None:
         """Record the present state, which counts until the next call.
 
@@ -296,8 +296,8 @@ class Subject:
         self._amount += total - (self._count if total >= self._count else 0)
         self._count = total
 
-    def cut(self, now: float, link: Subject | None, *, cut_off: bool) -> None:
-        """End the record at `now`, because the subject was removed or nobody watches it any more.
+    def cut(self, now: float, link: TrackRecord | None, *, cut_off: bool) -> None:
+        """End the record at `now`, because the link or topic was removed or nobody watches it any more.
 
         Args:
             now: the time.
@@ -330,12 +330,12 @@ class Subject:
             self.series.add(self._minute, self._amount / self._known, self._up, self._out, self._waiting)
         self._known = self._up = self._out = self._waiting = self._amount = 0.0
 
-    def _end(self, now: float, link: Subject | None, *, cut_off: bool = False) -> None:
+    def _end(self, now: float, link: TrackRecord | None, *, cut_off: bool = False) -> None:
         if self._open is not None:
             self._keep(self._ended(self._open, now, link, cut_off=cut_off), now)
             self._open = None
 
-    def _ended(self, outage: _Open, now: float, link: Subject | None, *, cut_off: bool) -> Ended:
+    def _ended(self, outage: _Open, now: float, link: TrackRecord | None, *, cut_off: bool) -> Ended:
         with_link = outage.with_link and _follows(link, now)
         return Ended(outage.start, now - outage.start, outage.state, outage.cause, cut_off, with_link)
 
@@ -375,7 +375,7 @@ class Subject:
 
     # --- questions
 
-    def outages_in(self, start: float, now: float, link: Subject | None) -> Iterator[Outage]:
+    def outages_in(self, start: float, now: float, link: TrackRecord | None) -> Iterator[Outage]:
         """The outages that had not ended before `start`, oldest first."""
         for ended in self.outages:
             if ended.start + ended.seconds >= start:
@@ -387,7 +387,7 @@ class Subject:
         """How many outages since `start` there was no room for; some of them may be older."""
         return self.dropped if self.dropped_at >= start else 0
 
-    def present(self, now: float, link: Subject | None) -> Iterator[Ended]:
+    def present(self, now: float, link: TrackRecord | None) -> Iterator[Ended]:
         """The outages as they are to be kept on disk: the one that goes on ends where the file does."""
         yield from self.outages
         if self._open is not None:
@@ -421,7 +421,7 @@ class Subject:
         )  # fmt: skip
 
 
-def _follows(link: Subject | None, now: float) -> bool:
+def _follows(link: TrackRecord | None, now: float) -> bool:
     """Whether what a topic does now comes of its link's outage, which shows first."""
     if link is None:
         return False
