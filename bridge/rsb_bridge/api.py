@@ -26,7 +26,7 @@ class Unable(Wording):
     NOT_RUNNING = "the engine is not running"
     STOPPED_BEFORE_START = "the engine was stopped before it had started"
     NOT_A_SERVER = "only a server has clients"
-    NO_FILE = "this session is in no file: save it first"
+    NO_FILE = "this session has no file yet: save it first"
 
 
 class EngineError(Exception):

@@ -49,7 +49,7 @@ class ScanProblem(Wording):
     WITHOUT_BLUEZ = "{problem}. Names and paired devices are unknown"
     WITHOUT_CHANNELS = "{problem}. Channels can't be tried"
     NO_ADAPTER = "no Bluetooth adapter: plug one in; in a virtual machine, pass it through (see lsusb)"
-    ADAPTER_UNKNOWN = "no adapter {adapter}: there is {known}"
+    ADAPTER_UNKNOWN = "no adapter {adapter}; this machine has {known}"
     HARD_BLOCKED = "{adapter} is off: by the machine's radio switch or in its firmware's setup"
     SOFT_BLOCKED = "{adapter} is off: rfkill unblock bluetooth"
     SWITCHED_OFF = "{adapter} is off: bluetoothctl power on (without BlueZ: hciconfig {adapter} up)"

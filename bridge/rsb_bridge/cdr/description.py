@@ -25,7 +25,7 @@ class InvalidDescription(Wording):
     """The reason why a text does not describe a type."""
 
     TOO_LONG = "the description has {length:,} characters; at most {limit:,} are read"
-    ANOTHER_TYPE = "the description has another hash than the type"
+    ANOTHER_TYPE = "the description's hash differs from the type's"
     INVALID = "the description is invalid: {error}"
 
 

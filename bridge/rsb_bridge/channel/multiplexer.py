@@ -257,7 +257,7 @@ class SharedStream(Multiplexer, StreamHandler):
         """The channel of a route is closed; the last one takes the stream with it."""
         super().forget(route_id)
         if not self.channels:
-            self._end("no topic is on it any more")
+            self._end("no topic uses it any more")
 
     def received(self, data: bytes) -> None:
         """Bytes came. A peer that breaks the format loses the stream, with all that is on it."""

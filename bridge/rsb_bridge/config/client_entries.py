@@ -18,7 +18,7 @@ class ClientProblem(Wording):
 
     EXISTS = "{name} is a client already; `client rekey {name}` makes a new key for it"
     LAST = "{name} is the server's only client: add another one first, or stop the server"
-    UNKNOWN = "{name} is no client of this server; there are {names}"
+    UNKNOWN = "{name} is no client of this server; its clients: {names}"
     MISSPELT = "{name} is no client of this server; did you mean {near}?"
     NOT_A_SERVER = "only a server has clients, and this is a client's session"
 

@@ -41,7 +41,7 @@ class FieldProblem(Wording):
     TOO_LONG = "the text is too long: at most {limit} bytes are allowed"
     ON_LINE = "line {line}: {problem}"
     TAG = "line {line}: tags (!) are not allowed: write the value without the tag"
-    NOT_A_NAME = "line {line}: the text before the colon is no field's name"
+    NOT_A_NAME = "line {line}: the text before the colon is not a field name"
     TWICE = "line {line}: duplicate key {name}"
 
 

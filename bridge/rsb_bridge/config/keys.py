@@ -51,30 +51,32 @@ class KeyFileProblem(Wording):
     TOO_LARGE = "{path}: too large for a key file"
     EMPTY = "{path}: is empty: make a key with `rsb-console keygen`"
     NO_KEY = (
-        "{path}: holds no key: a key is 44 characters of URL-safe base64, {bytes} bytes, and the last word of the file "
+        "{path}: holds no key: a key is 44 characters of URL-safe base64 ({bytes} bytes); the last word of the file "
         "has {length} characters"
     )
     NOT_GIVEN = "no key_file for {name}: make one with `rsb-console keygen`, and copy it to the other side"
     SHARED = (
-        "{owners}: whoever has it may take each of these names, and its rights. Give each a key of its own "
-        "(`rsb-console client rekey NAME SESSION`), or say `shared_keys: true` in the server's session file"
+        "{owners}: whoever has it can connect under any of these names, with its rights. Give each its own key "
+        "(`rsb-console client rekey NAME SESSION`), or set `shared_keys: true` in the server's session file"
     )
-    ONE_KEY = "{names} have one key"
+    ONE_KEY = "{names} have the same key"
 
 
 class KeyWarning(Wording):
     """A risk of a valid key, and its remedy."""
 
     READABLE = "{path}: others may read this key (mode {mode}): run `chmod 600 {path}`"
-    OTHER_OWNER = "{path}: belongs to another user (uid {uid}), who may read and replace it: give it to this one"
-    REPLACEABLE = "{path}: anyone may put another key in its place: run `chmod o-w {folder}`"
+    OTHER_OWNER = (
+        "{path}: belongs to another user (uid {uid}), who can read and replace it: make this user its owner (chown)"
+    )
+    REPLACEABLE = "{path}: other users can replace it: run `chmod o-w {folder}`"
     SAME_NEXT = (
         "{name}: key_file and next_key_file hold the same key, {fingerprint}: "
-        "`rsb-console client rekey {name} --finish` ends that"
+        "run `rsb-console client rekey {name} --finish`"
     )
     TWO_FOR_LONG = (
         "{name}: two keys have been valid since {since}, and the old one still opens a link: once the robot has the "
-        "new one, `rsb-console client rekey {name} --finish`"
+        "new one, run `rsb-console client rekey {name} --finish`"
     )
 
 

@@ -94,7 +94,7 @@ class OperatorMistake(Wording):
     NAME_UNPRINTABLE = "{name} is not a name: give printable characters"
     NAME_TOO_LONG = "has {length} bytes in UTF-8; at most {limit}"
     SHARED_KEY = (
-        "operator {name} has the key of {other}, and whoever has it could take either's place: make a key of its own "
+        "operator {name} has the key of {other}, so that either can pass for the other: make a key of its own "
         "with `rsb-console keygen`"
     )
 
@@ -104,7 +104,7 @@ class OperatorChange(Wording):
 
     REMOVED = "operator {name}: removed, and detached"
     ADDED = "operator {name}: added, {right}"
-    CHANGED = "operator {name}: {before} → {after}; detached, and attaches again"
+    CHANGED = "operator {name}: {before} → {after}; detached, and has to attach again"
 
 
 class Place(Wording):
@@ -126,8 +126,8 @@ class DeniedText(Wording):
 class DeniedRemedy(Wording):
     """The change of a session file that would allow it."""
 
-    CHANGE_DENY = "deny {place} has {entry}"
-    CHANGE_ALLOW = "allow {place} has {entry}"
+    CHANGE_DENY = "change {entry} in deny {place}"
+    CHANGE_ALLOW = "change {entry} in allow {place}"
     ADD_BENCH = "add bench: {{}} {place}"
     ADD_ALLOW = "add {entry} to allow {place}"
     LIST = "list it under {list} {place}, with {direction}"

@@ -41,8 +41,8 @@ class BringupNote(Wording):
         "use_name: topics that the client receives are named /{name}/... on the server; the thesis's bridge had that "
         "prefix on the client instead"
     )
-    NOT_A_PARAMETER = "{key}: not a parameter of the bridge, left out"
-    SHUTDOWN_LEFT_OUT = "/shutdown is left out: the session's shutdown_topic does what it did"
+    NOT_A_PARAMETER = "{key}: left out, because it is not a parameter of the bridge"
+    SHUTDOWN_LEFT_OUT = "/shutdown: left out, because shutdown_topic of the session replaces it"
     NOT_A_CHANNEL = "{name}: {port} is not an RFCOMM channel; the topic shares the link's"
 
 

@@ -40,7 +40,7 @@ class RequestRefused(Wording):
 
     READ_ONLY = "{reason}: nothing can be changed"
     ATTACHED_READ_ONLY = "attached read-only"
-    TOO_MANY_WAITING = "{count} requests wait for an answer already"
+    TOO_MANY_WAITING = "{count} requests already wait for an answer: try again later"
 
 
 class Connection(Protocol):

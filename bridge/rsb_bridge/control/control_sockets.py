@@ -42,7 +42,7 @@ class SocketProblem(Wording):
     BUSY = "{path}: its process does not answer"
     OTHER = "{path}: {problem}"
     NOT_A_SOCKET = "{path}: exists, and is not a socket; name another path with --control"
-    FOLDER_LOCKED = "another process keeps the folder of the control socket locked"
+    FOLDER_LOCKED = "another process holds the lock on the folder of the control socket: try again"
     FOLDER_OF_ANOTHER = "this folder is another user's; remove it, or set XDG_RUNTIME_DIR"
     FOLDER_OF_USER = "this folder is another user's (uid {uid}); remove it, or set XDG_RUNTIME_DIR"
     FOLDER_WRITABLE = "others may write to this folder (mode {mode:04o}); chmod 700 it"
@@ -57,7 +57,7 @@ class AttachProblem(Wording):
     CLOSED_EARLY = "it closed the connection"
     DETACHED = "detached from the bridge"
     OTHER_CONSOLES = "{count} consoles are attached already; close one of them"
-    OTHER_USER = "this bridge runs as {user}, and no other user but root may control it: {remedy}"
+    OTHER_USER = "this bridge runs as {user}; only that user and root may control it: {remedy}"
     ON_SOCKET = "{where}: {problem}"
 
 

@@ -80,7 +80,7 @@ class VersionProblem(Wording):
 class RequestProblem(Wording):
     """Reasons why a command does not reach the bridge, or why its reply is useless."""
 
-    TOO_LONG = "it is too long: {length:,} bytes"
+    TOO_LONG = "this command is too long: {length:,} bytes"
     UNEXPECTED_REPLY = "unexpected reply to this command"
 
 

@@ -49,8 +49,8 @@ _USED_REGULARLY = 3.0
 class AttachedAgain(Wording):
     """Reports of a console that is attached again."""
 
-    SAME = "attached to {name} again"
-    RESTARTED = "attached to {name} again, which was restarted (pid {pid})"
+    SAME = "attached again to {name}"
+    RESTARTED = "attached again to {name}, which was restarted (pid {pid})"
 
 
 class RemoteEngine(EngineApi):

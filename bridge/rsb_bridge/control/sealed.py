@@ -73,13 +73,15 @@ _OPERATOR_REMEDIES = {
 class OperatorRefused(Wording):
     """Reasons why an operator is not attached over a network, or not any more."""
 
-    OPERATORS_CHANGED = "the operators were changed meanwhile"
-    REMOVED = "{name} may not attach any more: the bridge's operators were changed"
-    RIGHTS_CHANGED = "what {name} may do, or their key, was changed on the bridge"
+    UNKNOWN = "there is no operator {name!r}"
+    OPERATORS_CHANGED = "the operators of this engine have changed meanwhile: try again"
+    READ_ONLY = "{name} has read-only access (may: {may} in the bridge's operators)"
+    REMOVED = "{name} may no longer attach: removed from the bridge's operators"
+    RIGHTS_CHANGED = "the rights or the key of {name} were changed on the bridge"
     BY_ENGINE = "{engine} refuses: {message}"
     BY_ENGINE_WITH_REMEDY = "{engine} refuses: {message}: {remedy}"
     FAILED = "{engine}: {problem}"
-    CLOSED = "{engine}: the connection was closed before anybody answered"
+    CLOSED = "{engine} closed the connection without an answer"
 
 
 class SealedAcceptor:
@@ -134,7 +136,7 @@ class SealedAcceptor:
         """
         granted = self.access.granted.get(name)
         if granted is None:
-            raise Refusal(RefusalCode.UNKNOWN_NAME, f"no operator {name!r} may attach")
+            raise Refusal(RefusalCode.UNKNOWN_NAME, OperatorRefused.UNKNOWN(name=name))
         secret = granted.key.secret
         return Credential((secret,), self._replays.setdefault(secret, ReplayCache()))
 
@@ -301,7 +303,7 @@ class SealedConsole(PendingConnection, asyncio.Protocol):
         """The reason this operator may change nothing, or an empty string."""
         assert self._granted is not None
         may = self._granted.operator.may
-        return "" if may == "change" else f"{self.name} may look only (may: {may} in the bridge's operators)"
+        return "" if may == "change" else OperatorRefused.READ_ONLY(name=self.name, may=may)
 
     @property
     def buffered(self) -> int:

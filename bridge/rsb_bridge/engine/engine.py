@@ -252,7 +252,7 @@ class Engine(EngineApi):
             raise EngineError(str(error)) from None
         self._snapshots.latest = dataclasses.replace(self._snapshots.latest, domain_id=domain)
         if not self._session.use_encryption:
-            text = "encryption is off: everything crosses in the clear"
+            text = "encryption is off: all data crosses unencrypted"
             self._events.add(Level.WARNING, EventCode.KEY_UNENCRYPTED, text)
         keys, granted = load_keys(self._session, self._base)
         self.access.warn_of(keys, granted)
@@ -324,7 +324,7 @@ class Engine(EngineApi):
 
     def _record_stop(self) -> Future[None]:
         who = operator()
-        self._events.add(Level.INFO, EventCode.OPERATOR_STOPPED, f"told to end by {who}", who=who)
+        self._events.add(Level.INFO, EventCode.OPERATOR_STOPPED, f"stopped by {who}", who=who)
         done: Future[None] = Future()
         done.set_result(None)
         return done

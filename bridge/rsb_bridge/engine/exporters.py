@@ -220,8 +220,8 @@ class _Service:
                 server = MetricsServer(host, port, app, self._context.clock.steady, self._failed)
             except OSError as error:
                 if told != (told := error.strerror or str(error)):
-                    remedy = f"it is tried again every {_RETRIED_EVERY:.0f} s; or name another address"
-                    self._tell(Level.ERROR, f"no metrics are served, and the bridge goes on: {told}; {remedy}")
+                    remedy = f"trying again every {_RETRIED_EVERY:.0f} s; or name another address"
+                    self._tell(Level.ERROR, f"no metrics are served: {told}; {remedy}; the bridge goes on")
                 self._ends.wait(_RETRIED_EVERY)
                 continue
             told = ""

@@ -187,7 +187,7 @@ def read_history(path: Path) -> Saved:
         version = msgspec.msgpack.decode(content, type=_Versioned).version
         if version != VERSION:
             age = "an older" if version < VERSION else "a newer"
-            raise HistoryFileError(f"it is of {age} version of rsb-console")
+            raise HistoryFileError(f"it was written by {age} version of rsb-console")
         return msgspec.msgpack.decode(content, type=Saved)
     except (zstandard.ZstdError, msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
         raise HistoryFileError(f"it is damaged ({error})") from None

@@ -95,8 +95,8 @@ def _shortage_message(shortage: BufferShortage) -> str:
     """Return the reason why large messages are slow, and the remedy, for an operator."""
     whose, where = ("this machine's", "here") if shortage.here else ("the other side's", "there")
     return (
-        f"{whose} kernel keeps only {shortage.granted:,} bytes of UDP, and messages have {shortage.message:,}: they "
-        f"are slow, or lost. Run {where}: sudo sysctl -w net.core.rmem_max={RECEIVE_BUFFER}"
+        f"{whose} kernel buffers only {shortage.granted:,} bytes of UDP, and messages have {shortage.message:,}: they "
+        f"come late, or are lost. Run {where}: sudo sysctl -w net.core.rmem_max={RECEIVE_BUFFER}"
     )
 
 

@@ -29,7 +29,7 @@ class Rejected(Wording):
 
     TOO_MANY = "too many unauthenticated connections"
     NO_HANDSHAKE = "no handshake within {seconds:g} s"
-    SUPERSEDED = "others came after it under the same name"
+    SUPERSEDED = "replaced by newer connections under the same name"
     SERVER_STOPS = "the server stops"
 
 

@@ -44,7 +44,7 @@ _LINE_FORGOTTEN_AFTER = 60.0
 """s without another one; a client that is refused tries again within 12 s."""
 _OF_ONE_HOST = 8
 """Different refusals that are logged one by one: a stranger chooses their words, such as its name."""
-_MANY = "many different reasons; further ones of its host are not logged one by one"
+_MANY = "many different reasons: further refusals of its host are not logged one by one"
 _LINES, _LINES_A_SECOND = 256, 0.5
 """Lines about all hosts."""
 MOST = 16

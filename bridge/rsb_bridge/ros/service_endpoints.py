@@ -174,7 +174,9 @@ class Server(ServiceEndpoint):
             return False
         to = guid if guid in self._served else writer
         if not to:
-            raise RosError(f"{self.name}: who asked an earlier server cannot be answered with this caller's middleware")
+            raise RosError(
+                f"{self.name}: this caller asked an earlier server: its middleware takes no answer of this one"
+            )
         writing = outgoing(payload)
         code = _send_response(self.handle.address, CALLER.pack(to, number), id(writing))
         if code:
@@ -290,7 +292,7 @@ class LateAnswers:
             return True
         sizes = [len(each.payload) for answers in self._kept.values() for each in answers]
         if len(sizes) >= _MOST_LATE_ANSWERS or sum(sizes) + len(payload) > _MOST_LATE_BYTES:
-            raise RosError(f"{len(sizes):,} answers wait for callers that DDS does not know; there is no room for more")
+            raise RosError(f"{len(sizes):,} answers already wait for callers that DDS does not show: too many")
         self._kept.setdefault(caller, deque()).append(_Answer(number, payload, time.monotonic()))
         return False
 

@@ -99,8 +99,8 @@ class RefusalText(Wording):
         "the answer is not sealed with this console's key, {fingerprint}: the engine has another one, or somebody on "
         "the way answers in its place"
     )
-    ENCRYPTION_NOT_POSSIBLE = "the client encrypts, and the server has no key for {name!r}"
-    ENCRYPTION_REQUIRED = "the server requires encryption for {name!r}, and the client came without"
+    ENCRYPTION_NOT_POSSIBLE = "the client encrypts, but the server has no key for {name!r}"
+    ENCRYPTION_REQUIRED = "the server requires encryption for {name!r}, but the client does not encrypt"
     ANOTHER_ENGINE = "this is not the engine {name!r}"
 
 

@@ -52,7 +52,7 @@ class JudgingText(Wording):
     CARRIES_ALL = "{over} carries {carried}."
     CARRIES_SOME = "{over} carries {carried}, not {others}."
     CARRIES_NONE = "{over} does not carry {others}."
-    BARELY = "Only just: {topics}; any further load costs messages."
+    BARELY = "Just enough for {topics}; any further load costs messages."
     UNKNOWN = "Too few rates were tried to judge whether {over} carries {topics}."
     TOGETHER_MOST = "Together they take {percent:.0f} % of it, nearly all its capacity: limit the largest (max_rate)."
     TOGETHER_TOO_MUCH = (

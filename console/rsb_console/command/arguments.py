@@ -168,7 +168,7 @@ def _service_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def _console_options(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--readonly", action="store_true", help="watch only: nothing can be changed")
+    parser.add_argument("--readonly", action="store_true", help="read-only: nothing can be changed")
     parser.add_argument("--ascii", action="store_true", help="draw with ASCII characters")
     parser.add_argument("--no-mouse", action="store_true", help="leave the mouse to the terminal (m takes it back)")
     _complete(parser.add_argument("--theme", metavar="NAME", help="colours to start with"), "theme_names")
@@ -180,8 +180,8 @@ def _import_arguments(parser: argparse.ArgumentParser) -> None:
         "yaml_files",
     )
     parser.add_argument("--name", required=True, help="as in the launch file")
-    parser.add_argument("--role", choices=("client", "server"), help="default: the role of the file's node")
-    parser.add_argument("--key-file", type=Path, metavar="PATH", help="holds the launch file's key")
+    parser.add_argument("--role", choices=("client", "server"), help="default: as the file's node")
+    parser.add_argument("--key-file", type=Path, metavar="PATH", help="file with the launch file's key")
     parser.add_argument("--port", type=int, help="of the server, as in its launch file")
     parser.add_argument("--domain-id", type=int, metavar="N", help="default: $ROS_DOMAIN_ID at run time")
     parser.add_argument("--use-name", action="store_true", help="prefix the client's topics on the server")

@@ -40,7 +40,7 @@ class OperationText(Wording):
 
     NOTHING_TO_UNDO = "nothing to undo: nothing was changed on this console"
     NOTHING_MORE_TO_UNDO = "nothing more to undo"
-    AS_IN_FILE = "the bridge does what the session file says"
+    AS_IN_FILE = "the bridge already runs as in the session file"
     RELOAD = "Reload the session file?"
     ENDED_ELSEWHERE = "the bridge has ended in its own process: start it there"
     RESTART_MEANS = "All links are closed on both sides and opened again. Nothing crosses for a few seconds."

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from rsb_bridge.model.session import Session
     from rsb_console.console_api import Console
 
-_ANOTHER_DEMO = "This robot and its bridges end; a new robot starts, with the topics that a demo begins with."
+_ANOTHER_DEMO = "This robot and its bridges end; a new robot starts, with the demo's first topics."
 
 
 class SessionQuestion(Wording):

@@ -80,7 +80,7 @@ def _unanswered(facts: CallsFacts) -> Verdict | None:
     else:
         return None
     nodes = facts.providers or "the far node"
-    text = f"{what}; see why {nodes} does not answer within {facts.timeout:g} s, or set a longer timeout"
+    text = f"{what}; check why {nodes} does not answer within {facts.timeout:g} s, or set a longer timeout"
     return Verdict(State.SLOW, Cause.UNANSWERED, text, facts.failing_since)
 
 

@@ -50,7 +50,7 @@ class EndpointProblem(Wording):
     """Problems of an endpoint with the Zenoh network and its peers."""
 
     ERROR = "Zenoh: {error}"
-    NOBODY_TOLD = "the Zenoh network does not say who is in it: is its router busy?"
+    NOBODY_TOLD = "the Zenoh network does not list its members: is its router busy?"
     PEER_LEFT = "the other side has left the Zenoh network"
 
 
