@@ -130,7 +130,7 @@ class Context:
             self.loop.call_soon_threadsafe(work)
 
     def wall(self) -> float:
-        """Seconds since the epoch on the wall clock, which may be set at any time."""
+        """Return the seconds since the epoch on the wall clock, which may be set at any time."""
         return self.wall_ns() / 1e9
 
     def wall_ns(self) -> int:

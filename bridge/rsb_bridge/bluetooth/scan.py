@@ -247,7 +247,7 @@ async def scan(adapter: str | None = None, own_channels: Collection[tuple[str, i
 
 
 def held_channels(session: Session, snapshot: Snapshot) -> set[tuple[str, int]]:
-    """The channels that an engine listens on, for `scan`'s `own_channels`."""
+    """Return the channels that an engine listens on, for `scan`'s `own_channels`."""
     if session.adapter is None or session.role != "server" or not snapshot.running:
         return set()
     channels = {route.port for route in snapshot.routes if route.transport == "bluetooth"}

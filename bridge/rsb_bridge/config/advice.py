@@ -187,7 +187,7 @@ def _denied(topics: Sequence[Topic], where: str, rights: Rights, session: Sessio
 
 
 def uninstalled_types(session: Session) -> Iterator[Problem]:
-    """The types of topics that are not installed here. Looks only whether there are such packages, and imports none."""
+    """Yield the types of topics that are not installed here. Only looks for their packages, and imports none."""
     if importlib.util.find_spec("rclpy") is None:
         return  # no ROS here: none is installed
     for topic, here in zip(session.topics, locations(session.topics), strict=True):

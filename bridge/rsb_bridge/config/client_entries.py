@@ -51,7 +51,7 @@ def with_changed_client(session: Session, client: Client) -> Session:
 
 
 def without_client(session: Session, name: str) -> Session:
-    """A server's session without one of its clients.
+    """Return a server's session without one of its clients.
 
     Raises:
         ClientError: there is no such client, or no other.

@@ -129,7 +129,7 @@ class _Writing:
         self._left_out: list[str] = []
 
     def plain(self, value: Value, location: str) -> Any:
-        """A value as it is written; `location` is its own."""
+        """Return a value as it is written; `location` is its own."""
         if isinstance(value, dict):
             before = f"{location}." if location else ""
             return {name: self.plain(each, before + name) for name, each in value.items() if name != _NOTHING_IN_IT}

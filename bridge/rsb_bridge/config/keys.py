@@ -111,7 +111,7 @@ class Key:
 
 
 def generate() -> bytes:
-    """A new key: 44 characters of URL-safe base64, without a line break."""
+    """Return a new key: 44 characters of URL-safe base64, without a line break."""
     return base64.urlsafe_b64encode(os.urandom(KEY_BYTES))
 
 
@@ -127,12 +127,12 @@ def is_key_file(text: str) -> bool:
 
 
 def conceal(text: str) -> str:
-    """A text for a message or a log, with every key in it replaced."""
+    """Return a text for a message or a log, with every key in it replaced."""
     return _LIKE_A_KEY.sub("<a key>", text)
 
 
 def fingerprint(key: Key) -> str:
-    """16 hexadecimal digits of the key's SHA-256, in fours: two operators compare them to see whether keys match."""
+    """Return 16 hexadecimal digits of the key's SHA-256, in fours: operators compare them to see whether keys match."""
     return format_fingerprint(fingerprint_of(key.secret))
 
 
@@ -178,7 +178,7 @@ def copy_key(key: Key, path: Path, *, force: bool = False) -> None:
 
 
 def key_path(base: Path, key_file: str) -> Path:
-    """The path of a session's key file.
+    """Return the path of a session's key file.
 
     Args:
         base: the session file's folder.
@@ -254,7 +254,7 @@ def _write_new(path: Path, content: bytes) -> None:
 
 
 def key_files_by_client(session: Session) -> dict[str, tuple[str, ...]]:
-    """The files of the keys that are valid for each client of a session, by its name, the next key's last.
+    """Return the files of the keys that are valid for each client of a session, by its name, the next key's last.
 
     A client's session has its own only.
     """
@@ -323,7 +323,7 @@ def _of_rotation(name: str, current: Key, following: Key, now: float) -> Iterato
 
 
 def written(key: Key, now: float) -> str:
-    """When a key's file was written: ``2026-11-18 14:03 (3 days ago)``."""
+    """Return when a key's file was written: ``2026-11-18 14:03 (3 days ago)``."""
     return f"{time.strftime('%Y-%m-%d %H:%M', time.localtime(key.written))} ({_ago(now - key.written)})"
 
 

@@ -145,7 +145,7 @@ def demand_lines(text: str, path: Path) -> dict[SourceKey, int]:
 
 
 def dump(session: Session) -> str:
-    """The text of a new session file, without the values that are at their defaults."""
+    """Return the text of a new session file, without the values that are at their defaults."""
     return dump_yaml(msgspec.to_builtins(as_written(session)))
 
 

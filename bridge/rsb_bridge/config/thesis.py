@@ -47,7 +47,7 @@ class BringupNote(Wording):
 
 
 def bridge_nodes(data: object) -> dict[str, dict[str, Any]]:
-    """The parameters of each bridge node, by the node's name.
+    """Return the parameters of each bridge node, by the node's name.
 
     Args:
         data: the file as plain data, of any shape.
@@ -130,7 +130,7 @@ def import_bringup(
 
 
 def _bridge_node(data: object, path: Path) -> tuple[str, dict[str, Any]]:
-    """The name and parameters of the only bridge node in the file."""
+    """Return the name and parameters of the only bridge node in the file."""
     nodes = bridge_nodes(data)
     if not nodes:
         raise SessionError(path, [Problem("", BringupMistake.NO_NODE())])
@@ -176,7 +176,7 @@ class _Bringup:
         return Problem(self._origins.get(problem.location, problem.location), problem.message)
 
     def _columns(self, direction: Direction) -> dict[str, list[Any]]:
-        """One direction's lists, by the keys of a topic; all empty if they do not fit together."""
+        """Return one direction's lists, by the keys of a topic; all empty if they do not fit together."""
         columns = {key: self._parameters.get(f"{direction}_{suffix}") or [] for key, suffix in _LISTS.items()}
         topics = columns["topic"]
         faults = {}

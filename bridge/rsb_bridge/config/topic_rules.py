@@ -340,7 +340,7 @@ def _call_type(topic: Topic, location: str) -> Iterator[Problem]:
 
 
 def service_names(kind: Kind, name: str) -> list[str]:
-    """The full names of the services that are bridged with a service, an action or a node's parameters."""
+    """Return the full names of the services that are bridged with a service, an action or a node's parameters."""
     return [f"{name}{lane.suffix}" for lane in LANES[kind] if not lane.is_topic]
 
 

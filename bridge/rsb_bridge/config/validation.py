@@ -292,7 +292,7 @@ def placed(problem: Problem, data: object) -> Problem:
 
 
 def validate(session: Session) -> list[Problem]:
-    """All problems of a session."""
+    """Return all problems of a session."""
     data = msgspec.to_builtins(as_written(session))
     problems = build(data)[1]
     holders = [("", session.topics), *((join("clients", at), each.topics) for at, each in enumerate(session.clients))]
@@ -327,7 +327,7 @@ def _foreign(topic: Topic, location: str) -> Iterator[Problem]:
 
 
 def domain_of(session: Session, variable: str | None) -> int:
-    """The ROS domain that a session joins.
+    """Return the ROS domain that a session joins.
 
     Args:
         session: whose `Session.domain_id` comes first.
@@ -476,7 +476,7 @@ def _topics(topics: Sequence[Topic], where: str, session: Session, client: str |
 
 
 def _clashes(topics: Sequence[Topic], where: str, session: Session, client: str | None) -> Iterator[Problem]:
-    """Topics of one link that are there twice, or want one port."""
+    """Yield the topics of one link that are listed twice, or want the same port."""
     places = locations(topics)
     routes: dict[Identity, int] = {}
     sources: dict[tuple[Kind, str], int] = {}
@@ -556,7 +556,7 @@ def armed_problems(armed: Sequence[str | Armed]) -> Iterator[Problem]:
 
 
 def key_file_problems(session: Session) -> Iterator[Problem]:
-    """All mistakes in a session's key files, without those in their contents."""
+    """Yield all mistakes in a session's key files, without those in their contents."""
     yield from _names(session, "")
     yield from _replaces(session.next_key_file, session.key_file, "")
     owners: list[tuple[str, str | None]] = []

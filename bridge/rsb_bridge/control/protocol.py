@@ -331,7 +331,7 @@ _route = msgspec.msgpack.Decoder(RouteSnapshot)
 
 
 def encode(message: ToBridge | ToConsole) -> bytes:
-    """A message as a frame."""
+    """Return a message as a frame."""
     body = _encoder.encode(message)
     return len(body).to_bytes(_LENGTH_BYTES, "big") + body
 
@@ -367,7 +367,7 @@ def encode_route(route: RouteSnapshot) -> msgspec.Raw:
 
 
 def decode_route(raw: msgspec.Raw) -> RouteSnapshot:
-    """The inverse of `encode_route`.
+    """Decode what `encode_route` has returned.
 
     Raises:
         ProtocolError: it is none.

@@ -104,7 +104,7 @@ class SealedAcceptor:
         server.at_end(self._close)
 
     def protocol(self) -> SealedConsole:
-        """The protocol of a connection that has come, for its stream."""
+        """Return the protocol for a new connection's stream."""
         return SealedConsole(self)
 
     def review(self) -> None:
@@ -125,7 +125,7 @@ class SealedAcceptor:
         return True
 
     def remove(self, console: SealedConsole) -> None:
-        """A connection has ended."""
+        """Forget a connection that has ended."""
         self._present.pop(console, None)
 
     def credential(self, name: str) -> Credential:
@@ -233,7 +233,7 @@ class SealedConsole(PendingConnection, asyncio.Protocol):
     # --- before it is attached
 
     def review(self, granted: Granted | None) -> None:
-        """The operators are others now; `granted` is what the one of this name may do."""
+        """Take over changed operators; `granted` has the rights of the operator of this name, or is None."""
         if self._console is None:
             if self._machine.accepted:
                 self.reject(OperatorRefused.OPERATORS_CHANGED())
@@ -258,7 +258,7 @@ class SealedConsole(PendingConnection, asyncio.Protocol):
         self._acceptor.came_or_went(EventCode.ATTACH_OPERATOR, self.operator, text)
 
     def _fail(self, reason: str, answer: bytes) -> None:
-        """It broke the format, or what has come is not what its console has sealed."""
+        """End a connection that broke the format or the seal."""
         if self._console is not None:
             self._log(EventCode.ATTACH_REJECTED, reason)
             self.abort()
@@ -271,7 +271,7 @@ class SealedConsole(PendingConnection, asyncio.Protocol):
 
     def _busy(self, message: str) -> bytes:
         if self._machine.accepted:
-            return b""  # the console has the answer, and takes only records now
+            return b""  # the console has the answer, and accepts only records from now on
         return self._machine.refuse(RefusalCode.BUSY, message)
 
     def _close_with(self, answer: bytes, message: str) -> None:
@@ -342,7 +342,7 @@ def _nothing() -> None:
 
 
 def _origin(peername: object) -> tuple[str, str]:
-    """The host that a connection comes from, and with its port, as a stream says; for a log."""
+    """Return the host that a connection comes from, and with its port, as a stream says; for a log."""
     if isinstance(peername, tuple) and len(peername) >= 2 and peername[1]:
         host, port = sanitize_text(str(peername[0]), _PEER_LENGTH), sanitize_text(str(peername[1]), _PEER_LENGTH)
         return host, f"[{host}]:{port}" if ":" in host else f"{host}:{port}"
@@ -460,7 +460,7 @@ class _OperatorConnection(asyncio.Protocol):
         return False
 
     def _refuse(self, event: Refused | Failed) -> None:
-        """Take a refusal that nothing better has followed."""
+        """End the connection because of a refusal that no other answer has followed in time."""
         if self._trial is not None and not self._ended:
             self._end(self._reason_of(event))
 
@@ -486,7 +486,7 @@ class _OperatorConnection(asyncio.Protocol):
             self._reader.feed_eof()
 
     def _end(self, reason: str) -> None:
-        """The connection is of no use any more."""
+        """End the connection, and fail whoever waits for it."""
         error = ControlError(reason)
         self._ended = True
         self._reader.set_exception(error)

@@ -295,7 +295,7 @@ class Engine(EngineApi):
         self._thread = None
 
     def snapshot(self) -> Snapshot:
-        """The engine as it was at most 1 s ago; while somebody asks more often than that, 0.25 s."""
+        """Return the engine as it was at most 1 s ago; while somebody asks more often than that, 0.25 s."""
         return self._snapshots.look()
 
     def events(self, after: int = 0) -> list[Event]:
@@ -317,7 +317,7 @@ class Engine(EngineApi):
             return cast("Future[R]", self._record_stop())
         if bridge is None:
             return not_running()
-        if isinstance(command, History):  # which goes on when the bridge has ended
+        if isinstance(command, History):  # the history outlives the bridge
             seconds = command.seconds if command.seconds > 0 else 0.0  # NaN is not greater than 0, either
             return cast("Future[R]", self._recorder.history(seconds))
         return self._commands.run(lambda: bridge.do(command, step))
@@ -386,7 +386,7 @@ class Engine(EngineApi):
         await command(client, keys[client.name])
 
     def _folder(self) -> Path:
-        """The folder of the session file."""
+        """Return the folder of the session file."""
         return self._base if self._file is None else self._file.parent
 
     async def _reload(self, bridge: Bridge, *, dry_run: bool) -> Reloaded:

@@ -155,7 +155,7 @@ def _is_goal(route: CallsRoute, lane: int) -> bool:
 
 
 def _lane_named(route: CallsRoute, name: str) -> int:
-    """A lane's number, by its name among those that can be called."""
+    """Return a lane's number, by its name among those that can be called."""
     names = {member.name: number for number, member in enumerate(route.members) if not member.is_topic}
     if name in names:
         return names[name]

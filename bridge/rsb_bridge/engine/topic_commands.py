@@ -71,7 +71,7 @@ class TopicCommands:
         self._demands = demands
 
     def find(self, key: str) -> tuple[Link, Route]:
-        """A route and its link by the route's key."""
+        """Return a route and its link by the route's key."""
         for link in self._role.links():
             if key in link.routes:
                 return link, link.routes[key]

@@ -166,7 +166,7 @@ class PeerSubscription:
         if self._request is None or self._asked_for or not (self._patterns or self._told or not self._answered):
             return
         matching = [(named, type_name) for named, type_name in sorted(names.items()) if self._tells(named, type_name)]
-        known = [each for each in matching if each[0] in self._told]  # first: a full list does not flutter
+        known = [each for each in matching if each[0] in self._told]  # first: a full list stays the same
         new = [each for each in matching if each[0] not in self._told]
         told = dict(islice((*known, *new), NAMES_FOLLOWED))
         present = [_found(named, kind) for named, kind in told.items() if self._told.get(named) != kind]

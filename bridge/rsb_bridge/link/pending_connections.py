@@ -159,7 +159,7 @@ class PendingConnection(ABC):
         self.reject(Rejected.NO_HANDSHAKE(seconds=_HANDSHAKE_WITHIN))
 
     def _accept(self) -> None:
-        """The peer's first message opens under its key."""
+        """Note that the peer's first message opens under its key."""
         self.stage = Stage.ACCEPTED
         self._pending.accepted(self)
 

@@ -148,7 +148,7 @@ class Recording(Protocol):
         ...
 
     def now(self) -> float:
-        """Seconds on a clock that nobody sets."""
+        """Return the time (s) on a clock that nobody sets."""
         ...
 
 
@@ -296,7 +296,7 @@ class DuplicateClients:
 
     name: str
     _since: float = 0.0  # s since the epoch: there has been at least one since then
-    _tried: dict[tuple[str, str], float] = field(default_factory=dict)  # last attempt, by address and host; newest last
+    _tried: dict[tuple[str, str], float] = field(default_factory=dict)  # last attempts by address and host, newest last
     _others: int = 0  # number in the server's message
 
     def tried(self, address: str, host: str, now: float, wall: float) -> None:

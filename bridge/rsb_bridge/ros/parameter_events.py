@@ -43,7 +43,7 @@ class ParameterEventError(ValueError):
 
 
 def node_of(payload: bytes) -> str:
-    """The full name of the node whose parameters an event is about.
+    """Return the full name of the node whose parameters an event is about.
 
     Args:
         payload: the message with its encapsulation header.
@@ -60,7 +60,7 @@ def node_of(payload: bytes) -> str:
 
 
 def with_node(payload: bytes, node: str) -> bytes:
-    """The same event of a node of another name.
+    """Return the same event of a node of another name.
 
     Args:
         payload: the message with its encapsulation header.
@@ -171,7 +171,7 @@ class Listening:
         self._end: Callable[[], None] | None = end
 
     def close(self) -> None:
-        """Listen no more. May be called twice."""
+        """Stop listening. May be called twice."""
         if self._end is not None:
             end, self._end = self._end, None
             end()
@@ -197,8 +197,8 @@ class ParameterEvents:
             topic: where they are.
             qos: to subscribe with.
             node: its full name.
-            sink: gets its events, on the ROS thread; and of what is no event at all, one of all sinks does.
-            on_failure: told once if the subscription fails, which then is closed.
+            sink: gets the node's events, on the ROS thread. A malformed event goes to only one of all sinks.
+            on_failure: called once if the subscription fails and is closed.
 
         Raises:
             RosError: it cannot be subscribed to.

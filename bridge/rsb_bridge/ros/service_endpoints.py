@@ -199,7 +199,7 @@ class Client(ServiceEndpoint):
 
     @property
     def ready(self) -> bool:
-        """Whether a server is matched; no once closed."""
+        """Whether a server is matched; False once closed."""
         return is_ready(self.handle)
 
     def take(self, limit: int) -> list[Response]:
@@ -256,7 +256,7 @@ def _check(code: int, expected: int, service: str, failed: str) -> None:
 
 
 class _Answer(NamedTuple):
-    """One that is kept.
+    """An answer that is kept.
 
     Attributes:
         number: of the caller's request.
@@ -371,7 +371,7 @@ class TypedClient(ServiceEndpoint):
 
     @property
     def ready(self) -> bool:
-        """Whether a server is matched; no once closed."""
+        """Whether a server is matched; False once closed."""
         return is_ready(self.handle)
 
     def take(self, limit: int) -> list[Response]:

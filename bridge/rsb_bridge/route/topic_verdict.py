@@ -275,7 +275,7 @@ def _slow(facts: Facts) -> Verdict | None:
             return None  # a fault that nobody was shown needs no end
         return Verdict(State.SLOW, Cause.SLOW, f"recovering after {LASTING}: {rates}", facts.slow_since)
     text = f"{rates}, for {LASTING}"
-    if facts.lost_in_dds > (facts.expected_rate - facts.rate) * LATELY / 2:  # it is the greater part of what is missing
+    if facts.lost_in_dds > (facts.expected_rate - facts.rate) * LATELY / 2:  # DDS lost most of the missing messages
         reason = f"DDS lost {facts.lost_in_dds:,} messages before they could be taken"
     else:
         reason = f"that is all that {_plural(facts.endpoints, 'publishes', 'publish')}"

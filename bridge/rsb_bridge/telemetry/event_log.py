@@ -79,7 +79,7 @@ class EventLog:
             self._news.notify_all()
 
     def after(self, number: int) -> list[Event]:
-        """Those numbered above `number` that are still kept, oldest first."""
+        """Return the events numbered above `number` that are still kept, oldest first."""
         with self._news:
             missing = self.last - number
             if missing <= 0:

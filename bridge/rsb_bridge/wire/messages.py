@@ -478,7 +478,7 @@ class Arm(ControlMessageBase, frozen=True):
 
 
 class Armed(ControlMessageBase, frozen=True):
-    """The answer to `Arm`: both sides hold the route for armed from here on.
+    """The answer to `Arm`: from now on both sides treat the route as armed.
 
     Attributes:
         route: route id.

@@ -200,12 +200,12 @@ def take_frame(stream: bytearray) -> bytes | None:
 
 
 def preamble_frame(kind: Kind, body: bytes = b"") -> bytes:
-    """A preamble frame, without its length."""
+    """Return a preamble frame, without its length."""
     return MAGIC + bytes((VERSION, kind)) + body
 
 
 def control_header(suite: Suite, name: str, fingerprint: bytes = bytes(FINGERPRINT_LENGTH)) -> bytes:
-    """The part of a CONTROL frame before its handshake message; `fingerprint` is of the key, zeros for none.
+    """Return the part of a CONTROL frame before its handshake message; `fingerprint` is of the key, zeros for none.
 
     Raises:
         ValueError: the name is too long.
@@ -217,12 +217,12 @@ def control_header(suite: Suite, name: str, fingerprint: bytes = bytes(FINGERPRI
 
 
 def data_header(link_id: bytes, route: int) -> bytes:
-    """The part of a DATA frame before its proof."""
+    """Return the part of a DATA frame before its proof."""
     return preamble_frame(Kind.DATA, _DATA.pack(link_id, route))
 
 
 def refuse_frame(code: RefusalCode, message: str) -> bytes:
-    """A REFUSE frame; a message that is too long is cut."""
+    """Return a REFUSE frame; a message that is too long is cut."""
     return preamble_frame(Kind.REFUSE, bytes((code,)) + message.encode(errors="replace")[:MESSAGE_LIMIT])
 
 
@@ -364,7 +364,7 @@ class PreambleStream(ABC):
         return other, copy.copy(handshake)
 
     def data_to_send(self) -> bytes:
-        """The bytes to write now; returned once."""
+        """Return the bytes to write now; returned once."""
         data, self._outbox = bytes(self._outbox), bytearray()
         return data
 

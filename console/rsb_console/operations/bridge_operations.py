@@ -50,7 +50,7 @@ _RETRIED_ON_SERVER = "topics that were refused are opened again; clients whose l
 
 
 def arming_means(route: RouteSnapshot) -> str:
-    """The question that the operator answers before arming."""
+    """Return the question that the operator answers before arming."""
     deadman = route.arming.deadman if route.arming is not None else 0.0
     keys = f", or no key is pressed here for {deadman:g} s" if deadman else ""
     way = f"to {route.remote_topic} on the other side" if route.outgoing else f"from there to {route.topic} here"

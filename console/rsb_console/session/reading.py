@@ -201,7 +201,7 @@ def age_text(age: StampAge) -> str:
 
 
 def how_it_came(peeked: PeekedMessage) -> str:
-    """When and how a message came, in words."""
+    """Return when and how a message came, in words."""
     size = f"{formats.thousands(peeked.size)} B"
     if peeked.is_kept:
         return ArrivalText.KEPT(size=size)

@@ -393,7 +393,7 @@ class Network:
         _set(config, "connect/retry", {**_RETRY, "period_init_ms": int(_RETRY["period_init_ms"] * (1 + self._jitter))})
         _set(config, "transport/unicast/open_timeout", _HANDSHAKE)
         _set(config, "transport/link/tx/lease", _LEASE)
-        _set(config, "transport/shared_memory/enabled", value=False)  # a killed process would leave some behind
+        _set(config, "transport/shared_memory/enabled", value=False)  # a killed process would leave segments behind
         _set(config, "transport/link/rx/max_message_size", 2 * LARGEST_SAMPLE)
         _set(config, "transport/link/tx/queue/size", dict.fromkeys(_QUEUES, _BATCHES))
         _set(config, "transport/link/tx/queue/congestion_control/drop/wait_before_drop", 0)
@@ -405,7 +405,7 @@ class Network:
             self._changed(event)
 
     def _changed(self, event: zenoh.TransportEvent) -> None:
-        """A router or peer has come or gone."""
+        """Handle a router or peer that has come or gone."""
         session, gone = self._session, event.transport.zid
         if session is None:
             return
