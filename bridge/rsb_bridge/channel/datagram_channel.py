@@ -92,7 +92,7 @@ class Pacer:
         return _PAUSE if self._tokens <= 0 or not self.window else _PATIENCE
 
     def sent(self, size: int, sequence: int, now: float) -> None:
-        """So many bytes were sent; the last datagram had this sequence number."""
+        """Note that `size` bytes were sent; the last datagram had this sequence number."""
         if not self._sent:
             self._began = now
         self._tokens -= size

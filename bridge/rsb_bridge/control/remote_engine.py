@@ -218,7 +218,7 @@ class RemoteEngine(EngineApi):
             await asyncio.sleep(_RETRY_EVERY)
 
     async def _attach(self) -> str:
-        """Be attached until the connection ends; gives the reason."""
+        """Stay attached until the connection ends; return the reason."""
         connection = await self._way.open(ANSWERS_WITHIN)
         try:
             self._connection = connection

@@ -80,7 +80,7 @@ class ClockAxis:
         return self.now - before
 
     def of_wall(self, moment: float) -> float:
-        """Return a recent time of the wall clock, on this axis."""
+        """Convert a recent time of the wall clock to this axis."""
         return moment + self.now - (self._steady + self._offset)
 
 

@@ -148,7 +148,7 @@ class Timeline:
     # --- as time goes by
 
     def observe(self, snapshot: Snapshot, now: float) -> None:
-        """Take note of how everything is now. Until the next time it counts as being so."""
+        """Record the present state of everything, which counts until the next call."""
         self._run = (self._run[0] if self._run else now, now)
         self._turn += 1
         for link in snapshot.links:

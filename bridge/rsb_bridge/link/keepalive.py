@@ -140,7 +140,7 @@ class Keepalive:
         now, carriers = self._context.now(), self._carriers()
         received = sum(each.received_bytes for each in carriers)
         sent = sum(each.sent_bytes for each in carriers)
-        # There is less than before where a carrier was closed.
+        # The sums fall when a carrier closes.
         more_received, more_sent = max(0, received - self._received), max(0, sent - self._sent)
         self._rx.add(more_received, now)
         self._tx.add(more_sent, now)

@@ -151,7 +151,7 @@ class TopicPorts:
             if port not in listed:
                 allowed = join_first([str(each) for each in listed], _NAMED) or "none"
                 raise ListenError(PortDenied.NOT_LISTED(port=port, allowed=allowed))
-            return _nothing  # the list is the limit
+            return _nothing  # the list itself limits their number
         if key not in self._users and len(self._users) >= PORTS_PER_CLIENT:
             raise ListenError(PortDenied.TOO_MANY(client=self._client, limit=PORTS_PER_CLIENT))
         self._users[key] = self._users.get(key, 0) + 1

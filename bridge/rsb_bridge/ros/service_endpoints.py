@@ -283,7 +283,7 @@ class LateAnswers:
         self._tried_at = 0.0
 
     def send(self, caller: bytes, number: int, payload: bytes) -> bool:
-        """Send an answer, else keep it. Whether it was sent.
+        """Send an answer, or keep it; return whether it was sent.
 
         Raises:
             RosError: it cannot be sent at all, or there is no room to keep it.

@@ -217,7 +217,7 @@ class Arming:
         if not self.required:
             return None
         armed = self.stands(now)
-        grace = PEER_GRACE if self.console is None else 0.0  # the operator has no more time for it
+        grace = PEER_GRACE if self.console is None else 0.0  # the other side's operator has that much less time
         left = max(0.0, self._deadline - grace - now) if armed and self.deadman else None
         here = self.console is not None
         if armed:

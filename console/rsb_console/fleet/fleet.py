@@ -87,7 +87,7 @@ class Robot(NamedTuple):
     Attributes:
         source: source that reports it.
         summary: the robot itself.
-        gone: the source knows it no more; it is only remembered.
+        gone: whether its source no longer has it, so that it is only remembered.
     """
 
     source: FleetSource
