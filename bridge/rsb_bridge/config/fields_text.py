@@ -50,7 +50,7 @@ class FieldNote(Wording):
 
     ELEMENTS = "{location}: the first {shown:,} of {total:,} elements"
     CHARACTERS = "{location}: the first {shown:,} of {total:,} characters"
-    MORE = "and parts of {count:,} more"
+    MORE = "and parts of {count:,} more fields"
     UNREADABLE = "not read further: {problem}"
 
 

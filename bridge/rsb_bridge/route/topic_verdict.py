@@ -33,8 +33,8 @@ USE_TCP, LOWER_MTU = "use protocol: tcp", "lower the MTU"
 STOPPED_PUBLISHING = ("has stopped publishing, or died", "have stopped publishing, or died")
 PUBLISHED_NOTHING = ("has published nothing yet", "have published nothing yet")
 NOTHING_SINCE_OPENED = (
-    "has published nothing since it was opened again",
-    "have published nothing since it was opened again",
+    "has published nothing since it was reopened",
+    "have published nothing since it was reopened",
 )
 """Verbs for one silent publisher, and for several."""
 _NAMED = 3

@@ -45,8 +45,8 @@ class ClientFileProblem(Wording):
         "as key_file and remove next_key_file, then run `rsb-console reload`"
     )
     NEXT_KEY_EXISTS = (
-        "{name} has a next key already, in {file}: once the robot has it, `rsb-console client rekey {name} --finish`; "
-        "to have one more made, `rsb-console client rekey {name}`, which ends its link"
+        "{name} has a next key already, in {file}: once the robot has it, run `rsb-console client rekey {name} "
+        "--finish`; for another key, run `rsb-console client rekey {name}`, which ends its link"
     )
     NO_NEXT_KEY = "{name} has no next key: `rsb-console client rekey {name} --keep-old` makes one"
 

@@ -100,7 +100,7 @@ def _warning(facts: CallsFacts) -> Verdict | None:
 def _waiting(facts: CallsFacts) -> Verdict | None:
     if facts.came and facts.offered:
         return None
-    text = "not called since it was opened again" if facts.came_before else "not called yet"
+    text = "not called since it was reopened" if facts.came_before else "not called yet"
     if not facts.offered and facts.status.waits_for:
         text = f"waiting: {facts.status.waits_for}"
     return Verdict(State.WAITING, Cause.NO_CALL, text)
