@@ -376,7 +376,7 @@ class Subject:
     # --- questions
 
     def outages_in(self, start: float, now: float, link: Subject | None) -> Iterator[Outage]:
-        """Yield the outages that had not ended before `start`, oldest first."""
+        """The outages that had not ended before `start`, oldest first."""
         for ended in self.outages:
             if ended.start + ended.seconds >= start:
                 yield self._outage(ended)
@@ -388,7 +388,7 @@ class Subject:
         return self.dropped if self.dropped_at >= start else 0
 
     def present(self, now: float, link: Subject | None) -> Iterator[Ended]:
-        """Yield the outages as they are to be kept on disk: the one that goes on ends where the file does."""
+        """The outages as they are to be kept on disk: the one that goes on ends where the file does."""
         yield from self.outages
         if self._open is not None:
             yield self._ended(self._open, now, link, cut_off=True)

@@ -307,7 +307,7 @@ class Timeline:
     # --- on disk
 
     def save(self, now: float) -> Saved:
-        """Return all of it as it is now, for `restore`."""
+        """All of it as it is now, for `restore`."""
         subjects = tuple(
             SavedSubject(
                 each.link, each.topic, each.outgoing, *each.series.dump(),

@@ -231,7 +231,7 @@ def _duration(seconds: float) -> Duration:
 
 
 def endpoint_of(info: dict[str, Any]) -> Endpoint:
-    """Return an endpoint of the graph. Any DDS program may have put it there, so nothing in it is believed."""
+    """An endpoint of the graph. Any DDS program may have put it there, so nothing in it is believed."""
     type_hash, profile = info["topic_type_hash"], info["qos_profile"]
     known = info["node_name"] != _UNKNOWN_NODE
     return Endpoint(

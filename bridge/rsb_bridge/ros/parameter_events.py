@@ -197,8 +197,8 @@ class ParameterEvents:
             topic: where they are.
             qos: to subscribe with.
             node: its full name.
-            sink: gets the node's events, on the ROS thread. A malformed event goes to only one of all sinks.
-            on_failure: called once if the subscription fails and is closed.
+            sink: gets its events, on the ROS thread; and of what is no event at all, one of all sinks does.
+            on_failure: told once if the subscription fails, which then is closed.
 
         Raises:
             RosError: it cannot be subscribed to.

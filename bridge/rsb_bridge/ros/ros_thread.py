@@ -111,7 +111,7 @@ class RosToLoopQueue:
         self._scheduled = False
 
     def put(self, receiver: Receiver[T], batch: Sequence[T]) -> None:
-        """Hand a batch to the I/O loop. Called on the ROS thread."""
+        """Called on the ROS thread."""
         self._batches.append((receiver, batch))
         if self._do_now(self._drain):
             return

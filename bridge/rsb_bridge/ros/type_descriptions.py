@@ -62,7 +62,7 @@ class TypeDescriptions:
         return text
 
     async def find(self, type_name: str, type_hash: str, topic: str) -> str | None:
-        """Return the text of a type's description: as installed here, or as told by a node that uses it on a topic.
+        """The text of a type's description: as installed here, or as told by a node that uses the type on a topic.
 
         None: nobody on this side knows it. That may take some seconds to find out, and is then taken for true for a
         while. One type is looked for at a time.

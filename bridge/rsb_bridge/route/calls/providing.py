@@ -327,7 +327,7 @@ class ProvidingRoute(CallsRoute):
         now, limited = self.context.now(), self._is_limited(frame)
         if limited and (why := self._why_held(frame)) is not None:
             return why
-        if self._told is None or not self._told.lanes:  # asking DDS at each call would be slow
+        if self._told is None or not self._told.lanes:  # a question to DDS at each call would take its time
             if self._is_answered(frame):
                 return self.peer.budget.provided.take(frame_size(frame.content), now)
             return Refused.PROVIDER_GONE
