@@ -26,7 +26,7 @@ class Unable(Wording):
     NOT_RUNNING = "the engine is not running"
     STOPPED_BEFORE_START = "the engine was stopped before it had started"
     NOT_A_SERVER = "only a server has clients"
-    NO_FILE = "this session is in no file: save it first"
+    NO_FILE = "this session has no file yet: save it first"
 
 
 class EngineError(Exception):
@@ -83,15 +83,15 @@ class EngineApi(ABC):
 
     @abstractmethod
     def snapshot(self) -> Snapshot:
-        """The state of everything at one moment, recent and immutable."""
+        """Return the state of everything at one moment, recent and immutable."""
 
     @abstractmethod
     def events(self, after: int = 0) -> list[Event]:
-        """The events numbered above `after` that are still remembered, oldest first."""
+        """Return the events numbered above `after` that are still remembered, oldest first."""
 
     @abstractmethod
     def wait_for_events(self, after: int, timeout: float) -> list[Event]:
-        """The same events as `events`; wait up to `timeout` s for one."""
+        """Return the same events as `events`; wait up to `timeout` s for one."""
 
     @abstractmethod
     def use_file(self, path: Path | None) -> None:

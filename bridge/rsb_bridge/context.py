@@ -108,7 +108,7 @@ class Context:
 
     def _demand_dropped(self, source: Source, origin: str) -> None:
         who = operator()
-        text = f"{source.name}: no longer has to be armed ({origin} demanded it): dropped by {who}"
+        text = f"{source.name}: no longer has to be armed: {who} dropped the demand ({origin})"
         about: About = {"topic": source.name, "who": who, "old": origin}
         self.events.add(Level.WARNING, EventCode.OPERATOR_ARM_DROPPED, text, **about)
 
@@ -130,7 +130,7 @@ class Context:
             self.loop.call_soon_threadsafe(work)
 
     def wall(self) -> float:
-        """Seconds since the epoch on the wall clock, which may be set at any time."""
+        """Return the seconds since the epoch on the wall clock, which may be set at any time."""
         return self.wall_ns() / 1e9
 
     def wall_ns(self) -> int:

@@ -16,10 +16,12 @@ from rclpy.qos import qos_profile_parameter_events
 from rclpy.serialization import deserialize_message, serialize_message
 from tests.support.bridge import happened, route
 from tests.support.waiting import eventually
+from tests.support.wording import says
 
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import State
+from rsb_bridge.route.calls.node_parameters import NoParameters
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -197,9 +199,9 @@ def test_a_node_without_parameters_is_not_offered_and_that_is_said(
 ) -> None:
     start(robot, "plain", start_parameter_services=False)
     server, client = bridge.both(parameters("/plain"), parameters("/nobody"))
-    eventually(lambda: "serves no parameters" in route(client, "/plain").reason)
+    eventually(lambda: says(route(client, "/plain").reason, NoParameters.NO_SERVICES, node="/plain"))
     assert route(client, "/plain").state == State.DOWN
-    eventually(lambda: "serves no parameters" in route(server, "/plain").reason)
+    eventually(lambda: says(route(server, "/plain").reason, NoParameters.NO_SERVICES, node="/plain"))
     eventually(lambda: "no server of /nobody/list_parameters" in route(server, "/nobody").reason)
     program = start(pc, "program")
     assert not AsyncParameterClient(program.node, "/plain").services_are_ready()
@@ -216,7 +218,7 @@ def test_a_node_with_some_of_the_services_is_not_offered_and_what_is_missing_is_
         half.node.create_service(kind, f"/half/{name}", lambda _, response: response)
     server, client = bridge.both(parameters("/half"))
     for engine in (client, server):
-        eventually(lambda engine=engine: "only a part" in route(engine, "/half").reason)
+        eventually(lambda engine=engine: says(route(engine, "/half").reason, NoParameters.SOME_SERVICES, node="/half"))
     assert "/half/get_parameter_types" in route(client, "/half").reason
 
 

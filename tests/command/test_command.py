@@ -285,7 +285,7 @@ def test_check_warns_of_what_is_allowed_but_unwise() -> None:
     )
     warnings = [line for line in rsb_console("check", "open.yaml").stdout.splitlines() if line.startswith("warning: ")]
     assert len(warnings) == 3
-    assert "in the clear" in warnings[0]
+    assert Advice.NO_ENCRYPTION() in warnings[0]
     assert "domain 150" in warnings[1]
     assert f"topic /scan: {Advice.SHUTDOWN_TOPIC()}" in warnings[2]
 

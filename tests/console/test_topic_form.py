@@ -22,6 +22,7 @@ from tests.console.driving import (
 from tests.console.scripted import SESSION, ScriptedEngine, route
 from textual.pilot import Pilot
 
+from rsb_bridge.config.validation import SessionMistake
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.model.session import Client, Session, Topic
 from rsb_bridge.model.snapshot import TopicInfo
@@ -176,9 +177,9 @@ def test_a_topic_that_crosses_already_is_refused_in_the_form() -> None:
         await shown(pilot, "Add a topic")
         await fill(pilot, topic="/scan")
         await pilot.press("enter", "enter")
-        await shown(pilot, "(transmit) is there already")
+        await shown(pilot, SessionMistake.TOPIC_TWICE, end="transmit")
         await choose(pilot, "direction", "receive")
-        await gone(pilot, "is there already")
+        await gone(pilot, SessionMistake.TOPIC_TWICE)
 
     drive(app, steps)
 

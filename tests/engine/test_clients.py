@@ -117,7 +117,7 @@ def test_clients_that_share_a_key_are_refused_unless_it_is_meant(bridge: Bridge)
     bridge.make_key("robot2")
     (bridge.folder / "copy.key").write_bytes((bridge.folder / bridge.key_file).read_bytes())
     both = (Client("robot1", bridge.key_file), Client("robot2", "copy.key"))
-    words = "robot1 and robot2 have one key: .* rekey NAME SESSION.*shared_keys: true"
+    words = pattern(KeyFileProblem.SHARED, owners=KeyFileProblem.ONE_KEY(names="robot1 and robot2"))
     for clients in (both, (Client("robot1"), Client("robot2"))):
         with pytest.raises(EngineError, match=words):
             bridge.server(clients=clients)

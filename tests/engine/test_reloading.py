@@ -15,6 +15,7 @@ from tests.support.wording import pattern
 from rsb_bridge.api import EngineError, Unable
 from rsb_bridge.config.session_file import load, save
 from rsb_bridge.engine import engine as engine_module
+from rsb_bridge.link.reloading import ClientStep
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.command_origin import OWN_CONSOLE, acting
 from rsb_bridge.model.session import Client, Session, Topic
@@ -206,7 +207,7 @@ def test_clients_are_added_changed_and_removed_without_the_others_noticing(
     )
     assert [change.partition(" (")[0] for change in reloaded.changed] == [
         "client robot1: deny [] → [/secret]: /secret may not cross any more",
-        "client robot2: removed: its link is closed, and it is let in no more",
+        ClientStep.REMOVED_WHILE_LINKED(name="robot2"),
         next(change for change in reloaded.changed if change.startswith("client robot3: added, key ")),
     ]
     third.retry().result(60)
@@ -372,7 +373,7 @@ def test_what_an_operator_does_is_recorded_with_the_old_and_the_new_value(bridge
         ("operator.resumed", f"/chat: resumed by {who}", "/chat", "paused", "not paused"),
         ("operator.removed", f"/chat: removed by {who}", "/chat", limited, ""),
         ("operator.retried", f"tried again by {who}", "", "", ""),
-        ("operator.stopped", f"told to end by {who}", "", "", ""),
+        ("operator.stopped", f"stopped by {who}", "", "", ""),
     ]
     with acting("otto"):
         other = server.add_topic(Topic("/map", "transmit")).result(60)

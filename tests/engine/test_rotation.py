@@ -11,9 +11,10 @@ from tests.support.bridge import carries, happened, heard, link, linked
 from tests.support.domain import text
 from tests.support.rogue import Rogue
 from tests.support.waiting import eventually
+from tests.support.wording import pattern
 
 from rsb_bridge.api import EngineError
-from rsb_bridge.config.keys import fingerprint, read_key
+from rsb_bridge.config.keys import KeyFileProblem, fingerprint, read_key
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.model.session import Client, Topic
@@ -209,7 +210,7 @@ def test_what_the_old_connection_still_sends_opens_nothing(
 
 
 def test_the_next_key_is_one_clients_only(bridge: Bridge, marks: tuple[str, str]) -> None:
-    words = "robot1 and robot2 have one key"
+    words = pattern(KeyFileProblem.ONE_KEY, names="robot1 and robot2")
     with pytest.raises(EngineError, match=words):
         bridge.server(name="pc", clients=(BOTH, Client("robot2", "new.key")))
     server = bridge.server(name="pc", clients=(OLD, Client("robot2", "new.key")))

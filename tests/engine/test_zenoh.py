@@ -9,6 +9,7 @@ import pytest
 from tests.support.wording import says
 
 from rsb_bridge.transport.zenoh.endpoint import EndpointProblem
+from rsb_bridge.transport.zenoh.network import Unreachable
 from rsb_bridge.transport.zenoh.pipe import PipeProblem
 from rsb_bridge.transport.zenoh.zenoh_transport import FleetText
 from rsb_bridge.wire.preamble import RefusalText
@@ -117,7 +118,7 @@ def test_a_router_that_is_killed_and_comes_back(bridge: Bridge, router: Router, 
     eventually(lambda: not linked(server) and not linked(client), what="both notice")
     eventually(lambda: link(client).cause == LinkCause.UNREACHABLE)
     assert router.endpoint in link(client).reason
-    assert "nobody listens there" in link(client).reason
+    assert says(link(client).reason, Unreachable.NOBODY_LISTENS)
     assert link(server).state is State.DOWN
     assert link(server).cause == LinkCause.ROUTER_LOST
     assert router.endpoint in link(server).reason
@@ -152,9 +153,9 @@ def test_without_a_router_both_sides_say_so_and_link_once_there_is_one(bridge: B
     router.kill()
     server, client = bridge.server(**over(router)), bridge.client(**over(router))
     eventually(lambda: link(client).cause == LinkCause.UNREACHABLE)
-    assert "nobody listens there" in link(client).reason
+    assert says(link(client).reason, Unreachable.NOBODY_LISTENS)
     event = eventually(lambda: happened(server, EventCode.ENGINE_NOT_LISTENING))
-    assert "nobody listens there" in event.text
+    assert says(event.text, Unreachable.NOBODY_LISTENS)
     router.start()
     both_linked(server, client)
 

@@ -80,7 +80,7 @@ def test_a_receiver_claims_to_wait_for_nothing_that_only_the_sender_knows(make_c
     proposal = Propose(route=1, topic="/scan", remote_topic="/scan", from_client=True)
     receiver = IncomingRoute(context, FakePeer(), Topic("/scan", "receive"), proposal, proposed_here=True)
     for number in (1, 3):
-        receiver.close("opened anew")
+        receiver.close("reopened")
         receiver.open(number)
         assert waits_for(receiver.status(), receiver.progress()) == ACCEPTED
         receiver.on_accepted()

@@ -79,7 +79,7 @@ class Adapter:
 
 
 def adapters() -> list[Adapter]:
-    """The kernel's adapters, by number.
+    """Return the kernel's adapters, by number.
 
     Raises:
         NoBluetoothError: the kernel has no Bluetooth, or access is denied.
@@ -101,7 +101,7 @@ def adapters() -> list[Adapter]:
 
 
 def rfcomm_socket() -> socket.socket:
-    """A new RFCOMM stream socket.
+    """Return a new RFCOMM stream socket.
 
     Raises:
         NoBluetoothError: this Python or this machine has no Bluetooth.

@@ -49,7 +49,7 @@ class ScanProblem(Wording):
     WITHOUT_BLUEZ = "{problem}. Names and paired devices are unknown"
     WITHOUT_CHANNELS = "{problem}. Channels can't be tried"
     NO_ADAPTER = "no Bluetooth adapter: plug one in; in a virtual machine, pass it through (see lsusb)"
-    ADAPTER_UNKNOWN = "no adapter {adapter}: there is {known}"
+    ADAPTER_UNKNOWN = "no adapter {adapter}; this machine has {known}"
     HARD_BLOCKED = "{adapter} is off: by the machine's radio switch or in its firmware's setup"
     SOFT_BLOCKED = "{adapter} is off: rfkill unblock bluetooth"
     SWITCHED_OFF = "{adapter} is off: bluetoothctl power on (without BlueZ: hciconfig {adapter} up)"
@@ -247,7 +247,7 @@ async def scan(adapter: str | None = None, own_channels: Collection[tuple[str, i
 
 
 def held_channels(session: Session, snapshot: Snapshot) -> set[tuple[str, int]]:
-    """The channels that an engine listens on, for `scan`'s `own_channels`."""
+    """Return the channels that an engine listens on, for `scan`'s `own_channels`."""
     if session.adapter is None or session.role != "server" or not snapshot.running:
         return set()
     channels = {route.port for route in snapshot.routes if route.transport == "bluetooth"}

@@ -44,14 +44,14 @@ _NATIVE: Final = int(sys.byteorder == "little")
 class Malformed(Wording):
     """A contradiction between a message and its type."""
 
-    NOT_XCDR1 = "it does not begin as XCDR1: {beginning}"
-    NO_BYTES = "it does not begin as XCDR1: no bytes"
-    SHORTER_THAN_TYPE = "it has {length:,} bytes, and its type at least {least:,}"
-    LENGTHS = "its lengths do not fit together"
-    ENDS_EARLY = "the message ends before its end"
+    NOT_XCDR1 = "it does not begin with an XCDR1 header: {beginning}"
+    NO_BYTES = "it is empty: not even an XCDR1 header"
+    SHORTER_THAN_TYPE = "it has {length:,} bytes; its type needs at least {least:,}"
+    LENGTHS = "its lengths contradict each other"
+    ENDS_EARLY = "the message ends within it"
     ENDS_BEFORE = "the message ends before it"
-    ABOVE_BOUND = "its length is above its bound of {bound:,}"
-    BEYOND_MESSAGE = "its length is more than the message holds"
+    ABOVE_BOUND = "its length exceeds its bound of {bound:,}"
+    BEYOND_MESSAGE = "its length exceeds the rest of the message"
     TOO_MANY_LENGTHS = "the message has more than {limit:,} strings and sequences"
 
 
@@ -60,9 +60,9 @@ class Uncheckable(Wording):
 
     TOO_DEEP = "{type} has more than {limit} levels"
     TYPE_MISSING = "the description lacks {type}"
-    EMPTY_ARRAY = "{field} is an array of none"
-    FIELD_TYPE_UNKNOWN = "{field} is of type {type}"
-    TYPE_UNKNOWN = "a value of type {type}"
+    EMPTY_ARRAY = "{field} is an array of length 0"
+    FIELD_TYPE_UNKNOWN = "{field} has the unknown type {type}"
+    TYPE_UNKNOWN = "a value has the unknown type {type}"
 
 
 class MalformedError(ValueError):

@@ -81,18 +81,18 @@ class Decoded:
 class Unreadable(Wording):
     """The reason why the next part of a message cannot be read."""
 
-    NOT_XCDR1 = "it does not begin as XCDR1: {beginning}"
-    NO_BYTES = "it does not begin as XCDR1: no bytes"
+    NOT_XCDR1 = "it does not begin with an XCDR1 header: {beginning}"
+    NO_BYTES = "it is empty: not even an XCDR1 header"
     TOO_DEEP = "its type has more than {limit} levels"
     TYPE_MISSING = "its description lacks {type}"
     FIELD = "{field}: {problem}"
     TYPE_UNKNOWN = "a value of type {type} is not decoded"
     SEQUENCE_TOO_LONG = "{length:,} elements in a sequence of at most {limit:,}"
-    STRING_TOO_LONG = "a string of {length:,} in a field of at most {limit:,}"
+    STRING_TOO_LONG = "a string of {length:,} characters in a field of at most {limit:,}"
     STRING_WITHOUT_END = "a string without its end"
     CHARACTER_TOO_WIDE = "a wide string has characters beyond 16 bits"
-    ENDS_EARLY = "{expected:,} bytes are expected, and {left:,} are there"
-    TOO_MANY_VALUES = "it has more values than are read"
+    ENDS_EARLY = "{expected:,} bytes are expected; only {left:,} are left"
+    TOO_MANY_VALUES = "it has more values than can be shown"
 
 
 class _UnreadableError(Exception):

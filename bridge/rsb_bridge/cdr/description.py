@@ -25,12 +25,12 @@ class InvalidDescription(Wording):
     """The reason why a text does not describe a type."""
 
     TOO_LONG = "the description has {length:,} characters; at most {limit:,} are read"
-    ANOTHER_TYPE = "the description has another hash than the type"
+    ANOTHER_TYPE = "the description's hash differs from the type's"
     INVALID = "the description is invalid: {error}"
 
 
 class DescriptionError(ValueError):
-    """A text is no description of the type that it should describe; the message says why."""
+    """A text does not describe its type; the message says why."""
 
 
 _Name: TypeAlias = Annotated[str, Meta(max_length=_NAME_LENGTH)]
@@ -83,12 +83,12 @@ _decoder = msgspec.json.Decoder(TypeDescription)
 
 
 def text_of(description: TypeDescription) -> str:
-    """The text of a description, as rosidl writes it for the hash."""
+    """Return the text of a description, as rosidl writes it for the hash."""
     return json.dumps(msgspec.to_builtins(description), separators=(", ", ": "))
 
 
 def hash_of_text(text: str) -> str:
-    """The hash of the type that a text describes: ``RIHS01_`` and 64 hex digits."""
+    """Return the hash of the type that a text describes: ``RIHS01_`` and 64 hex digits."""
     return HASH_PREFIX + hashlib.sha256(text.encode()).hexdigest()
 
 

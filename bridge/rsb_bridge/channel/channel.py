@@ -42,7 +42,7 @@ class RouteSink(Protocol):
         ...
 
     def channel_lost(self, reason: str) -> None:
-        """The channel failed; it is closed already."""
+        """Handle the failure of the channel, which is closed already."""
         ...
 
 
@@ -93,7 +93,7 @@ class DataChannel(Protocol):
         ...
 
     def trouble(self) -> str:
-        """A problem in an operator's words, or an empty string."""
+        """Return a problem in an operator's words, or an empty string."""
         ...
 
     def close(self, reason: str) -> None:

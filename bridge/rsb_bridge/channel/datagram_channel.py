@@ -68,7 +68,7 @@ class Pacer:
         self._span = (0.0, 0)  # since when the rate is measured, and what had arrived then
 
     def room(self, now: float) -> int:
-        """Bytes that may be sent now; 0 or less: none."""
+        """Return the bytes that may be sent now; none if it is 0 or less."""
         burst = self._burst
         tokens = self._tokens + (now - self._filled_at) * burst / _PAUSE
         if tokens > 2 * burst:
@@ -92,7 +92,7 @@ class Pacer:
         return _PAUSE if self._tokens <= 0 or not self.window else _PATIENCE
 
     def sent(self, size: int, sequence: int, now: float) -> None:
-        """So many bytes were sent; the last datagram had this sequence number."""
+        """Note that `size` bytes were sent; the last datagram had this sequence number."""
         if not self._sent:
             self._began = now
         self._tokens -= size
@@ -103,7 +103,7 @@ class Pacer:
             self._arrived = self._passed[1]
 
     def receipt(self, newest: int, opened: int, buffer: int, now: float) -> None:
-        """The receiver has opened so many datagrams, up to that sequence number, and has a buffer of so many bytes."""
+        """Take a receipt: the datagrams opened, up to a sequence number, and the bytes of the receiver's buffer."""
         if newest <= self._newest:
             return  # another one has overtaken it
         self._newest = newest
@@ -191,7 +191,7 @@ class DatagramSender(_DatagramChannel):
         self._timer: asyncio.TimerHandle | None = None
         self._largest = 0
         self._receipted = (-1, 0)  # the newest datagram of the last receipt, and how many had arrived
-        self._arrivals: deque[tuple[float, int]] = deque(maxlen=_MOST_RECEIPTS)  # when (s) how many had arrived
+        self._arrivals: deque[tuple[float, int]] = deque(maxlen=_MOST_RECEIPTS)  # time (s), arrivals by then
         udp_channel.add_sender(route.id, self)
 
     @property
@@ -199,7 +199,7 @@ class DatagramSender(_DatagramChannel):
         return bool(self._waiting) or self.carrier.socket.congested
 
     def datagrams(self, size: int) -> int:
-        """How many datagrams a message of `size` bytes takes now; only once it is ready."""
+        """Return how many datagrams a message of `size` bytes takes now; only once it is ready."""
         return self._codec.datagrams(size, self.carrier.datagram_size())
 
     def send(self, batch: Sequence[Message]) -> None:
@@ -347,7 +347,7 @@ class DatagramReceiver(_DatagramChannel):
 
 
 def datagram_channel(udp_channel: UdpChannel, route: RouteSink, keys: DataKeys) -> DatagramSender | DatagramReceiver:
-    """This side's end of a route's channel on a UDP channel."""
+    """Return this side's end of a route's channel on a UDP channel."""
     if route.outgoing:
         return DatagramSender(udp_channel, route, keys.datagram_writer(route.id))
     return DatagramReceiver(udp_channel, route, keys.datagram_reader(route.id))

@@ -54,7 +54,7 @@ class Multiplexer:
     def carry(
         self, route: RouteSink, keys: DataKeys, book: ReceiptBook | None = None
     ) -> MultiplexedSender | MultiplexedReceiver:
-        """This side's end of a new channel for a route."""
+        """Return this side's end of a new channel for a route."""
         end: type[MultiplexedSender | MultiplexedReceiver]
         end = MultiplexedSender if route.outgoing else MultiplexedReceiver
         if route.duplex:
@@ -63,19 +63,19 @@ class Multiplexer:
         return channel
 
     def join(self, channel: MultiplexedSender) -> None:
-        """A channel has chunks to send, perhaps besides others that wait already."""
+        """Queue a channel that has chunks to send, and begin to send."""
         if channel not in self._waiting:
             channel.start = max(channel.start, self._time)
             self._waiting.append(channel)
         self.pump()
 
     def leave(self, channel: MultiplexedSender) -> None:
-        """A channel has none any more."""
+        """Remove a channel from the queue."""
         if channel in self._waiting:
             self._waiting.remove(channel)
 
     def forget(self, route_id: int) -> None:
-        """The channel of a route is closed."""
+        """Forget the channel of a route."""
         self.channels.pop(route_id, None)
 
     def pump(self) -> None:
@@ -126,7 +126,7 @@ class _MultiplexedChannel:
         self._multiplexer.forget(self._route_id)
 
     def lost(self, reason: str) -> None:
-        """The stream is over."""
+        """Report the end of the stream to the route."""
         self._route.channel_lost(reason)
 
 
@@ -175,7 +175,7 @@ class MultiplexedSender(_MultiplexedChannel, WindowedSender):
         return chunk
 
     def received(self, frame: memoryview) -> None:
-        """A frame of this route came, although the peer has nothing to say here.
+        """Refuse a frame: the peer sends nothing on this route.
 
         Raises:
             ProtocolError: always.
@@ -202,7 +202,7 @@ class MultiplexedReceiver(_MultiplexedChannel, ReceiptSender):
         return None
 
     def received(self, frame: memoryview) -> None:
-        """A frame of this route came.
+        """Take a frame of this route.
 
         Raises:
             ProtocolError: it breaks the format.
@@ -254,13 +254,13 @@ class SharedStream(Multiplexer, StreamHandler):
         stream.handler = self
 
     def forget(self, route_id: int) -> None:
-        """The channel of a route is closed; the last one takes the stream with it."""
+        """Forget the channel of a route; the last one closes the stream."""
         super().forget(route_id)
         if not self.channels:
-            self._end("no topic is on it any more")
+            self._end("no topic uses it any more")
 
     def received(self, data: bytes) -> None:
-        """Bytes came. A peer that breaks the format loses the stream, with all that is on it."""
+        """Take received bytes. A peer that breaks the format loses the stream with all its channels."""
         try:
             for frame in self._frames.feed(data):
                 self._take(frame)
@@ -281,11 +281,11 @@ class SharedStream(Multiplexer, StreamHandler):
             raise ProtocolError(Broken.FRAME_OF_UNKNOWN_ROUTE(kind=kind, route=route_id))
 
     def writable(self) -> None:
-        """The stream takes more again."""
+        """Continue to send: the stream takes more again."""
         self.pump()
 
     def closed(self, reason: str) -> None:
-        """The stream is over: its routes are opened again."""
+        """Report the end of the stream to its routes, which open again."""
         self._lost(reason)
 
     def _lost(self, reason: str) -> None:

@@ -61,7 +61,7 @@ class _StreamChannel(StreamHandler):
         self.carrier.abort(reason)  # the peer closes its half too: nobody would read what waits
 
     def closed(self, reason: str) -> None:
-        """The stream is over."""
+        """Report the end of the stream to the route."""
         self._route.channel_lost(reason)
 
     def _fail(self, reason: str) -> None:
@@ -108,7 +108,7 @@ class StreamSender(_StreamChannel, WindowedSender):
         self._large.send(batch)
 
     def writable(self) -> None:
-        """The stream takes more again."""
+        """Continue to send: the stream takes more again."""
         self._large.go_on()
         if not self._large.waiting:
             self._route.flush()
@@ -118,7 +118,7 @@ class StreamSender(_StreamChannel, WindowedSender):
         super().close(reason)
 
     def received(self, data: bytes) -> None:
-        """Bytes came, although the peer has nothing to say here."""
+        """Refuse bytes: the peer sends nothing on this stream."""
         self._fail(Broken.DATA_AGAINST_STREAM())
 
 
@@ -138,7 +138,7 @@ class StreamReceiver(_StreamChannel, ReceiptSender):
         super().close(reason)
 
     def received(self, data: bytes) -> None:
-        """Bytes came."""
+        """Take received bytes, and deliver the messages that they complete."""
         try:
             messages = self._reader.receive_data(data)
         except (ProtocolError, SealError) as error:

@@ -35,7 +35,7 @@ class PathProbe:
         self._reader = keys.datagram_reader(PROBE_ROUTE)
 
     def write(self, probe: Probe | Receipt, size: int) -> list[bytes]:
-        """The probe, or receipt, as datagrams of at most `size` bytes."""
+        """Return the probe, or receipt, as datagrams of at most `size` bytes."""
         return self._writer.write(probe.pack(), 0, 0, size)
 
     def read(self, datagram: Buffer, now: float) -> Probe | Receipt | None:
@@ -91,11 +91,11 @@ class DatagramSource(Protocol):
     """The sending end of a route's channel."""
 
     def writable(self) -> None:
-        """The socket was congested and takes more again."""
+        """Continue to send: the socket takes more again."""
         ...
 
     def receipt(self, receipt: Receipt) -> None:
-        """The peer says what has come."""
+        """Take the peer's receipt."""
         ...
 
 
@@ -103,7 +103,7 @@ class DatagramSink(Protocol):
     """The receiving end of a route's channel."""
 
     def received(self, datagram: Buffer, now: float) -> bool:
-        """A datagram of its route came; returns whether it made a message whole, and with that authentic."""
+        """Take a datagram of the route; return whether it completed a message, which is authentic then."""
         ...
 
     def deliver_whole(self) -> None:
@@ -116,7 +116,7 @@ class DatagramSink(Protocol):
 
 
 class UdpChannel:
-    """The part that both ends share.
+    """One end of a UDP channel: the parts that client and server share.
 
     Attributes:
         socket: its UDP socket.
@@ -126,7 +126,7 @@ class UdpChannel:
         received_bytes: so far.
         sent_bytes: so far.
         on_close: called when it is over.
-        shortages: of receive buffers, by whether it is this side's.
+        shortages: shortages of receive buffers; the key is whether this side lacks the memory.
     """
 
     def __init__(
@@ -172,7 +172,7 @@ class UdpChannel:
         self._receivers[route_id] = receiver
 
     def remove(self, route_id: int) -> None:
-        """A route leaves; the last one closes the UDP channel."""
+        """Remove a route; the last one closes the UDP channel."""
         sender = self._senders.pop(route_id, None)
         if sender is not None:
             self.socket.when_writable.discard(sender.writable)
@@ -187,7 +187,7 @@ class UdpChannel:
             self.socket.send(datagrams, self._path)
 
     def datagram_size(self) -> int:
-        """Bytes that one datagram to the peer may have."""
+        """Return the bytes that one datagram to the peer may have."""
         assert self._peer is not None, "a UDP channel sends only once it is ready"
         return self.socket.datagram_size(self._peer)
 
@@ -233,7 +233,7 @@ class UdpChannel:
             sender.receipt(receipt)
 
     def _probed(self, probe: Probe, address: Address) -> bool:
-        """An authentic probe came; returns whether it came from the peer's own address."""
+        """Take an authentic probe; return whether it came from the peer's own address."""
         raise NotImplementedError
 
     def tick(self) -> None:

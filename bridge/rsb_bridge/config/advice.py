@@ -60,28 +60,28 @@ _MOVING_NAMES = (
 class Advice(Wording):
     """Facts that an operator should know before a session runs."""
 
-    NO_ENCRYPTION = "off: everything crosses in the clear, and anyone may connect"
-    NO_CHECKS = "off: a peer's malformed message can make a node here take gigabytes"
+    NO_ENCRYPTION = "off: all data crosses unencrypted, and anyone may connect"
+    NO_CHECKS = "off: a peer's malformed message can make a node here allocate gigabytes"
     LOW_PORT = "ports below {limit} need root, or CAP_NET_BIND_SERVICE"
     NO_BLUETOOTH = "this Python has no Bluetooth sockets; the distribution's own has (/usr/bin/python3)"
-    METRICS_NOT_INSTALLED = "none are served without prometheus-client: pip install 'rsb-console[metrics]'"
+    METRICS_NOT_INSTALLED = "not served, because prometheus-client is not installed: pip install 'rsb-console[metrics]'"
     METRICS_OPEN = "no password protects them: everyone who reaches this address can read all names and figures"
     DOMAIN_INVALID = "{problem}; with that value the bridge does not start"
     PORT_OF_DOMAIN = "{port} belongs to ROS domain {domain} ({ports}): its nodes may fail to discover each other"
     PORT_OF_DISCOVERY = "{port} is reserved for discovery in ROS domain {domain}: give another port"
     DOMAIN_COLLIDES = "domain {domain} can collide with other programs' ports; {range} cannot"
-    TOO_MANY_TOPICS = "a server takes {limit} topics of a client, and refuses the others"
+    TOO_MANY_TOPICS = "a server accepts {limit} topics from a client, and refuses the rest"
     TOO_MANY_PORTS = (
-        "{count} ports of their own: a server binds {limit} for a client, and refuses the others, unless its session "
+        "{count} ports of their own: a server binds {limit} for a client, and refuses the rest, unless its session "
         "file lists them as ports"
     )
-    SHUTDOWN_TOPIC = "it closes the bridge, too: it is the shutdown_topic"
+    SHUTDOWN_TOPIC = 'it is the shutdown_topic: "shutdown" on it also stops the bridge'
     TOPIC_PORT_LOW = "a server refuses {kind}s below {limit} for topics"
     TOPIC_PORT_OF_DISCOVERY = (
         "a server refuses ports by which nodes discover each other: {port} is ROS domain {domain}'s"
     )
-    CROSSES_ALTHOUGH_DENIED = "{reason} (allow and deny), but it crosses: they do not apply to what this side lists"
-    TYPE_NOT_INSTALLED = "{type} is not installed here: if it is right, the {kind} crosses once a {who} is there"
+    CROSSES_ALTHOUGH_DENIED = "{reason}, but it crosses: allow and deny apply only to entries of the other side"
+    TYPE_NOT_INSTALLED = "{type} is not installed here: check the spelling; the {kind} crosses once there is a {who}"
     DEPTH = "depth {depth}: the receiving side keeps {limit} messages in its publisher"
     DEPTH_OF_LATCHED = "depth {depth}: the receiving side keeps {limit} messages for late joiners"
 
@@ -187,7 +187,7 @@ def _denied(topics: Sequence[Topic], where: str, rights: Rights, session: Sessio
 
 
 def uninstalled_types(session: Session) -> Iterator[Problem]:
-    """The types of topics that are not installed here. Looks only whether there are such packages, and imports none."""
+    """Yield the types of topics that are not installed here. Only looks for their packages, and imports none."""
     if importlib.util.find_spec("rclpy") is None:
         return  # no ROS here: none is installed
     for topic, here in zip(session.topics, locations(session.topics), strict=True):

@@ -18,7 +18,7 @@ class ClientProblem(Wording):
 
     EXISTS = "{name} is a client already; `client rekey {name}` makes a new key for it"
     LAST = "{name} is the server's only client: add another one first, or stop the server"
-    UNKNOWN = "{name} is no client of this server; there are {names}"
+    UNKNOWN = "{name} is no client of this server; its clients: {names}"
     MISSPELT = "{name} is no client of this server; did you mean {near}?"
     NOT_A_SERVER = "only a server has clients, and this is a client's session"
 
@@ -51,7 +51,7 @@ def with_changed_client(session: Session, client: Client) -> Session:
 
 
 def without_client(session: Session, name: str) -> Session:
-    """A server's session without one of its clients.
+    """Return a server's session without one of its clients.
 
     Raises:
         ClientError: there is no such client, or no other.

@@ -106,12 +106,12 @@ def read(data: object, model: type[T], problems: list[Problem], location: str = 
 
 @cache
 def _fields(model: type[msgspec.Struct]) -> tuple[FieldInfo, ...]:
-    """`msgspec.structs.fields`, cached: it evaluates the model's annotations at each call, which takes 0.2 ms."""
+    """Return `msgspec.structs.fields`, cached: each call evaluates the model's annotations, which takes 0.2 ms."""
     return fields(model)
 
 
 def join(location: str, key: str | int) -> str:
-    """The location of a mapping's value or of a list's entry."""
+    """Return the location of a mapping's value or of a list's entry."""
     if isinstance(key, int):
         return f"{location}[{key}]"
     return f"{location}.{key}" if location else key
@@ -124,13 +124,13 @@ def show(value: object) -> str:
 
 
 def did_you_mean(word: str, options: list[str]) -> str:
-    """A hint at the option closest to a mistyped word; empty where none is close."""
+    """Return a hint at the option closest to a mistyped word, or an empty string if none is close."""
     match = get_close_matches(word.lower(), options, n=1)
     return Hint.DID_YOU_MEAN(name=match[0]) if match else ""
 
 
 def _value(name: str, value: object, kind: Any, problems: list[Problem], location: str) -> dict[str, Any]:
-    """The keyword argument for the struct; empty if the value has a problem."""
+    """Return the keyword argument for the struct; empty if the value has a problem."""
     if get_origin(kind) is tuple:
         if not isinstance(value, list | tuple):
             message = ValueMistake.NO_VALUE() if value is None else ValueMistake.NOT_A_LIST(value=show(value))

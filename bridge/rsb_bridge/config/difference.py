@@ -41,7 +41,7 @@ def is_another(old: Session, new: Session) -> str:
 
 
 def kept(old: Session, new: Session) -> tuple[Session, list[str]]:
-    """The session that a running bridge can change to, and in words what it leaves as it is.
+    """Return the session that a running bridge can change to, and in words what it leaves as it is.
 
     Args:
         old: what runs.
@@ -56,7 +56,7 @@ def kept(old: Session, new: Session) -> tuple[Session, list[str]]:
 def changes(
     old: msgspec.Struct, new: msgspec.Struct, *, only: Collection[str] = (), leave_out: Collection[str] = ()
 ) -> list[str]:
-    """The fields that differ: ``max_rate none → 5.0``.
+    """Return the fields that differ: ``max_rate none → 5.0``.
 
     Args:
         old: a session, a topic or a client.
@@ -74,14 +74,14 @@ def changes(
 
 
 def named(topic: Topic) -> str:
-    """A topic among the others of its session: ``/scan (transmit)``, ``service /dock (provider: server)``."""
+    """Return a topic among the others of its session: ``/scan (transmit)``, ``service /dock (provider: server)``."""
     if topic.kind == "topic":
         return f"{topic.topic} ({topic.direction})"
     return f"{NOUNS[LISTS[topic.kind]]} {topic.topic} (provider: {topic.provider})"
 
 
 def described(entry: Topic) -> str:
-    """A topic or the like as one would write it into a session file: ``{topic: /scan, direction: transmit}``."""
+    """Return an entry as a session file would have it: ``{topic: /scan, direction: transmit}``."""
     return inline(msgspec.to_builtins(as_written(entry)))
 
 

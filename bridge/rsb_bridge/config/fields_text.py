@@ -41,7 +41,7 @@ class FieldProblem(Wording):
     TOO_LONG = "the text is too long: at most {limit} bytes are allowed"
     ON_LINE = "line {line}: {problem}"
     TAG = "line {line}: tags (!) are not allowed: write the value without the tag"
-    NOT_A_NAME = "line {line}: the text before the colon is no field's name"
+    NOT_A_NAME = "line {line}: the text before the colon is not a field name"
     TWICE = "line {line}: duplicate key {name}"
 
 
@@ -50,7 +50,7 @@ class FieldNote(Wording):
 
     ELEMENTS = "{location}: the first {shown:,} of {total:,} elements"
     CHARACTERS = "{location}: the first {shown:,} of {total:,} characters"
-    MORE = "and parts of {count:,} more"
+    MORE = "and parts of {count:,} more fields"
     UNREADABLE = "not read further: {problem}"
 
 
@@ -129,7 +129,7 @@ class _Writing:
         self._left_out: list[str] = []
 
     def plain(self, value: Value, location: str) -> Any:
-        """A value as it is written; `location` is its own."""
+        """Return a value as it is written; `location` is its own."""
         if isinstance(value, dict):
             before = f"{location}." if location else ""
             return {name: self.plain(each, before + name) for name, each in value.items() if name != _NOTHING_IN_IT}

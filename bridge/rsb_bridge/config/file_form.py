@@ -111,7 +111,7 @@ _ENTRIES: dict[Kind, type[msgspec.Struct]] = {kind: _entry(kind) for kind in LIS
 
 
 def _holder(model: type[msgspec.Struct], **others: Any) -> type[msgspec.Struct]:
-    """A session or a client with a list for each kind."""
+    """Return a session or a client with a list for each kind."""
     own: list[Any] = []
     for field in fields(model):
         if field.name == "topics":
@@ -127,12 +127,12 @@ SESSION_FILE = _holder(Session, clients=tuple[_CLIENT, ...])  # type: ignore[val
 
 
 def key_of(kind: Kind, field: str) -> str:
-    """The key by which an entry of a kind has a field of `Topic`; for one that it does not have, the field's name."""
+    """Return the key of a field of `Topic` in an entry of a kind, or the field's name if the kind lacks it."""
     return next((key for key, each in KEYS[kind].items() if each == field), field)
 
 
 def field_of(kind: Kind, key: str) -> str:
-    """The inverse of `key_of`."""
+    """Return the field of a key; the inverse of `key_of`."""
     return KEYS[kind].get(key, key)
 
 
@@ -157,7 +157,7 @@ def foreign(topic: Topic) -> dict[str, str]:
 
 
 def as_written(value: msgspec.Struct) -> msgspec.Struct:
-    """A session, a client or a topic as its file has it; any other struct as it is."""
+    """Return a session, a client or a topic as its file has it; any other struct as it is."""
     if isinstance(value, Topic):
         return _ENTRIES[value.kind](**{key: _written(value, key, field) for key, field in KEYS[value.kind].items()})
     if not isinstance(value, Session | Client):
@@ -178,19 +178,19 @@ def _written(topic: Topic, key: str, field: str) -> Any:
 
 
 def as_session(written: msgspec.Struct) -> Session:
-    """The session that a file says, given as `SESSION_FILE`."""
+    """Return the session that a file says, given as `SESSION_FILE`."""
     given = _given(written)
     return Session(**given | {"clients": tuple(Client(**_given(client)) for client in given["clients"])})
 
 
 def as_topic(kind: Kind, written: msgspec.Struct) -> Topic:
-    """The topic that an entry of a file says."""
+    """Return the topic that an entry of a file says."""
     given = {field: getattr(written, key) for key, field in KEYS[kind].items()}
     return Topic(**given | {"direction": DIRECTIONS.get(given["direction"], given["direction"])}, kind=kind)
 
 
 def _given(written: msgspec.Struct) -> dict[str, Any]:
-    """The fields of a session or a client, with the entries of all lists in one."""
+    """Return the fields of a session or a client, with the entries of all lists in one."""
     lists = LISTS.values()
     given = {name: getattr(written, name) for name in written.__struct_fields__ if name not in lists}
     topics = (as_topic(kind, entry) for kind, name in LISTS.items() for entry in getattr(written, name))

@@ -25,7 +25,7 @@ class FileRefused(Wording):
 
 
 def typed_path(text: str) -> Path:
-    """A path that a person typed: ``~`` is a home directory, if there is one."""
+    """Return the path that a person typed; ``~`` becomes the home directory, if there is one."""
     try:
         return Path(text).expanduser()
     except RuntimeError:  # no such user
@@ -33,7 +33,7 @@ def typed_path(text: str) -> Path:
 
 
 def kind_of_file(mode: int) -> str:
-    """The kind of a file in words, from its `os.stat_result.st_mode`."""
+    """Return the kind of a file in words, from its `os.stat_result.st_mode`."""
     kinds = {
         stat.S_IFREG: "a file",
         stat.S_IFDIR: "a folder",
@@ -128,7 +128,7 @@ def new_file(path: Path, newline: str | None = None) -> Iterator[TextIO]:
 def owner_only(path: str, flags: int) -> int:
     """Open a file that is no symbolic link, with mode 0600 from the start: an opener for `open`."""
     handle = os.open(path, flags | os.O_NOFOLLOW, 0o600)
-    os.fchmod(handle, 0o600)  # a umask may have left less, and a file of before may be open to others
+    os.fchmod(handle, 0o600)  # the umask may leave less, and an earlier file may be open to others
     return handle
 
 

@@ -51,30 +51,32 @@ class KeyFileProblem(Wording):
     TOO_LARGE = "{path}: too large for a key file"
     EMPTY = "{path}: is empty: make a key with `rsb-console keygen`"
     NO_KEY = (
-        "{path}: holds no key: a key is 44 characters of URL-safe base64, {bytes} bytes, and the last word of the file "
+        "{path}: holds no key: a key is 44 characters of URL-safe base64 ({bytes} bytes); the last word of the file "
         "has {length} characters"
     )
     NOT_GIVEN = "no key_file for {name}: make one with `rsb-console keygen`, and copy it to the other side"
     SHARED = (
-        "{owners}: whoever has it may take each of these names, and its rights. Give each a key of its own "
-        "(`rsb-console client rekey NAME SESSION`), or say `shared_keys: true` in the server's session file"
+        "{owners}: whoever has it can connect under any of these names, with its rights. Give each its own key "
+        "(`rsb-console client rekey NAME SESSION`), or set `shared_keys: true` in the server's session file"
     )
-    ONE_KEY = "{names} have one key"
+    ONE_KEY = "{names} have the same key"
 
 
 class KeyWarning(Wording):
     """A risk of a valid key, and its remedy."""
 
     READABLE = "{path}: others may read this key (mode {mode}): run `chmod 600 {path}`"
-    OTHER_OWNER = "{path}: belongs to another user (uid {uid}), who may read and replace it: give it to this one"
-    REPLACEABLE = "{path}: anyone may put another key in its place: run `chmod o-w {folder}`"
+    OTHER_OWNER = (
+        "{path}: belongs to another user (uid {uid}), who can read and replace it: make this user its owner (chown)"
+    )
+    REPLACEABLE = "{path}: other users can replace it: run `chmod o-w {folder}`"
     SAME_NEXT = (
         "{name}: key_file and next_key_file hold the same key, {fingerprint}: "
-        "`rsb-console client rekey {name} --finish` ends that"
+        "run `rsb-console client rekey {name} --finish`"
     )
     TWO_FOR_LONG = (
         "{name}: two keys have been valid since {since}, and the old one still opens a link: once the robot has the "
-        "new one, `rsb-console client rekey {name} --finish`"
+        "new one, run `rsb-console client rekey {name} --finish`"
     )
 
 
@@ -109,7 +111,7 @@ class Key:
 
 
 def generate() -> bytes:
-    """A new key: 44 characters of URL-safe base64, without a line break."""
+    """Return a new key: 44 characters of URL-safe base64, without a line break."""
     return base64.urlsafe_b64encode(os.urandom(KEY_BYTES))
 
 
@@ -125,12 +127,12 @@ def is_key_file(text: str) -> bool:
 
 
 def conceal(text: str) -> str:
-    """A text for a message or a log, with every key in it replaced."""
+    """Return a text for a message or a log, with every key in it replaced."""
     return _LIKE_A_KEY.sub("<a key>", text)
 
 
 def fingerprint(key: Key) -> str:
-    """16 hexadecimal digits of the key's SHA-256, in fours: two operators compare them to see whether keys match."""
+    """Return 16 hexadecimal digits of the key's SHA-256, in fours: operators compare them to see whether keys match."""
     return format_fingerprint(fingerprint_of(key.secret))
 
 
@@ -176,7 +178,7 @@ def copy_key(key: Key, path: Path, *, force: bool = False) -> None:
 
 
 def key_path(base: Path, key_file: str) -> Path:
-    """The path of a session's key file.
+    """Return the path of a session's key file.
 
     Args:
         base: the session file's folder.
@@ -252,7 +254,7 @@ def _write_new(path: Path, content: bytes) -> None:
 
 
 def key_files_by_client(session: Session) -> dict[str, tuple[str, ...]]:
-    """The files of the keys that are valid for each client of a session, by its name, the next key's last.
+    """Return the files of the keys that are valid for each client of a session, by its name, the next key's last.
 
     A client's session has its own only.
     """
@@ -321,7 +323,7 @@ def _of_rotation(name: str, current: Key, following: Key, now: float) -> Iterato
 
 
 def written(key: Key, now: float) -> str:
-    """When a key's file was written: ``2026-11-18 14:03 (3 days ago)``."""
+    """Return when a key's file was written: ``2026-11-18 14:03 (3 days ago)``."""
     return f"{time.strftime('%Y-%m-%d %H:%M', time.localtime(key.written))} ({_ago(now - key.written)})"
 
 

@@ -43,7 +43,7 @@ class LayoutError(ValueError):
 
 
 def merge(text: str, root: yaml.Node, old: Session, new: Session) -> str:
-    """The text of a session's file with the session's changes in it.
+    """Return the text of a session's file with the session's changes in it.
 
     Topics, services and clients keep the file's order; new ones come last.
 
@@ -79,7 +79,7 @@ class _Merger:
         self._edits: list[tuple[int, int, str]] = []
 
     def text(self) -> str:
-        """The text with all edits made."""
+        """Return the text with all edits made."""
         parts, at = [], 0
         for start, end, new in sorted(self._edits, key=lambda edit: edit[:2]):
             if start < at:  # new lines behind one that goes, which takes its line break with it
@@ -248,7 +248,7 @@ class _Merger:
             self._edit(start, start, new.removeprefix(self._newline) + self._newline)
 
     def _like_neighbours(self, node: yaml.SequenceNode, stays: Sequence[int], value: Any) -> list[str]:
-        """The lines of a new entry of a block list, in the style of the last one."""
+        """Return the lines of a new entry of a block list, in the style of the last one."""
         at = stays[-1] if stays else len(node.value) - 1
         last, dash = node.value[at], self._dash(node, at)
         column = node.start_mark.column
@@ -271,7 +271,7 @@ class _Merger:
         return self._starts[line] + column
 
     def _last_line(self, node: yaml.SequenceNode, at: int) -> int:
-        """A position on the last line of a block list's entry: that of a comment among its keys, where it ends so."""
+        """Return a position on the last line of a block list's entry, which may be a comment among its keys."""
         entry = node.value[at]
         end = self._end(entry)
         if not isinstance(entry, yaml.MappingNode) or entry.flow_style:
@@ -366,7 +366,7 @@ class _Merger:
 
 
 def _matched(before: Sequence[Entry], after: Sequence[Entry]) -> dict[int, int]:
-    """The entries that stay, by their indices before and after.
+    """Return the entries that stay, by their indices before and after.
 
     An entry is known by its `identity`. Where that changed, it is known by its place between its neighbours.
     """
@@ -381,7 +381,7 @@ def _matched(before: Sequence[Entry], after: Sequence[Entry]) -> dict[int, int]:
 
 
 def _runs(entries: Sequence[Entry], known: Set[int]) -> dict[tuple[Any, Any], list[int]]:
-    """The runs of consecutive entries that are not known, by the identities of the known ones around each."""
+    """Return the runs of consecutive entries that are not known, by the identities of the known ones around each."""
     runs: dict[tuple[Any, Any], list[int]] = {}
     run: list[int] = []
     before = None
@@ -398,5 +398,5 @@ def _runs(entries: Sequence[Entry], known: Set[int]) -> dict[tuple[Any, Any], li
 
 
 def _spaced(mapping: str, like: str) -> str:
-    """A mapping in braces, with blanks inside them where another has those."""
+    """Return a mapping in braces, with blanks inside them where another has those."""
     return f"{{ {mapping[1:-1]} }}" if like.startswith("{ ") and mapping.startswith("{") else mapping

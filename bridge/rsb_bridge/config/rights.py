@@ -94,7 +94,7 @@ class OperatorMistake(Wording):
     NAME_UNPRINTABLE = "{name} is not a name: give printable characters"
     NAME_TOO_LONG = "has {length} bytes in UTF-8; at most {limit}"
     SHARED_KEY = (
-        "operator {name} has the key of {other}, and whoever has it could take either's place: make a key of its own "
+        "operator {name} has the key of {other}, so that either can pass for the other: make a key of its own "
         "with `rsb-console keygen`"
     )
 
@@ -104,7 +104,7 @@ class OperatorChange(Wording):
 
     REMOVED = "operator {name}: removed, and detached"
     ADDED = "operator {name}: added, {right}"
-    CHANGED = "operator {name}: {before} → {after}; detached, and attaches again"
+    CHANGED = "operator {name}: {before} → {after}; detached, and has to attach again"
 
 
 class Place(Wording):
@@ -126,8 +126,8 @@ class DeniedText(Wording):
 class DeniedRemedy(Wording):
     """The change of a session file that would allow it."""
 
-    CHANGE_DENY = "deny {place} has {entry}"
-    CHANGE_ALLOW = "allow {place} has {entry}"
+    CHANGE_DENY = "change {entry} in deny {place}"
+    CHANGE_ALLOW = "change {entry} in allow {place}"
     ADD_BENCH = "add bench: {{}} {place}"
     ADD_ALLOW = "add {entry} to allow {place}"
     LIST = "list it under {list} {place}, with {direction}"
@@ -144,7 +144,7 @@ def protocols_of(grant: Grant) -> tuple[str, ...]:
 
 
 def typed_grants(text: str) -> tuple[str | Grant, ...]:
-    """The entries in a line: ``/camera/*, {topics: /cmd_vel, may: publish, max_rate: 10}``.
+    """Return the entries in a line: ``/camera/*, {topics: /cmd_vel, may: publish, max_rate: 10}``.
 
     Raises:
         GrantError: one of them is none.
@@ -167,12 +167,12 @@ def _typed(entry: str) -> str | Grant:
 
 
 def allowing(entry: str | Grant) -> Grant:
-    """An entry of `allow`; a pattern alone is about topics, so that nobody allows services unawares."""
+    """Return an entry of `allow`; a pattern alone is about topics, so that nobody allows services unawares."""
     return Grant(entry) if isinstance(entry, str) else entry
 
 
 def denying(entry: str | Grant) -> Grant:
-    """An entry of `deny`; a pattern alone is about topics, services, actions and parameters."""
+    """Return an entry of `deny`; a pattern alone is about topics, services, actions and parameters."""
     return Grant(entry, entry) if isinstance(entry, str) else entry
 
 
@@ -407,7 +407,7 @@ def listed_as(may: May) -> Direction:
 
 
 def _meant_by(use: Use) -> list[str]:
-    """The other names by which an entry of `deny` means what is used.
+    """Return the other names under which an entry of `deny` forbids a use.
 
     An entry that denies one service of an action or of a node's parameters denies all of them, because they are bridged
     together. An entry that denies a node's parameters denies each service of them.
@@ -419,7 +419,7 @@ def _meant_by(use: Use) -> list[str]:
 
 
 def _text(grant: Grant) -> str:
-    """An entry as it is in a session file."""
+    """Return an entry as it is in a session file."""
     plain = msgspec.to_builtins(grant)
     if grant.topics == grant.services or plain.keys() == {"topics"}:
         return grant.topics or ""
@@ -592,7 +592,7 @@ class Granted:
 
 
 def operator_problems(session: Session) -> Iterator[Problem]:
-    """All mistakes in a session's operators, without those in their keys."""
+    """Yield all mistakes in a session's operators, without those in their keys."""
     if len(session.operators) > OPERATORS:
         yield Problem("operators", OperatorMistake.TOO_MANY(count=len(session.operators), limit=OPERATORS))
     firsts: dict[str, int] = {}

@@ -30,9 +30,9 @@ class SavingProblem(Wording):
     CHANGED = "was changed on disk after it was opened: open it again, or save under another name"
     THESIS = "this is a configuration of ros2_socket_bridge: convert it with `rsb-console import {path} --name NAME`"
     NOT_WRITTEN = "cannot be written: {problem}"
-    READ_ONLY = "it is read-only (`chmod u+w {path}` lets it be saved)"
+    READ_ONLY = "it is read-only: run `chmod u+w {path}` to save it"
     WOULD_DIFFER = "not saved: the file would not load again as this session"
-    LAYOUT = "its layout cannot be edited in place: save under another name, or have it written anew"
+    LAYOUT = "its layout cannot be edited in place: save under another name, or rewrite the whole file"
 
 
 class ChangedOnDiskError(SessionError):
@@ -145,7 +145,7 @@ def demand_lines(text: str, path: Path) -> dict[SourceKey, int]:
 
 
 def dump(session: Session) -> str:
-    """The text of a new session file, without the values that are at their defaults."""
+    """Return the text of a new session file, without the values that are at their defaults."""
     return dump_yaml(msgspec.to_builtins(as_written(session)))
 
 

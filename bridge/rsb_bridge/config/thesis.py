@@ -41,13 +41,13 @@ class BringupNote(Wording):
         "use_name: topics that the client receives are named /{name}/... on the server; the thesis's bridge had that "
         "prefix on the client instead"
     )
-    NOT_A_PARAMETER = "{key}: not a parameter of the bridge, left out"
-    SHUTDOWN_LEFT_OUT = "/shutdown is left out: the session's shutdown_topic does what it did"
+    NOT_A_PARAMETER = "{key}: left out, because it is not a parameter of the bridge"
+    SHUTDOWN_LEFT_OUT = "/shutdown: left out, because shutdown_topic of the session replaces it"
     NOT_A_CHANNEL = "{name}: {port} is not an RFCOMM channel; the topic shares the link's"
 
 
 def bridge_nodes(data: object) -> dict[str, dict[str, Any]]:
-    """The parameters of each bridge node, by the node's name.
+    """Return the parameters of each bridge node, by the node's name.
 
     Args:
         data: the file as plain data, of any shape.
@@ -130,7 +130,7 @@ def import_bringup(
 
 
 def _bridge_node(data: object, path: Path) -> tuple[str, dict[str, Any]]:
-    """The name and parameters of the only bridge node in the file."""
+    """Return the name and parameters of the only bridge node in the file."""
     nodes = bridge_nodes(data)
     if not nodes:
         raise SessionError(path, [Problem("", BringupMistake.NO_NODE())])
@@ -176,7 +176,7 @@ class _Bringup:
         return Problem(self._origins.get(problem.location, problem.location), problem.message)
 
     def _columns(self, direction: Direction) -> dict[str, list[Any]]:
-        """One direction's lists, by the keys of a topic; all empty if they do not fit together."""
+        """Return one direction's lists, by the keys of a topic; all empty if they do not fit together."""
         columns = {key: self._parameters.get(f"{direction}_{suffix}") or [] for key, suffix in _LISTS.items()}
         topics = columns["topic"]
         faults = {}

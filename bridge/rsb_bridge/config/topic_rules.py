@@ -52,19 +52,17 @@ class TopicMistake(Wording):
 
     PORT_OVER_ZENOH = "a link over Zenoh has no ports: leave it out"
     INVALID_PORT = "{port} is not a valid {kind}: {range}"
-    DEADMAN_WITHOUT_ARM = "only {kind} that is armed has one: set arm: true, or leave it out"
+    DEADMAN_WITHOUT_ARM = "only {kind} with arm: true has a deadman: set arm: true, or leave it out"
     OUT_OF_RANGE = "{value} is out of range: {range}"
     IS_A_PATTERN = "{name} is a pattern: give the name of one {noun}"
     NOT_ABSOLUTE = "{name} is not an absolute {noun} name: /part/part, of letters, digits and _, no digit first{hint}"
-    ANNOUNCEMENT = "{name} is what bridges tell each other: it is never bridged; name another topic"
+    ANNOUNCEMENT = "{name} carries the bridges' own announcements and is never bridged: name another topic"
     NAME_TOO_LONG = "{name} has {length} characters, and ROS allows at most {limit}: shorten it"
     NAME_TOO_LONG_WITH_PREFIX = (
         "{name} has {length} characters with its prefix, and ROS allows at most {limit}: shorten it"
     )
     TYPE_TOO_LONG = "{name} has {length} characters, and at most {limit} are allowed"
-    CALL_NEEDS_RELIABLE = (
-        "{protocol} loses messages, and a call has to arrive whole, and be answered: leave protocol out"
-    )
+    CALL_NEEDS_RELIABLE = "{protocol} may lose messages, and calls must not be lost: leave protocol out"
     NOT_ON_BLUETOOTH = "{protocol} does not cross a Bluetooth link (server_ip is a MAC): leave protocol out"
     NOT_OVER_ZENOH = "{protocol} does not cross a link over Zenoh: give zenoh or zenoh-drop, or leave protocol out"
     NEEDS_ZENOH = "{protocol} needs a link over Zenoh (server_ip: zenoh): leave protocol out"
@@ -74,10 +72,10 @@ class TopicMistake(Wording):
     )
     NEEDS_CHANNEL = "missing: a bluetooth {noun} of an IP link needs a channel, {range}; several topics may share one"
     WILDCARDS_DIFFER = (
-        "{remote} has {remote_wildcards}, and {name} has {wildcards}: give both the same, in the same order"
+        "{remote} has {remote_wildcards}, and {name} has {wildcards}: give both the same wildcards in the same order"
     )
-    PORT_OF_PATTERN = "each that matches would need a {kind} of its own: leave port out, and they share the link's"
-    EXCEPT_OF_NAME = "{name} is one name, of which nothing can be left out: leave except out"
+    PORT_OF_PATTERN = "each name that matches would need its own {kind}: leave port out, so that they share the link's"
+    EXCEPT_OF_NAME = "{name} is a single name, not a pattern: leave except out"
     TOO_MANY_EXCEPTIONS = "{count} entries, and at most {limit} are allowed: use patterns in it"
     TOO_MANY_PATTERNS = "{count} patterns, and at most {limit} are allowed: use fewer, wider ones"
     NOT_A_PATTERN = (
@@ -89,16 +87,14 @@ class TopicMistake(Wording):
         "part ** matches any number of parts"
     )
     HIDDEN = "{name}: patterns never match hidden names, whose parts begin with _: list them by their names"
-    PART_OF_ACTION = (
-        "{name} belongs to the action {action}: list that under actions, which bridges all that it consists of"
-    )
-    OF_THE_BRIDGE = "{name} is the bridge's own, and never bridged: name another one"
+    PART_OF_ACTION = "{name} belongs to the action {action}: list the action under actions, which bridges all its parts"
+    OF_THE_BRIDGE = "{name} belongs to the bridge itself and is never bridged: name another one"
     TYPE_OF_OTHER_KIND = "{name} is the type of {kind}: list this entry under {list}"
     NOT_A_TYPE = "{name} is no type of {kind}: write package/{folder}/Name, or leave it out{hint}"
-    CALLED_TYPE_TOO_LONG = "{name} has {length} characters: that is too long"
+    CALLED_TYPE_TOO_LONG = "{name} is too long for a type name: {length} characters"
     OTHER_PROVIDER = (
-        "{name} has provider: {provider} already: only one side's node can answer; keep the entry of the side whose "
-        "node does"
+        "{name} is listed already, with provider: {provider}: only one side can answer; keep the entry of "
+        "the side whose node answers"
     )
     BRIDGED_ALREADY = "{service} is bridged already, with {noun} {name}: keep one of the two"
 
@@ -344,7 +340,7 @@ def _call_type(topic: Topic, location: str) -> Iterator[Problem]:
 
 
 def service_names(kind: Kind, name: str) -> list[str]:
-    """The full names of the services that are bridged with a service, an action or a node's parameters."""
+    """Return the full names of the services that are bridged with a service, an action or a node's parameters."""
     return [f"{name}{lane.suffix}" for lane in LANES[kind] if not lane.is_topic]
 
 

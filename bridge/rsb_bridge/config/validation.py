@@ -136,8 +136,8 @@ class SessionMistake(Wording):
 
     NAME_UNPRINTABLE = "{name} is not a name: give printable characters"
     NAME_TOO_LONG = "has {length} bytes in UTF-8, and at most {limit} are allowed"
-    NAME_NOT_A_PREFIX = "{name} cannot be a prefix of topic names, which use_name makes it{hint}"
-    KIND_HAS_NONE = "{kind} has none: {remedy}"
+    NAME_NOT_A_PREFIX = "{name} cannot be a prefix of topic names, as use_name requires{hint}"
+    KIND_HAS_NONE = "{kind} has no such key: {remedy}"
     PORT_MISSING = "missing, or 0: give a {kind}, {range}"
     DOMAIN_INVALID = "{domain} is not a ROS domain: {range}"
     DOMAIN_VARIABLE_INVALID = "ROS_DOMAIN_ID is {value}, which is not a ROS domain: {range}"
@@ -150,7 +150,7 @@ class SessionMistake(Wording):
     ADAPTER_TWICE = "server_ip is a Bluetooth MAC already: leave bluetooth_address out"
     ADAPTER_INVALID = "{address} is not a Bluetooth MAC: six hexadecimal pairs, 5C:F3:70:9A:1B:2E"
     ADAPTER_OVER_ZENOH = "a link over Zenoh cannot have topics over Bluetooth: leave it out"
-    TOPIC_TWICE = "{name} ({end}) is there already, as number {number}"
+    TOPIC_TWICE = "{name} ({end}) is listed already, as number {number}"
     SOURCE_TWICE = "{name} comes from the server's {remote}, too: bridge it once, under one name"
     PORT_OF_LINK = "{port} is the server_port: leave port out to share it"
     PORT_TAKEN = "{protocol} {kind} {port} is taken by {name}: give another, or leave it out"
@@ -162,7 +162,7 @@ class SessionMistake(Wording):
     TOPIC_PORT_INVALID = "{port} is no port for a topic: {range}"
     KEY_OF_ITS_CLIENT = "belongs under the client that it is for, in clients"
     CLIENT_TWICE = "{name} is the name of client number {number} already"
-    ARMED_TWICE = "{name} is there already, as number {number}: keep one"
+    ARMED_TWICE = "{name} is listed already, as number {number}: keep one"
     KEY_FILE_MISSING = "missing: encryption needs a key; make one with `rsb-console keygen` and give its file's name"
     KEY_FILE_INVALID = "{name} is not a file name: give the key file's"
     NEXT_KEY_ON_CLIENT = (
@@ -177,7 +177,7 @@ class ZenohMistake(Wording):
     """A mistake in the settings of a Zenoh network."""
 
     MISSING = "missing: server_ip is zenoh; give the routers' endpoints, {{connect: [tls/hub:7447]}}"
-    NO_ENDPOINT = "says no endpoint: give connect: [tls/hub:7447], or a config that does"
+    NO_ENDPOINT = "has no endpoint: give connect: [tls/hub:7447], or a config that does"
     TOO_MANY_ENDPOINTS = "has {count} endpoints, and at most {limit} are allowed"
     FLEET_INVALID = "{name} is not a fleet's name: letters, digits, _, . and -, a letter or digit first, at most 64"
     ENDPOINT_INVALID = "{endpoint} is not an endpoint: PROTOCOL/HOST:PORT, as in tls/hub:7447"
@@ -207,9 +207,9 @@ class ProgramProblem(Wording):
 class FaultCommandWarning(Wording):
     """A warning about the command of `on_fault`."""
 
-    CANNOT_RUN = "on_fault: {problem}; until then no command runs; the bridge goes on"
-    SHELL_SYNTAX = "on_fault: no shell reads it, so {word} is a plain argument: put the command into a script"
-    OTHERS_MAY_CHANGE = "on_fault: other users may change {path}, and so what this user runs: chmod go-w {path}"
+    CANNOT_RUN = "on_fault: {problem}; until this is corrected, the bridge runs no command on a fault"
+    SHELL_SYNTAX = "on_fault: no shell runs it, so {word} is a plain argument: put the command into a script"
+    OTHERS_MAY_CHANGE = "on_fault: other users can change {path}, which runs as this user: chmod go-w {path}"
 
 
 class AddressProblem(Wording):
@@ -292,7 +292,7 @@ def placed(problem: Problem, data: object) -> Problem:
 
 
 def validate(session: Session) -> list[Problem]:
-    """All problems of a session."""
+    """Return all problems of a session."""
     data = msgspec.to_builtins(as_written(session))
     problems = build(data)[1]
     holders = [("", session.topics), *((join("clients", at), each.topics) for at, each in enumerate(session.clients))]
@@ -327,7 +327,7 @@ def _foreign(topic: Topic, location: str) -> Iterator[Problem]:
 
 
 def domain_of(session: Session, variable: str | None) -> int:
-    """The ROS domain that a session joins.
+    """Return the ROS domain that a session joins.
 
     Args:
         session: whose `Session.domain_id` comes first.
@@ -476,7 +476,7 @@ def _topics(topics: Sequence[Topic], where: str, session: Session, client: str |
 
 
 def _clashes(topics: Sequence[Topic], where: str, session: Session, client: str | None) -> Iterator[Problem]:
-    """Topics of one link that are there twice, or want one port."""
+    """Yield the topics of one link that are listed twice, or want the same port."""
     places = locations(topics)
     routes: dict[Identity, int] = {}
     sources: dict[tuple[Kind, str], int] = {}
@@ -556,7 +556,7 @@ def armed_problems(armed: Sequence[str | Armed]) -> Iterator[Problem]:
 
 
 def key_file_problems(session: Session) -> Iterator[Problem]:
-    """All mistakes in a session's key files, without those in their contents."""
+    """Yield all mistakes in a session's key files, without those in their contents."""
     yield from _names(session, "")
     yield from _replaces(session.next_key_file, session.key_file, "")
     owners: list[tuple[str, str | None]] = []

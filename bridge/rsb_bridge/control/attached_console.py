@@ -40,7 +40,7 @@ class RequestRefused(Wording):
 
     READ_ONLY = "{reason}: nothing can be changed"
     ATTACHED_READ_ONLY = "attached read-only"
-    TOO_MANY_WAITING = "{count} requests wait for an answer already"
+    TOO_MANY_WAITING = "{count} requests already wait for an answer: try again later"
 
 
 class Connection(Protocol):
@@ -98,7 +98,7 @@ class ConsoleHost(Protocol):
     encoded: EncodedRoutes
 
     def summary(self) -> bytes:
-        """The engine in a few figures, at most `SUMMARY_EVERY` s old, or empty bytes."""
+        """Return the engine in a few figures, at most `SUMMARY_EVERY` s old, or empty bytes."""
         ...
 
     def stop_process(self) -> None:
@@ -153,7 +153,7 @@ class Console:
             self._handle(message)
 
     def gone(self) -> None:
-        """The connection has ended."""
+        """Take the end of the connection."""
         self._tasks.cancel()
         if self._has_armed:
             self._has_armed = False

@@ -110,12 +110,12 @@ def ask(path: Path) -> RunningBridge:
 
 
 def running_bridges(environ: Mapping[str, str] = os.environ) -> list[RunningBridge]:
-    """All bridges that this user can attach to, or that at least exist."""
+    """Return all bridges that this user can attach to, or that at least exist."""
     found = []
     for path in control_sockets.find_sockets(environ):
         try:
             found.append(ask(path))
-        except ControlError:  # a dead process's, or another user's
+        except ControlError:  # the socket of a dead process, or another user's
             continue
     return found
 

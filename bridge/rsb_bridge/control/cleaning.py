@@ -132,7 +132,7 @@ def _replace(value: Any, changes: dict[str, Any]) -> Any:
 
 
 def _fields(kind: type) -> tuple[str, ...]:
-    """The fields of an object that has others in it; none of what is a value by itself, as a member of an enum."""
+    """Return the fields of an object, or none for a value such as a member of an enum."""
     if issubclass(kind, msgspec.Struct):
         return kind.__struct_fields__
     return tuple(field.name for field in dataclasses.fields(kind)) if dataclasses.is_dataclass(kind) else ()

@@ -111,7 +111,7 @@ class ControlServer:
         self._at_end.append(work)
 
     def attached(self) -> int:
-        """The number of consoles, over all kinds of connection."""
+        """Return the number of consoles, over all kinds of connection."""
         return len(self._consoles)
 
     def add(self, console: Console) -> None:
@@ -119,7 +119,7 @@ class ControlServer:
         self._consoles.add(console)
 
     def remove(self, console: Console) -> None:
-        """The connection of a console has ended."""
+        """Forget a console whose connection has ended."""
         self._consoles.discard(console)
         self._one_less.set()
         console.gone()

@@ -42,7 +42,7 @@ class SocketProblem(Wording):
     BUSY = "{path}: its process does not answer"
     OTHER = "{path}: {problem}"
     NOT_A_SOCKET = "{path}: exists, and is not a socket; name another path with --control"
-    FOLDER_LOCKED = "another process keeps the folder of the control socket locked"
+    FOLDER_LOCKED = "another process holds the lock on the folder of the control socket: try again"
     FOLDER_OF_ANOTHER = "this folder is another user's; remove it, or set XDG_RUNTIME_DIR"
     FOLDER_OF_USER = "this folder is another user's (uid {uid}); remove it, or set XDG_RUNTIME_DIR"
     FOLDER_WRITABLE = "others may write to this folder (mode {mode:04o}); chmod 700 it"
@@ -57,7 +57,7 @@ class AttachProblem(Wording):
     CLOSED_EARLY = "it closed the connection"
     DETACHED = "detached from the bridge"
     OTHER_CONSOLES = "{count} consoles are attached already; close one of them"
-    OTHER_USER = "this bridge runs as {user}, and no other user but root may control it: {remedy}"
+    OTHER_USER = "this bridge runs as {user}; only that user and root may control it: {remedy}"
     ON_SOCKET = "{where}: {problem}"
 
 
@@ -98,7 +98,7 @@ class TakenError(ControlError):
 
 
 def serving_folder(environ: Mapping[str, str]) -> Path:
-    """The folder that this process puts its socket in.
+    """Return the folder that this process puts its socket in.
 
     systemd's own for a service (``$RUNTIME_DIRECTORY``), else the user's (``$XDG_RUNTIME_DIR/rsb-console``), else
     ``/tmp/rsb-console-UID``.
@@ -109,7 +109,7 @@ def serving_folder(environ: Mapping[str, str]) -> Path:
 
 
 def searched_folders(environ: Mapping[str, str]) -> list[Path]:
-    """The folders in which this user's bridges may have put their sockets; with `ISOLATED`, of the environment."""
+    """Return the folders that may have sockets of this user's bridges; with `ISOLATED`, only the environment's."""
     own = (serving_folder(environ), _user_folder(environ))
     return list(dict.fromkeys(own if environ.get(ISOLATED) else (*own, _fallback_folder(), SERVICES)))
 
@@ -124,7 +124,7 @@ def _fallback_folder() -> Path:
 
 
 def find_sockets(environ: Mapping[str, str]) -> list[Path]:
-    """All sockets in the folders that can be read, living or not. Folders of strangers are left out."""
+    """Return all sockets in the folders that can be read, living or not. Folders of strangers are left out."""
     found = []
     for folder in searched_folders(environ):
         with contextlib.suppress(OSError):
@@ -256,7 +256,7 @@ def may_control(uid: int) -> bool:
 
 
 def peer_of(connection: socket.socket) -> tuple[int, int, int]:
-    """The pid, uid and gid of a Unix socket's other side, as the kernel noted them when it connected."""
+    """Return the pid, uid and gid of a Unix socket's other side, as the kernel noted them when it connected."""
     pid, uid, gid = _PEER.unpack(connection.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, _PEER.size))
     return pid, uid, gid
 
@@ -343,7 +343,7 @@ def _listens(folder: int, name: str) -> bool:
 
 
 def _address(folder: int, name: str) -> str:
-    """A path for the kernel: of 107 bytes at most, and through the folder that was checked."""
+    """Return a path for the kernel: of 107 bytes at most, and through the folder that was checked."""
     return f"/proc/self/fd/{folder}/{name}"
 
 

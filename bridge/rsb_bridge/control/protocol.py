@@ -80,7 +80,7 @@ class VersionProblem(Wording):
 class RequestProblem(Wording):
     """Reasons why a command does not reach the bridge, or why its reply is useless."""
 
-    TOO_LONG = "it is too long: {length:,} bytes"
+    TOO_LONG = "this command is too long: {length:,} bytes"
     UNEXPECTED_REPLY = "unexpected reply to this command"
 
 
@@ -331,7 +331,7 @@ _route = msgspec.msgpack.Decoder(RouteSnapshot)
 
 
 def encode(message: ToBridge | ToConsole) -> bytes:
-    """A message as a frame."""
+    """Return a message as a frame."""
     body = _encoder.encode(message)
     return len(body).to_bytes(_LENGTH_BYTES, "big") + body
 
@@ -367,7 +367,7 @@ def encode_route(route: RouteSnapshot) -> msgspec.Raw:
 
 
 def decode_route(raw: msgspec.Raw) -> RouteSnapshot:
-    """The inverse of `encode_route`.
+    """Decode what `encode_route` has returned.
 
     Raises:
         ProtocolError: it is none.

@@ -49,8 +49,8 @@ _USED_REGULARLY = 3.0
 class AttachedAgain(Wording):
     """Reports of a console that is attached again."""
 
-    SAME = "attached to {name} again"
-    RESTARTED = "attached to {name} again, which was restarted (pid {pid})"
+    SAME = "attached again to {name}"
+    RESTARTED = "attached again to {name}, which was restarted (pid {pid})"
 
 
 class RemoteEngine(EngineApi):
@@ -137,7 +137,7 @@ class RemoteEngine(EngineApi):
             self._thread.join(timeout)
 
     def snapshot(self) -> Snapshot:
-        """The newest state that has come; the next one is asked for, so that it is there at the next call."""
+        """Return the newest state that has come; the next one is asked for, so that it is there at the next call."""
         now = time.monotonic()
         since, self._used_at = now - self._used_at, now
         delay = since - _COMES_BEFORE_USE if since < _USED_REGULARLY else 0.0
@@ -155,7 +155,7 @@ class RemoteEngine(EngineApi):
         return self._log.wait(after, timeout)
 
     def remembered_events(self, timeout: float) -> list[Event]:
-        """The events that the bridge remembered when this attached; waits up to `timeout` s until all have come."""
+        """Return the events that the bridge remembered at the attach; wait up to `timeout` s until all have come."""
         deadline = time.monotonic() + timeout
         while self._followed < self._events_before and (left := deadline - time.monotonic()) > 0:
             self._log.wait(self._log.last, min(left, _USED_REGULARLY))
@@ -218,7 +218,7 @@ class RemoteEngine(EngineApi):
             await asyncio.sleep(_RETRY_EVERY)
 
     async def _attach(self) -> str:
-        """Be attached until the connection ends; gives the reason."""
+        """Stay attached until the connection ends; return the reason."""
         connection = await self._way.open(ANSWERS_WITHIN)
         try:
             self._connection = connection

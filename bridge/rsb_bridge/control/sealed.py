@@ -73,13 +73,15 @@ _OPERATOR_REMEDIES = {
 class OperatorRefused(Wording):
     """Reasons why an operator is not attached over a network, or not any more."""
 
-    OPERATORS_CHANGED = "the operators were changed meanwhile"
-    REMOVED = "{name} may not attach any more: the bridge's operators were changed"
-    RIGHTS_CHANGED = "what {name} may do, or their key, was changed on the bridge"
+    UNKNOWN = "there is no operator {name!r}"
+    OPERATORS_CHANGED = "the operators of this engine have changed meanwhile: try again"
+    READ_ONLY = "{name} has read-only access (may: {may} in the bridge's operators)"
+    REMOVED = "{name} may no longer attach: removed from the bridge's operators"
+    RIGHTS_CHANGED = "the rights or the key of {name} were changed on the bridge"
     BY_ENGINE = "{engine} refuses: {message}"
     BY_ENGINE_WITH_REMEDY = "{engine} refuses: {message}: {remedy}"
     FAILED = "{engine}: {problem}"
-    CLOSED = "{engine}: the connection was closed before anybody answered"
+    CLOSED = "{engine} closed the connection without an answer"
 
 
 class SealedAcceptor:
@@ -102,7 +104,7 @@ class SealedAcceptor:
         server.at_end(self._close)
 
     def protocol(self) -> SealedConsole:
-        """The protocol of a connection that has come, for its stream."""
+        """Return the protocol for a new connection's stream."""
         return SealedConsole(self)
 
     def review(self) -> None:
@@ -123,7 +125,7 @@ class SealedAcceptor:
         return True
 
     def remove(self, console: SealedConsole) -> None:
-        """A connection has ended."""
+        """Forget a connection that has ended."""
         self._present.pop(console, None)
 
     def credential(self, name: str) -> Credential:
@@ -134,7 +136,7 @@ class SealedAcceptor:
         """
         granted = self.access.granted.get(name)
         if granted is None:
-            raise Refusal(RefusalCode.UNKNOWN_NAME, f"no operator {name!r} may attach")
+            raise Refusal(RefusalCode.UNKNOWN_NAME, OperatorRefused.UNKNOWN(name=name))
         secret = granted.key.secret
         return Credential((secret,), self._replays.setdefault(secret, ReplayCache()))
 
@@ -231,7 +233,7 @@ class SealedConsole(PendingConnection, asyncio.Protocol):
     # --- before it is attached
 
     def review(self, granted: Granted | None) -> None:
-        """The operators are others now; `granted` is what the one of this name may do."""
+        """Take over changed operators; `granted` has the rights of the operator of this name, or is None."""
         if self._console is None:
             if self._machine.accepted:
                 self.reject(OperatorRefused.OPERATORS_CHANGED())
@@ -256,7 +258,7 @@ class SealedConsole(PendingConnection, asyncio.Protocol):
         self._acceptor.came_or_went(EventCode.ATTACH_OPERATOR, self.operator, text)
 
     def _fail(self, reason: str, answer: bytes) -> None:
-        """It broke the format, or what has come is not what its console has sealed."""
+        """End a connection that broke the format or the seal."""
         if self._console is not None:
             self._log(EventCode.ATTACH_REJECTED, reason)
             self.abort()
@@ -269,7 +271,7 @@ class SealedConsole(PendingConnection, asyncio.Protocol):
 
     def _busy(self, message: str) -> bytes:
         if self._machine.accepted:
-            return b""  # the console has the answer, and takes only records now
+            return b""  # the console has the answer, and accepts only records from now on
         return self._machine.refuse(RefusalCode.BUSY, message)
 
     def _close_with(self, answer: bytes, message: str) -> None:
@@ -301,7 +303,7 @@ class SealedConsole(PendingConnection, asyncio.Protocol):
         """The reason this operator may change nothing, or an empty string."""
         assert self._granted is not None
         may = self._granted.operator.may
-        return "" if may == "change" else f"{self.name} may look only (may: {may} in the bridge's operators)"
+        return "" if may == "change" else OperatorRefused.READ_ONLY(name=self.name, may=may)
 
     @property
     def buffered(self) -> int:
@@ -340,7 +342,7 @@ def _nothing() -> None:
 
 
 def _origin(peername: object) -> tuple[str, str]:
-    """The host that a connection comes from, and with its port, as a stream says; for a log."""
+    """Return the host that a connection comes from, and with its port, as a stream says; for a log."""
     if isinstance(peername, tuple) and len(peername) >= 2 and peername[1]:
         host, port = sanitize_text(str(peername[0]), _PEER_LENGTH), sanitize_text(str(peername[1]), _PEER_LENGTH)
         return host, f"[{host}]:{port}" if ":" in host else f"{host}:{port}"
@@ -458,7 +460,7 @@ class _OperatorConnection(asyncio.Protocol):
         return False
 
     def _refuse(self, event: Refused | Failed) -> None:
-        """Take a refusal that nothing better has followed."""
+        """End the connection because of a refusal that no other answer has followed in time."""
         if self._trial is not None and not self._ended:
             self._end(self._reason_of(event))
 
@@ -484,7 +486,7 @@ class _OperatorConnection(asyncio.Protocol):
             self._reader.feed_eof()
 
     def _end(self, reason: str) -> None:
-        """The connection is of no use any more."""
+        """End the connection, and fail whoever waits for it."""
         error = ControlError(reason)
         self._ended = True
         self._reader.set_exception(error)

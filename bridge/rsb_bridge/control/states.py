@@ -36,7 +36,7 @@ class EncodedRoutes:
         self._encoded: dict[str, tuple[RouteSnapshot, msgspec.Raw]] = {}
 
     def of(self, route: RouteSnapshot) -> msgspec.Raw:
-        """A route, encoded."""
+        """Return a route, encoded."""
         known = self._encoded.get(route.key)
         if known is not None and known[0] is route:
             return known[1]

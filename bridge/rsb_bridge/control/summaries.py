@@ -111,7 +111,7 @@ def charge_of(description: str, peeked: PeekedMessage) -> float | None:
     """
     read = decode(read_description(description, peeked.type_hash), peeked.payload, items=0)
     charge = read.message.get("percentage")
-    if not isinstance(charge, float) or not math.isfinite(charge) or charge < 0:  # NaN: not measured
+    if not isinstance(charge, float) or not math.isfinite(charge) or charge < 0:  # NaN means not measured
         return None
     return min(1.0, charge / 100 if charge > 1 else charge)  # some drivers publish 0 to 100
 
@@ -133,7 +133,7 @@ class SummaryBuilder:
         self._batteries = Batteries(engine, of_own_robot=True)
 
     def __call__(self) -> bytes:
-        """The engine as it is now, as `rsb_bridge.model.robot_summary.encode` has it."""
+        """Return the engine as it is now, as `rsb_bridge.model.robot_summary.encode` has it."""
         snapshot = self._engine.snapshot()
         if snapshot.running:
             self._loss = self._losses.take(snapshot)

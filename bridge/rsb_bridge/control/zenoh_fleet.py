@@ -46,9 +46,9 @@ _FIRST_PAUSE, _LONGEST_PAUSE = 1.0, 10.0
 class FleetNetworkText(Wording):
     """Reports on the network of a fleet."""
 
-    NOT_ANNOUNCED = "the fleet {fleet} does not see this engine, which tries again: {problem}"
+    NOT_ANNOUNCED = "not announced to the fleet {fleet}: {problem}; trying again"
     ANNOUNCED = "announced to the fleet {fleet}"
-    ROUTER_LOST = "{place}: {problem}; it is tried again"
+    ROUTER_LOST = "{place}: {problem}; trying again"
 
 
 class EngineChoice(Wording):
@@ -56,10 +56,10 @@ class EngineChoice(Wording):
 
     NONE = "no engine is in the fleet {fleet}"
     UNKNOWN = "no engine {engine!r} is in the fleet {fleet}{known}"
-    SEVERAL = "several engines are in the fleet {fleet}: say which{known}"
-    SAME_NAME = "{count} engines of the fleet {fleet} are called {engine!r}: give them names of their own"
+    SEVERAL = "several engines are in the fleet {fleet}: name one{known}"
+    SAME_NAME = "{count} engines of the fleet {fleet} are named {engine!r}: give each its own name"
     NONE_PROVEN = (
-        "none of {count} engines that call themselves {engine!r} proves the key: "
+        "none of {count} engines named {engine!r} has proven the key: "
         "set access control on the router (docs/zenoh.md); one says: {answer}"
     )
     ONE_UNPROVEN = (
@@ -277,7 +277,7 @@ class FleetConnector:
         """
         fleet, engine = self._file.zenoh.fleet, self._engine
         names = sorted(member.name for member in presence.members.values())
-        known = f"; there are {join_first(names, _NAMES)}" if names else "; nobody is there"
+        known = f"; there are {join_first(names, _NAMES)}" if names else "; the fleet is empty"
         found = [member for member in presence.members.values() if engine in ("", member.name)]
         if not found:
             problem = EngineChoice.UNKNOWN if engine else EngineChoice.NONE

@@ -27,7 +27,7 @@ class Access:
     """The operators of one engine.
 
     Args:
-        name: the engine's, which an operator's console has to mean.
+        name: the engine's; an operator's console has to ask for it.
         events: where it is recorded who attaches, and who is refused.
         clock: the engine's.
         strangers: the engine's budget of those who have not proven a key yet, or None for one of its own.
@@ -49,7 +49,7 @@ class Access:
         self._watchers: list[Callable[[], None]] = []
 
     def now(self) -> float:
-        """Seconds on a clock that nobody sets."""
+        """Return the time (s) on a clock that nobody sets."""
         return self.clock.steady()
 
     def watch(self, changed: Callable[[], None]) -> None:
@@ -57,19 +57,19 @@ class Access:
         self._watchers.append(changed)
 
     def grant(self, granted: Mapping[str, Granted]) -> None:
-        """From now on these operators may attach, and no others."""
+        """Permit these operators to attach, and no others."""
         self.granted = granted
         for changed in self._watchers:
             changed()
 
     def check_link(self, keys: Mapping[str, tuple[Key, ...]]) -> None:
-        """Check that no operator has the key of a link that is to be let in.
+        """Check that no operator has the key of a client that is to be accepted.
 
         Args:
             keys: of the link, by its client's name.
 
         Raises:
-            EngineError: one has.
+            EngineError: an operator has such a key.
         """
         if problem := operator_key_problem({name: each.key for name, each in self.granted.items()}, keys):
             raise EngineError(problem)
@@ -100,7 +100,7 @@ class Access:
 
 
 def load_keys(session: Session, base: Path) -> tuple[dict[str, tuple[Key, ...]], dict[str, Granted]]:
-    """The keys of each client, and what operators may do.
+    """Return the keys of each client, and what operators may do.
 
     Raises:
         EngineError: a key is missing, or two have the same that must not.

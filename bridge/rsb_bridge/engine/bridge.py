@@ -171,7 +171,7 @@ class Bridge:
         self._errors_logged: dict[str, float] = {}
 
     def links(self) -> list[Link]:
-        """All links, up or down: a client's one, or a server's many."""
+        """Return all links, up or down: a client's one, or a server's many."""
         return self._role.links()
 
     def refused(self) -> tuple[RefusedClient, ...]:

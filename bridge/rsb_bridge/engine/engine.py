@@ -252,7 +252,7 @@ class Engine(EngineApi):
             raise EngineError(str(error)) from None
         self._snapshots.latest = dataclasses.replace(self._snapshots.latest, domain_id=domain)
         if not self._session.use_encryption:
-            text = "encryption is off: everything crosses in the clear"
+            text = "encryption is off: all data crosses unencrypted"
             self._events.add(Level.WARNING, EventCode.KEY_UNENCRYPTED, text)
         keys, granted = load_keys(self._session, self._base)
         self.access.warn_of(keys, granted)
@@ -295,7 +295,7 @@ class Engine(EngineApi):
         self._thread = None
 
     def snapshot(self) -> Snapshot:
-        """The engine as it was at most 1 s ago; while somebody asks more often than that, 0.25 s."""
+        """Return the engine as it was at most 1 s ago; while somebody asks more often than that, 0.25 s."""
         return self._snapshots.look()
 
     def events(self, after: int = 0) -> list[Event]:
@@ -317,14 +317,14 @@ class Engine(EngineApi):
             return cast("Future[R]", self._record_stop())
         if bridge is None:
             return not_running()
-        if isinstance(command, History):  # which goes on when the bridge has ended
+        if isinstance(command, History):  # the history outlives the bridge
             seconds = command.seconds if command.seconds > 0 else 0.0  # NaN is not greater than 0, either
             return cast("Future[R]", self._recorder.history(seconds))
         return self._commands.run(lambda: bridge.do(command, step))
 
     def _record_stop(self) -> Future[None]:
         who = operator()
-        self._events.add(Level.INFO, EventCode.OPERATOR_STOPPED, f"told to end by {who}", who=who)
+        self._events.add(Level.INFO, EventCode.OPERATOR_STOPPED, f"stopped by {who}", who=who)
         done: Future[None] = Future()
         done.set_result(None)
         return done
@@ -386,7 +386,7 @@ class Engine(EngineApi):
         await command(client, keys[client.name])
 
     def _folder(self) -> Path:
-        """The folder of the session file."""
+        """Return the folder of the session file."""
         return self._base if self._file is None else self._file.parent
 
     async def _reload(self, bridge: Bridge, *, dry_run: bool) -> Reloaded:

@@ -49,7 +49,7 @@ _CALL_FIGURES = (*_ROUTE_FIGURES, *figures(Of.CALLS, "asked", "answered", "expir
 
 
 def diagnostics(snapshot: Snapshot) -> Fields:
-    """The fields of the message, as `rsb_bridge.ros.ros_interface.RosInterface.serialize` takes them.
+    """Return the fields of the message, as `rsb_bridge.ros.ros_interface.RosInterface.serialize` takes them.
 
     A status is named by the session, and by the link or by the topic and its direction, none of which changes when the
     bridge is started again. What is paused, disarmed or waits for a first message is OK: nothing is wrong.
@@ -171,7 +171,7 @@ class MetricsExporter:
             self._service.thread.start()
 
     def close(self) -> None:
-        """Serve no more. May be called twice."""
+        """Stop serving. May be called twice."""
         service, self._service = self._service, None
         if service is not None:
             service.end()
@@ -220,8 +220,8 @@ class _Service:
                 server = MetricsServer(host, port, app, self._context.clock.steady, self._failed)
             except OSError as error:
                 if told != (told := error.strerror or str(error)):
-                    remedy = f"it is tried again every {_RETRIED_EVERY:.0f} s; or name another address"
-                    self._tell(Level.ERROR, f"no metrics are served, and the bridge goes on: {told}; {remedy}")
+                    remedy = f"trying again every {_RETRIED_EVERY:.0f} s; or name another address"
+                    self._tell(Level.ERROR, f"no metrics are served: {told}; {remedy}; the bridge goes on")
                 self._ends.wait(_RETRIED_EVERY)
                 continue
             told = ""

@@ -62,7 +62,7 @@ class RouteInspector:
     async def peek(self, command: Peek) -> PeekedMessage | None:
         _, route = self._find(command.key)
         if not isinstance(route, TopicRoute):
-            raise LinkError(f"{route.local_topic} is no topic: it has calls, and no messages to look at")
+            raise LinkError(f"{route.local_topic} has calls, no messages")
         return await self._peeking.peek(route, kept=command.kept)
 
     async def describe(self, command: Describe) -> str:
@@ -146,7 +146,7 @@ class RouteInspector:
 
 def _callable(route: Route) -> CallsRoute:
     if not isinstance(route, CallsRoute):
-        raise LinkError(f"{route.local_topic} is a topic, which nobody can call")
+        raise LinkError(f"{route.local_topic} is a topic: it cannot be called")
     return route
 
 
@@ -155,7 +155,7 @@ def _is_goal(route: CallsRoute, lane: int) -> bool:
 
 
 def _lane_named(route: CallsRoute, name: str) -> int:
-    """A lane's number, by its name among those that can be called."""
+    """Return a lane's number, by its name among those that can be called."""
     names = {member.name: number for number, member in enumerate(route.members) if not member.is_topic}
     if name in names:
         return names[name]

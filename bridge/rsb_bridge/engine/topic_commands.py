@@ -71,7 +71,7 @@ class TopicCommands:
         self._demands = demands
 
     def find(self, key: str) -> tuple[Link, Route]:
-        """A route and its link by the route's key."""
+        """Return a route and its link by the route's key."""
         for link in self._role.links():
             if key in link.routes:
                 return link, link.routes[key]
@@ -184,7 +184,7 @@ class TopicCommands:
         ]
         if names_it and not wanted:
             lines = ", ".join(map(demands.origin, own)) or PEER_DEMANDS
-            raise LinkError(f"{name} has to be armed ({lines}): agree to end that (--drop-arm)")
+            raise LinkError(f"{name} has to be armed ({lines}): --drop-arm ends that, too")
         if not wanted:
             return
         demand = None if route is None else link.table.arming.demand_on(route, demands)

@@ -113,12 +113,12 @@ class EventFile:
 
 
 def numbered(path: Path, number: int) -> Path:
-    """An older file of events; number 0 is the newest."""
+    """Return an older file of events; number 0 is the newest."""
     return path if number == 0 else path.with_name(f"{path.stem}.{number}{path.suffix}")
 
 
 def encode_event(event: Event) -> bytes:
-    """An event as one line, with the keys of ``--log-format json``; what is empty is left out."""
+    """Return an event as one line, with the keys of ``--log-format json``; what is empty is left out."""
     fields = msgspec.to_builtins(event).items()
     line = {name: _sanitized(name, value) for name, value in fields if value not in _EMPTY and name != "number"}
     return msgspec.json.encode({**line, "source": event.source}) + b"\n"
@@ -131,7 +131,7 @@ def _sanitized(name: str, value: object) -> object:
 
 
 def read_events(path: Path, since: float) -> Iterator[Event]:
-    """The events in the files, oldest first; what is no event is left out.
+    """Yield the events in the files, oldest first; what is no event is left out.
 
     Args:
         path: of the newest file.
@@ -187,7 +187,7 @@ def read_history(path: Path) -> Saved:
         version = msgspec.msgpack.decode(content, type=_Versioned).version
         if version != VERSION:
             age = "an older" if version < VERSION else "a newer"
-            raise HistoryFileError(f"it is of {age} version of rsb-console")
+            raise HistoryFileError(f"it was written by {age} version of rsb-console")
         return msgspec.msgpack.decode(content, type=Saved)
     except (zstandard.ZstdError, msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
         raise HistoryFileError(f"it is damaged ({error})") from None

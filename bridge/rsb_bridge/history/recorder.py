@@ -80,7 +80,7 @@ class ClockAxis:
         return self.now - before
 
     def of_wall(self, moment: float) -> float:
-        """A recent time of the wall clock, on this axis."""
+        """Convert a recent time of the wall clock to this axis."""
         return moment + self.now - (self._steady + self._offset)
 
 
@@ -228,7 +228,7 @@ class Recorder:
         return self._timeline.report(self._axis.now, seconds, running=True)
 
     def save(self) -> Saved:
-        """All that is remembered, to be restored by the next process."""
+        """Return all that is remembered, to be restored by the next process."""
         if not self._has_ended:
             self.look()
         return self._timeline.save(self._axis.now)

@@ -22,7 +22,7 @@ _ROLE_LENGTH = 20
 
 
 def state_folder(environ: Mapping[str, str]) -> Path:
-    """The folder that this process writes to.
+    """Return the folder that this process writes to.
 
     systemd's own for a service (``$STATE_DIRECTORY``), else ``$XDG_STATE_HOME/rsb-console``, else
     ``~/.local/state/rsb-console``.
@@ -34,7 +34,7 @@ def state_folder(environ: Mapping[str, str]) -> Path:
 
 
 def searched_folders(environ: Mapping[str, str]) -> list[Path]:
-    """The folders in which this user may find what bridges have kept."""
+    """Return the folders in which this user may find what bridges have kept."""
     return list(dict.fromkeys((state_folder(environ), SERVICES)))
 
 
@@ -95,7 +95,7 @@ class Claim:
         )
 
     def close(self) -> None:
-        """Let another process have them."""
+        """Release the files for another process."""
         os.close(self._lock)
 
 
@@ -112,7 +112,7 @@ def _take(lock: int, role: str) -> bool:
 
 
 def kept_bridges(environ: Mapping[str, str]) -> list[Files]:
-    """All bridges that have left files which this user may read."""
+    """Return all bridges that have left files which this user may read."""
     found: list[Files] = []
     for folder in searched_folders(environ):
         with contextlib.suppress(OSError):

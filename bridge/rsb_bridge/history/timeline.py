@@ -148,7 +148,7 @@ class Timeline:
     # --- as time goes by
 
     def observe(self, snapshot: Snapshot, now: float) -> None:
-        """Take note of how everything is now. Until the next time it counts as being so."""
+        """Record the present state of everything, which counts until the next call."""
         self._run = (self._run[0] if self._run else now, now)
         self._turn += 1
         for link in snapshot.links:
@@ -211,7 +211,7 @@ class Timeline:
                 self._runs[-1] = (self._runs[-1][0], event.time)
 
     def cut(self) -> None:
-        """Nobody watches any more: the bridge stops, or the machine has slept since the last `observe`."""
+        """End the run: the bridge stops, or the machine has slept since the last `observe`."""
         if self._run is None:
             return
         _, now = self._run
@@ -226,7 +226,7 @@ class Timeline:
         return self._runs[-1][1] if self._runs else 0.0
 
     def move(self, seconds: float) -> None:
-        """The clock was set: what this run has seen happened so much later."""
+        """Shift this run by some seconds, because the clock was set."""
         if self._run is None:
             return
         since, until = self._run
@@ -239,7 +239,7 @@ class Timeline:
         self._run = (since + seconds, until + seconds)
 
     def earliest(self, now: float) -> float:
-        """The earliest time that it may be now instead, so that this run does not begin before the last one ended."""
+        """Return the earliest time that may count as now, so that this run does not begin before the last one ended."""
         return now + self.last - self._run[0] if self._run else self.last
 
     def _link_of(self, record: TrackRecord) -> TrackRecord | None:
@@ -320,7 +320,7 @@ class Timeline:
 
     @classmethod
     def restore(cls, saved: Saved, name: str, role: str) -> Timeline:
-        """The inverse of `save`, for a session of this name and role.
+        """Restore what `save` has returned, for a session of this name and role.
 
         Raises:
             ValueError: it contradicts itself.
@@ -339,7 +339,7 @@ class Timeline:
 
 
 def _key_of(link: str) -> Key:
-    """A link's own."""
+    """Return the link's own key."""
     return link, LINK, "", False
 
 

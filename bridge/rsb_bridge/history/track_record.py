@@ -95,7 +95,7 @@ class Series:
         return self._up, self._out, self._waiting
 
     def times(self, start: int, end: int) -> tuple[float, float, float]:
-        """Seconds up, out, and waiting, in the minutes from `start` to before `end`."""
+        """Return the seconds up, out, and waiting, in the minutes from `start` to before `end`."""
         begin, stop = max(0, start - self.first), max(0, end - self.first)
         up, out, waiting = (sum(kept[begin:stop]) / _STEPS for kept in self._times)
         return up, out, waiting
@@ -131,12 +131,12 @@ class Series:
             self.first += min(0, at + minutes)
 
     def dump(self) -> tuple[int, bytes, bytes, bytes, bytes]:
-        """All of it, for `load`."""
+        """Return the contents, for `load`."""
         return self.first, self._rates.tobytes(), bytes(self._up), bytes(self._out), bytes(self._waiting)
 
     @classmethod
     def load(cls, first: int, rates: bytes, up: bytes, out: bytes, waiting: bytes) -> Series:
-        """The inverse of `dump`.
+        """Restore what `dump` has returned.
 
         Raises:
             ValueError: the parts do not belong together, or there are too many minutes.
@@ -359,7 +359,7 @@ class TrackRecord:
         return self.live or bool(self.outages) or self.series.end > before // MINUTE
 
     def move(self, since: float, seconds: float) -> None:
-        """The clock was set: what happened from `since` on happened so much later."""
+        """Shift everything from `since` on by some seconds, because the clock was set."""
         self.series.move(int(since // MINUTE), round(seconds / MINUTE))
         self.outages = deque(
             outage._replace(start=outage.start + seconds) if outage.start >= since else outage
@@ -384,7 +384,7 @@ class TrackRecord:
             yield self._outage(self._ended(self._open, now, link, cut_off=False), ongoing=True)
 
     def dropped_in(self, start: float) -> int:
-        """How many outages since `start` there was no room for; some of them may be older."""
+        """Return how many outages since `start` there was no room for; some of them may be older."""
         return self.dropped if self.dropped_at >= start else 0
 
     def present(self, now: float, link: TrackRecord | None) -> Iterator[Ended]:

@@ -130,7 +130,7 @@ class RouteIds:
 
 
 _NOT_YET = "not connected yet"
-_NO_GOODBYE = "the other side ended without a goodbye: look whether its process or machine has died"
+_NO_GOODBYE = "the other side closed the connection without a goodbye: check whether its process or machine has died"
 _CAUSES = {EventCode.LINK_LOST: LinkCause.LOST, EventCode.LINK_SHUT_DOWN: LinkCause.SHUT_DOWN}
 """Causes by the code of a connection's end; with any other code, `LinkCause.CLOSED`."""
 

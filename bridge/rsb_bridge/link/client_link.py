@@ -442,7 +442,7 @@ def _not_connected(address: str, error: OSError) -> Failure:
     """Return the reason why an address cannot be reached, and what to check."""
     if isinstance(error, TimeoutError):  # the kernel's own timeout is one, too
         return Failure(
-            f"{address}: nothing comes back: check that it is on, server_ip, and firewalls",
+            f"{address}: no answer: check that it is on, server_ip, and firewalls",
             LinkCause.TIMED_OUT,
         )
     message = os_error_message(error)

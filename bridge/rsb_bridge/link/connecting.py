@@ -140,7 +140,7 @@ class ConnectAttempt(StreamHandler):
     def end(self) -> None:
         """Close the stream, unless the server accepted it."""
         if self._stream is not None and self._stream.handler is self and not self._stream.over:
-            self._stream.abort("not let in")
+            self._stream.abort("not accepted")
 
     def _finish(self, outcome: Failure | None) -> None:
         if not self.outcome.done():

@@ -424,5 +424,5 @@ class Contention:
         asked = [route for route in self._routes() if not route.outgoing and route.proposal.priority and route.accepted]
         if asked:
             self._told = connection
-            text = "the other side's rsb-console is too old to keep to priorities of what it sends: update it"
+            text = "the other side's rsb-console is too old to apply priorities to what it sends: update it"
             asked[0].log(Level.WARNING, EventCode.ROUTE_AMENDED, text)

@@ -46,7 +46,7 @@ class UdpChannels:
         self._shortages_told: set[bool] = set()
 
     def get(self, port: int) -> UdpChannel | None:
-        """The open channel of a port."""
+        """Return the open channel of a port."""
         channel = self._channels.get(port)
         return channel if channel is not None and not channel.over else None
 
@@ -87,7 +87,7 @@ class UdpChannels:
         self._channels.clear()
 
     def all(self) -> list[UdpChannel]:
-        """All channels."""
+        """Return all channels."""
         return list(self._channels.values())
 
 
@@ -95,8 +95,8 @@ def _shortage_message(shortage: BufferShortage) -> str:
     """Return the reason why large messages are slow, and the remedy, for an operator."""
     whose, where = ("this machine's", "here") if shortage.here else ("the other side's", "there")
     return (
-        f"{whose} kernel keeps only {shortage.granted:,} bytes of UDP, and messages have {shortage.message:,}: they "
-        f"are slow, or lost. Run {where}: sudo sysctl -w net.core.rmem_max={RECEIVE_BUFFER}"
+        f"{whose} kernel buffers only {shortage.granted:,} bytes of UDP, and messages have {shortage.message:,}: they "
+        f"come late, or are lost. Run {where}: sudo sysctl -w net.core.rmem_max={RECEIVE_BUFFER}"
     )
 
 
@@ -148,7 +148,7 @@ class DataChannels:
         self.probe = PathProbe(self.keys)
 
     def disconnected(self) -> None:
-        """The connection is over. Call it when no route uses a channel any more."""
+        """Forget the connection, which is over. Call it when no route uses a channel any more."""
         self.keys = self.probe = None
         if self.book is not None:
             self.book.close()

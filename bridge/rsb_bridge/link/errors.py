@@ -19,7 +19,7 @@ class Denied(Wording):
     TOO_MANY_PATTERNS = "this link has {limit} patterns already, which is the limit"
     TOO_MANY_ROUTES = "this link has {limit} topics and services already, which is the limit"
     TOO_MANY_OF_SERVER = (
-        "{client} has {count} topics and services of the server's already, which is the limit: "
+        "the server's session lists {count} topics and services for {client} already, which is the limit: "
         "list further ones in the session file of {client}"
     )
     TOO_MANY_CALLS = "{limit} manual calls are already running: wait until one of them ends"

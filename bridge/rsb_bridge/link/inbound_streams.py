@@ -37,11 +37,11 @@ class Admission(Protocol):
     """The server, which accepts or refuses clients."""
 
     def connection(self) -> ServerConnection:
-        """The state machine of an inbound stream."""
+        """Return the state machine of an inbound stream."""
         ...
 
     def established(self, stream: Stream, connection: ServerConnection, event: Established) -> ControlChannel:
-        """A client has authenticated: make its link.
+        """Make the link of a client that has authenticated.
 
         Raises:
             Refusal: another machine has its name.
@@ -49,7 +49,7 @@ class Admission(Protocol):
         ...
 
     def attach(self, stream: Stream, connection: ServerConnection, event: Attach) -> None:
-        """A stream was opened for a route: give it to the route.
+        """Give a stream to the route that it was opened for.
 
         Raises:
             Refusal: no route waits for it.
@@ -57,7 +57,7 @@ class Admission(Protocol):
         ...
 
     def streams_awaited(self, host: str = "") -> int:
-        """How many streams linked clients have yet to open; with `host`: those at that host."""
+        """Return the number of streams that linked clients have yet to open; with `host`, only clients at that host."""
         ...
 
     def refused(self, name: str, stream: Stream, code: RefusalCode, message: str) -> str:
@@ -69,7 +69,7 @@ class Admission(Protocol):
         ...
 
     def refused_proven(self, stream: Stream, code: RefusalCode, peer: Hello) -> None:
-        """A client was refused that has proven its key: another one has its name, or its link is shut down."""
+        """Record the refusal of a client that has proven its key: its name is taken, or its link is shut down."""
         ...
 
     def remedy_for_unknown(self, name: str) -> str:
@@ -103,7 +103,7 @@ class InboundStreams(PendingConnections):
                 pending.reject(message)
 
     def shortage(self, message: str) -> None:
-        """No connection can be accepted for now: tell the operator, and reject the pending one of the lowest stage."""
+        """Tell the operator that no connection can be accepted now, and reject the pending one of the lowest stage."""
         if self.refusals.is_new("", message):
             text = f"new connections have to wait: {message}"
             self._context.log(Level.ERROR, EventCode.ENGINE_SHORTAGE, text)

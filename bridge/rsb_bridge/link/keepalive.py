@@ -128,7 +128,7 @@ class Keepalive:
     def _look(self) -> None:
         if self._on_silence is None:
             return
-        # The time at which it is silent, and not how long until then: that could be too short for the clock to move.
+        # The time of the silence, not the seconds until then: these could be too few for the clock to move.
         silent_at = self._heard + (DEAD_AFTER if self._patience is None else self._patience)
         if self._context.now() < silent_at:
             self._watchdog = self._context.loop.call_at(silent_at, self._look)
@@ -140,7 +140,7 @@ class Keepalive:
         now, carriers = self._context.now(), self._carriers()
         received = sum(each.received_bytes for each in carriers)
         sent = sum(each.sent_bytes for each in carriers)
-        # There is less than before where a carrier was closed.
+        # The sums fall when a carrier closes.
         more_received, more_sent = max(0, received - self._received), max(0, sent - self._sent)
         self._rx.add(more_received, now)
         self._tx.add(more_sent, now)

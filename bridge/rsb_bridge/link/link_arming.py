@@ -256,7 +256,7 @@ class LinkArming:
             return "it is paused; resume it first"
         if arming.held:
             return f"{arming.by} has armed it already"
-        return "it is being set up again; try again in a moment" if arming.spent else ""
+        return "it is being reopened: try again in a moment" if arming.spent else ""
 
     def disarm(self, route: Route, why: Disarmed, reason: str = "") -> None:
         """Disarm a route on both sides, if it is armed."""

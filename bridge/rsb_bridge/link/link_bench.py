@@ -43,7 +43,7 @@ if TYPE_CHECKING:
     from rsb_bridge.route.route import Route
 
 HOUR = 3600.0
-_LITTLE_LEFT = ", and too little of that is left"
+_LITTLE_LEFT = ", of which too little is left"
 _DEPTH = 2000
 _ANSWERED_WITHIN = 5.0
 _OPENED_WITHIN = 10.0
@@ -83,7 +83,7 @@ class BenchBudget:
             rate: messages per second.
         """
         if leave is None:
-            return "there is no leave to measure the link"
+            return "the session does not permit measuring the link (bench)"
         self._renew()
         if rate > leave.max_rate:
             return f"a benchmark may send at most {leave.max_rate:g} messages a second (bench.max_rate)"
@@ -168,7 +168,7 @@ class LinkBench(Extension):
         if self._synthetic is None:
             return "nothing can be measured here"
         if self._now() < self._stopped_until:
-            return "an operator has stopped the benchmark; a minute later it may begin again"
+            return "an operator has stopped the benchmark: wait a minute before the next one"
         return self._budget.refusal(self._link.rights.bench)
 
     def removed(self, route: Route) -> None:
@@ -185,7 +185,7 @@ class LinkBench(Extension):
     async def _answer(self, ask: BenchAsk) -> BenchAnswer:
         route = self._link.ids.open_route(ask.route)
         if route is None or not is_bench_topic(route.local_topic):
-            return BenchAnswer(ask.request, "there is no such topic that measures")
+            return BenchAnswer(ask.request, "this route does not measure the link")
         source, drain = self._ends(route)
         if ask.reset and drain is not None:
             drain.reset()
@@ -210,9 +210,9 @@ class LinkBench(Extension):
     def _send_for_peer(self, ask: BenchAsk, route: Route, source: Source | None) -> str:
         """Begin to send for the peer; return why this is not possible, or an empty string."""
         if source is None or route.proposed_here:  # whose topic it is orders the runs
-            return "what is sent on that topic comes from the side that asks"
+            return "the side that asks sends on this route itself"
         if any(self._sends_for_peer(each) for each in self._routes()):
-            return "the previous order is still being sent"
+            return "messages of the previous run are still being sent"
         size, seconds = max(ask.size, LEAST_SIZE), ask.count / max(ask.rate, 1e-3)
         if seconds > MOST_SECONDS:
             return f"a run takes at most {MOST_SECONDS:g} s"
@@ -327,7 +327,7 @@ class LinkBench(Extension):
         if not LEAST_SIZE <= order.size <= MOST_SIZE:
             raise LinkError(f"a message has {LEAST_SIZE} to {MOST_SIZE:,} bytes")
         if order.count < 1 or not 0 < order.rate < 1e6 or order.count / order.rate > MOST_SECONDS:
-            raise LinkError(f"a run has a message at least, and takes at most {MOST_SECONDS:g} s")
+            raise LinkError(f"a run has at least one message, and takes at most {MOST_SECONDS:g} s")
 
     async def _run(self, order: BenchmarkStep) -> Outcome:
         route = await self._opened(order)
@@ -341,7 +341,7 @@ class LinkBench(Extension):
             if source is None:
                 raise LinkError(_why_not(route))
             if source.busy:
-                raise LinkError("the run before is not over yet")
+                raise LinkError("the previous run is not over yet")
             source.start(order.size, order.rate, order.count)
             await self._until_idle(lambda: source.busy, order)
             answer = await self._settled_there(route, opening, order)

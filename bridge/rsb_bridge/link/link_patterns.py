@@ -166,7 +166,7 @@ class PeerSubscription:
         if self._request is None or self._asked_for or not (self._patterns or self._told or not self._answered):
             return
         matching = [(named, type_name) for named, type_name in sorted(names.items()) if self._tells(named, type_name)]
-        known = [each for each in matching if each[0] in self._told]  # first: a full list does not flutter
+        known = [each for each in matching if each[0] in self._told]  # first: a full list stays the same
         new = [each for each in matching if each[0] not in self._told]
         told = dict(islice((*known, *new), NAMES_FOLLOWED))
         present = [_found(named, kind) for named, kind in told.items() if self._told.get(named) != kind]
@@ -488,7 +488,7 @@ class LinkPatterns(Extension):
                     continue
                 counts[_identity_of(gone)] -= 1
                 total -= 1
-                self._drop(gone, "gone, and others that match need its room")
+                self._drop(gone, "gone; its place is needed for others that match")
             try:
                 self._proposed.add(topic, by_pattern=True).pattern = entry.topic.topic
             except LinkError as error:
@@ -572,12 +572,12 @@ class LinkPatterns(Extension):
         if entry.topic.paused:
             return State.PAUSED, count
         if not here and self.unseen:
-            return State.DOWN, f"{some}the other side does not tell {self.unseen} more that match: narrow the patterns"
+            return State.DOWN, f"{some}{self.unseen} more match than the other side can list: narrow the patterns"
         if not here and link.linked and FEATURE not in link.features:
-            return State.DOWN, f"{some}the other side cannot tell what matches: update rsb-console there"
+            return State.DOWN, f"{some}the other side's rsb-console is too old for patterns: update it"
         if not here and self.there is None:
             why = "it has just been asked" if link.linked else f"not linked: {link.down_reason or 'not connected yet'}"
-            return State.WAITING, f"{some}what the other side has is not known: {why}"
+            return State.WAITING, f"{some}the other side's names are unknown: {why}"
         if not count:
             side = f"in domain {self._context.domain_id}" if here else "on the other side"
             but = " except what it leaves out" if entry.topic.excepts else ""

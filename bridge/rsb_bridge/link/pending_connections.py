@@ -29,7 +29,7 @@ class Rejected(Wording):
 
     TOO_MANY = "too many unauthenticated connections"
     NO_HANDSHAKE = "no handshake within {seconds:g} s"
-    SUPERSEDED = "others came after it under the same name"
+    SUPERSEDED = "replaced by newer connections under the same name"
     SERVER_STOPS = "the server stops"
 
 
@@ -159,7 +159,7 @@ class PendingConnection(ABC):
         self.reject(Rejected.NO_HANDSHAKE(seconds=_HANDSHAKE_WITHIN))
 
     def _accept(self) -> None:
-        """The peer's first message opens under its key."""
+        """Note that the peer's first message opens under its key."""
         self.stage = Stage.ACCEPTED
         self._pending.accepted(self)
 

@@ -44,7 +44,7 @@ _LINE_FORGOTTEN_AFTER = 60.0
 """s without another one; a client that is refused tries again within 12 s."""
 _OF_ONE_HOST = 8
 """Different refusals that are logged one by one: a stranger chooses their words, such as its name."""
-_MANY = "many different reasons; further ones of its host are not logged one by one"
+_MANY = "many different reasons: further refusals of its host are not logged one by one"
 _LINES, _LINES_A_SECOND = 256, 0.5
 """Lines about all hosts."""
 MOST = 16
@@ -148,7 +148,7 @@ class Recording(Protocol):
         ...
 
     def now(self) -> float:
-        """Seconds on a clock that nobody sets."""
+        """Return the time (s) on a clock that nobody sets."""
         ...
 
 
@@ -296,7 +296,7 @@ class DuplicateClients:
 
     name: str
     _since: float = 0.0  # s since the epoch: there has been at least one since then
-    _tried: dict[tuple[str, str], float] = field(default_factory=dict)  # last attempt, by address and host; newest last
+    _tried: dict[tuple[str, str], float] = field(default_factory=dict)  # last attempts by address and host, newest last
     _others: int = 0  # number in the server's message
 
     def tried(self, address: str, host: str, now: float, wall: float) -> None:

@@ -15,6 +15,7 @@ from rsb_bridge.config.keys import fingerprint
 from rsb_bridge.config.rights import rights_of_server
 from rsb_bridge.link.proposals import denied
 from rsb_bridge.model.session import Topic
+from rsb_bridge.model.wording import Wording
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -27,6 +28,14 @@ if TYPE_CHECKING:
     from rsb_bridge.link.server_link import ClientEntry, ServerLink
     from rsb_bridge.model.session import Identity, Session
     from rsb_bridge.route.route import Route
+
+
+class ClientStep(Wording):
+    """Changes of a server's clients."""
+
+    REMOVED = "client {name}: removed: it is no longer accepted"
+    REMOVED_WHILE_LINKED = "client {name}: removed: its link is closed, and it is no longer accepted"
+
 
 _NOT_IN_FILE = "removed from the session file"
 
@@ -60,7 +69,7 @@ def client_steps(link: ClientLink, session: Session, key: Key | None) -> Iterato
     own = {route.spec.identity for route in link.routes.values() if route.proposed_here}
     for identity in sorted(link.table.listed - listed - own):  # the other side has removed it already
         kind, name, direction = identity
-        text = f"{named(Topic(name, direction, kind=kind))}: listed no more"
+        text = f"{named(Topic(name, direction, kind=kind))}: no longer listed"
         yield Step(text, partial(link.table.listed.discard, identity))
     differs = changes(link.context.session, session, only=("allow", "deny", "bench"))
     effect = _denial_effect(link, rights_of_server(session, listed))
@@ -78,8 +87,8 @@ def server_steps(server: Server, entries: list[ClientEntry]) -> Iterator[Step]:
     wanted = {entry.client.name: entry for entry in entries}
     for name, entry in server.entries.items():
         if name not in wanted:
-            effect = "its link is closed, and " if server.links[name].linked else ""
-            yield Step(f"client {name}: removed: {effect}it is let in no more", partial(server.remove_client, name))
+            text = ClientStep.REMOVED_WHILE_LINKED if server.links[name].linked else ClientStep.REMOVED
+            yield Step(text(name=name), partial(server.remove_client, name))
         elif parts := _client_changes(entry, wanted[name]):
             link = server.links[name]
             effect = _client_effect(link, wanted[name])
@@ -147,7 +156,7 @@ def _topic_steps(link: Link, topics: Iterable[Topic]) -> Iterator[Step]:
         elif identity in superseded:
             key = superseded[identity]
             if differs := changes(link.table.superseded[key], topic):
-                text = f"{named(topic)}: {', '.join(differs)}; the client's own entry of it counts"
+                text = f"{named(topic)}: {', '.join(differs)}; the client's own entry takes precedence"
                 yield Step(text, partial(_change_superseded, link, key, topic))
         else:
             yield Step(_added(topic), partial(_add, link, topic))

@@ -348,7 +348,7 @@ class RouteTable(Extension):
                 self.propose(route)
 
     def _reopen(self, route: Route, route_id: int) -> None:
-        route.close("opened anew")
+        route.close("reopened")
         route.open(route_id)
         self.arming.opened(route)
         route.age.accepted = None

@@ -76,8 +76,8 @@ class PortDenied(Wording):
         "another, or leave the topic's port out, so that it shares the link's"
     )
     TOO_MANY_DESCRIPTORS = (
-        "{client}'s topics may hold no more of the server's {limit:,} file descriptors than are left for everyone "
-        "else: {remedy} there, or use protocol: udp, whose topics share one"
+        "{client}'s topics have used up their share of the server's {limit:,} file descriptors: {remedy} there, "
+        "or use protocol: udp, whose topics share one"
     )
 
 
@@ -151,7 +151,7 @@ class TopicPorts:
             if port not in listed:
                 allowed = join_first([str(each) for each in listed], _NAMED) or "none"
                 raise ListenError(PortDenied.NOT_LISTED(port=port, allowed=allowed))
-            return _nothing  # the list is the limit
+            return _nothing  # the list itself limits their number
         if key not in self._users and len(self._users) >= PORTS_PER_CLIENT:
             raise ListenError(PortDenied.TOO_MANY(client=self._client, limit=PORTS_PER_CLIENT))
         self._users[key] = self._users.get(key, 0) + 1
@@ -397,7 +397,7 @@ class ServerLink(Link):
     def _rename_topics(self) -> None:
         """Reopen all routes under other names on this side."""
         if self.control is not None:
-            self.control.shut_down("the server has other names for the topics now (use_name)", retry_after=0.0)
+            self.control.shut_down("use_name was changed on the server", retry_after=0.0)
         own = self.listed_topics()
         self.destroy_routes()
         self.table.superseded.clear()

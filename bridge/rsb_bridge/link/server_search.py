@@ -36,7 +36,7 @@ def failure_of_search(transport: StreamTransport, hosts: list[str], failures: li
     failure = next((each for each in failures if each.refused), (*failures, silent)[0])
     if len(hosts) == 1:
         return failure
-    text = f"none of {len(hosts)} announced servers proves the key: {_REMEDY}; one says: {failure.reason}"
+    text = f"none of {len(hosts)} announced servers has proven the key: {_REMEDY}; one says: {failure.reason}"
     return failure._replace(reason=text)
 
 
@@ -65,7 +65,7 @@ class ProvenServer:
 
     def give_up(self) -> None:
         """Leave the server."""
-        self.stream.abort("not let in")
+        self.stream.abort("not accepted")
 
 
 class _Try(StreamHandler):
@@ -146,7 +146,7 @@ class _Try(StreamHandler):
         if not self._over:
             self._over = True
             if self._stream is not None:
-                self._stream.abort("not let in")
+                self._stream.abort("not accepted")
 
 
 class ServerSearch:

@@ -287,7 +287,7 @@ def _unless(seconds: float | None, default: float) -> float | None:
 
 
 def _is_as_short(new: float, old: float) -> bool:
-    """Whether a limit is at least as short as another one; 0 is none."""
+    """Whether a limit is at least as short as another one; 0 means no limit."""
     return not old or 0 < new <= old
 
 

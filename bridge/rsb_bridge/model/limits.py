@@ -93,12 +93,12 @@ PORTS_PER_CLIENT = 16
 
 
 def dds_ports(domain: int) -> Range:
-    """The ports by which the nodes of a ROS domain find each other."""
+    """Return the ports by which the nodes of a ROS domain find each other."""
     first = _FIRST_DDS_PORT + DDS_PORTS * domain
     return Range(first, first + DDS_PORTS - 1)
 
 
 def discovery_domain(port: int) -> int | None:
-    """The ROS domain whose nodes find each other by a port, or None if it is no domain's."""
+    """Return the ROS domain whose nodes find each other by a port, or None if it is no domain's."""
     domain, offset = divmod(port - _FIRST_DDS_PORT, DDS_PORTS)
     return domain if domain in DOMAIN and (offset in _MULTICAST or offset in _UNICAST) else None

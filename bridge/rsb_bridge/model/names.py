@@ -18,14 +18,14 @@ _STEM_LENGTH = 64
 
 
 def file_stem(name: str, number: int = 1) -> str:
-    """A session's name as a file's name without suffix; the number tells sessions of one name apart."""
+    """Return a session's name as a file's name without suffix; the number tells sessions of one name apart."""
     safe = re.sub(r"[^A-Za-z0-9_.-]", "_", name)[:_STEM_LENGTH].lstrip(".") or "_"
     return safe if number == 1 else f"{safe}-{number}"
 
 
 @lru_cache(maxsize=4096)
 def natural_order(name: str) -> tuple[tuple[str, int], ...]:
-    """A sort key by which ``robot2`` comes before ``robot10``."""
+    """Return a sort key by which ``robot2`` comes before ``robot10``."""
     parts = _DIGITS.split(name)
     return tuple((text, int(digits or 0)) for text, digits in zip(parts[::2], [*parts[1::2], ""], strict=True))
 
@@ -41,7 +41,7 @@ def is_prefix(name: str) -> bool:
 
 
 def well_formed(name: str) -> str:
-    """The closest name that ROS accepts, without a leading slash; may be empty."""
+    """Return the closest name that ROS accepts, without a leading slash; may be empty."""
     parts = (re.sub(r"[^A-Za-z0-9_]", "_", part) for part in name.lstrip("~").split("/") if part)
     return "/".join(f"_{part}" if part[0].isdecimal() else part for part in parts)
 

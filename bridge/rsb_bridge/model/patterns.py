@@ -45,18 +45,18 @@ def is_valid(text: str) -> bool:
 class Pattern:
     """A valid pattern, or a name, which matches itself.
 
-    ``*`` stands for any characters of one segment, and where it is a whole segment, for one at least. ``**`` stands for
-    any number of segments, none included, and at the end for one at least: ``/camera/**`` is all below ``/camera``, and
-    not ``/camera`` itself. Where a name can be taken apart in several ways, the first wildcards take the least.
+    ``*`` matches any characters of one segment, and at least one if it is the whole segment. ``**`` matches any number
+    of segments, at the end at least one: ``/camera/**`` is all below ``/camera``, without ``/camera`` itself. If a name
+    matches in several ways, the first wildcards take the least.
 
-    A name is matched in time that does not grow with the number of ways: who makes names is not trusted.
+    The time to match a name does not grow with the number of ways, since names may come from strangers.
 
     Args:
-        text: as it is written.
+        text: the pattern as it is written.
 
     Attributes:
-        text: likewise.
-        wildcards: those in it, in order.
+        text: the pattern as it is written.
+        wildcards: the wildcards in it, in order.
     """
 
     def __init__(self, text: str) -> None:
@@ -86,7 +86,7 @@ class Pattern:
 
 
 def _expression(segments: list[str]) -> str:
-    """A regular expression with a group for each wildcard.
+    """Return a regular expression with a group for each wildcard.
 
     Everything up to the next ``**`` is found at the first place where it matches, and no other is tried: what follows
     can take up whatever is left. That is what keeps the time in bounds, as in `fnmatch.translate`.
@@ -111,7 +111,7 @@ def _expression(segments: list[str]) -> str:
 
 
 def _segment(text: str) -> str:
-    """The expression for one segment, with the slash before it; after it, the segment ends."""
+    """Return the expression for one segment, with the slash before it; after it, the segment ends."""
     if text == "*":
         return "/([^/]+)(?![^/])"
     first, *fixed = map(re.escape, text.split("*"))

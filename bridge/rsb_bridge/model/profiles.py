@@ -50,7 +50,7 @@ PROFILES: Final[dict[ProfileName, LinkProfile]] = {
 
 
 def profile_of(*names: ProfileName | None) -> LinkProfile:
-    """The first profile that is given: a client's before its server's."""
+    """Return the first profile that is given: a client's before its server's."""
     return next((PROFILES[name] for name in names if name is not None), PLAIN)
 
 

@@ -162,7 +162,7 @@ def match_publishers(offered: Sequence[Qos]) -> Qos:
 
 
 def match_subscriptions(requested: Sequence[Qos]) -> Qos:
-    """The QoS that a publisher has to offer at the least, to match all these subscriptions.
+    """Return the QoS that a publisher has to offer at the least, to match all these subscriptions.
 
     Args:
         requested: at least one; depths are not known to others and do not matter.
@@ -192,7 +192,7 @@ def auto_depth(rate: float | None, mean_size: float) -> int:
 
 
 def clamp_qos(qos: Qos) -> Qos:
-    """The nearest QoS that messages may carry, of one that some node of the graph has: it may have anything.
+    """Return the QoS nearest to one in the graph, which may be anything, that wire messages may carry.
 
     A deadline or lifespan that is shorter than the shortest becomes that, one beyond the longest (or none at all, as
     NaN) becomes 0.

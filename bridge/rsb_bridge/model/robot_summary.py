@@ -376,7 +376,7 @@ def _summary(
 
 
 def _rate(route: RouteSnapshot) -> float:
-    """Messages a second; a topic that has stopped has none, and calls are no messages."""
+    """Return a route's messages a second: 0 for a topic that has stopped, and for calls."""
     return route.rate if route.state.flows and route.calls is None else 0.0
 
 
@@ -386,7 +386,7 @@ def _state(
     routes: Sequence[RouteSnapshot],
     called: Callable[[RouteSnapshot], str],
 ) -> tuple[RobotState, str, float]:
-    """The state, why, and since when."""
+    """Return the state, why, and since when."""
     if not snapshot.running and not any(link.state is State.DOWN for link in links):
         return RobotState.MISSING, SummaryText.STOPPED(), snapshot.time
     if down := [link for link in links if link.state is State.DOWN and link.acknowledged is None]:
@@ -432,7 +432,7 @@ def _acknowledged(links: Sequence[LinkSnapshot], routes: Sequence[RouteSnapshot]
 
 
 def _worst(routes: Iterable[RouteSnapshot], count: int, called: Callable[[RouteSnapshot], str]) -> tuple[str, float]:
-    """The worst of some routes in words, and since when; of equals, the first by name."""
+    """Return the worst of some routes in words, and since when; of equals, the first by name."""
     worst = min(routes, key=lambda route: (route.state.rank, called(route)))
     return _and_more(
         SummaryText.ROUTE(topic=called(worst), state=worst.state.upper(), reason=worst.reason), count
@@ -440,7 +440,7 @@ def _worst(routes: Iterable[RouteSnapshot], count: int, called: Callable[[RouteS
 
 
 def _and_more(text: str, count: int) -> str:
-    """A text, cut so that the number of others fits behind it."""
+    """Return a text, cut so that the number of others fits behind it."""
     if count < 2:
         return text
     more = SummaryText.MORE_FAULTS(count=count - 1, faults=plural(count - 1, "fault"))
@@ -469,12 +469,12 @@ _decoder = msgspec.msgpack.Decoder(RobotSummary)
 
 
 def encode(summary: RobotSummary) -> bytes:
-    """A summary as bytes, for `decode` of this version or another."""
+    """Return a summary as bytes, for `decode` of this version or another."""
     return _encoder.encode(summary)
 
 
 def decode(data: bytes) -> RobotSummary:
-    """A summary that somebody else has made: its texts are made fit for a screen, and its figures brought within sense.
+    """Return another program's summary, with its texts made printable and its figures within their ranges.
 
     Raises:
         ValueError: it is none, or too long.

@@ -30,7 +30,7 @@ _WEIGHTS: Final[dict[Priority, int]] = {"low": 1, "normal": 4, "high": 16}
 
 
 def priority_of(rank: int) -> Priority:
-    """The word for a rank."""
+    """Return the word for a rank."""
     return "low" if rank < 0 else "high" if rank > 0 else "normal"
 
 
@@ -157,7 +157,7 @@ class Topic(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defaul
 
     @property
     def call_timeout(self) -> float:
-        """S after which a call without an answer is given up."""
+        """Seconds after which a call without an answer is given up."""
         return CALL_TIMEOUT if self.timeout is None else self.timeout
 
     @property

@@ -31,17 +31,17 @@ HOP_LENGTH = 340
 
 
 def hop(node: str, topic: str) -> str:
-    """The hop of a bridge's node that takes messages from a topic."""
+    """Return the hop of a bridge's node that takes messages from a topic."""
     return f"{node}{topic}"
 
 
 def node_of(a_hop: str) -> str:
-    """The bridge's node."""
+    """Return the bridge's node."""
     return a_hop.partition("/")[0]
 
 
 def place(bridges: Iterable[str], topic: str) -> frozenset[str]:
-    """A topic in a domain, as the hops that messages have if they were there before.
+    """Return a topic in a domain, as the hops that messages have if they were there before.
 
     Args:
         bridges: the names of the domain's bridge nodes.

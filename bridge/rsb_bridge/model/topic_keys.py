@@ -21,17 +21,17 @@ Value = Literal["text", "number", "switch", "list"]
 class ForeignKey(Wording):
     """A key that entries of another kind have, and this one does not."""
 
-    KIND_OF_TOPIC = "not a key: what is no topic is listed under services, actions or parameters instead"
+    KIND_OF_TOPIC = "not a key: services, actions and parameters have lists of their own"
     KIND_OF_CALLED = "not a key: the list defines the kind; leave it out"
-    TIMEOUT_OF_TOPIC = "a topic has none: leave it out; what is called is listed under services or actions"
-    PROVIDER_OF_TOPIC = (
-        "a topic has a direction, transmit or receive; what is called is listed under services or actions"
-    )
+    TIMEOUT_OF_TOPIC = "a topic has no timeout: leave it out; services and actions have lists of their own"
+    PROVIDER_OF_TOPIC = "a topic has a direction, transmit or receive; services and actions have lists of their own"
     NOT_A_TOPIC = "not a topic: list it under {list}"
     PRIORITY_OF_CALLED = "calls go ahead of all topics: leave it out"
     QOS_OF_CALLED = "calls have ROS's own QoS: leave it out"
-    EXPECTED_RATE_OF_CALLED = "nobody expects calls at a rate: leave it out"
-    STALE_AFTER_OF_CALLED = "nobody expects calls all the time: leave it out; timeout says how long an answer may take"
+    EXPECTED_RATE_OF_CALLED = "calls have no expected rate: leave it out"
+    STALE_AFTER_OF_CALLED = (
+        "calls do not become stale: leave it out; timeout limits how long a call waits for its answer"
+    )
     LATE_AFTER_OF_CALLED = "only topics have it: leave it out; timeout limits how long a call waits for its answer"
     DIRECTION_OF_CALLED = "write provider: client or provider: server, the side whose node answers"
     LIST_UNDER = "list this entry under {list}, or write {key}: /..."
@@ -131,11 +131,11 @@ TOPIC_KEYS: Final = {key.name: key for key in (
              help_of_calls="Calls a second; those beyond it are refused. Empty: no limit."),
     TopicKey("priority", kinds="topics", wrong_kind=ForeignKey.PRIORITY_OF_CALLED, live=True, negotiated=True,
              sentence="{value} priority",
-             label="Priority", help="While the link carries less than is asked for, lower ones are thinned first.",
+             label="Priority", help="While the link is full, topics of lower priority are thinned first.",
              options=_PRIORITIES),
     TopicKey("expected_rate", "number", kinds="topics", wrong_kind=ForeignKey.EXPECTED_RATE_OF_CALLED,
              limits=RATE, range_text=RangeText.RATE, unit="Hz", live=True, sentence="expected {value:g} {unit}",
-             label="Expected rate", help="Hz, shown beside the real rate. Empty: learned.", blank="learned"),
+             label="Expected rate", help="Hz, shown beside the measured rate. Empty: learned.", blank="learned"),
     TopicKey("stale_after", "number", kinds="topics", wrong_kind=ForeignKey.STALE_AFTER_OF_CALLED,
              limits=STALE_AFTER, range_text=RangeText.STALE_AFTER, zero=True, unit="s", live=True,
              sentence="stale after {value:g} {unit}", zero_sentence="never stale",
@@ -144,7 +144,7 @@ TOPIC_KEYS: Final = {key.name: key for key in (
     TopicKey("late_after", "number", kinds="topics", wrong_kind=ForeignKey.LATE_AFTER_OF_CALLED,
              limits=LATE_AFTER, range_text=RangeText.LATE_AFTER, zero=True, unit="s", live=True, negotiated=True,
              sentence="late after {value:g} {unit}", zero_sentence="never late",
-             label="Late after", help="Seconds that a message may take, or 0 for no limit.",
+             label="Late after", help="Seconds that a message may take before a warning; 0: never.",
              blank="{session.late_after:g} s"),
     TopicKey("max_age", "number", limits=MAX_AGE, range_text=RangeText.MAX_AGE, zero=True, unit="s",
              live=True, negotiated=True,
@@ -156,11 +156,11 @@ TOPIC_KEYS: Final = {key.name: key for key in (
     TopicKey("arm", "switch",
              label="Must be armed", help="Carries nothing until an operator arms it (key A).", options=_SWITCH),
     TopicKey("deadman", "number", limits=DEADMAN_TIME, range_text=RangeText.DEADMAN, zero=True, unit="s",
-             label="Deadman", help="Seconds without a key on the console that armed it until it disarms; 0: none.",
+             label="Deadman", help="Disarms after these seconds without a key on the console that armed it; 0: never.",
              blank=f"{DEADMAN:g} s, if it has to be armed"),
     TopicKey("excepts", "list", label="Except", blank="nothing",
-             help="Of a pattern (/camera/**, /nav/*): names and patterns on the client that it leaves out, "
-                  "with blanks between."),
+             help="For a pattern (/camera/**): names and patterns on the client that it leaves out, "
+                  "separated by blanks."),
 )}  # fmt: skip
 """All keys by the fields' names, in the order of the command line's help. `kind` is no key: the list defines it."""
 

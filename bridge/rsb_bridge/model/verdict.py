@@ -119,7 +119,7 @@ class LinkCause(StrEnum):
 
 
 def about(seconds: float) -> str:
-    """A duration in one unit: ``5 s``, ``40 s``, ``3 min``, ``2 h``."""
+    """Return a duration in one unit: ``5 s``, ``40 s``, ``3 min``, ``2 h``."""
     if seconds < 10:
         return f"{max(1, int(seconds))} s"
     if seconds < 60:

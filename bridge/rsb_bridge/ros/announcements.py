@@ -39,7 +39,7 @@ _A_SECOND = 4 << 20
 """Bytes of others' announcements read in a second: about 40 ms of the I/O thread's time."""
 _KEPT = 8 << 20
 """Bytes of others' announcements that are kept, and of announcements that wait to be read."""
-_SOON = 0.02  # s: changes at once make one announcement
+_SOON = 0.02  # s: changes within it make one announcement
 _READ_EVERY = 0.05  # s
 _SAY_AGAIN = 1.0  # s
 _MOST_UNREAD = 2 * MOST_BRIDGES

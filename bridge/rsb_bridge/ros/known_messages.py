@@ -21,7 +21,7 @@ _BEFORE = 8  # bytes: the encapsulation header and the string's length
 
 
 def serialize_string(data: bytes) -> bytes:
-    """The message whose ``data`` is that UTF-8."""
+    """Serialize a String whose ``data`` is this UTF-8."""
     return b"\0\1\0\0" + struct.pack("<I", len(data) + 1) + data + b"\0"
 
 
@@ -35,18 +35,18 @@ def string_bytes(payload: bytes) -> bytes:
 
 
 def battery_state(charge: float) -> bytes:
-    """The message that says how full a battery is, 0 to 1, and no more."""
+    """Serialize a BatteryState that has only the charge, 0 to 1."""
     return _LAYOUT.pack(b"\0\1\0\0", 0, 0, 1, *_NOT_MEASURED, charge, 0, 0, 0, True, 0, 0, 1, 1)
 
 
 def stamped_string(size: int) -> bytes:
-    """A String of `size` bytes, at least 20, serialized, with the time now (monotonic ns) as its first digits."""
+    """Serialize a String of `size` bytes, at least 20, whose first digits are the time now (monotonic ns)."""
     header, rest = _frame(size)
     return b"%b%020d%b" % (header, time.monotonic_ns(), rest)
 
 
 def made_at(payload: bytes) -> int:
-    """When a message was made (monotonic ns); the clock is the same for all processes of a machine."""
+    """Return the time (monotonic ns) in a `stamped_string`; all processes of a machine share that clock."""
     return int(payload[_BEFORE : _BEFORE + _STAMP])
 
 

@@ -33,7 +33,7 @@ reset_error = librcl.rcutils_reset_error
 
 
 def reason_of(error: Exception) -> str:
-    """An rcl error without the places in its source code."""
+    """Return an rcl error without the places in its source code."""
     return str(error).partition(", at ")[0]
 
 
@@ -168,7 +168,7 @@ class TakeBuffer(Buffer):
         self._shrink()
 
     def taken(self) -> bytes:
-        """The message that was just taken; to be asked once."""
+        """Return the message that was just taken; to be asked once."""
         if not self._large:
             return ctypes.string_at(self.data, self.length)
         payload = self._large.pop()
@@ -214,7 +214,7 @@ _DEEPEST = 2**31 - 1  # messages: DDS counts a history's depth in 32 bits
 
 
 def rcl_profile(qos: Qos) -> QoSProfile:
-    """A QoS for rcl; a depth or time that it cannot count becomes the highest that it can."""
+    """Return a QoS for rcl; a depth or time that it cannot count becomes the highest that it can."""
     return QoSProfile(
         reliability=ReliabilityPolicy[qos.reliability.upper()],
         durability=DurabilityPolicy[qos.durability.upper()],
@@ -255,7 +255,7 @@ def endpoint_of(info: dict[str, Any]) -> Endpoint:
 
 
 def safe_type_name(name: str) -> str:
-    """A type's name from the graph, printable and of a limited length."""
+    """Return a type's name from the graph, printable and of a limited length."""
     return sanitize_text(name, TEXT_LENGTH)
 
 

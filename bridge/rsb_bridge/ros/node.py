@@ -533,7 +533,7 @@ def large_blocks_kept() -> Iterator[None]:
 
 
 def _give_back(library: Any, ended: threading.Event) -> None:
-    """On a thread of its own: it holds up nobody who needs no memory."""
+    """Return free memory to the system. Runs on its own thread, so that only threads that allocate wait for it."""
     while not ended.wait(_HEAP_TRIMMED_EVERY):
         if library.mallinfo2().free > _LITTLE_FREE_HEAP:
             library.malloc_trim(_LITTLE_FREE_HEAP)

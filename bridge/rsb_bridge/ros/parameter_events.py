@@ -43,7 +43,7 @@ class ParameterEventError(ValueError):
 
 
 def node_of(payload: bytes) -> str:
-    """The full name of the node whose parameters an event is about.
+    """Return the full name of the node whose parameters an event is about.
 
     Args:
         payload: the message with its encapsulation header.
@@ -60,7 +60,7 @@ def node_of(payload: bytes) -> str:
 
 
 def with_node(payload: bytes, node: str) -> bytes:
-    """The same event of a node of another name.
+    """Return the same event of a node of another name.
 
     Args:
         payload: the message with its encapsulation header.
@@ -171,7 +171,7 @@ class Listening:
         self._end: Callable[[], None] | None = end
 
     def close(self) -> None:
-        """Listen no more. May be called twice."""
+        """Stop listening. May be called twice."""
         if self._end is not None:
             end, self._end = self._end, None
             end()

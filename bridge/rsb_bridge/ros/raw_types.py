@@ -218,7 +218,7 @@ class NamedTypes:
         return len(self._used)
 
     def borrow(self, type_name: str, type_hash: str) -> BorrowedType:
-        """The class of a type; endpoints of one type share it."""
+        """Return the class of a type; endpoints of one type share it."""
         key = (type_name, type_hash)
         with self._lock:
             used = self._used.get(key)

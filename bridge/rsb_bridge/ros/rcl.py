@@ -183,7 +183,7 @@ class Participant:
             raise RosError(RosProblem.NODE_UNREADABLE(node=node, reason=reason_of(error))) from error
 
     def create_reader(self, topic: str, type_name: str, type_hash: str, qos: Qos) -> Reader:
-        """A raw subscription.
+        """Create a raw subscription.
 
         Raises:
             RosError: the type, the name or the QoS will not do.
@@ -194,7 +194,7 @@ class Participant:
         return Reader(handle, self._buffer, earlier)
 
     def create_writer(self, topic: str, type_name: str, type_hash: str, qos: Qos) -> Writer:
-        """A raw publisher; errors as `create_reader`.
+        """Create a raw publisher; errors as `create_reader`.
 
         One that keeps all would make its caller wait 100 ms a message once a slow reader has fallen a whole history
         behind, and then refuse the message; so it keeps the same number and lets the oldest go instead.
@@ -204,7 +204,7 @@ class Participant:
         return Writer(self._create(_rclpy.Publisher, topic, borrow_type(type_name, type_hash), asked))
 
     def create_server(self, service: str, type_name: str, type_hash: str) -> Server | TypedServer:
-        """A raw service; errors as `create_reader`."""
+        """Create a raw service; errors as `create_reader`."""
         borrowed = borrow_service(type_name, type_hash)
         handle = self._create(_rclpy.Service, service, borrowed.type, _CALLS)
         name: str = handle.rclpy.name
@@ -214,7 +214,7 @@ class Participant:
         return Server(handle, name, callers_of, self._have_tried)
 
     def create_client(self, service: str, type_name: str, type_hash: str) -> Client | TypedClient:
-        """A raw client of a service; errors as `create_reader`."""
+        """Create a raw client of a service; errors as `create_reader`."""
         borrowed = borrow_service(type_name, type_hash)
         handle = self._create(_rclpy.Client, service, borrowed.type, _CALLS)
         name: str = handle.rclpy.service_name

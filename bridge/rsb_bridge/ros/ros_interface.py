@@ -255,23 +255,23 @@ class RosInterface(Protocol):
         ...
 
     def topics(self) -> dict[str, list[str]]:
-        """Every topic of the graph with its type names; topics that only our own node holds are left out."""
+        """Return every topic of the graph with its type names; topics that only our own node holds are left out."""
         ...
 
     def publishers(self, topic: str) -> list[Endpoint]:
-        """The publishers on a topic, our own node's left out."""
+        """Return the publishers on a topic, our own node's left out."""
         ...
 
     def subscriptions(self, topic: str) -> list[Endpoint]:
-        """The subscriptions on a topic, our own node's left out."""
+        """Return the subscriptions on a topic, our own node's left out."""
         ...
 
     def installed_hash(self, type_name: str) -> str | None:
-        """The type hash of a message type that is installed here, else None."""
+        """Return the type hash of a message type that is installed here, else None."""
         ...
 
     def installed_description(self, type_name: str) -> str | None:
-        """The text of the description (`rsb_bridge.cdr.description`) of a type that is installed here, else None.
+        """Return the description's text (`rsb_bridge.cdr.description`) of a type that is installed here, else None.
 
         Of a service's request or response, the type is ``pkg/srv/Name_Request``.
         """
@@ -335,14 +335,14 @@ class RosInterface(Protocol):
         ...
 
     def services(self) -> dict[str, list[str]]:
-        """Every service of the graph with its type names (``pkg/srv/Name``, ``pkg/action/Name_SendGoal``).
+        """Return every service of the graph with its type names (``pkg/srv/Name``, ``pkg/action/Name_SendGoal``).
 
         Services that only our own node holds are left out.
         """
         ...
 
     def servers(self, service: str) -> list[Endpoint]:
-        """The servers of a service, our own node's left out.
+        """Return the servers of a service, our own node's left out.
 
         A service's hash is that of its request, a ``+``, and that of its response: these the middleware announces, and
         its own it does not.
@@ -350,11 +350,11 @@ class RosInterface(Protocol):
         ...
 
     def callers(self, service: str) -> list[Endpoint]:
-        """The clients of a service, our own node's left out; the hash as of `servers`."""
+        """Return the clients of a service, our own node's left out; the hash as of `servers`."""
         ...
 
     def installed_service_hash(self, type_name: str) -> str | None:
-        """The hash of a service type that is installed here, as of `servers`, else None."""
+        """Return the hash of a service type that is installed here, as of `servers`, else None."""
         ...
 
     def serve(

@@ -69,7 +69,7 @@ class RosTurns:
             self.at = self.since = float("inf")
 
     def turned(self) -> None:
-        """On the ROS thread, while it is watched: its wait is over, and it takes what has come."""
+        """Note the beginning of a turn. Called on the ROS thread while it is watched, before it takes messages."""
         now = self._steady()
         if now - self.at > _LATE:
             self._caught_up_at = now + _CATCHES_UP

@@ -100,7 +100,7 @@ def _all(described: _TypeDescription) -> Iterator[_MessageType]:
 
 
 def _message_type(described: Any, fields: list[Any]) -> MessageType:
-    """A type, from its C struct or its Python message, which have the same attributes."""
+    """Return a type, from its C struct or its Python message, which have the same attributes."""
     return MessageType(
         str(described.type_name), tuple(Field(str(each.name), _field_type(each.type)) for each in fields)
     )

@@ -174,7 +174,9 @@ class Server(ServiceEndpoint):
             return False
         to = guid if guid in self._served else writer
         if not to:
-            raise RosError(f"{self.name}: who asked an earlier server cannot be answered with this caller's middleware")
+            raise RosError(
+                f"{self.name}: this caller asked an earlier server: its middleware takes no answer of this one"
+            )
         writing = outgoing(payload)
         code = _send_response(self.handle.address, CALLER.pack(to, number), id(writing))
         if code:
@@ -197,7 +199,7 @@ class Client(ServiceEndpoint):
 
     @property
     def ready(self) -> bool:
-        """Whether a server is matched; no once closed."""
+        """Whether a server is matched; False once closed."""
         return is_ready(self.handle)
 
     def take(self, limit: int) -> list[Response]:
@@ -254,7 +256,7 @@ def _check(code: int, expected: int, service: str, failed: str) -> None:
 
 
 class _Answer(NamedTuple):
-    """One that is kept.
+    """An answer that is kept.
 
     Attributes:
         number: of the caller's request.
@@ -281,7 +283,7 @@ class LateAnswers:
         self._tried_at = 0.0
 
     def send(self, caller: bytes, number: int, payload: bytes) -> bool:
-        """Send an answer, else keep it. Whether it was sent.
+        """Send an answer, or keep it; return whether it was sent.
 
         Raises:
             RosError: it cannot be sent at all, or there is no room to keep it.
@@ -290,7 +292,7 @@ class LateAnswers:
             return True
         sizes = [len(each.payload) for answers in self._kept.values() for each in answers]
         if len(sizes) >= _MOST_LATE_ANSWERS or sum(sizes) + len(payload) > _MOST_LATE_BYTES:
-            raise RosError(f"{len(sizes):,} answers wait for callers that DDS does not know; there is no room for more")
+            raise RosError(f"{len(sizes):,} answers already wait for callers that DDS does not show: too many")
         self._kept.setdefault(caller, deque()).append(_Answer(number, payload, time.monotonic()))
         return False
 
@@ -369,7 +371,7 @@ class TypedClient(ServiceEndpoint):
 
     @property
     def ready(self) -> bool:
-        """Whether a server is matched; no once closed."""
+        """Whether a server is matched; False once closed."""
         return is_ready(self.handle)
 
     def take(self, limit: int) -> list[Response]:

@@ -36,7 +36,7 @@ _DDS_TYPE = re.compile(r"([a-z]\w*)::(srv|action)::dds_::(\w+)_(?:Request|Respon
 
 
 def servers(ask: Ask, service: str) -> list[Endpoint]:
-    """The servers of a service."""
+    """Return the servers of a service."""
     return _pairs(
         ask(_rclpy.rclpy_get_subscriptions_info_by_topic, f"rq{service}Request"),
         ask(_rclpy.rclpy_get_publishers_info_by_topic, f"rr{service}Reply"),
@@ -44,7 +44,7 @@ def servers(ask: Ask, service: str) -> list[Endpoint]:
 
 
 def callers(ask: Ask, service: str) -> list[Endpoint]:
-    """The clients of a service."""
+    """Return the clients of a service."""
     return _pairs(
         ask(_rclpy.rclpy_get_publishers_info_by_topic, f"rq{service}Request"),
         ask(_rclpy.rclpy_get_subscriptions_info_by_topic, f"rr{service}Reply"),
@@ -94,7 +94,7 @@ class CallerTable:
 
 
 def _pairs(requesting: list[dict[str, Any]], responding: list[dict[str, Any]]) -> list[Endpoint]:
-    """One endpoint for each pair; of a pair, one may be discovered a moment before the other."""
+    """Return one endpoint for each pair; of a pair, one may be discovered a moment before the other."""
     hashes = {_participant(each): endpoint_of(each).type_hash for each in responding}
     found = []
     for info in requesting:

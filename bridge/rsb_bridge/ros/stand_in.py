@@ -172,7 +172,7 @@ class StandIn(NoRos):
         self._readers: dict[str, list[_Reader]] = {}
 
     def publish(self, topic: str, size: int, count: int = 1) -> None:
-        """The node publishes messages at once; always called by the same thread for a topic."""
+        """Publish messages at once; always called by the same thread for a topic."""
         if topic in self.muted:
             return
         first = self.published[topic] + 1
@@ -186,7 +186,7 @@ class StandIn(NoRos):
                 reader.take(batch)
 
     def _battery(self, _: int) -> bytes:
-        """A battery that falls; each robot's has begun at another time."""
+        """Return the state of a battery that falls; each robot's has begun at another time."""
         used = (time.monotonic() - self._began) % _BATTERY_LASTS / _BATTERY_LASTS
         return battery_state(1.0 - used * (1.0 - _CHARGED_AT))
 

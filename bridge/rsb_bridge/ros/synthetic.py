@@ -123,8 +123,8 @@ class Drain:
     Attributes:
         count: messages since the last reset.
         messages: in all, and `bytes` of them.
-        closed: it takes no more.
-        gid: as a publisher's, which the bridge announces as its own: no source has it.
+        closed: whether it takes no more.
+        gid: an id as publishers have, which no source has; the bridge announces it as its own.
     """
 
     subscriber_count = 1
@@ -165,7 +165,7 @@ class Drain:
         return Arrived(self.count, (p50, p99, p999))
 
     def close(self) -> None:
-        """Take no more."""
+        """Stop taking messages."""
         self.closed = True
         self._closed()
 

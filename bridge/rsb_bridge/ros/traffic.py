@@ -163,7 +163,7 @@ def _listen(context: Context, node: Node, topics: Sequence[str], *, stock: bool)
 
 
 def drain(context: Context, handles: Sequence[Any], take: Callable[[bytes], object]) -> None:
-    """Give what subscriptions take to `take`, serialized, until the context is shut down."""
+    """Pass the subscriptions' messages, serialized, to `take` until the context is shut down."""
     with context.handle, contextlib.ExitStack() as held:
         for handle in handles:
             held.enter_context(handle)

@@ -24,7 +24,7 @@ _REMEMBERED = 1000
 
 
 class TypeDescriptions:
-    """Descriptions by their types' hashes. What is not the description of its type is not kept.
+    """Descriptions by their types' hashes. A text that does not describe its type is dropped.
 
     Args:
         ros: this side's types and nodes.
@@ -34,7 +34,7 @@ class TypeDescriptions:
     def __init__(self, ros: RosInterface, now: Callable[[], float]) -> None:
         self._ros = ros
         self._now = now
-        self._texts: dict[str, str] = {}  # the one that was used last stands last
+        self._texts: dict[str, str] = {}  # in the order of use, the newest last
         self._unknown: dict[str, float] = {}
         self._asking = asyncio.Lock()
         self._closed = False
@@ -55,7 +55,7 @@ class TypeDescriptions:
         return True
 
     def known(self, type_hash: str) -> str | None:
-        """The text of a description that is kept already, else None."""
+        """Return the text of a description that is kept already, else None."""
         text = self._texts.pop(type_hash, None)
         if text is not None:
             self._texts[type_hash] = text
@@ -82,7 +82,7 @@ class TypeDescriptions:
             return None
 
     def _find(self, type_name: str, type_hash: str, topic: str) -> str | None:
-        """Look for it; on a thread that may wait."""
+        """Find a description here or in the ROS graph. Called on a thread that may wait."""
         ros = self._ros
         if ros.installed_hash(type_name) == type_hash:
             return ros.installed_description(type_name)
@@ -116,7 +116,7 @@ class TypeCheckers:
     def __init__(self, ros: RosInterface, descriptions: TypeDescriptions) -> None:
         self._ros = ros
         self._descriptions = descriptions
-        self._kept: dict[str, Checker | None] = {}  # the one that was used last stands last
+        self._kept: dict[str, Checker | None] = {}  # in the order of use, the newest last
 
     def installed(self, type_name: str) -> Checker | None:
         """Return the checker of a type that is installed here, or None if it is not, or cannot be checked.

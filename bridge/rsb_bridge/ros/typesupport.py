@@ -79,12 +79,12 @@ _capsule_new.argtypes = [ctypes.c_void_p, ctypes.c_char_p, ctypes.c_void_p]
 
 
 def type_support_of(message_class: type) -> TypeSupport:
-    """The type support of a message class, in place: it lives as long as the process."""
+    """Return the type support of a message class, in place: it lives as long as the process."""
     return TypeSupport.from_address(_address_of(message_class))
 
 
 def capsule_of(type_support: TypeSupport | ServiceTypeSupport) -> object:
-    """A capsule that rclpy takes for a class's type support; the caller keeps `type_support` alive."""
+    """Return a capsule that rclpy takes for a class's type support; the caller keeps `type_support` alive."""
     return _capsule_new(ctypes.addressof(type_support), None, None)
 
 
@@ -95,7 +95,7 @@ def pointer_in(capsule: object) -> int:
 
 
 def hash_of(message_class: type) -> str:
-    """The type hash (REP 2016) that the middleware announces for a message class: ``RIHS01_`` and 64 hex digits."""
+    """Return the type hash (REP 2016) of a message class, as the middleware has it: ``RIHS01_`` and 64 hex digits."""
     return _hash_of(type_support_of(message_class))
 
 
@@ -106,7 +106,7 @@ def service_hash_of(service_class: type) -> str:
 
 
 def joined_hash(request: str, response: str) -> str:
-    """A service's hash, of its request's and its response's; empty where one is not known."""
+    """Return a service's hash, of its request's and its response's; empty where one is not known."""
     return f"{request}+{response}" if request and response else ""
 
 
@@ -153,7 +153,7 @@ def _hash_of(type_support: TypeSupport) -> str:
 
 @lru_cache(_REMEMBERED)
 def installed_class(type_name: str) -> type | None:
-    """The message class of a type that is installed here, else None.
+    """Return the message class of a type that is installed here, else None.
 
     Messages inside services and actions are found, too: ``pkg/srv/Name_Request``, ``pkg/action/Name_FeedbackMessage``.
 
@@ -166,7 +166,7 @@ def installed_class(type_name: str) -> type | None:
 
 @lru_cache(_REMEMBERED)
 def installed_service(type_name: str) -> type | None:
-    """The class of a service that is installed here, else None.
+    """Return the class of a service that is installed here, else None.
 
     Raises:
         ValueError: `type_name` is not of the form ``pkg/srv/Name``, as ``pkg/action/Name_SendGoal`` is.

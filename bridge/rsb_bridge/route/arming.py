@@ -55,7 +55,7 @@ class Disarmed(StrEnum):
     CHANNEL_LOST = "channel_lost"
     """Its data connection ended, which may be noticed before the end of the process at its other end."""
     REOPENED = "reopened"
-    """The topic was set up again: its type, its limits or its connection changed."""
+    """The topic was reopened: its type, its limits or its connection changed."""
     LEASE = "lease"
     """One of the two sides, or the link, stood still for too long."""
     LINK_SLOW = "link_slow"
@@ -76,7 +76,7 @@ DISARM_TEXT = {
     Disarmed.TOO_OFTEN: "it was armed too often",
     Disarmed.REMOVED: "the topic is not bridged any more",
     Disarmed.CHANNEL_LOST: "its data connection ended",
-    Disarmed.REOPENED: "the topic was set up again",
+    Disarmed.REOPENED: "the topic was reopened",
     Disarmed.LEASE: "a side or the link stood still",
     Disarmed.LINK_SLOW: f"the link is too slow: a round trip takes over {SLOW:g} s; use a faster link",
     Disarmed.PEER_TOO_OLD: "the other side's rsb-console is too old for arming: update it",
@@ -217,7 +217,7 @@ class Arming:
         if not self.required:
             return None
         armed = self.stands(now)
-        grace = PEER_GRACE if self.console is None else 0.0  # the operator has no more time for it
+        grace = PEER_GRACE if self.console is None else 0.0  # the other side's operator has that much less time
         left = max(0.0, self._deadline - grace - now) if armed and self.deadman else None
         here = self.console is not None
         if armed:

@@ -163,7 +163,7 @@ def _disarming(status: RouteStatus) -> Verdict | None:
     """Judge a route that is being disarmed; comes before `_paused`, because a pause disarms as well."""
     if not (status.disarmed and status.disarming):
         return None
-    text = f"{status.disarmed}; messages sent before it may act for 1 s"
+    text = f"{status.disarmed}; earlier messages may still act for 1 s"
     return Verdict(State.DISARMING, Cause.DISARMING, text)
 
 

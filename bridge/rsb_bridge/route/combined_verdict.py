@@ -90,7 +90,7 @@ class CombinedVerdict:
         self._since = 0.0
 
     def take(self, record: VerdictRecord | None, now: float) -> None:
-        """The other side tells its verdict, at `now` (s)."""
+        """Take the other side's verdict, which came at `now` (s)."""
         if record is None:
             self.peer = FINE
             return
@@ -119,7 +119,7 @@ class CombinedVerdict:
         return "" if self._shows is None else self._shows[1]
 
     def announce(self, own: Verdict, now: float) -> Announcement | None:
-        """Once a second: what to log, if anything."""
+        """Return the event to log, if any. Called once a second."""
         verdict = self.shown(own).verdict
         self.since(verdict, now)
         return self._announcer.tick(verdict, now)
@@ -144,7 +144,7 @@ def record_of(verdict: Verdict) -> VerdictRecord | None:
 
 
 def lasting(record: VerdictRecord | None, verdict: Verdict, now: float) -> VerdictRecord | None:
-    """The record of a verdict, and how long it has lasted at `now` (s)."""
+    """Return the record of a verdict, and how long it has lasted at `now` (s)."""
     if record is None or verdict.since is None:
         return record
     return msgspec.structs.replace(record, lasting=now - verdict.since)

@@ -174,7 +174,7 @@ class Histories:
                 del self._publishers[gid]
 
     def close(self) -> int:
-        """Emit nothing more.
+        """Stop emitting messages.
 
         Returns:
             The number of messages that were held.

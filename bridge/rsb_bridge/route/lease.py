@@ -204,7 +204,7 @@ class Marker:
     def marked(self, taken: Sequence[M]) -> Sequence[M]:
         """Return messages with the number of the lease that bounds their age."""
         turn, before = self._turns.count, self._turn
-        if self._is_empty or turn > before + 1:  # a turn in between has found nothing
+        if self._is_empty or turn > before + 1:  # a turn in between has found the queue empty
             self._since = max(self._made, self._turns.since)
         self._turn, self._is_empty = turn, len(taken) < self._batch
         number = self._lease.newest_before(self._since)

@@ -180,7 +180,7 @@ class RouteLedger:
         self._opening.sent += count
 
     def opened(self, route_id: int, instance: str) -> None:
-        """A new opening begins.
+        """Begin a new opening.
 
         Args:
             route_id: of the opening.
@@ -190,7 +190,7 @@ class RouteLedger:
         self._opening = _Opening(route_id, instance)
 
     def closed(self) -> None:
-        """The opening is over."""
+        """End the opening."""
         if self._opening.sent:
             self.settle(None, "")
             self._unsettled = self._opening
@@ -320,7 +320,7 @@ class MissedWhileDown:
             self._since = now
 
     def subscribed(self, now: float, offered: int) -> None:
-        """The route is subscribed again at `now` (s), with `offered` messages before."""
+        """Note that the route subscribed again at `now` (s), with `offered` messages before."""
         if self._since is not None:
             self._subscribed = (now, offered)
 

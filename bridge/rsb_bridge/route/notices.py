@@ -101,7 +101,7 @@ class ChannelLosses:
         self._report: asyncio.TimerHandle | None = None
 
     def add(self, reason: str, loop: asyncio.AbstractEventLoop, report: Callable[[], None]) -> None:
-        """The channel was lost; `report` is called once the link should have ended, if it does with the channel."""
+        """Record the loss of the channel, and call `report` later, by when a link that was lost with it has ended."""
         if not self._worked:
             self._reasons.append(reason)
         self._worked = False
@@ -109,12 +109,12 @@ class ChannelLosses:
         self._report = loop.call_later(_LINK_OUTLIVES, report)
 
     def arrived(self) -> None:
-        """Messages arrive."""
+        """Note that messages arrive."""
         self._worked = True
         self._reasons.clear()
 
     def forget_report(self) -> None:
-        """Call no report any more."""
+        """Cancel the report that is due."""
         if self._report is not None:
             self._report.cancel()
 

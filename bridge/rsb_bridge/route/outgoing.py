@@ -201,7 +201,7 @@ class OutgoingRoute(TopicRoute[SendingChannel]):
         if self._described is not None and self._described.sources != self._loop_filter.table.sources:
             self._describe(msgspec.structs.replace(self._described, sources=self._loop_filter.table.sources))
         if self._described is not None and self._loop_filter.outdated(self.qos):
-            self.request_reopen(EventCode.ROUTE_SOURCES_CHANGED, "other bridges than before bring its messages")
+            self.request_reopen(EventCode.ROUTE_SOURCES_CHANGED, "its messages come through other bridges than before")
             return
         self.notices.set_loop(self._loop_filter.loop(self.topic))
         if self.notices.loop:

@@ -234,6 +234,6 @@ def _nodes_by(publishers: Iterable[Endpoint], kind: Callable[[Endpoint], str]) -
 
 
 def _named(nodes: dict[str, list[str]]) -> str:
-    """Types or versions, each with its nodes."""
+    """Format types or versions, each with its nodes."""
     parts = [f"{key} (from {join_first(names, _MOST_NODES)})" if names else key for key, names in nodes.items()]
     return join_first(parts, _MOST_TYPES)

@@ -54,8 +54,8 @@ class SlowSubscriberError(Exception):
 
     def __init__(self, limit: int) -> None:
         super().__init__(
-            "a subscriber does not take its messages, and this topic would hold more memory for it than is left for "
-            f"the link's others, of {limit:,} bytes: restart the subscriber, or have it ask for best_effort or a "
+            "a subscriber does not take its messages, and those that wait for it would exceed this topic's share of "
+            f"the link's {limit:,} bytes: restart the subscriber, or have it ask for best_effort or a "
             "smaller depth"
         )
 

@@ -81,7 +81,7 @@ class Throttle:
         return True
 
     def due(self, publisher: bytes) -> int:
-        """When (ns, as stamps are) the next message of a publisher passes."""
+        """Return when (ns, as stamps are) the next message of a publisher passes."""
         return self._due.get(publisher, 0)
 
 

@@ -34,8 +34,8 @@ USE_TCP, LOWER_MTU = "use protocol: tcp", "lower the MTU"
 STOPPED_PUBLISHING = ("has stopped publishing, or died", "have stopped publishing, or died")
 PUBLISHED_NOTHING = ("has published nothing yet", "have published nothing yet")
 NOTHING_SINCE_OPENED = (
-    "has published nothing since it was opened again",
-    "have published nothing since it was opened again",
+    "has published nothing since it was reopened",
+    "have published nothing since it was reopened",
 )
 """Verbs for one silent publisher, and for several."""
 _NAMED = 3
@@ -373,7 +373,7 @@ def _slow(facts: Facts) -> Verdict | None:
             return None  # a fault that nobody was shown needs no end
         return Verdict(State.SLOW, Cause.SLOW, f"recovering after {LASTING}: {rates}", facts.slow_since)
     text = f"{rates}, for {LASTING}"
-    if facts.lost_in_dds > (facts.expected_rate - facts.rate) * LATELY / 2:  # it is the greater part of what is missing
+    if facts.lost_in_dds > (facts.expected_rate - facts.rate) * LATELY / 2:  # DDS lost most of the missing messages
         reason = f"DDS lost {facts.lost_in_dds:,} messages before they could be taken"
     else:
         reason = f"that is all that {_plural(facts.progress.endpoints, 'publishes', 'publish')}"

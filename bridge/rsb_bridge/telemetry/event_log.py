@@ -79,7 +79,7 @@ class EventLog:
             self._news.notify_all()
 
     def after(self, number: int) -> list[Event]:
-        """Those numbered above `number` that are still kept, oldest first."""
+        """Return the events numbered above `number` that are still kept, oldest first."""
         with self._news:
             missing = self.last - number
             if missing <= 0:
@@ -153,7 +153,7 @@ class RateLimitedEventLog:
         self._events.add(level, code, text, **about)
 
     def tick(self) -> None:
-        """Once a second: report how many events were left out, once the flood is over or has lasted 10 s."""
+        """Report how many events were left out, when the flood is over or has lasted 10 s. Called once a second."""
         now = self._now()
         for (link, link_status), quota in self._quotas.items():
             if quota.due(now):

@@ -342,7 +342,7 @@ class StaleWatch:
         self.quiet_since = now
 
     def seen(self, now: float) -> float | None:
-        """A message came at `now`. Returns how long (s) it had been quiet if that had been warned of, else None."""
+        """Note a message at `now`; return the length of the silence (s) if it had been warned of, else None."""
         quiet = now - self.quiet_since if self.warned else None
         self.warned = 0
         self.quiet_since = now
@@ -504,5 +504,5 @@ class Throughput:
         self._window.clear()
 
     def measured(self, capacity: Capacity) -> None:
-        """A bench says what it carries."""
+        """Take the capacity that a benchmark has measured."""
         self.capacity = newer(self.capacity, capacity)

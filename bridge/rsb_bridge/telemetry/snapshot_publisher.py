@@ -37,7 +37,7 @@ class ShownRoute(Protocol):
     """A route, as far as its snapshot goes."""
 
     def snapshot(self) -> RouteSnapshot:
-        """The route as it is now."""
+        """Return the route as it is now."""
         ...
 
 
@@ -50,7 +50,7 @@ class ShownLink(Protocol):
         ...
 
     def snapshot(self) -> LinkSnapshot:
-        """The link as it is now."""
+        """Return the link as it is now."""
         ...
 
 
@@ -58,7 +58,7 @@ class ShownBridge(Protocol):
     """A bridge, as the publisher sees it."""
 
     def links(self) -> Sequence[ShownLink]:
-        """All of them, up or down."""
+        """Return all links, up or down."""
         ...
 
     def refused(self) -> tuple[RefusedClient, ...]:
@@ -97,7 +97,7 @@ class SnapshotPublisher:
         self._events.add(Level.INFO, code, f"{topic}: {text}" if topic else text, link=link, topic=topic)
 
     def look(self) -> Snapshot:
-        """The newest snapshot; called on any thread."""
+        """Return the newest snapshot; called on any thread."""
         self._looks += 1
         return self.latest
 

@@ -163,7 +163,7 @@ class LossWatch:
             self._marks.popleft()
         self._count_since_loss()
         if self.loss is not None and self._lossless >= _RECOVERED_TICKS and self._not_chance(self.loss):
-            self.reset()  # the losses in the window are of the fault that is over
+            self.reset()  # the losses in the window belong to the fault that is over
             self._marks.append((now, delivered, lost))
             return
         _, delivered_before, lost_before = self._marks[0]

@@ -44,7 +44,7 @@ def scarce() -> bool:
 
 
 def left() -> int:
-    """Descriptors that routes may still have: the reserve is not among them."""
+    """Return the number of descriptors that routes may still open, without the reserve."""
     limit = resource.getrlimit(resource.RLIMIT_NOFILE)[0]
     if limit == resource.RLIM_INFINITY:
         return sys.maxsize
@@ -55,7 +55,7 @@ def left() -> int:
 
 
 def _held() -> int:
-    """How many this process has. Each route's stream asks, so that a list of them would cost their number squared."""
+    """Return how many this process has. Does not list them: each stream asks, at a cost of their number squared."""
     # Linux 6.2 and newer; an older one says 0.
     return os.stat(_OWN).st_size or len(os.listdir(_OWN))  # noqa: PTH116, PTH208 -- half the time
 

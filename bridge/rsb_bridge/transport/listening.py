@@ -40,7 +40,7 @@ class ListenProblem(Wording):
 
 
 async def bind(host: str, port: int, kind: socket.SocketKind) -> list[socket.socket]:
-    """A socket on each of the host's addresses.
+    """Bind a socket on each of the host's addresses.
 
     Raises:
         ListenError: one of them can't be bound.

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 class PortProblem(Wording):
     """The reasons why a port is not open."""
 
-    CLOSED_AGAIN = "{kind} {number} was closed again while it was opened"
+    CLOSED_AGAIN = "{kind} {number} was closed while it was being opened"
 
 
 @dataclass(slots=True)

@@ -41,12 +41,12 @@ class Transports:
         return self._by_name[name]
 
     def close(self) -> None:
-        """Give back what they share; all sockets are closed."""
+        """Release what the transports share, once all sockets are closed."""
         for transport in self._by_name.values():
             transport.close()
 
     def of_link(self, host: str) -> StreamTransport:
-        """The transport of a link whose session has that `server_ip`."""
+        """Return the transport of a link whose session has that `server_ip`."""
         return next(
             transport
             for transport in self._by_name.values()

@@ -42,7 +42,7 @@ class RfcommProblem(Wording):
     CHANNEL_TAKEN = "RFCOMM channel {channel} is taken: choose one that rsb-console bt-scan shows as free"
     CHANNEL_NOT_BOUND = "RFCOMM channel {channel} of {host}: {error}"
     NO_ANSWER = "no answer: is it on, near, and is the MAC right? (rsb-console bt-scan, on that machine)"
-    NOBODY_LISTENS = "nobody listens on channel {channel} there: is the server running, with that server_port?"
+    NOBODY_LISTENS = "nothing listens on channel {channel} there: is the server running, with that server_port?"
     CHANNEL_IN_USE = "channel {channel} there is in use by another program of this machine"
     NOT_PAIRED = "pairing failed: remove the other machine on both (bluetoothctl remove MAC), then pair them again"
     ADAPTERS_OFF = "no Bluetooth adapter of this machine is on: rsb-console bt-scan"

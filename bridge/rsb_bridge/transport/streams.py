@@ -68,13 +68,13 @@ class StreamHandler:
     """Receives what happens on a stream, on the I/O loop. The base class ignores everything."""
 
     def connected(self, stream: Stream) -> None:
-        """The stream is connected; called once, on its first handler."""
+        """Take the stream, which is connected; called once, on its first handler."""
 
     def received(self, data: bytes) -> None:
-        """Bytes came."""
+        """Take received bytes."""
 
     def writable(self) -> None:
-        """The stream was congested and takes more again."""
+        """Continue to write: the stream takes more again."""
 
     def closed(self, reason: str) -> None:
         """Take the end of the stream, for any reason; called once."""
@@ -276,13 +276,13 @@ def _nothing() -> None:
 
 
 def format_address(address: Address) -> str:
-    """A socket address as ``host:port``, ``[host]:port`` for IPv6."""
+    """Return a socket address as ``host:port``, ``[host]:port`` for IPv6."""
     host, port = address[0], address[1]
     return f"[{host}]:{port}" if ":" in str(host) else f"{host}:{port}"
 
 
 def os_error_message(error: BaseException) -> str:
-    """The kernel's message for an OS error, without its number, and with a remedy where there is one."""
+    """Return the kernel's message for an OS error, without its number, and with a remedy where there is one."""
     if isinstance(error, TimeoutError) and not error.args:
         return StreamProblem.TIMED_OUT()
     if isinstance(error, OSError) and error.errno and not isinstance(error, socket.gaierror):

@@ -32,7 +32,7 @@ class LookUpProblem(Wording):
 
 
 async def look_up(host: str, port: int, within: float) -> Found:
-    """The stream addresses of a host, as `socket.getaddrinfo` gives them.
+    """Return the stream addresses of a host, as `socket.getaddrinfo` gives them.
 
     Args:
         host: a name or an address.

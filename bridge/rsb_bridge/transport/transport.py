@@ -85,11 +85,11 @@ class DatagramSocket(Protocol):
         ...
 
     def path(self, source: str, address: Address) -> SendPath:
-        """The way from one of our addresses to a peer."""
+        """Return the way from one of our addresses to a peer."""
         ...
 
     def datagram_size(self, address: Address) -> int:
-        """Bytes of the largest datagram that reaches `address` in one piece, by present knowledge."""
+        """Return the bytes of the largest datagram that reaches `address` in one piece, by present knowledge."""
         ...
 
     def close(self) -> None:
@@ -148,11 +148,11 @@ class _Transport(TransportTraits, ABC):
     largest_message: ClassVar[int]
 
     def host(self, session: Session) -> str:
-        """The server's address for this transport, as the session gives it."""
+        """Return the server's address for this transport, as the session gives it."""
         return session.server_ip
 
     def format_address(self, address: Address) -> str:
-        """An address as an operator reads it: ``host:port`` and the like."""
+        """Return an address as an operator reads it: ``host:port`` and the like."""
         return format_address(address)
 
     def close(self) -> None:
@@ -224,7 +224,7 @@ class DatagramTransport(_Transport):
 
     @abstractmethod
     def connect(self, peer: Address, received: Callable[[DatagramSocket, Datagrams], None]) -> DatagramSocket:
-        """A socket that sends to, and receives from, one peer.
+        """Return a socket that sends to, and receives from, one peer.
 
         Raises:
             OSError: there is no way to the peer.

@@ -56,7 +56,7 @@ class Trials(Generic[T]):
     def __init__(self, now: Callable[[], float], patience: float = 5.0) -> None:
         self._now = now
         self._patience = patience
-        self._failed: dict[str, tuple[int, float]] = {}  # how often, and when to try again
+        self._failed: dict[str, tuple[int, float]] = {}  # number of failures, and the time of the next attempt
         self._proven: set[str] = set()
 
     async def search(

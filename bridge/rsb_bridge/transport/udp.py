@@ -232,7 +232,7 @@ def _enlarge(sock: socket.socket, forced: int, asked: int, size: int) -> None:
 
 
 def _path_mtu(family: int, address: Address) -> int:
-    """The kernel's path MTU (ip(7) IP_MTU, ipv6(7) IPV6_MTU); 1280 (RFC 8200) if it knows none."""
+    """Return the kernel's path MTU (ip(7) IP_MTU, ipv6(7) IPV6_MTU); 1280 (RFC 8200) if it knows none."""
     with contextlib.suppress(OSError), socket.socket(family, socket.SOCK_DGRAM) as probe:
         probe.connect(address)
         if family == socket.AF_INET6:

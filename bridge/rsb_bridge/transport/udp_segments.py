@@ -41,7 +41,7 @@ def coalesce(sock: socket.socket) -> bool:
 
 
 def end_of_run(datagrams: Sequence[bytes], begin: int) -> int:
-    """The index behind the last datagram that may go in one call with the one at `begin`: of one size, or shorter."""
+    """Return the index behind the last datagram that one call may send from `begin` on: one size, the last shorter."""
     size = len(datagrams[begin])
     if not size:
         return begin + 1

@@ -89,12 +89,12 @@ _welcome = msgspec.msgpack.Decoder(Welcome)
 
 
 def encode(message: ControlMessage | Hello | Welcome) -> bytes:
-    """A message as msgpack."""
+    """Return a message as msgpack."""
     return _encoder.encode(message)
 
 
 def decode(data: bytes) -> ControlMessage:
-    """A control message from msgpack.
+    """Return a control message from msgpack.
 
     Raises:
         ProtocolError: the message is invalid, or a field is out of its range.
@@ -103,7 +103,7 @@ def decode(data: bytes) -> ControlMessage:
 
 
 def decode_in_parts(data: bytes) -> ControlMessage | ReportParts | TopicListParts:
-    """A control message from msgpack; of a long report or list, the entries are not decoded yet. Errors as `decode`."""
+    """Return a control message from msgpack; entries of a long report or list are decoded later. Errors as `decode`."""
     if len(data) <= WHOLE:
         return _decode(_control, data)
     return _decode(_parts, data)
@@ -116,12 +116,12 @@ def invalid(error: Exception) -> ProtocolError:
 
 
 def decode_hello(data: bytes) -> Hello:
-    """A `Hello` from msgpack; errors as `decode`."""
+    """Return a `Hello` from msgpack; errors as `decode`."""
     return _decode(_hello, data)
 
 
 def decode_welcome(data: bytes) -> Welcome:
-    """A `Welcome` from msgpack; errors as `decode`."""
+    """Return a `Welcome` from msgpack; errors as `decode`."""
     return _decode(_welcome, data)
 
 

@@ -119,7 +119,7 @@ class ClientConnection(_Control, ConnectingStream):
         return self._suite
 
     def start(self) -> bytes:
-        """The bytes to write first.
+        """Return the bytes to write first.
 
         Raises:
             ValueError: the name is too long.
@@ -269,7 +269,7 @@ class DataConnection(PreambleStream):
         self._route = route
 
     def start(self) -> bytes:
-        """The bytes to write first."""
+        """Return the bytes to write first."""
         header = data_header(self._keys.link_id, self._route)
         return pack_frame(header, self._keys.attach_proof(header, self._route))
 

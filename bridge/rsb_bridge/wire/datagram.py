@@ -57,12 +57,12 @@ class Probe(NamedTuple):
     opaque: int
 
     def pack(self) -> bytes:
-        """The probe as a payload."""
+        """Return the probe as a payload."""
         return _PROBE.pack(*self)
 
     @classmethod
     def unpack(cls, payload: bytes) -> Probe:
-        """The probe in a payload.
+        """Return the probe in a payload.
 
         Raises:
             ProtocolError: the payload is no probe.
@@ -88,7 +88,7 @@ class Receipt(NamedTuple):
     buffer: int
 
     def pack(self) -> bytes:
-        """The receipt as a payload."""
+        """Return the receipt as a payload."""
         return _RECEIPT.pack(_RECEIPT_KIND, *self)
 
 
@@ -126,11 +126,11 @@ class DatagramWriter:
         return self._sealer.sequence
 
     def datagrams(self, size: int, max_datagram: int) -> int:
-        """How many datagrams of at most `max_datagram` bytes a message of `size` bytes takes."""
+        """Return how many datagrams of at most `max_datagram` bytes a message of `size` bytes takes."""
         return max(-(-size // (max_datagram - self._overhead)), 1)
 
     def write(self, payload: Buffer, stamp: int, flags: int, max_datagram: int) -> list[bytes]:
-        """One message as datagrams, of one size as far as it divides: the kernel takes such at once.
+        """Return one message as datagrams, all but the last of one size: the kernel takes such at once.
 
         Args:
             payload: the serialized message.
@@ -258,7 +258,7 @@ class DatagramReader:
             self._forget(number)
 
     def _unwrap(self, number: int) -> int:
-        """The full message number, the one nearest to the newest (RFC 1982)."""
+        """Return the full message number, the one nearest to the newest (RFC 1982)."""
         number = self.newest + ((number - self.newest + 2**31) & 0xFFFFFFFF) - 2**31
         self.newest = max(self.newest, number)
         return number

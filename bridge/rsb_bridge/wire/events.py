@@ -48,7 +48,7 @@ class Received:
 
 @dataclass(frozen=True, slots=True)
 class Undecoded:
-    """A control message came, for `rsb_bridge.wire.codec.decode_in_parts`.
+    """A received control message, for `rsb_bridge.wire.codec.decode_in_parts`.
 
     Attributes:
         content: as msgpack, authentic.
@@ -137,7 +137,7 @@ class Admitted:
 
 @dataclass(frozen=True, slots=True)
 class Opened:
-    """The next bytes came on an operator's connection."""
+    """The next bytes of an operator's connection."""
 
     content: bytes = field(repr=False)
 

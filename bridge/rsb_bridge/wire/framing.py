@@ -60,7 +60,7 @@ class Assembly:
         self._size = end
 
     def take(self) -> bytes:
-        """The message, which is whole."""
+        """Return the message, which is whole."""
         self._expected = self._size
         self._content.truncate(self._size)
         content = self._content.getvalue()
@@ -154,7 +154,7 @@ _UNKNOWN_FLAGS = 0xFF & ~(ZSTD | MORE | HISTORY | LEASED | SOURCE_FLAGS)
 
 
 def pack_frame(*parts: Buffer) -> bytes:
-    """One frame, preceded by its length."""
+    """Return one frame, preceded by its length."""
     return b"".join((LENGTH.pack(sum(map(len, parts))), *parts))
 
 
@@ -232,7 +232,7 @@ class FrameReader:
         return len(self._tail) >= _LENGTH_SIZE and len(self._tail) == self._whole()
 
     def _whole(self) -> int:
-        """Bytes that the incomplete frame will have, with its length."""
+        """Return the bytes that the incomplete frame will have, with its length."""
         (length,) = LENGTH.unpack_from(self._tail)
         if length > self.limit:
             raise ProtocolError(Broken.FRAME_TOO_LONG(length=length, limit=self.limit))
@@ -251,7 +251,7 @@ class DataWriter:
         self._route = route
 
     def write(self, payload: Buffer, stamp: int, flags: int = 0) -> bytes:
-        """One message as one frame.
+        """Return one message as one frame.
 
         Args:
             payload: the serialized message; at most `MESSAGE_LIMIT` bytes.
@@ -304,12 +304,12 @@ class DataWriter:
                 return used, at
 
     def piece_size(self, size: int, chunk_size: int) -> int:
-        """Bytes that `size` bytes of a message take as chunks."""
+        """Return the bytes that `size` bytes of a message take as chunks."""
         frames = max(1, -(-size // chunk_size))
         return size + frames * (_LENGTH_SIZE + _HEADER_SIZE + self._sealer.suite.tag_length)
 
     def write_chunks(self, payload: Buffer, stamp: int, flags: int, chunk_size: int) -> list[bytes]:
-        """One message as frames of at most `chunk_size` bytes each, so that other frames can go between."""
+        """Return one message as frames of at most `chunk_size` bytes each, so that other frames can go between."""
         view = memoryview(payload)
         last = max(len(view) - 1, 0) // chunk_size * chunk_size
         return [

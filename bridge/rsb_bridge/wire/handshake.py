@@ -38,11 +38,11 @@ class Handshake(Protocol):
     """One end of a handshake of two messages: the client writes then reads, the server reads then writes."""
 
     def write(self, payload: bytes) -> bytes:
-        """This end's message."""
+        """Return this end's message."""
         ...
 
     def read(self, message: bytes) -> bytes:
-        """The payload of the other end's message.
+        """Return the payload of the other end's message.
 
         Raises:
             SealError: the other end has another key.
@@ -51,7 +51,7 @@ class Handshake(Protocol):
         ...
 
     def split(self) -> HandshakeKeys:
-        """The keys, after both messages."""
+        """Return the keys, after both messages."""
         ...
 
 
@@ -101,7 +101,7 @@ class NoiseHandshake:
         self._mix_key_and_hash(psk)
 
     def write(self, payload: bytes) -> bytes:
-        """This end's message: its ephemeral key, then the payload sealed."""
+        """Return this end's message: its ephemeral key, then the payload sealed."""
         public = self._ephemeral.public_key().public_bytes_raw()
         self._mix_hash(public)
         self._mix_key(public)
@@ -113,7 +113,7 @@ class NoiseHandshake:
         return public + sealed
 
     def read(self, message: bytes) -> bytes:
-        """The payload of the other end's message.
+        """Return the payload of the other end's message.
 
         Raises:
             SealError: the other end has another key.
@@ -131,7 +131,7 @@ class NoiseHandshake:
         return payload
 
     def split(self) -> HandshakeKeys:
-        """The control keys, and a third output of the same HKDF, from which data keys are derived."""
+        """Return the control keys, and a third output of the same HKDF, from which data keys are derived."""
         return HandshakeKeys(*_hkdf(self._ck, b""))
 
     def _dh(self, remote: bytes) -> bytes:

@@ -20,7 +20,7 @@ LeaseNumber: TypeAlias = Annotated[int, Meta(ge=0, le=LAST_LEASE)]
 
 
 def with_number(number: int, content: bytes) -> bytes:
-    """A message's content behind the number that its lease header carries."""
+    """Return a message's content behind the number that its lease header carries."""
     return _LEASE_HEADER.pack(number) + content
 
 
@@ -54,12 +54,12 @@ class HistoryHeader(NamedTuple):
     depth: int
 
     def pack(self) -> bytes:
-        """The header as it stands before the content."""
+        """Return the header as it stands before the content."""
         return _HISTORY_HEADER.pack(*self)
 
 
 def publisher_id(gid: bytes) -> bytes:
-    """The id of a publisher on the wire, of the one that it has in the middleware."""
+    """Return a publisher's id on the wire for its id in the middleware."""
     return gid[:PUBLISHER_ID_LENGTH].ljust(PUBLISHER_ID_LENGTH, b"\0")
 
 
@@ -124,12 +124,12 @@ class CallFrame(NamedTuple):
     stamp: int = 0
 
     def pack(self) -> bytes:
-        """The frame as bytes."""
+        """Return the frame as bytes."""
         return _CALL_HEADER.pack(self.what, self.lane, self.call, self.took) + self.content
 
 
 def unpack_call(payload: bytes) -> CallFrame:
-    """The frame that a route's message is.
+    """Unpack a route's message as a frame.
 
     Raises:
         ProtocolError: it is too short, of no known kind, or a message with the number of a call, or a call without one,

@@ -188,7 +188,7 @@ class Accept(ControlMessageBase, frozen=True):
 
 
 class Refuse(ControlMessageBase, frozen=True):
-    """A `Propose` is refused, or an accepted route turns out to be impossible.
+    """The refusal of a `Propose`, or of an accepted route that turns out to be impossible.
 
     Attributes:
         route: route id.
@@ -297,7 +297,7 @@ class Close(ControlMessageBase, frozen=True):
 
 
 class Ping(ControlMessageBase, frozen=True):
-    """Either side asks whether the peer is alive, and what time it has.
+    """A question of either side: whether the peer is alive, and its time.
 
     Attributes:
         n: counts up.
@@ -478,7 +478,7 @@ class Arm(ControlMessageBase, frozen=True):
 
 
 class Armed(ControlMessageBase, frozen=True):
-    """The answer to `Arm`: both sides hold the route for armed from here on.
+    """The answer to `Arm`: from now on both sides treat the route as armed.
 
     Attributes:
         route: route id.

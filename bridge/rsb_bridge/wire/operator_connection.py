@@ -59,7 +59,7 @@ class OperatorPreamble(NamedTuple):
 
 
 def operator_header(version: int, operator: str, engine: str, fingerprint: bytes) -> bytes:
-    """The part of an OPERATOR frame before its handshake message.
+    """Return the part of an OPERATOR frame before its handshake message.
 
     Raises:
         ValueError: a name is too long.
@@ -93,7 +93,7 @@ def parse_operator(frame: bytes) -> OperatorPreamble:
 
 
 def _name(frame: bytes, at: int) -> tuple[str, int]:
-    """A name behind its length, and where it ends."""
+    """Return a name behind its length, and where it ends."""
     begin = at + 1
     end = begin + frame[at] if at < len(frame) else begin
     if len(frame) < end:
@@ -151,7 +151,7 @@ class OperatorConsole(_Records, ConnectingStream):
         self._host = host.encode(errors="replace")[:HOST_BYTES]
 
     def start(self) -> bytes:
-        """The bytes to write first."""
+        """Return the bytes to write first."""
         return self._first_message(SUITE, self._key, self._preamble, self._host)
 
     def _on_accept(self, message: bytes) -> None:

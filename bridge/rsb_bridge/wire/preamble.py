@@ -99,8 +99,8 @@ class RefusalText(Wording):
         "the answer is not sealed with this console's key, {fingerprint}: the engine has another one, or somebody on "
         "the way answers in its place"
     )
-    ENCRYPTION_NOT_POSSIBLE = "the client encrypts, and the server has no key for {name!r}"
-    ENCRYPTION_REQUIRED = "the server requires encryption for {name!r}, and the client came without"
+    ENCRYPTION_NOT_POSSIBLE = "the client encrypts, but the server has no key for {name!r}"
+    ENCRYPTION_REQUIRED = "the server requires encryption for {name!r}, but the client does not encrypt"
     ANOTHER_ENGINE = "this is not the engine {name!r}"
 
 
@@ -200,12 +200,12 @@ def take_frame(stream: bytearray) -> bytes | None:
 
 
 def preamble_frame(kind: Kind, body: bytes = b"") -> bytes:
-    """A preamble frame, without its length."""
+    """Return a preamble frame, without its length."""
     return MAGIC + bytes((VERSION, kind)) + body
 
 
 def control_header(suite: Suite, name: str, fingerprint: bytes = bytes(FINGERPRINT_LENGTH)) -> bytes:
-    """The part of a CONTROL frame before its handshake message; `fingerprint` is of the key, zeros for none.
+    """Return the part of a CONTROL frame before its handshake message; `fingerprint` is of the key, zeros for none.
 
     Raises:
         ValueError: the name is too long.
@@ -217,12 +217,12 @@ def control_header(suite: Suite, name: str, fingerprint: bytes = bytes(FINGERPRI
 
 
 def data_header(link_id: bytes, route: int) -> bytes:
-    """The part of a DATA frame before its proof."""
+    """Return the part of a DATA frame before its proof."""
     return preamble_frame(Kind.DATA, _DATA.pack(link_id, route))
 
 
 def refuse_frame(code: RefusalCode, message: str) -> bytes:
-    """A REFUSE frame; a message that is too long is cut."""
+    """Return a REFUSE frame; a message that is too long is cut."""
     return preamble_frame(Kind.REFUSE, bytes((code,)) + message.encode(errors="replace")[:MESSAGE_LIMIT])
 
 
@@ -364,7 +364,7 @@ class PreambleStream(ABC):
         return other, copy.copy(handshake)
 
     def data_to_send(self) -> bytes:
-        """The bytes to write now; returned once."""
+        """Return the bytes to write now; returned once."""
         data, self._outbox = bytes(self._outbox), bytearray()
         return data
 

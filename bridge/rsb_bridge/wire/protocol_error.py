@@ -38,7 +38,7 @@ class Broken(Wording):
     UNEXPECTED_IN_PREAMBLE = "unexpected {kind} frame in the preamble"
     SHUT_DOWN_IN_REFUSE = "a REFUSE with the code for a link that is shut down, which only a Welcome may say"
     RETRY_IGNORED = "the client offers AES-GCM again after a RETRY with ChaCha20-Poly1305"
-    HANDSHAKE_REPLAYED = "the first message of {name!r} is a recording: it came before"
+    HANDSHAKE_REPLAYED = "the first message of {name!r} is replayed: it has come before"
     NAMES_DIFFER = "the client's name is {preamble!r} in the preamble and {hello!r} in its Hello"
     NOT_CONFIRMED = "the {peer} did not confirm the handshake"
     PROBE_INVALID = "a probe of {length} bytes"

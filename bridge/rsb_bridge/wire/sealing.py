@@ -117,7 +117,7 @@ class _Epochs:
         self._ciphers = [_cipher(suite, key)]
 
     def cipher(self, epoch: int) -> _Cipher:
-        """The cipher of an epoch.
+        """Return the cipher of an epoch.
 
         Raises:
             SealError: the epoch is more than `EPOCHS_AHEAD` ahead of the oldest one kept.
@@ -316,7 +316,7 @@ class SessionKeys:
         return None if self._export is None else derive_sample_secret(self._export)
 
     def attach_proof(self, header: bytes, route: int) -> bytes:
-        """A client's proof that a data stream is its own, over the preamble frame up to the proof."""
+        """Return a client's proof that a data stream is its own, over the preamble frame up to the proof."""
         return Sealer(self.suite, self._attach_key(route)).seal(b"", header)
 
     def check_attach_proof(self, header: bytes, route: int, proof: bytes) -> None:

@@ -326,7 +326,7 @@ def _attached(socket: Path) -> RemoteEngine | None:
     try:
         engine.start()
     except (ControlError, EngineError):
-        return None  # it has only just been started
+        return None  # it has just started
     return engine
 
 

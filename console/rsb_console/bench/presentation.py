@@ -52,7 +52,7 @@ class JudgingText(Wording):
     CARRIES_ALL = "{over} carries {carried}."
     CARRIES_SOME = "{over} carries {carried}, not {others}."
     CARRIES_NONE = "{over} does not carry {others}."
-    BARELY = "Only just: {topics}; any further load costs messages."
+    BARELY = "Just enough for {topics}; any further load costs messages."
     UNKNOWN = "Too few rates were tried to judge whether {over} carries {topics}."
     TOGETHER_MOST = "Together they take {percent:.0f} % of it, nearly all its capacity: limit the largest (max_rate)."
     TOGETHER_TOO_MUCH = (
@@ -159,8 +159,8 @@ def _aligned(rows: Sequence[Sequence[str]]) -> Iterator[str]:
 def capacity(points: Iterable[Point], size: float) -> float:
     """Return the highest rate (Hz) for messages of a size, between and beyond the sizes that were measured.
 
-    Between two sizes it is on a straight line of logarithms. Smaller messages than the smallest that was measured are
-    taken for as dear as that, larger ones than the largest for as dear by the byte.
+    Between two measured sizes it is interpolated linearly, by logarithms. A message below the smallest size costs as
+    much as that one; a message above the largest costs as much for each byte.
 
     Args:
         points: points of one transport and direction.

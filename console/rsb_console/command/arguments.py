@@ -83,7 +83,7 @@ def parser_and_commands() -> tuple[argparse.ArgumentParser, list[str]]:
     _complete(check.add_argument("session", type=Path, metavar="SESSION", help="session file"), "yaml_files")
     keygen = command("keygen", local_commands.keygen, "create a key for both sides of a link")
     keygen.add_argument(
-        "path", type=Path, metavar="PATH", nargs="?", default=Path(DEFAULT_KEY_FILE), help="default: %(default)s"
+        "path", type=Path, metavar="PATH", nargs="?", default=Path(DEFAULT_KEY_FILE), help="key file (%(default)s)"
     )
     keygen.add_argument("--force", action="store_true", help="replace an existing key file")
     _import_arguments(
@@ -97,7 +97,9 @@ def parser_and_commands() -> tuple[argparse.ArgumentParser, list[str]]:
     demo.add_argument("--no-ui", action="store_true", help="print the log, without the console")
     demo.add_argument("--seconds", type=seconds, metavar="N", help="stop after N s")
     demo.add_argument("--fleet", action="store_true", help="the fleet's screen on several simulated robots instead")
-    demo.add_argument("--robots", type=count, metavar="N", default=8, help="with --fleet: how many (%(default)s)")
+    demo.add_argument(
+        "--robots", type=count, metavar="N", default=8, help="with --fleet: number of robots (%(default)s)"
+    )
     _service_arguments(command("service", local_commands.service, "run a session as a service of systemd"))
     add_remote_commands(command, _complete, local_commands.attach, _console_options)
     add_call_commands(command, _complete)
@@ -136,18 +138,22 @@ def _complete(action: argparse.Action, completer: str) -> None:
 
 def _run_arguments(parser: argparse.ArgumentParser) -> None:
     _complete(
-        parser.add_argument("session", type=Path, metavar="SESSION", nargs="?", help="session file; none: choose one"),
+        parser.add_argument(
+            "session", type=Path, metavar="SESSION", nargs="?", help="session file; default: choose one"
+        ),
         "yaml_files",
     )
     parser.add_argument("--no-ui", action="store_true", help="print the log, without the console")
-    parser.add_argument("--log-format", choices=("text", "json"), default="text", help="with --no-ui (%(default)s)")
     parser.add_argument(
-        "--status-every", type=seconds, default=5.0, metavar="N", help="with --no-ui: a status line every N s (5)"
+        "--log-format", choices=("text", "json"), default="text", help="with --no-ui: of the log (%(default)s)"
     )
     parser.add_argument(
-        "--on-hangup", choices=("stop", "continue"), default="stop", help="when the terminal goes away (%(default)s)"
+        "--status-every", type=seconds, default=5.0, metavar="N", help="with --no-ui: print the status every N s (5)"
     )
-    parser.add_argument("--control", type=Path, metavar="PATH", help="serve the control socket there")
+    parser.add_argument(
+        "--on-hangup", choices=("stop", "continue"), default="stop", help="if the terminal goes away (%(default)s)"
+    )
+    parser.add_argument("--control", type=Path, metavar="PATH", help="path of the control socket to serve")
     _console_options(parser)
 
 
@@ -158,9 +164,9 @@ def _service_arguments(parser: argparse.ArgumentParser) -> None:
         ("show", "print the session's unit"),
         ("uninstall", "remove the session's unit"),
     ):
-        action = actions.add_parser(name, help=summary, description=f"{summary}.")
+        action = actions.add_parser(name, help=summary, description=f"{summary[0].upper()}{summary[1:]}.")
         _complete(action.add_argument("session", type=Path, metavar="SESSION", help="session file"), "yaml_files")
-        action.add_argument("--system", action="store_true", help="a service of the system, not of this user")
+        action.add_argument("--system", action="store_true", help="a system service, not one of this user")
         if name != "show":
             action.add_argument("--force", action="store_true", help="overwrite or remove a foreign unit, too")
         if name != "uninstall":
@@ -168,10 +174,10 @@ def _service_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def _console_options(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--readonly", action="store_true", help="watch only: nothing can be changed")
+    parser.add_argument("--readonly", action="store_true", help="read-only: nothing can be changed")
     parser.add_argument("--ascii", action="store_true", help="draw with ASCII characters")
     parser.add_argument("--no-mouse", action="store_true", help="leave the mouse to the terminal (m takes it back)")
-    _complete(parser.add_argument("--theme", metavar="NAME", help="colours to start with"), "theme_names")
+    _complete(parser.add_argument("--theme", metavar="NAME", help="theme to start with"), "theme_names")
 
 
 def _import_arguments(parser: argparse.ArgumentParser) -> None:
@@ -179,14 +185,14 @@ def _import_arguments(parser: argparse.ArgumentParser) -> None:
         parser.add_argument("bringup", type=Path, metavar="BRINGUP", help="config/bringup.yaml of ros2_socket_bridge"),
         "yaml_files",
     )
-    parser.add_argument("--name", required=True, help="as in the launch file")
-    parser.add_argument("--role", choices=("client", "server"), help="default: the role of the file's node")
-    parser.add_argument("--key-file", type=Path, metavar="PATH", help="holds the launch file's key")
-    parser.add_argument("--port", type=int, help="of the server, as in its launch file")
-    parser.add_argument("--domain-id", type=int, metavar="N", help="default: $ROS_DOMAIN_ID at run time")
+    parser.add_argument("--name", required=True, help="name of the bridge, as in the launch file")
+    parser.add_argument("--role", choices=("client", "server"), help="default: as the node in the file")
+    parser.add_argument("--key-file", type=Path, metavar="PATH", help="file with the launch file's key")
+    parser.add_argument("--port", type=int, help="port of the server, as in its launch file")
+    parser.add_argument("--domain-id", type=int, metavar="N", help="ROS domain; default: $ROS_DOMAIN_ID at run time")
     parser.add_argument("--use-name", action="store_true", help="prefix the client's topics on the server")
     parser.add_argument("--no-encryption", action="store_true", help="all data crosses unencrypted")
-    parser.add_argument("-o", "--output", type=Path, metavar="SESSION", help="default: standard output")
+    parser.add_argument("-o", "--output", type=Path, metavar="SESSION", help="file to write; default: standard output")
     parser.add_argument("--force", action="store_true", help="replace an existing session file")
 
 
@@ -250,16 +256,18 @@ def add_bench_command(command: AddCommand, complete: Complete) -> None:
     place_options(parser, complete)
     which = "the client, on a server with several clients"
     complete(parser.add_argument("--link", default="", metavar="CLIENT", help=which), "links")
-    parser.add_argument("--quick", action="store_true", help="at most a minute; else up to six")
-    parser.add_argument("--seconds", type=seconds, metavar="N", help="at most N s; default: 50 with --quick, else 360")
+    parser.add_argument("--quick", action="store_true", help="take at most a minute, not six")
+    parser.add_argument(
+        "--seconds", type=seconds, metavar="N", help="take at most N s; default: 50 with --quick, else 360"
+    )
     parser.add_argument("--sizes", type=sizes, metavar="N,...", help="message sizes: 256,10k,1M; default: 256 to 6M")
     which = f"any of {', '.join(TRANSPORTS)}; default: all available ones"
     parser.add_argument("--transports", type=transports, default=(), metavar="NAME,...", help=which)
     way = "to the server, from it, or both (%(default)s)"
     parser.add_argument("--direction", choices=("transmit", "receive", "both"), default="transmit", help=way)
-    numbers = "how many topics to open at once on this machine: 1,50,500; 0 skips this part"
+    numbers = "numbers of topics to open at once on this machine: 1,50,500; 0 skips this part"
     parser.add_argument("--topics", type=topics, metavar="N,...", help=numbers)
     own = "two unused ROS domains on this machine (92,93)"
     parser.add_argument("--domains", type=domains, metavar="A,B", help=own)
-    parser.add_argument("--plot", type=Path, metavar="FILE.svg", help="draw a plot, too")
+    parser.add_argument("--plot", type=Path, metavar="FILE.svg", help="also draw a plot")
     parser.add_argument("--json", action="store_true", help="print JSON, for programs")

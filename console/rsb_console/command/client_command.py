@@ -56,7 +56,7 @@ class ClientCommandProblem(Wording):
 class ClientEffect(Wording):
     """Effects of a change of clients on the server that runs the session, and the steps that follow."""
 
-    NOT_RUNNING = "no server runs this file here; the change takes effect at its next start"
+    NOT_RUNNING = "no server with this file runs here; the change takes effect at its next start"
     RUNNING = "{name} runs (pid {pid}): {effect}"
     SAVED = "{path} is saved; {effect}"
     ADDED = "it accepts the client from now on"

@@ -41,7 +41,7 @@ class FleetProblem(Wording):
 
     ROBOTS_MISSING = "no robots given: name them, or use --group GROUP or --all"
     TWO_KINDS_OF_FLEET = "--fleet means bridges over Zenoh, --bridge and --control a server here: give one"
-    CLIENT_HAS_NO_ROBOTS = "{name} is a client: it has no robots. Its server has"
+    CLIENT_HAS_NO_ROBOTS = "{name} is a client and has no robots: name its server"
     NO_SERVER = "no server runs here that you may attach to; `rsb-console status` lists the bridges"
     NO_ENGINE = "no engine has announced itself in the fleet {fleet!r}"
     COMMAND_MISSING = "no command: rsb-console fleet exec NAME ... -- COMMAND ..., as in -- pause /camera"

@@ -53,13 +53,13 @@ def clock(moment: float) -> str:
 
 
 def text_event(event: Event) -> str:
-    """An event as one line."""
+    """Return an event as one line."""
     link = f"{event.link}: " if event.link else ""
     return f"{clock(event.time)} {event.level:<7} {event.source:<8} {link}{event.text}"
 
 
 def text_status(snapshot: Snapshot) -> str:
-    """One line: how many peers are linked, how many topics flow, the traffic, and the first faults and topics."""
+    """Format one line: linked peers, flowing topics, the traffic, and the first faults and topics."""
     return StatusLines().text(snapshot)
 
 
@@ -169,7 +169,7 @@ def topics_of_link_that_is_down(snapshot: Snapshot, link: LinkSnapshot) -> str:
 
 
 def summary(snapshot: Snapshot) -> str:
-    """How many peers are linked, and how many topics flow."""
+    """Return how many peers are linked, and how many topics flow."""
     return ", ".join(_counts(snapshot))
 
 
@@ -183,14 +183,14 @@ def _counts(snapshot: Snapshot) -> tuple[str, str]:
 
 
 def _of_kinds(routes: Sequence[RouteSnapshot]) -> str:
-    """How many there are of each kind: ``3 topics, 1 action, parameters of 2 nodes``."""
+    """Return how many there are of each kind: ``3 topics, 1 action, parameters of 2 nodes``."""
     counts = Counter(route.spec.kind for route in routes)
     parts = (plural(counts[kind], text.format(counts[kind])) for kind, text in _COUNTED.items() if counts[kind])
     return ", ".join(parts) or "0 topics"
 
 
 def faults_first(routes: Sequence[RouteSnapshot]) -> list[RouteSnapshot]:
-    """The line has room for some topics only, and faults must be among them."""
+    """Sort the faults first: the line has room for only some topics."""
     return sorted(routes, key=lambda route: (_comes_last(route), route.state.rank))
 
 
@@ -232,7 +232,7 @@ def _failed_calls(calls: CallsSnapshot) -> str:
 
 
 def _how(route: RouteSnapshot, *, why: bool) -> str:
-    """The rate and what is wrong all the same, or the reason why there is no rate."""
+    """Return the rate and what is wrong all the same, or the reason why there is no rate."""
     rate = f"{route.rate:.1f} Hz"
     if route.calls is not None:
         rate = f"{route.rate:.1f} calls/s" + (f", {route.calls.in_flight} under way" if route.calls.in_flight else "")
@@ -243,7 +243,7 @@ def _how(route: RouteSnapshot, *, why: bool) -> str:
 
 
 def json_line(content: dict[str, object]) -> str:
-    """An object of one line."""
+    """Format an object as one line of JSON."""
     return escape_json(json.dumps(content, ensure_ascii=False))
 
 
@@ -259,7 +259,7 @@ def json_value(value: Any) -> Any:
 
 
 def json_event(event: Event) -> str:
-    """An event as one JSON object."""
+    """Return an event as one JSON object."""
     since = None if event.since is None else round(event.since, 3)
     content = asdict(event) | {"source": event.source, "since": since}
     del content["number"]  # counts the events that are not printed, too
@@ -272,7 +272,7 @@ def json_status(snapshot: Snapshot) -> str:
 
 
 def status_of(snapshot: Snapshot) -> dict[str, object]:
-    """The figures for a monitor, without what only the console draws (histories, the details of stages)."""
+    """Return the figures for a monitor, without what only the console draws (histories, the details of stages)."""
     return {
         "links": links_of(snapshot),
         "refused": [asdict(client) | {"since": round(client.since, 3)} for client in snapshot.refused],
@@ -335,7 +335,7 @@ def pattern_of(pattern: PatternSnapshot) -> dict[str, object]:
 
 
 def pattern_text(pattern: PatternSnapshot) -> str:
-    """A pattern in a few words: what it bridges, and what not."""
+    """Return a pattern in a few words: what it bridges, and what not."""
     spec = pattern.spec
     what = f"pattern {spec.topic}" if spec.kind == "topic" else f"pattern of {spec.kind} names {spec.topic}"
     return f"{what} ({spec.direction}) {pattern.state.upper()}: {pattern.reason}"
@@ -347,7 +347,7 @@ def made_by(route: RouteSnapshot) -> str:
 
 
 def patterns_of(snapshot: Snapshot) -> list[PatternSnapshot]:
-    """All patterns, those with faults first."""
+    """Return all patterns, those with faults first."""
     found = [pattern for link in snapshot.links for pattern in link.patterns]
     return sorted(found, key=lambda pattern: pattern.state.rank)
 

@@ -102,8 +102,8 @@ class RemoteProblem(Wording):
     )
     DISARMED = "{topic} is no longer armed: {reason}"
     NO_MORE_MESSAGES = "no more messages of {topic} within {seconds:g} s{reason}"
-    NOTHING_TO_REPORT = "no bridge runs here, and you may read no history file of one"
-    NOTHING_OF_BRIDGE_TO_REPORT = "no bridge named {name!r} runs here, and you may read no history file of it"
+    NOTHING_TO_REPORT = "no bridge runs here, and there is no history file that you may read"
+    NOTHING_OF_BRIDGE_TO_REPORT = "no bridge named {name!r} runs here, and you may read no history file of that name"
     SEVERAL_TO_REPORT = "no bridge runs here, but several have history files; choose one:{found}"
 
 

@@ -198,7 +198,9 @@ def _add_looking(remote: Callable[..., argparse.ArgumentParser], complete: Compl
     events = remote("events", "print the events of a running bridge")
     events.add_argument("--follow", action="store_true", help="continue with new events")
     report = remote("report", "print the history of the last hours, even of a bridge that has ended")
-    report.add_argument("--last", default="8h", metavar="SPAN", help="8h, 30m, ...; at most 24h (%(default)s)")
+    report.add_argument(
+        "--last", default="8h", metavar="SPAN", help="time span: 8h, 30m, ...; at most 24h (%(default)s)"
+    )
     report.add_argument("--csv", action="store_true", help="print CSV, for a spreadsheet")
     wait = remote("wait", "wait until topics flow, a link is up, or the bridge has stopped", _WAIT, about_topic=True)
     _wait_arguments(wait, complete)
@@ -277,33 +279,40 @@ def add_client_commands(command: AddCommand, complete: Complete) -> None:
     commands = parent.add_subparsers(metavar="COMMAND", required=True)
 
     def client(name: str, summary: str, *, named: bool = True, hands_out: bool = False) -> argparse.ArgumentParser:
-        parser = commands.add_parser(name, help=summary, description=f"{summary}.")
+        parser = commands.add_parser(name, help=summary, description=f"{summary[0].upper()}{summary[1:]}.")
         parser.set_defaults(command=lazily(name, "client_command"), saves=name != "show")
         if named:
-            its_name = parser.add_argument("name", metavar="NAME", help="the client's")
+            its_name = parser.add_argument("name", metavar="NAME", help="name of the client")
             if name != "add":
                 complete(its_name, "links")
-        which = "the server's file, or its bridge's name; default: the server that runs here"
+        which = "the server's session file, or its bridge's name; default: the server that runs here"
         complete(parser.add_argument("session", type=Path, metavar="SESSION", nargs="?", help=which), "yaml_files")
-        complete(parser.add_argument("--bridge", metavar="BRIDGE", help="where several bridges run"), "bridge_names")
+        complete(
+            parser.add_argument("--bridge", metavar="BRIDGE", help="the server's bridge; needed where several run"),
+            "bridge_names",
+        )
         parser.add_argument("--control", type=Path, metavar="PATH", help="the bridge's control socket")
-        parser.add_argument("--json", action="store_true", help="for programs")
+        parser.add_argument("--json", action="store_true", help="print JSON, for programs")
         if hands_out:
             parser.add_argument(
                 "--address",
                 default="",
                 metavar="ADDRESS",
-                help="the server's, as the client reaches it; :PORT if it differs",
+                help="the server's address, as the client reaches it; with :PORT if that differs",
             )
-            output = "for the client's session file; default: standard output"
+            output = "the client's session file to write; default: standard output"
             parser.add_argument("-o", "--output", type=Path, metavar="FILE", help=output)
         return parser
 
     add = client("add", "accept one more client: create its key and print its session file", hands_out=True)
     add.add_argument("--key-file", metavar="PATH", help="its key file, created if missing; default: NAME.key")
     prefix = add.add_mutually_exclusive_group()
-    prefix.add_argument("--prefix", dest="use_name", action="store_true", default=None, help="NAME before its topics")
-    prefix.add_argument("--no-prefix", dest="use_name", action="store_false", default=None, help="no NAME before them")
+    prefix.add_argument(
+        "--prefix", dest="use_name", action="store_true", default=None, help="prefix its topics with NAME"
+    )
+    prefix.add_argument(
+        "--no-prefix", dest="use_name", action="store_false", default=None, help="do not prefix its topics"
+    )
     for option, pattern in (("--allow", "topics"), ("--deny", "topics and services")):
         entries = f"a pattern of {pattern}, or a mapping as in a session file; may be repeated"
         add.add_argument(option, action="append", default=[], metavar="PATTERN", help=entries)
@@ -353,7 +362,7 @@ def _cost_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--dry-run",
         action="store_true",
-        help="add nothing; print the topic's cost on the link and who suffers",
+        help="add nothing; print the topic's cost on the link, and which topics would suffer",
     )
     figures = "with --dry-run: its load, if the bridge has no figure"
     parser.add_argument("--rate", type=above_0, metavar="HZ", help=figures)
@@ -428,7 +437,7 @@ def add_call_commands(command: AddCommand, complete: Complete) -> None:
         ("dump", "print all parameters of a node as YAML, as ros2 param dump does", ()),
         ("describe", "print a parameter's type, range and description", ("parameter",)),
     ):
-        parser = commands.add_parser(name, help=summary, description=f"{summary}.")
+        parser = commands.add_parser(name, help=summary, description=f"{summary[0].upper()}{summary[1:]}.")
         parser.set_defaults(command=lazily(name, "call_command"))
         bridge_options(parser, complete)
         route_arguments(parser, complete, kinds=("parameters",), metavar="NODE")
@@ -507,7 +516,7 @@ def add_fleet_commands(
         type=seconds,
         default=2.0,
         metavar="N",
-        help="with --json: observe loss for N s (2)",
+        help="with --json: observe the loss for N s (2)",
     )
     console_options(fleet)
     commands = fleet.add_subparsers(metavar="COMMAND", parser_class=_FleetParser)
@@ -520,12 +529,16 @@ def add_fleet_commands(
     complete(run.add_argument("names", metavar="NAME", nargs="*", help="robots"), "robots")
     run.usage = "rsb-console fleet exec [NAME ...] [--group GROUP] [--all] [--fleet FILE] [--json] -- COMMAND ..."
     edit = _add_fleet_command(commands, complete, "edit", "change a topic of some robots, one after the other", _EDIT)
-    words = edit.add_argument("names", metavar="NAME|TOPIC|KEY=VALUE", nargs="*", help="robots, topic, what to change")
+    words = edit.add_argument(
+        "names", metavar="NAME|TOPIC|KEY=VALUE", nargs="*", help="robots, a topic, and its changes"
+    )
     complete(words, "robots")
     edit.add_argument("--dry-run", action="store_true", help="only print what would change")
     edit.add_argument("--yes", action="store_true", help="do not ask")
     edit.add_argument("--undo", action="store_true", help="when it stops, restore the previous settings without asking")
-    edit.add_argument("--settle", type=seconds, default=10.0, metavar="N", help="s that a robot has to stay well (10)")
+    edit.add_argument(
+        "--settle", type=seconds, default=10.0, metavar="N", help="seconds that a robot has to stay well (10)"
+    )
 
 
 def _add_fleet_command(
@@ -547,7 +560,7 @@ def _add_fleet_command(
     for option in parser._actions:
         if option.dest in ("bridge", "control", "fleet", "json"):
             option.default = argparse.SUPPRESS  # `fleet` has them, too, and its values count
-    in_group = parser.add_argument("--group", default="", metavar="GROUP", help="all robots of this group, too")
+    in_group = parser.add_argument("--group", default="", metavar="GROUP", help="also all robots of this group")
     complete(in_group, "groups")
     parser.add_argument("--all", dest="everyone", action="store_true", help="all robots")
     return parser

@@ -87,7 +87,7 @@ class Robot(NamedTuple):
     Attributes:
         source: source that reports it.
         summary: the robot itself.
-        gone: the source knows it no more; it is only remembered.
+        gone: whether its source no longer has it, so that it is only remembered.
     """
 
     source: FleetSource
@@ -167,7 +167,7 @@ class Fleet:
     def _with_memory(self, source: FleetSource, summary: RobotSummary) -> RobotSummary:
         """Mark a robot that waits for its first connection as missing if it was there before its server began."""
         if summary.state is RobotState.WAITING and not summary.links:
-            return summary  # it is there, and has not said yet how it is
+            return summary  # it is there, but has not reported its state yet
         if summary.seen is not None or (before := self._memory.get(source.name, summary.name)) is None:
             return summary
         state = RobotState.MISSING if summary.state is RobotState.WAITING else summary.state
@@ -200,7 +200,7 @@ class Fleet:
             self._memory.save()
 
     def rates(self, robot: Robot) -> Sequence[float]:
-        """Messages a second, both ways, every 5 s of the last minute, the oldest first."""
+        """Return the rates (messages a second, both ways) of each 5 s of the last minute, oldest first."""
         return tuple(self._rates.get(robot.key, ()))
 
     def dismiss(self, robots: Iterable[Robot]) -> None:

@@ -264,7 +264,7 @@ class Rollout:
                 return (
                     f"{summary.flowing} of {summary.routes} topics flow, {before.flowing} did before"
                     if summary.flowing < flowing
-                    else f"it does not settle: {summary.why or 'its state changes all the time'}"
+                    else f"it does not become stable: {summary.why or 'its state changes all the time'}"
                 )
 
     def _summary(self, robot: Robot) -> RobotSummary:

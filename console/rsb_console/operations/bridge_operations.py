@@ -40,7 +40,7 @@ class OperationText(Wording):
 
     NOTHING_TO_UNDO = "nothing to undo: nothing was changed on this console"
     NOTHING_MORE_TO_UNDO = "nothing more to undo"
-    AS_IN_FILE = "the bridge does what the session file says"
+    AS_IN_FILE = "the bridge already runs as in the session file"
     RELOAD = "Reload the session file?"
     ENDED_ELSEWHERE = "the bridge has ended in its own process: start it there"
     RESTART_MEANS = "All links are closed on both sides and opened again. Nothing crosses for a few seconds."
@@ -50,7 +50,7 @@ _RETRIED_ON_SERVER = "topics that were refused are opened again; clients whose l
 
 
 def arming_means(route: RouteSnapshot) -> str:
-    """The question that the operator answers before arming."""
+    """Return the question that the operator answers before arming."""
     deadman = route.arming.deadman if route.arming is not None else 0.0
     keys = f", or no key is pressed here for {deadman:g} s" if deadman else ""
     way = f"to {route.remote_topic} on the other side" if route.outgoing else f"from there to {route.topic} here"

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from rsb_bridge.model.session import Session
     from rsb_console.console_api import Console
 
-_ANOTHER_DEMO = "This robot and its bridges end; a new robot starts, with the topics that a demo begins with."
+_ANOTHER_DEMO = "This robot and its bridges end; a new robot starts, with the demo's first topics."
 
 
 class SessionQuestion(Wording):
@@ -85,7 +85,7 @@ class SessionOperations:
                 return
 
     async def _running(self) -> list[RunningBridge]:
-        """The bridges on this machine that this console is not the one of."""
+        """Return the bridges on this machine, without this console's own."""
         from rsb_bridge.control.bridges import running_bridges  # noqa: PLC0415 -- keeps the start short
 
         return [each for each in await asyncio.to_thread(running_bridges) if each.pid != os.getpid()]

@@ -97,7 +97,7 @@ class MainScreen(Screen[None]):
         self._link_counts: Line = ()
 
     def _run_operation(self, operation: Callable[[], Awaitable[None]], group: Group) -> None:
-        exclusive = group is Group.SESSION  # one that waits in a dialog gives way to another choice of a session
+        exclusive = group is Group.SESSION  # another choice of a session replaces one that waits in a dialog
         self.run_worker(operation(), group=group, exclusive=exclusive)
 
     def compose(self) -> ComposeResult:

@@ -41,7 +41,7 @@ FIELDS = (
     Spec("role", "Role", "A client connects and lists the topics; a server waits for clients.",
          options=(("client", "client (robot)"), ("server", "server (control PC)"))),
     Spec("name", "Name", "The same on both sides, like robot1."),
-    Spec("server_ip", "Server", "IPv4, IPv6, host name or Bluetooth MAC. On the server: which to bind (0.0.0.0: all)."),
+    Spec("server_ip", "Server", "IPv4, IPv6, host name or Bluetooth MAC. On the server: the address to bind."),
     Spec("server_port", "Port", f"TCP and UDP port, or RFCOMM channel ({CHANNEL}): the same on both sides.",
          str(DEFAULT_PORT)),
     Spec("domain_id", "Domain", f"ROS domain of this side, {SAFE_DOMAIN}. Empty: $ROS_DOMAIN_ID, else 0.",

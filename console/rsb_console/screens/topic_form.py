@@ -97,7 +97,7 @@ def _which(ends: Ends, kind: Kind, *, new: bool) -> Iterator[Spec]:
         yield Spec(
             "kind",
             "Kind",
-            "What has that name. What is picked from the list says it by itself.",
+            "The kind of the name. An entry picked from the list sets it.",
             options=tuple((each, each) for each in KINDS),
         )
     if kind == "topic":
@@ -147,12 +147,12 @@ def _protocol(kind: Kind, session: Session, *, has_radio: bool) -> Spec:
     if session.is_zenoh:
         streams = ("", "by the QoS") if kind == "topic" else ("", "zenoh")
         offered = (streams, ("zenoh", "zenoh"), ("zenoh-drop", "zenoh-drop"))
-        meaning = "zenoh delivers all, in order; zenoh-drop, what best effort has, never waits for what was lost."
+        meaning = "zenoh delivers all, in order; zenoh-drop, for best effort, never waits for lost messages."
         return Spec("protocol", "Protocol", meaning, options=offered if kind == "topic" else offered[:1])
     radio = "; bluetooth uses the radio, on a channel of its own" if has_radio else ""
     carriers = [("", "the link's (tcp)"), ("tcp", "tcp")]
     if kind == "topic":
-        meaning = "tcp delivers all, in order; udp never waits for what was lost"
+        meaning = "tcp delivers all, in order; udp never waits for lost messages"
         carriers.append(("udp", "udp"))
     else:
         meaning = "calls never go over udp, which may lose them"

@@ -41,12 +41,12 @@ class ClientFileProblem(Wording):
     KEY_EXISTS = "{path} exists already: give another file, or this one explicitly to use its key"
     NO_ENCRYPTION = "{path}: encryption is off (use_encryption): there are no keys"
     NEXT_KEY_OF_SERVER = (
-        "{name} has the server's next_key_file, {file}, which is no client's own: in the session file, give "
-        "it as key_file and take next_key_file out, then `rsb-console reload`"
+        "{name} uses the server's next_key_file, {file}, and has no key of its own: in the session file, give it "
+        "as key_file and remove next_key_file, then run `rsb-console reload`"
     )
     NEXT_KEY_EXISTS = (
-        "{name} has a next key already, in {file}: once the robot has it, `rsb-console client rekey {name} --finish`; "
-        "to have one more made, `rsb-console client rekey {name}`, which ends its link"
+        "{name} has a next key already, in {file}: once the robot has it, run `rsb-console client rekey {name} "
+        "--finish`; for another key, run `rsb-console client rekey {name}`, which ends its link"
     )
     NO_NEXT_KEY = "{name} has no next key: `rsb-console client rekey {name} --keep-old` makes one"
 

@@ -221,7 +221,7 @@ def _totals_of(report: HistoryReport, kind: str, tracks: Sequence[Track]) -> Ite
 
 
 def _by_kind(kinds: Iterable[str]) -> list[tuple[str, int]]:
-    """How many there are of each kind, topics first."""
+    """Return how many there are of each kind, topics first."""
     counts = Counter(kinds)
     return sorted(counts.items(), key=lambda item: _KINDS.index(item[0]) if item[0] in _KINDS else len(_KINDS))
 
@@ -293,7 +293,7 @@ def json_report(report: HistoryReport) -> str:
 
 
 def csv_report(report: HistoryReport) -> str:
-    """Outages, gaps, and what operators did, a row each, by time; for a spreadsheet."""
+    """Format outages, gaps and operators' actions as CSV: a row each, by time."""
     rows: list[tuple[float, list[object]]] = []
     for outage in report.outages:
         direction = ("out" if outage.outgoing else "in") if outage.topic else ""

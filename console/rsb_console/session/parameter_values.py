@@ -143,7 +143,7 @@ def _plain(node: yaml.Node) -> Any:
     if node.style is not None:  # between quotation marks, or a block
         return text
     if _NULL.fullmatch(text):
-        raise FieldError("a parameter takes no null; a text of these letters stands between quotation marks")
+        raise FieldError("a parameter cannot be null; put the text null between quotation marks")
     if _BOOL.fullmatch(text):
         return text.lower() == "true"
     if _INTEGER.fullmatch(text) or _BASED.fullmatch(text):
@@ -169,7 +169,7 @@ def _kind(plain: Any) -> Kind:
         return _NAMED[_ELEMENTS[type(plain)]]
     kinds = {type(each) for each in plain}
     if not plain:
-        raise FieldError("an empty array has no type: give --type, or in the form the request of set_parameters itself")
+        raise FieldError("an empty array has no type: give --type, or in the form call set_parameters")
     if list in kinds:
         raise FieldError("an array holds bools, numbers or texts, no arrays")
     if kinds == {int, float}:

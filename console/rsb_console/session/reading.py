@@ -42,8 +42,8 @@ class StampText(Wording):
     NOT_SET = "the stamp is not set"
     AHEAD = "clocks differ: the stamp is {span} ahead"
     OLD = "the stamp is {age} old: an old message, simulated time, or clocks differ"
-    CLOCKS_OF_PUBLISHER = "the stamp's publisher's clock to this machine's"
-    CLOCKS_OF_PEER = "the other side's clock to this machine's, their difference allowed for"
+    CLOCKS_OF_PUBLISHER = "from the publisher's clock to this machine's"
+    CLOCKS_OF_PEER = "from the other side's clock to this machine's, corrected for their difference"
     GUESSED = "header.stamp (by the look of it)"
     AGE = "{stamp} {span} before ({clocks})"
 
@@ -201,7 +201,7 @@ def age_text(age: StampAge) -> str:
 
 
 def how_it_came(peeked: PeekedMessage) -> str:
-    """When and how a message came, in words."""
+    """Return when and how a message came, in words."""
     size = f"{formats.thousands(peeked.size)} B"
     if peeked.is_kept:
         return ArrivalText.KEPT(size=size)

@@ -130,7 +130,7 @@ def rescued(session: Session, old: Path, new: Path) -> tuple[Session, dict[Path,
 
 
 def _numbers() -> Iterator[str]:
-    """Suffixes that make a file name unique: none, -2, -3 and so on."""
+    """Yield suffixes that make a file name unique: none, -2, -3 and so on."""
     yield ""
     yield from (f"-{number}" for number in count(2))
 

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 DIALOG: Final = "dialog"
 """Group of the workers of a screen that may open a dialog."""
-PATIENCE = 5.0  # s; input waits no longer for what the input before it has set off
+PATIENCE = 5.0  # s; input waits no longer than this for the effects of the input before it
 _LOOK_EVERY = 0.005  # s
 
 

@@ -67,7 +67,7 @@ class FieldInput(Input):
         self.input_guard = InputGuard()
         self.submits = True
 
-    # Textual calls these of every class, Input's after ours, unless the default is prevented.
+    # Textual calls these handlers of every class, Input's after ours, unless the default is prevented.
 
     def _on_focus(self, event: events.Focus) -> None:
         if not self.select_on_focus and not event.from_app_focus:

@@ -432,7 +432,7 @@ class RosRetry:
         if now - self._failed_at >= _HEALED_AFTER:
             self._backoff.reset()
         self._failed_at, self._entries = now, entries
-        self.trouble = Trouble(Cause.OFFER_FAILED, f"{text}; it is tried again by itself")
+        self.trouble = Trouble(Cause.OFFER_FAILED, f"{text}; trying again")
         self._stop()
         self._timer = self._context.loop.call_later(self._backoff.next(), self._due)
 

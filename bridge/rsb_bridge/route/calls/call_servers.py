@@ -250,7 +250,7 @@ class Usable(NamedTuple):
         if not self.servers and self.circular:
             text = (
                 f"calls would go in a circle: {service} is answered in domain {domain_id} by "
-                f"{named(each.node for each in self.circular)} only, whose answers come from where its callers are; "
+                f"{named(each.node for each in self.circular)} only, which bridges it from the callers' side; "
                 "remove this route or that one"
             )
             raise UnavailableError(Cause.LOOP, text)

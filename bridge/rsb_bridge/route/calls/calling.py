@@ -326,7 +326,7 @@ class CallingRoute(CallsRoute):
 
     def _log_offer(self, was_offered: bool) -> None:
         if self.offered and not was_offered:
-            self.log(Level.INFO, EventCode.ROUTE_OFFERED, f"offered here, answered over {self.transport.name}")
+            self.log(Level.INFO, EventCode.ROUTE_OFFERED, f"offered here; calls go over {self.transport.name}")
         elif was_offered and not self.offered:
             self.log(Level.INFO, EventCode.ROUTE_WITHDRAWN, "no longer offered")
 

@@ -131,7 +131,7 @@ def _unanswered(facts: CallsFacts) -> Verdict | None:
     else:
         return None
     nodes = " and ".join(facts.progress.providers) or "the far node"
-    text = f"{what}; see why {nodes} does not answer within {facts.timeout:g} s, or set a longer timeout"
+    text = f"{what}; check why {nodes} does not answer within {facts.timeout:g} s, or set a longer timeout"
     return Verdict(State.SLOW, Cause.UNANSWERED, text, facts.failing_since)
 
 
@@ -151,7 +151,7 @@ def _warning(facts: CallsFacts) -> Verdict | None:
 def _waiting(facts: CallsFacts) -> Verdict | None:
     if facts.status.came and facts.progress.offered:
         return None
-    text = "not called since it was opened again" if facts.status.came_before else "not called yet"
+    text = "not called since it was reopened" if facts.status.came_before else "not called yet"
     if not facts.progress.offered and not facts.status.flowing:
         text = f"waiting: {first_missing(calls_stages(facts.status, facts.progress))}"
     return Verdict(State.WAITING, Cause.NO_CALL, text)

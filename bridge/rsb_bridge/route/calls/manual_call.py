@@ -109,6 +109,6 @@ async def _until_ready(context: Context, client: ServiceClient, service: str) ->
     while not client.ready:
         if context.now() > deadline:
             raise CallError(
-                f"the server of {service} is in the graph, and cannot be reached: see whether it still runs"
+                f"the server of {service} is in the ROS graph, but cannot be reached: check whether it still runs"
             )
         await asyncio.sleep(_LOOKED_EVERY)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from rsb_bridge.model.verdict import Cause
+from rsb_bridge.model.wording import Wording
 from rsb_bridge.ros.parameter_events import ParameterEventError, node_of, with_node
 from rsb_bridge.route.calls.calls_verdict import Trouble
 
@@ -15,6 +16,13 @@ if TYPE_CHECKING:
 
 _EVERY_NODE_HAS = "/get_type_description"
 """A service of nearly every node, with parameters or without."""
+
+
+class NoParameters(Wording):
+    """Reasons why the parameters of a node that runs cannot be reached."""
+
+    SOME_SERVICES = "{missing}: {node} has only some of the parameter services"
+    NO_SERVICES = "{node} is in domain {domain}, but has no parameter services: it was started without them"
 
 
 def own_event(event: bytes, node: str, remote_node: str) -> bytes | None:
@@ -44,9 +52,9 @@ def why_no_parameters(
     The node may be there without parameters, or with a part of the services.
     """
     if any(ros.servers(service) for service in services):
-        text = f"{missing.text}: {node} serves only a part of what parameters take"
+        text = NoParameters.SOME_SERVICES(missing=missing.text, node=node)
         return Trouble(Cause.NO_PARAMETERS, text)
     if ros.servers(node + _EVERY_NODE_HAS):
-        text = f"{node} is in domain {domain_id}, and serves no parameters: it was made without parameter services"
+        text = NoParameters.NO_SERVICES(node=node, domain=domain_id)
         return Trouble(Cause.NO_PARAMETERS, text)
     return missing

@@ -50,7 +50,7 @@ class EndpointProblem(Wording):
     """Problems of an endpoint with the Zenoh network and its peers."""
 
     ERROR = "Zenoh: {error}"
-    NOBODY_TOLD = "the Zenoh network does not say who is in it: is its router busy?"
+    NOBODY_TOLD = "the Zenoh network does not list its members: is its router busy?"
     PEER_LEFT = "the other side has left the Zenoh network"
 
 
@@ -109,7 +109,7 @@ class StreamEnd(Protocol):
     longest: int
 
     def arrived(self, header: Header, payload: bytes) -> None:
-        """A sample came."""
+        """Take a sample."""
         ...
 
     def cut_off(self, reason: str) -> None:
@@ -188,7 +188,7 @@ class Endpoint:
         ]
 
     def close(self) -> None:
-        """Be gone. Streams are to be closed before."""
+        """Leave the network. Streams have to be closed before."""
         for declared in self._declared:
             with contextlib.suppress(Exception):  # the network is closed already
                 declared.undeclare()  # type: ignore[no-untyped-call]
@@ -216,7 +216,7 @@ class Endpoint:
     # --- streams
 
     def key(self, to: str, stream: str = _DATAGRAM) -> str:
-        """The key of samples for another endpoint."""
+        """Return the key of samples for another endpoint."""
         return f"{self._root}/at/{to}/{self.address}/{stream}"
 
     def add(self, peer: str, stream: str, end: StreamEnd) -> None:
@@ -237,7 +237,7 @@ class Endpoint:
                     self._of_strangers.append(each)
 
     def forget(self, peer: str, stream: str) -> None:
-        """The stream is over."""
+        """Forget a stream that is over."""
         end = self._streams.pop((peer, stream), None)
         if end is not None and end.trusted:
             self._peers[peer] -= 1
@@ -245,7 +245,7 @@ class Endpoint:
                 del self._peers[peer]
 
     def cut_off(self, reason: str) -> None:
-        """Nothing gets through any more: end all streams. From any thread."""
+        """End all streams, because nothing gets through any more. May be called from any thread."""
         self._soon(lambda: self._end_all(reason))
 
     def _end_all(self, reason: str) -> None:
@@ -273,7 +273,7 @@ class Endpoint:
             self._strangers.turn_away()
             return
         header, content = attachment.to_bytes(), payload.to_bytes()
-        # What is lost, a stream notices by the numbers.
+        # A stream notices losses by the samples' numbers.
         take = partial(self._take, sender, stream, header, content)
         if (end is not None and end.trusted) or not self._queue_of_stranger(length, take, (sender, stream)):
             self._within_budget(length, take)

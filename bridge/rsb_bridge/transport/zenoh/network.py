@@ -45,17 +45,17 @@ class Unreachable(Wording):
     NO_ROUTER = "no Zenoh router answers: {endpoints}"
     MORE = "and {count} more"
     ERROR = "Zenoh: {error}"
-    NO_ANSWER = "no answer: is it a Zenoh router, and does it let this side in?"
+    NO_ANSWER = "no answer: is it a Zenoh router, and does it accept this side?"
     NO_ANSWER_OVER_UDP = "no answer: is the router running there, and does no firewall drop UDP?"
     NO_ANSWER_WITHIN = "no answer within {seconds:g} s: is it on, and does no firewall drop it?"
     NAME_UNKNOWN = "the name is not known ({error})"
-    NAME_INVALID = "no host can be called so: correct the name"
-    NOBODY_LISTENS = "nobody listens there: is the router running?"
+    NAME_INVALID = "not a valid host name: correct it"
+    NOBODY_LISTENS = "nothing listens there: is the router running?"
     NO_ZENOH = (
-        "somebody listens there, and does not speak Zenoh with this side: is it a Zenoh router, and does it let this "
+        "something listens there, but does not speak Zenoh with this side: is it a Zenoh router, and does it let this "
         "side in?"
     )
-    NO_ZENOH_OVER_TLS = "TLS works there, and Zenoh does not: is it a Zenoh router, and does it let this side in?"
+    NO_ZENOH_OVER_TLS = "TLS works there, but Zenoh does not: is it a Zenoh router, and does it accept this side?"
     NO_TLS = "no TLS there: is it a Zenoh router, and does it listen for tls? Else the endpoint is tcp/{host}:…"
     CERTIFICATES_UNREADABLE = "the certificates of zenoh.config can't be read: {error}"
     CERTIFICATE_REFUSED = "its certificate is refused: {error}; {remedy}"
@@ -68,8 +68,8 @@ class CertificateRemedy(Wording):
 
     EXPIRED = "renew the router's listen_certificate, or set this machine's clock"
     NOT_YET_VALID = "set this machine's clock"
-    WRONG_NAME = "connect by a name that it has, or verify_name_on_connect: false in zenoh.config"
-    UNTRUSTED = "root_ca_certificate in zenoh.config says whose are trusted"
+    WRONG_NAME = "connect by a name in the certificate, or verify_name_on_connect: false in zenoh.config"
+    UNTRUSTED = "check root_ca_certificate in zenoh.config: it names the trusted issuers"
 
 
 class NetworkProblem(Wording):
@@ -393,7 +393,7 @@ class Network:
         _set(config, "connect/retry", {**_RETRY, "period_init_ms": int(_RETRY["period_init_ms"] * (1 + self._jitter))})
         _set(config, "transport/unicast/open_timeout", _HANDSHAKE)
         _set(config, "transport/link/tx/lease", _LEASE)
-        _set(config, "transport/shared_memory/enabled", value=False)  # a killed process would leave some behind
+        _set(config, "transport/shared_memory/enabled", value=False)  # a killed process would leave segments behind
         _set(config, "transport/link/rx/max_message_size", 2 * LARGEST_SAMPLE)
         _set(config, "transport/link/tx/queue/size", dict.fromkeys(_QUEUES, _BATCHES))
         _set(config, "transport/link/tx/queue/congestion_control/drop/wait_before_drop", 0)
@@ -405,7 +405,7 @@ class Network:
             self._changed(event)
 
     def _changed(self, event: zenoh.TransportEvent) -> None:
-        """A router or peer has come or gone."""
+        """Handle a router or peer that has come or gone."""
         session, gone = self._session, event.transport.zid
         if session is None:
             return

@@ -60,7 +60,7 @@ class Outbox:
         self._lanes[min(header.rank, _RANKS - 1)].put(_Sample(key, bytes(payload), header.pack()))
 
     def waiting(self, key: str, rank: int) -> int:
-        """Bytes of a stream that Zenoh has yet to be given."""
+        """Return the bytes of a stream that Zenoh has yet to be given."""
         return self._lanes[min(rank, _RANKS - 1)].waiting.get(key, 0)
 
     def drop(self, key: str, payload: bytes, header: Header | None = None) -> None:
@@ -74,7 +74,7 @@ class Outbox:
             return
 
     def close(self) -> None:
-        """Send no more; what waits is lost."""
+        """Stop sending, and drop what waits."""
         for lane in self._lanes:
             lane.close()
 

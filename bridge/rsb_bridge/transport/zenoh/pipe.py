@@ -324,7 +324,7 @@ class Pipe(asyncio.Transport):
             self._finish()
 
     def _finish(self) -> None:
-        """The other side has ended it, and all that it sent is delivered: what waits here would reach nobody."""
+        """End after the other side has, once its data is delivered; drop what waits here, as nobody would read it."""
         if self._ended:
             self._end("", OSError(self._ended))
         else:
@@ -392,7 +392,7 @@ class Pipe(asyncio.Transport):
             self._protocol.resume_writing()
 
     def _end(self, told: str, error: OSError | None = None) -> None:
-        """Be over; `told` is the reason that the other side hears, unless it has ended the stream itself."""
+        """End; `told` is the reason for the other side, unless that has ended the stream itself."""
         if self._over:
             return
         self._over = self._closing = True

@@ -94,7 +94,7 @@ class Links:
         self._opening = asyncio.Lock()
 
     async def endpoint(self, service: str, watched: Sequence[str]) -> Endpoint:
-        """The endpoint, made at the first call.
+        """Return the endpoint, made at the first call.
 
         Raises:
             OSError: the network is not reached.
@@ -107,7 +107,7 @@ class Links:
         return self._endpoint
 
     def endpoint_if_open(self) -> Endpoint:
-        """The endpoint of a link that is up.
+        """Return the endpoint of a link that is up.
 
         Raises:
             OSError: none is announced.
