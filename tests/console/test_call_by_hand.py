@@ -22,6 +22,7 @@ from tests.console.driving import (
     until,
 )
 from tests.console.scripted import CALL_ROUTES, ROUTES, ScriptedEngine, call_route
+from tests.support.long import long
 from tests.support.wording import pattern, says
 from textual.pilot import Pilot
 from textual.widgets import Button
@@ -266,7 +267,7 @@ async def test_a_long_answer_scrolls_and_is_cut_with_a_note(app: ConsoleApp, pil
     await until(pilot, lambda: app.clipboard == answer, "all of it, copied")
 
 
-@pytest.mark.parametrize("size", [(120, 36), NARROW, (80, 12)])
+@pytest.mark.parametrize("size", [*long((120, 36)), NARROW, (80, 12)])
 @pytest.mark.parametrize(
     ("request_", "last"),
     [

@@ -22,6 +22,7 @@ from tests.console.driving import (
     until,
 )
 from tests.console.scripted import CALL_ROUTES, FAULTY, LINK, NOW, ROUTES, ScriptedEngine, route
+from tests.support.long import long
 from textual.pilot import Pilot
 from textual.widgets import Button
 
@@ -379,7 +380,7 @@ def test_what_vanishes_with_its_session_is_neither_unsaved_nor_recent(tmp_path: 
         ({"readonly": True}, "No topics yet."),
     ],
 )
-@pytest.mark.parametrize("size", [(120, 36), NARROW])
+@pytest.mark.parametrize("size", [*long((120, 36)), NARROW])
 def test_an_empty_screen_says_what_to_press(size: tuple[int, int], options: dict[str, Any], words: str) -> None:
     app = scripted_app(make_engine=lambda session, base: ScriptedEngine(session, base, ()), **options)
 

@@ -6,6 +6,7 @@ import msgspec
 import pytest
 from tests.console.driving import NARROW, choose, drive, empty_app, engine_of, fill, form_of, gone, shown, until
 from tests.console.scripted import SESSION
+from tests.support.long import long
 from textual.pilot import Pilot
 
 from rsb_bridge.config.keys import fingerprint, read_key, write_key
@@ -32,7 +33,7 @@ pytestmark = pytest.mark.usefixtures("folder")
 # -- the beginning ---------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("size", [(120, 36), NARROW])
+@pytest.mark.parametrize("size", [*long((120, 36)), NARROW])
 def test_without_a_session_the_console_says_how_to_begin(size: tuple[int, int]) -> None:
     app = empty_app()
 
@@ -148,7 +149,7 @@ def test_a_session_that_does_not_load_says_why_with_the_line(folder: Path, conte
 # -- new -------------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("size", [(120, 36), NARROW])
+@pytest.mark.parametrize("size", [*long((120, 36)), NARROW])
 def test_a_new_session_is_a_valid_file_with_a_key_of_its_own(folder: Path, size: tuple[int, int]) -> None:
     app = empty_app()
 
@@ -319,7 +320,10 @@ def test_a_file_that_is_there_is_not_said_to_be_missing_and_names_the_session(ro
     drive(app, steps)
 
 
-@pytest.mark.parametrize(("key", "field"), [("i", "bringup"), ("o", "path"), ("n", "path"), ("n", "key_file")])
+@pytest.mark.parametrize(
+    ("key", "field"),
+    [pytest.param("i", "bringup", marks=pytest.mark.long), ("o", "path"), ("n", "path"), ("n", "key_file")],
+)
 def test_a_path_to_nowhere_is_said_to_be_one(robots: Path, key: str, field: str) -> None:
     app = empty_app()
 

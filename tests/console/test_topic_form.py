@@ -20,6 +20,7 @@ from tests.console.driving import (
     until,
 )
 from tests.console.scripted import SESSION, ScriptedEngine, route
+from tests.support.long import long
 from textual.pilot import Pilot
 
 from rsb_bridge.config.validation import SessionMistake
@@ -60,7 +61,7 @@ def test_a_switch_is_off_where_the_word_says_so(word: str, on: bool) -> None:
     assert (topic.arm, topic.paused) == (on, on)
 
 
-@pytest.mark.parametrize("size", [(120, 36), NARROW])
+@pytest.mark.parametrize("size", [*long((120, 36)), NARROW])
 def test_a_topic_is_found_by_a_few_letters_and_comes_with_its_type(size: tuple[int, int]) -> None:
     app = scripted_app()
 
@@ -187,7 +188,7 @@ def test_a_topic_that_crosses_already_is_refused_in_the_form() -> None:
 RADIO = msgspec.structs.replace(SESSION, bluetooth_address="B8:27:EB:11:22:33")
 
 
-@pytest.mark.parametrize("size", [(120, 36), NARROW])
+@pytest.mark.parametrize("size", [*long((120, 36)), NARROW])
 def test_a_topic_of_an_ip_link_that_has_a_bluetooth_address_may_go_over_bluetooth(size: tuple[int, int]) -> None:
     app = scripted_app(session=RADIO)
 
