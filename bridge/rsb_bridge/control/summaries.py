@@ -145,11 +145,11 @@ class SummaryBuilder:
         return encode(summary)
 
 
-async def watch(way: Connector, may_open: asyncio.Semaphore | None = None) -> AsyncGenerator[bytes, None]:
+async def watch(connector: Connector, may_open: asyncio.Semaphore | None = None) -> AsyncGenerator[bytes, None]:
     """Yield an engine's figures as they change, on the running loop. Close the generator at the end (`aclose`).
 
     Args:
-        way: leads to the engine.
+        connector: leads to the engine.
         may_open: held while the connection is made, for 0.25 s at most, or None.
 
     Yields:
@@ -159,7 +159,7 @@ async def watch(way: Connector, may_open: asyncio.Semaphore | None = None) -> As
         ControlError: the engine cannot be watched, or not any longer; the text has the reason.
     """
     try:
-        connection = await _open(way, may_open)
+        connection = await _open(connector, may_open)
         with contextlib.ExitStack() as leaving:
             leaving.callback(connection.abort)
             connection.write(protocol.encode(hello(read_only=True)))
@@ -169,26 +169,28 @@ async def watch(way: Connector, may_open: asyncio.Semaphore | None = None) -> As
                 async with asyncio.timeout(_SILENT_FOR):
                     data = await connection.read()
                 if not data:
-                    raise ControlError(AttachProblem.ON_SOCKET(where=way.text, problem=AttachProblem.ENDED()))
+                    raise ControlError(AttachProblem.ON_SOCKET(where=connector.text, problem=AttachProblem.ENDED()))
                 for message in frames.feed(data):
                     if isinstance(message, protocol.Summary) and len(message.content) <= SUMMARY_BYTES:
                         yield message.content
                     elif isinstance(message, (protocol.Goodbye, protocol.Refused)):
-                        raise ControlError(AttachProblem.ON_SOCKET(where=way.text, problem=message.reason))
+                        raise ControlError(AttachProblem.ON_SOCKET(where=connector.text, problem=message.reason))
                     elif not isinstance(message, protocol.Welcome):
-                        raise ControlError(AttachProblem.ON_SOCKET(where=way.text, problem=UnexpectedMessage.UNASKED()))
+                        raise ControlError(
+                            AttachProblem.ON_SOCKET(where=connector.text, problem=UnexpectedMessage.UNASKED())
+                        )
     except TimeoutError:
-        raise ControlError(AttachProblem.ON_SOCKET(where=way.text, problem=AttachProblem.SILENT())) from None
+        raise ControlError(AttachProblem.ON_SOCKET(where=connector.text, problem=AttachProblem.SILENT())) from None
     except ProtocolError as error:
-        raise ControlError(AttachProblem.ON_SOCKET(where=way.text, problem=error)) from None
+        raise ControlError(AttachProblem.ON_SOCKET(where=connector.text, problem=error)) from None
     except OSError as error:
-        raise ControlError(AttachProblem.ON_SOCKET(where=way.text, problem=error.strerror or error)) from None
+        raise ControlError(AttachProblem.ON_SOCKET(where=connector.text, problem=error.strerror or error)) from None
 
 
-async def _open(way: Connector, may_open: asyncio.Semaphore | None) -> Connection:
+async def _open(connector: Connector, may_open: asyncio.Semaphore | None) -> Connection:
     """Connect; engines that do not answer, which strangers may announce, soon give place to others."""
     async with may_open or contextlib.nullcontext():
-        opening = asyncio.create_task(way.open(ANSWERS_WITHIN))
+        opening = asyncio.create_task(connector.open(ANSWERS_WITHIN))
         try:
             await asyncio.wait([opening], timeout=_HELD_FOR)
         except asyncio.CancelledError:

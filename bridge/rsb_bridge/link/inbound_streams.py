@@ -20,9 +20,8 @@ if TYPE_CHECKING:
     from rsb_bridge.link.control_channel import ControlChannel
     from rsb_bridge.wire.connection import ServerConnection
 
-_LIMITS = Limits(total=256, of_one_host=64, accepted=4)
+_LIMITS = Limits(total=256, of_one_host=64, accepted=4, when_scarce=descriptors.RESERVE // 4)
 """The streams that linked clients have yet to open are allowed on top of the first two."""
-_MOST_OF_RESERVE = descriptors.RESERVE // 4
 _CODES = {
     RefusalCode.WRONG_KEY: EventCode.LINK_WRONG_KEY,
     RefusalCode.UNKNOWN_NAME: EventCode.LINK_UNKNOWN_NAME,
@@ -81,7 +80,7 @@ class InboundStreams(PendingConnections):
     """The streams of clients that have not authenticated yet."""
 
     def __init__(self, context: Context, admission: Admission) -> None:
-        super().__init__(context, context.transports.strangers, _LIMITS)
+        super().__init__(context, context.transports.strangers, _LIMITS, admission.streams_awaited)
         self.admission = admission
         self._context = context
         self._turned_away = 0
@@ -89,12 +88,6 @@ class InboundStreams(PendingConnections):
     def arrive(self) -> StreamHandler:
         """Return the handler of a new stream."""
         return _InboundStream(self)
-
-    def _streams_awaited(self, host: str) -> int:
-        return self.admission.streams_awaited(host)
-
-    def _uses_reserve(self) -> bool:
-        return len(self._present) >= _MOST_OF_RESERVE and descriptors.scarce()
 
     def expel(self, name: str, message: str) -> None:
         """Reject the connections that authenticate as this client, whose key or right has changed."""

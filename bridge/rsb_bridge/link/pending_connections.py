@@ -13,9 +13,10 @@ from typing import TYPE_CHECKING, ClassVar, NamedTuple
 from rsb_bridge.link.refused_clients import Refusals, network
 from rsb_bridge.model.budgets import CONNECTION
 from rsb_bridge.model.wording import Wording
+from rsb_bridge.transport import descriptors
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Callable, Iterable
 
     from rsb_bridge.link.refused_clients import Recording
     from rsb_bridge.model.budgets import Strangers
@@ -49,25 +50,41 @@ class Limits(NamedTuple):
         total: in all.
         of_one_host: of one host, where a host cannot choose its address.
         accepted: in stage `Stage.ACCEPTED` under one name; more only come if somebody plays first messages again.
+        when_scarce: in all while file descriptors are scarce, or None for `total`.
     """
 
     total: int
     of_one_host: int
     accepted: int
+    when_scarce: int | None = None
 
 
 class PendingConnections:
     """All connections that have not authenticated yet.
+
+    Args:
+        recording: takes the events of refusals.
+        strangers: the engine's budget.
+        limits: the number that may wait.
+        streams_awaited: returns how many connections are expected from a host, or in all if it is empty; they are
+            allowed on top of the limits.
 
     Attributes:
         refusals: the recent ones.
         strangers: the engine's budget.
     """
 
-    def __init__(self, recording: Recording, strangers: Strangers, limits: Limits) -> None:
+    def __init__(
+        self,
+        recording: Recording,
+        strangers: Strangers,
+        limits: Limits,
+        streams_awaited: Callable[[str], int] = lambda _: 0,
+    ) -> None:
         self.refusals = Refusals(recording)
         self.strangers = strangers
         self._limits = limits
+        self._streams_awaited = streams_awaited
         self._present: dict[PendingConnection, None] = {}  # the longest waiting first
 
     @property
@@ -98,14 +115,10 @@ class PendingConnections:
     def _full(self, count: int, limit: int, host: str = "") -> bool:
         return count >= limit and count >= limit + self._streams_awaited(host)
 
-    def _streams_awaited(self, host: str) -> int:
-        """Return how many connections are expected, which are allowed on top of the limits; `host` may be empty."""
-        del host
-        return 0
-
     def _uses_reserve(self) -> bool:
         """Whether idle connections would take file descriptors from the others."""
-        return False
+        limit = self._limits.when_scarce
+        return limit is not None and len(self._present) >= limit and descriptors.scarce()
 
     def _reject_lowest(self, among: Iterable[PendingConnection], message: str) -> None:
         min(among, key=lambda each: each.stage).reject(message)
