@@ -14,6 +14,7 @@ from rsb_console.screens.help import ActionsProvider
 from rsb_console.terminal.driver import ConsoleDriver
 from rsb_console.terminal.input_queue import InputQueue
 from rsb_console.terminal.shutdown import ForcedEnd, ShutdownReason, record_crash
+from rsb_console.widgets.lines import LOOK_CLASSES
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Sequence
@@ -39,6 +40,7 @@ class TerminalApp(App[ReturnType]):
 
     TITLE = "rsb-console"
     CSS_PATH = "console.tcss"
+    COMPONENT_CLASSES: ClassVar[set[str]] = set(LOOK_CLASSES.values())
     BINDINGS = bindings(Group.CONSOLE)
     COMMANDS: ClassVar = {ActionsProvider}
     actions: Sequence[Action] = ACTIONS
