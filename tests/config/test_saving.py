@@ -14,7 +14,7 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 from msgspec.structs import replace
 from tests.config.test_call_entries import called
-from tests.support.long import long
+from tests.support.long import long_cases
 from tests.support.wording import pattern
 
 from rsb_bridge.config.merge import identity, merge
@@ -577,7 +577,7 @@ def kept(file: Written, owners: set[Any]) -> Iterator[tuple[str, bool]]:
     [
         (clients_sessions, "\r\n"),
         (servers_sessions, "\n"),
-        *long((clients_sessions, "\n"), (servers_sessions, "\r\n")),
+        *long_cases((clients_sessions, "\n"), (servers_sessions, "\r\n")),
     ],
     ids=["client-crlf", "server-lf", "client-lf", "server-crlf"],
 )

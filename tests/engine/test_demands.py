@@ -9,7 +9,7 @@ import msgspec
 import pytest
 from tests.support.bridge import happened, linked, now, route
 from tests.support.domain import text
-from tests.support.long import long
+from tests.support.long import long_cases
 from tests.support.waiting import eventually, holds
 
 from rsb_bridge.api import EngineError
@@ -98,7 +98,7 @@ def demanding(way: str, name: str, direction: Direction) -> tuple[tuple[Topic, .
 
 @pytest.mark.parametrize(
     ("demands", "lists"),
-    [("client", "server"), ("server", "client"), *long(("client", "client"), ("server", "server"))],
+    [("client", "server"), ("server", "client"), *long_cases(("client", "client"), ("server", "server"))],
 )
 def test_a_name_that_either_session_demands_never_crosses_unarmed(
     demands: str, lists: str, bridge: Bridge, yard: Yard

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import msgspec
 import pytest
-from tests.support.long import long
+from tests.support.long import long_cases
 
 pytest.importorskip("test_msgs", reason="no package with an action is installed (ros-jazzy-test-msgs)")
 
@@ -39,7 +39,7 @@ def consoles() -> Iterator[Consoles]:
     made.close()
 
 
-@pytest.mark.parametrize(("how", "who"), [("paused", 0), ("disarmed", 1), *long(("paused", 1), ("disarmed", 0))])
+@pytest.mark.parametrize(("how", "who"), [("paused", 0), ("disarmed", 1), *long_cases(("paused", 1), ("disarmed", 0))])
 def test_goals_are_cancelled_and_end_while_no_new_one_may_begin(
     who: int, how: str, bridge: Bridge, server: FibonacciServer, client: FibonacciClient, consoles: Consoles
 ) -> None:

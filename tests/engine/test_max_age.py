@@ -15,7 +15,7 @@ from tests.engine.test_latched import JOINS_LATE, latched
 from tests.support.bridge import linked, opened, route
 from tests.support.domain import text
 from tests.support.holding_relay import HoldingRelay
-from tests.support.long import long
+from tests.support.long import long_cases
 from tests.support.spun import Spun
 from tests.support.waiting import eventually, holds
 
@@ -88,7 +88,7 @@ def clocks_known(*engines: Engine) -> bool:
 
 
 @pytest.mark.parametrize(
-    ("side", "protocol"), [("sender", "udp"), ("receiver", "tcp"), *long(("sender", "tcp"), ("receiver", "udp"))]
+    ("side", "protocol"), [("sender", "udp"), ("receiver", "tcp"), *long_cases(("sender", "tcp"), ("receiver", "udp"))]
 )
 def test_nothing_old_comes_out_of_a_network_that_held_everything(
     protocol: Protocol, side: str, bridge: Bridge, holding: HoldingRelay, robot: Domain, pc: Domain

@@ -12,7 +12,7 @@ from tests.support import slow_relay
 from tests.support.bridge import carries, linked, outgoing
 from tests.support.domain import BEST_EFFORT
 from tests.support.holding_relay import HoldingRelay
-from tests.support.long import long
+from tests.support.long import long_cases
 from tests.support.slow_relay import SlowRelay
 from tests.support.waiting import eventually
 
@@ -71,7 +71,7 @@ def _record(engines: tuple[Engine, ...], seconds: float, until: Callable[[], boo
 
 @pytest.mark.parametrize(
     ("protocol", "queue", "rate"),
-    [("tcp", 0, 100.0), ("udp", 16_384, 14.0), *long(("tcp", 0, 14.0), ("udp", 4_096, 100.0))],
+    [("tcp", 0, 100.0), ("udp", 16_384, 14.0), *long_cases(("tcp", 0, 14.0), ("udp", 4_096, 100.0))],
 )
 def test_nothing_wrong_is_said_of_an_overload(
     protocol: Protocol,

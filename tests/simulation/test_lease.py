@@ -19,7 +19,7 @@ from tests.simulation.climate import STILL
 from tests.simulation.invariants import route_of
 from tests.simulation.mutations import Mutation
 from tests.simulation.world import Violation, World
-from tests.support.long import long
+from tests.support.long import long_cases
 
 from rsb_bridge.api import EngineError
 from rsb_bridge.link.link_arming import LinkLease
@@ -362,7 +362,7 @@ class Armed:
 
 
 CASES: list[Any] = [
-    ("tcp", "transmit"), ("udp", "receive"), *long(("tcp", "receive"), ("udp", "transmit"))
+    ("tcp", "transmit"), ("udp", "receive"), *long_cases(("tcp", "receive"), ("udp", "transmit"))
 ]  # fmt: skip
 
 

@@ -11,9 +11,10 @@ if TYPE_CHECKING:
 
 
 def long(*values: Any) -> list[ParameterSet]:
-    """Values of a parameter with which a test takes long, and finds what it finds with others, too.
+    """Values of a parameter with which a test takes long, and finds what it finds with others, too."""
+    return [pytest.param(value, marks=pytest.mark.long) for value in values]
 
-    Args:
-        values: each a value, or a plain tuple of the values of several parameters.
-    """
-    return [pytest.param(*(each if type(each) is tuple else (each,)), marks=pytest.mark.long) for each in values]
+
+def long_cases(*cases: tuple[Any, ...]) -> list[ParameterSet]:
+    """As `long`, for several parameters together."""
+    return [pytest.param(*case, marks=pytest.mark.long) for case in cases]

@@ -14,7 +14,7 @@ from std_msgs.msg import String
 from tests.support.bridge import balance, linked, route
 from tests.support.consoles import Consoles
 from tests.support.domain import RELIABLE, text
-from tests.support.long import long
+from tests.support.long import long_cases
 from tests.support.waiting import eventually
 
 from rsb_bridge.model.session import Topic
@@ -153,7 +153,9 @@ def start(frozen: str, protocol: str, bridge: Bridge, programs: Programs) -> tup
         ("udp", "robot", 0.8),
         ("tcp", "control PC", 0.8),
         ("udp", "control PC", 3.0),
-        *long(("tcp", "robot", 0.8), ("udp", "robot", 3.0), ("tcp", "control PC", 3.0), ("udp", "control PC", 0.8)),
+        *long_cases(
+            ("tcp", "robot", 0.8), ("udp", "robot", 3.0), ("tcp", "control PC", 3.0), ("udp", "control PC", 0.8)
+        ),
     ],
 )
 def test_nothing_old_is_published_after_a_side_was_stopped(
