@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
 
 
-_DOMAINS = range(22, 60, 2)
+_DOMAINS = range(2, 60, 2)
 _NONE_FREE = 600.0
 """s that this run waits for others to end."""
 
