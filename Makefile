@@ -24,28 +24,28 @@ demo-fleet: $(STAMP)
 
 # The tests by folder, or by several that are short, since each start of pytest takes a second. Most wait for most of their
 # time, so MANY are run at once, the longest first and the largest in shares (K of N takes every N-th file); what only
-# computes gives way to them, in one process after another. What runs at once shares no ROS domain, port or file.
+# computes gives way to them. What runs at once shares no ROS domain, port or file.
 #   make test        lint and all tests but those that make test-all adds
 #   make test-all    these, tests that are marked as long, simulated networks (tests/network), and a machine with the real
 #                    kernel's Bluetooth (tests/bluetooth, tests/README.md)
 #   make test-quick  lint without mypy, and what is tested without ROS, processes and screens
 #   make test-link   one folder, long tests included
-MANY := 14
+MANY := 16
 LONGEST := console.1 console.2 console.3 console.4 engine.1 engine.2 engine.3 engine.4 engine.5 engine.6 engine.7 engine.8 \
   calls.1 calls.2 calls.3 system.1 system.2 system.3 link.1 link.2 link.3 command.1 command.2 control
 PURE := cdr channel config fleet fuzz history model route
 QUICK := $(PURE) wire
-COMPUTING := lint simulation wire pure
+COMPUTING := lint test-simulation test-wire test-pure
 ALONE := network bluetooth
 FOLDERS := $(sort $(patsubst tests/%/,%,$(dir $(wildcard tests/*/test_*.py))))
-WAITING := $(LONGEST) $(filter-out $(sort $(basename $(LONGEST))) $(COMPUTING) $(PURE) $(ALONE),$(FOLDERS))
+WAITING := $(LONGEST) $(filter-out $(sort $(basename $(LONGEST))) simulation wire $(PURE) $(ALONE),$(FOLDERS))
 AT_ONCE := $(MAKE) --no-print-directory --keep-going --output-sync=target --jobs
 
 test: $(STAMP) system
-	$(AT_ONCE)=$(MANY) ONLY="-m 'not long'" computing $(addprefix test-,$(WAITING))
+	$(AT_ONCE)=$(MANY) ONLY="-m 'not long'" $(COMPUTING) $(addprefix test-,$(WAITING))
 
 test-all: $(STAMP) system
-	$(AT_ONCE)=$(MANY) computing $(addprefix test-,$(WAITING) $(ALONE))
+	$(AT_ONCE)=$(MANY) $(COMPUTING) $(addprefix test-,$(WAITING) $(ALONE))
 
 test-quick: $(STAMP)
 	$(AT_ONCE)=3 quick-lint quick.1 quick.2
@@ -55,11 +55,6 @@ test-quick: $(STAMP)
 GIVES_WAY := nice -n 5
 PYTEST = timeout -k 5 1800 $(BIN)/python -m pytest -p no:cacheprovider
 ONLY :=
-
-.PHONY: computing
-computing: $(STAMP) system
-	@failed=; for part in $(patsubst test-lint,lint,$(addprefix test-,$(COMPUTING))); do \
-	  $(MAKE) --no-print-directory $$part || failed=1; done; [ -z "$$failed" ]
 
 # Coverage wants all of Hypothesis's examples.
 test-wire: $(STAMP)

@@ -105,14 +105,20 @@ def proposed(session: Session, topic: Topic) -> Propose:
 
 @given(sessions)
 def test_what_the_validation_accepts_the_wire_carries(session: Session) -> None:
-    assume(not validate(session))
-    hello = Hello(version="1", name=session.name, instance="a", domain_id=0)
-    assert decode_hello(encode(hello)) == hello
-    assert parse_control(control_header(Suite.PLAIN, session.name)).name == session.name
+    if accepts(session):
+        hello = Hello(version="1", name=session.name, instance="a", domain_id=0)
+        assert decode_hello(encode(hello)) == hello
+        assert parse_control(control_header(Suite.PLAIN, session.name)).name == session.name
     for topic in session.topics:
-        proposal = proposed(session, topic)
-        assert decode(encode(proposal)) == proposal
-        assert validate_topic(topic_of(proposal)) == [], "the other side accepts it too"
+        if accepts(session, topic):
+            proposal = proposed(session, topic)
+            assert decode(encode(proposal)) == proposal
+            assert validate_topic(topic_of(proposal)) == [], "the other side accepts it too"
+
+
+def accepts(session: Session, *topics: Topic) -> bool:
+    """Whether a session with these topics alone is valid."""
+    return not validate(msgspec.structs.replace(session, topics=topics))
 
 
 @given(sessions.filter(lambda session: session.topics))

@@ -10,9 +10,10 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.serialization import serialize_message
 from std_srvs.srv import SetBool
+from tests.support.wording import pattern
 
 from rsb_bridge.ros import service_endpoints
-from rsb_bridge.ros.ros_interface import RosError
+from rsb_bridge.ros.ros_interface import RosError, RosProblem
 from rsb_bridge.ros.service_endpoints import LateAnswers
 
 if TYPE_CHECKING:
@@ -99,7 +100,7 @@ def test_so_many_are_kept_and_no_more(callers: Callers, count: int, size: int) -
     late = LateAnswers(callers.send)
     for number in range(count):
         late.send(bytes((number % 2,)), number, bytes(size))
-    with pytest.raises(RosError, match="no room"):
+    with pytest.raises(RosError, match=pattern(RosProblem.TOO_MANY_ANSWERS_WAIT, count=count)):
         late.send(b"a", count, b"." if size else b"")
     callers.found |= {bytes(1), b"\1"}
     assert not late.try_again()

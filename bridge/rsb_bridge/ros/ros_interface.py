@@ -29,6 +29,7 @@ class RosProblem(Wording):
     )
     STARTED_TWICE = "a ROS node is started once"
     NOT_RUNNING = "the ROS node is not running"
+    TOO_MANY_ANSWERS_WAIT = "{count:,} answers already wait for callers that DDS does not show: too many"
     THREAD_FAILED = "the thread that serves ROS failed: {error}"
     NO_SUCH_DOMAIN = "ROS domain {domain} cannot be joined: domains are {domains}"
     DOMAIN_REFUSED = "ROS domain {domain} cannot be joined: {reason}"

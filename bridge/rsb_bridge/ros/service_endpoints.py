@@ -28,7 +28,7 @@ from rclpy.serialization import deserialize_message
 
 from rsb_bridge.ros.librcl import librcl, reason_of, reset_error, serialize_message
 from rsb_bridge.ros.raw_types import outgoing
-from rsb_bridge.ros.ros_interface import Request, Response, RosError
+from rsb_bridge.ros.ros_interface import Request, Response, RosError, RosProblem
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -292,7 +292,7 @@ class LateAnswers:
             return True
         sizes = [len(each.payload) for answers in self._kept.values() for each in answers]
         if len(sizes) >= _MOST_LATE_ANSWERS or sum(sizes) + len(payload) > _MOST_LATE_BYTES:
-            raise RosError(f"{len(sizes):,} answers already wait for callers that DDS does not show: too many")
+            raise RosError(RosProblem.TOO_MANY_ANSWERS_WAIT(count=len(sizes)))
         self._kept.setdefault(caller, deque()).append(_Answer(number, payload, time.monotonic()))
         return False
 
