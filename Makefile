@@ -30,9 +30,9 @@ demo-fleet: $(STAMP)
 #                    kernel's Bluetooth (tests/bluetooth, tests/README.md)
 #   make test-quick  lint without mypy, and what is tested without ROS, processes and screens
 #   make test-link   one folder, long tests included
-MANY := 16
-LONGEST := console.1 console.2 console.3 console.4 engine.1 engine.2 engine.3 engine.4 engine.5 engine.6 engine.7 engine.8 \
-  calls.1 calls.2 calls.3 system.1 system.2 system.3 link.1 link.2 link.3 command.1 command.2 control
+MANY := 8
+LONGEST := console.1 console.2 console.3 engine.1 engine.2 engine.3 engine.4 engine.5 engine.6 command.1 command.2 link.1 link.2 \
+  calls.1 calls.2 calls.3 system.1 system.2 control
 PURE := cdr channel config fleet fuzz history model route
 QUICK := $(PURE) wire
 COMPUTING := lint test-simulation test-wire test-pure
