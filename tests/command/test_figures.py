@@ -105,6 +105,8 @@ def test_hz_for_people_has_the_words_of_ros2(ran: Any, engine: Running) -> None:
     assert done.code == 0
     assert "average rate: 10.000 Hz" in done.out
     assert "std dev" in done.out
+    assert "\n\tin each of the last" in done.out
+    assert "\\t" not in done.out
 
 
 def test_bw_gives_bytes_and_sizes(ran: Any, engine: Running) -> None:
@@ -115,6 +117,7 @@ def test_bw_gives_bytes_and_sizes(ran: Any, engine: Running) -> None:
     assert people.code == 0
     assert "1.0 kB/s" in people.out
     assert "100 B" in people.out
+    assert "\n\tmessage size mean" in people.out
 
 
 def test_they_end_after_a_time(ran: Any, engine: Running) -> None:
