@@ -217,6 +217,19 @@ def test_info_of_a_topic(ran: Any, engine: Running) -> None:
     assert found["link_status"]["state"] == "ok"
 
 
+@pytest.mark.parametrize(
+    ("spec", "words"),
+    [
+        (Topic("/scan", "transmit"), "Type: not known yet"),
+        (Topic("/scan", "transmit", type="LaserScan"), "Type: LaserScan (as configured)"),
+        (Topic("/scan", "transmit", kind="parameters"), "Type: ROS's own for parameters"),
+    ],
+)
+def test_info_before_the_type_is_known(ran: Any, engine: Running, spec: Topic, words: str) -> None:
+    engine.now = replace(engine.now, routes=(replace(SCAN, spec=spec, type_name=""),))
+    assert words in ran("info", "/scan").out
+
+
 def test_the_ledger_of_info_adds_up(ran: Any, engine: Running) -> None:
     ledger = Ledger(offered=806, delivered=791, in_flight=6, unknown=9, missed_while_down=40)
     engine.now = replace(engine.now, routes=(replace(SCAN, ledger=ledger),))
