@@ -105,6 +105,8 @@ def test_hz_for_people_has_the_words_of_ros2(ran: Any, engine: Running) -> None:
     assert done.code == 0
     assert "average rate: 10.000 Hz" in done.out
     assert "std dev" in done.out
+    assert "\n\tin each of the last" in done.out
+    assert "\\t" not in done.out
 
 
 def test_bw_gives_bytes_and_sizes(ran: Any, engine: Running) -> None:
@@ -115,6 +117,7 @@ def test_bw_gives_bytes_and_sizes(ran: Any, engine: Running) -> None:
     assert people.code == 0
     assert "1.0 kB/s" in people.out
     assert "100 B" in people.out
+    assert "\n\tmessage size mean" in people.out
 
 
 def test_they_end_after_a_time(ran: Any, engine: Running) -> None:
@@ -212,6 +215,19 @@ def test_info_of_a_topic(ran: Any, engine: Running) -> None:
     assert found["publisher_qos"]["reliability"] == "best_effort"
     assert found["subscriber_qos"] is None
     assert found["link_status"]["state"] == "ok"
+
+
+@pytest.mark.parametrize(
+    ("spec", "words"),
+    [
+        (Topic("/scan", "transmit"), "Type: not known yet"),
+        (Topic("/scan", "transmit", type="LaserScan"), "Type: LaserScan (as configured)"),
+        (Topic("/scan", "transmit", kind="parameters"), "Type: ROS's own for parameters"),
+    ],
+)
+def test_info_before_the_type_is_known(ran: Any, engine: Running, spec: Topic, words: str) -> None:
+    engine.now = replace(engine.now, routes=(replace(SCAN, spec=spec, type_name=""),))
+    assert words in ran("info", "/scan").out
 
 
 def test_the_ledger_of_info_adds_up(ran: Any, engine: Running) -> None:

@@ -182,6 +182,8 @@ def test_values_are_said_once() -> None:
     assert did(edited) == "/scan: edited by anna (5 → 2)"
     assert did(replace(edited, text="/scan: added by anna", old="")) == "/scan: added by anna (2)"
     assert did(replace(edited, text="/scan: removed by anna", new="")) == "/scan: removed by anna (was 5)"
+    called = replace(edited, code=EventCode.OPERATOR_CALL_ENDED, text="/dock: called (failed) by anna")
+    assert did(replace(called, old="", new="failed")) == called.text
 
 
 def test_files_from_the_future_say_so_and_one_event_from_the_future_moves_nothing(

@@ -96,7 +96,7 @@ def test_a_restart_shows_its_steps_and_then_all_flows_again(tmp_path: Path) -> N
         await pilot.press("R", "y")
         await shown(pilot, "✓ restarted")
         await shown(pilot, "on both sides")
-        await shown(pilot, "1 of 1 topics open")
+        await shown(pilot, "1 of 1 topics and services accepted")
         await pilot.press("enter")
         await gone(pilot, "✓ restarted")
         await until(pilot, lambda: flows(app.snapshot()), "20 Hz")

@@ -383,7 +383,7 @@ def test_restarting(operator: str, bridge: Bridge, robot: Domain, pc: Domain) ->
     carries([out], server, ["/chat"])
     steps: list[str] = []
     (client if operator == "client" else server).restart(steps.append).result(60)
-    assert steps[-1] == ("2 of 2 topics open" if operator == "client" else "1 clients are back")
+    assert steps[-1] == ("2 of 2 topics and services accepted" if operator == "client" else "1 client is back")
     carries([out], server, ["/chat"])
     out.publish(text("again"))
     assert heard(there, 1) == [text("again")]

@@ -161,6 +161,13 @@ def test_a_route_that_flows_is_fine() -> None:
             ["/chat", "domain 2", "/char"],
         ),
         (SENDER, {"came": False}, State.WAITING, Cause.PUBLISHER_SILENT, [f"/talker {PUBLISHED_NOTHING[0]}"]),
+        (
+            SENDER,
+            {"came": False, "endpoints": [endpoint("/map_server", LATCHED)]},
+            State.WAITING,
+            Cause.PUBLISHER_SILENT,
+            ["/map_server latches", "volatile", "qos: auto"],
+        ),
         (RECEIVER, {"came": False}, State.WAITING, Cause.NO_MESSAGE, []),
         (
             SENDER,

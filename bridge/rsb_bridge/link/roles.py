@@ -26,6 +26,7 @@ from rsb_bridge.model.limits import LATE_AFTER_FEATURE, MAX_AGE_FEATURE
 from rsb_bridge.model.names import client_topic
 from rsb_bridge.model.session import PRIORITY_FEATURE
 from rsb_bridge.model.snapshot import Level
+from rsb_bridge.model.text import plural
 from rsb_bridge.model.verdict import LinkCause
 from rsb_bridge.tasks import Tasks
 from rsb_bridge.transport.transport import ListenError
@@ -192,14 +193,14 @@ class ClientRole:
         step(f"connecting to {self._link.address}")
         self._link.retry()
         await _until(lambda: self._link.linked, lambda: self._link.status.reason)
-        step("linked; opening topics")
+        step("linked; opening topics and services")
         routes = self._link.routes.values()
         await _until(
             lambda: all(r.accepted or r.refusal for r in routes),
-            lambda: "the server has not answered for all topics yet",
+            lambda: "the server has not answered for all topics and services yet",
         )
         refused = sum(1 for route in routes if route.refusal)
-        step(f"{len(routes) - refused} of {len(routes)} topics open")
+        step(f"{len(routes) - refused} of {len(routes)} topics and services accepted")
 
 
 class ServerRole:
@@ -301,7 +302,7 @@ class ServerRole:
         linked = [link for link in self.links() if link.linked]
         for robot in self._server.links.values():
             robot.readmit()
-        step(f"closing {len(linked)} links on both sides")
+        step(f"closing {len(linked)} {plural(len(linked), 'link')} on both sides")
         if self._binding is not None:
             self._binding.cancel()
         self._server.stop()
@@ -316,7 +317,7 @@ class ServerRole:
         await _until(
             lambda: all(link.linked for link in linked), lambda: "not every client is back yet; they keep trying"
         )
-        step(f"{len(linked)} clients are back")
+        step("1 client is back" if len(linked) == 1 else f"{len(linked)} clients are back")
 
     def _bind_later(self, reason: str) -> None:
         """Keep trying to bind; `reason` is the last failure."""

@@ -37,6 +37,10 @@ NOTHING_SINCE_OPENED = (
     "has published nothing since it was reopened",
     "have published nothing since it was reopened",
 )
+LEFT_OUT_LATCHED = (
+    "latches its messages, but this topic is volatile: use qos: auto",
+    "latch their messages, but this topic is volatile: use qos: auto",
+)
 """Verbs for one silent publisher, and for several."""
 _NAMED = 3
 """Nodes that a sentence names."""
@@ -286,6 +290,12 @@ def _waiting(facts: Facts) -> Verdict | None:
         return Verdict(State.WAITING, _nobody(facts), text)
     if facts.status.sends and facts.status.flowing:
         verbs = NOTHING_SINCE_OPENED if facts.status.came_before else PUBLISHED_NOTHING
+        if (
+            facts.progress.qos
+            and not facts.progress.qos.latched
+            and all(p.qos.latched for p in facts.progress.endpoints)
+        ):
+            verbs = LEFT_OUT_LATCHED  # they may well have published, before the subscription
         text = _plural(facts.progress.endpoints, *verbs)
         return Verdict(State.WAITING, Cause.PUBLISHER_SILENT, text)
     missing = "" if facts.status.flowing else waits_for(facts.status, facts.progress)

@@ -13,7 +13,7 @@ from rsb_bridge.api import EngineError
 from rsb_bridge.control.features import TOTALS
 from rsb_bridge.model.snapshot import State
 from rsb_console.command.formatting import json_line
-from rsb_console.command.shell import FAILURE, OK, print_line
+from rsb_console.command.shell import FAILURE, OK, print_line, print_lines
 from rsb_console.command.target import attached, chosen_route, other_side
 from rsb_console.look import formats
 
@@ -172,8 +172,7 @@ def print_figures(command: FiguresCommand, arguments: Namespace) -> int:
             if arguments.json:
                 print_line(json_line(_about(figures) | command.values(figures)))
             else:
-                for line in command.lines(figures):
-                    print_line(line)
+                print_lines("\n".join(command.lines(figures)))  # print_line escapes the tabs
             sys.stdout.flush()
         return OK if messages else FAILURE
 

@@ -31,6 +31,7 @@ _UNITS = {"s": 1.0, "m": 60.0, "min": 60.0, "h": 3600.0, "d": 86400.0}
 _SPAN = re.compile(r"(\d+(?:\.\d+)?)\s*(s|min|m|h|d)")
 _WORST_TOPICS = 10
 _KINDS = ("topic", "service", "action", "parameters")
+_SAID_IN_WORDS = (EventCode.OPERATOR_PAUSED, EventCode.OPERATOR_RESUMED, EventCode.OPERATOR_CALL_ENDED)
 _FORMULAS = ("=", "+", "-", "@", "\t", "\r", "\n", "\uff1d", "\uff0b", "\uff0d", "\uff20")
 """What a cell begins with that a spreadsheet may take for a formula; the last four are the signs in full width."""
 _SHORT_WAIT = 60.0
@@ -148,8 +149,8 @@ def who(event: Event) -> str:
 
 
 def did(event: Event) -> str:
-    """Describe an operator's action with the old and the new value; the words for a pause include both."""
-    if event.code in (EventCode.OPERATOR_PAUSED, EventCode.OPERATOR_RESUMED) or not (event.old or event.new):
+    """Describe an operator's action with the old and the new value, unless its words include them."""
+    if event.code in _SAID_IN_WORDS or not (event.old or event.new):
         return event.text
     if event.old and event.new:
         return f"{event.text} ({event.old} → {event.new})"
