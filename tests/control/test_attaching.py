@@ -184,6 +184,22 @@ def test_the_engine_finishes_what_a_console_that_has_gone_began(machine: Machine
     assert not engine.waiting[0].cancelled()
 
 
+def test_a_command_that_fails_once_its_console_has_gone_is_no_internal_error(
+    machine: Machine, caplog: pytest.LogCaptureFixture
+) -> None:
+    engine = Slow()
+    machine.serve(engine)
+    remote = machine.attach()
+    remote.retry()
+    eventually(lambda: engine.waiting)
+    remote.stop()
+    eventually(lambda: consoles(machine) == 0)
+    engine.waiting.pop().set_exception(EngineError("it fails"))
+    machine.served[-1].close()
+    gc.collect()
+    assert "never retrieved" not in caplog.text
+
+
 def consoles(machine: Machine) -> int:
     """How many are attached."""
     return len(machine.served[-1]._consoles)

@@ -167,6 +167,29 @@ def test_little_is_read_at_a_time_until_the_other_end_is_trusted() -> None:
     assert max(read[3:]) > 4096
 
 
+def test_a_connection_that_is_reset_before_it_is_served_still_has_an_address() -> None:
+    hosts: list[str] = []
+    connected = asyncio.Event()
+
+    class Handler(StreamHandler):
+        def connected(self, stream: Stream) -> None:
+            hosts.append(stream.host)
+            connected.set()
+
+    async def test() -> None:
+        port = free_port()
+        listener = await Tcp().listen("127.0.0.1", port, Acceptor(Handler, lambda *_: None, lambda _: None))
+        with socket.create_connection(("127.0.0.1", port), source_address=("127.0.3.1", 0)) as sock:
+            sock.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
+        async with asyncio.timeout(30):
+            await connected.wait()
+        listener.close()
+        await asyncio.sleep(0.01)
+
+    asyncio.run(test())
+    assert hosts == ["127.0.3.1"]
+
+
 def test_a_spent_budget_closes_the_oldest_and_keeps_no_client_out(
     bridge: Bridge, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -5,12 +5,14 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import pytest
+import zstandard
 from tests.route.test_loop_filter import FIRST, World, world
 
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.ros.ros_interface import RawMessage
 from rsb_bridge.route.lease import Lease
 from rsb_bridge.route.thinning import Share
+from rsb_bridge.wire.framing import MESSAGE_LIMIT
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -124,6 +126,24 @@ def test_messages_that_the_transport_does_not_carry_ask_nothing_of_the_link(worl
     assert (ledger.offered, ledger.dropped["too large"], world.route.thinning.offered) == (4, 2, 2)
     path.offer([RawMessage(bytes(60), 1, FIRST)])
     assert (ledger.offered, ledger.dropped["too large"], world.route.thinning.offered) == (5, 3, 2)
+
+
+def test_a_message_is_not_too_large_for_the_receiver_alone(world: World) -> None:
+    """Compressed it would pass here, and the receiver would not unpack it."""
+    path, ledger = world.route._path, world.route._ledger
+    path._compressor = zstandard.ZstdCompressor(3)
+    path.offer([RawMessage(bytes(MESSAGE_LIMIT + 1), 1, FIRST)])
+    assert not world.sent
+    assert ledger.dropped["too large"] == 1
+
+
+@pytest.mark.parametrize(("largest", "remedy"), [(8 << 20, "use tcp"), (MESSAGE_LIMIT, "publish smaller ones")])
+def test_the_remedy_for_a_message_that_no_transport_carries(largest: int, remedy: str, world: World) -> None:
+    outbox = world.route._path._outbox
+    said: list[str] = []
+    outbox.largest, outbox._failed = largest, lambda _, text: said.append(text)
+    assert not outbox.fitting([(bytes(MESSAGE_LIMIT + 1), 1, 0)])
+    assert said[0].endswith(remedy)
 
 
 def test_a_message_without_a_channel_is_lost(world: World) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 import msgspec
 
@@ -257,6 +257,7 @@ class Console:
         done = asyncio.wrap_future(self._engine.do(command, lambda text: self._step(request, text)))
         if isinstance(command, Stop):
             self._served.stop_process()
+        done.add_done_callback(_look_at_error)
         # The engine finishes most commands even if nobody waits for the result any more.
         return await (done if command.cancellable else asyncio.shield(done))
 
@@ -333,3 +334,9 @@ class Console:
                 if state.more:
                     await asyncio.sleep(_PAUSE)
             encoded.keep_only(snapshot)
+
+
+def _look_at_error(done: asyncio.Future[Any]) -> None:
+    """Take a command's error, which asyncio would log with a traceback if the console has gone before it."""
+    if not done.cancelled():
+        done.exception()

@@ -16,7 +16,7 @@ from rsb_bridge.model.qos import AUTO_SECONDS
 from rsb_bridge.model.verdict import Cause
 from rsb_bridge.route.peeking import peeked
 from rsb_bridge.route.thinning import THINNED, LatestLater, Throttle
-from rsb_bridge.wire.framing import HISTORY, ZSTD, Message
+from rsb_bridge.wire.framing import HISTORY, MESSAGE_LIMIT, ZSTD, Message
 
 if TYPE_CHECKING:
     import asyncio
@@ -301,7 +301,8 @@ class Outbox:
             return True
         self._ledger.drop("too large", 1)
         name = self._transport.name
-        text = f"a message of {size:,} bytes is more than {name} carries here ({self.largest:,}): use tcp"
+        remedy = "use tcp" if self.largest < MESSAGE_LIMIT else "publish smaller ones"
+        text = f"a message of {size:,} bytes is more than {name} carries here ({self.largest:,}): {remedy}"
         self._failed(EventCode.ROUTE_TOO_LARGE, text)
         return False
 
@@ -448,9 +449,12 @@ class OutgoingPath:
         return kept
 
     def _compressed(self, message: Message) -> Message:
-        """Return a message as it is sent: compressed if both sides agreed on that and it gets smaller."""
+        """Return a message as it is sent: compressed if both sides agreed on that and it gets smaller.
+
+        The receiver unpacks no more than `MESSAGE_LIMIT`; a longer message stays as it is, and is dropped here.
+        """
         payload, stamp, flags = message
-        if self._compressor is not None:
+        if self._compressor is not None and len(payload) <= MESSAGE_LIMIT:
             smaller = self._compressor.compress(payload)
             if len(smaller) < len(payload):
                 return smaller, stamp, flags | ZSTD

@@ -15,7 +15,7 @@ from rsb_bridge.transport.transport import ListenError
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from rsb_bridge.transport.streams import Stream
+    from rsb_bridge.transport.streams import Address, Stream
 
 _AT_ONCE = 16
 """Connections accepted before the I/O loop turns to other work. Two such batches later the first one has been read: few
@@ -110,13 +110,13 @@ class StreamListener:
     def _accept(self, sock: socket.socket) -> None:
         for _ in range(_AT_ONCE):
             try:
-                accepted, _address = sock.accept()
+                accepted, address = sock.accept()
             except OSError as error:
                 if error.errno in SHORTAGES:
                     self._rest(sock, error)
                 return  # else nothing waits, or the connection has ended already
             accepted.setblocking(False)
-            task = self._loop.create_task(self._serve(accepted))
+            task = self._loop.create_task(self._serve(accepted, address))
             self._accepting.add(task)
             task.add_done_callback(self._accepting.discard)
 
@@ -125,9 +125,14 @@ class StreamListener:
         self._again[sock] = self._loop.call_later(_SHORT_FOR, self._loop.add_reader, sock, self._accept, sock)
         self._shortage(os_error_message(error))
 
-    async def _serve(self, accepted: socket.socket) -> None:
+    async def _serve(self, accepted: socket.socket, address: Address) -> None:
+        def make_stream() -> Stream:
+            stream = self._make_stream()
+            stream.address = address  # the kernel forgets it when the other end resets the connection
+            return stream
+
         try:
-            await self._loop.connect_accepted_socket(self._make_stream, accepted)
+            await self._loop.connect_accepted_socket(make_stream, accepted)
         except OSError:  # it has ended already
             accepted.close()
 
