@@ -144,6 +144,23 @@ def test_read_only_is_enforced_by_the_bridge(machine: Machine) -> None:
     assert machine.stopped == 0
 
 
+def test_who_attached_read_only_stays_so(machine: Machine) -> None:
+    engine = ScriptedEngine()
+    machine.serve(engine)
+    said = [
+        protocol.Hello(protocol.VERSION, "0.1.0", read_only=True),
+        protocol.Hello(protocol.VERSION, "0.1.0"),
+        protocol.Request(1, Retry("")),
+    ]
+    with control_sockets.connect(machine.folder / "robot1.sock", 60.0) as connection:
+        connection.sendall(b"".join(map(protocol.encode, said)))
+        answers, frames = [], protocol.frames_to_console()
+        while data := connection.recv(1000):
+            answers += frames.feed(data)
+    assert [type(each) for each in answers] == [protocol.Welcome]
+    assert engine.commands == []
+
+
 class Slow(ScriptedEngine):
     """Finishes no command before it is told to."""
 

@@ -186,6 +186,8 @@ class Console:
 
     def _handle(self, message: ToBridge) -> None:
         if isinstance(message, protocol.Hello):
+            if self._welcomed:  # it could end the read-only access that it began with
+                raise ProtocolError("a second hello")
             self._greet(message)
         elif not self._welcomed:
             raise ProtocolError("no hello")

@@ -159,8 +159,8 @@ def authorized(proposal: Propose, link: BaseLink, session: Session) -> Propose:
     Raises:
         LinkError: the peer may not have the topic.
     """
-    if is_pattern(proposal.topic + proposal.remote_topic):
-        raise LinkError(f"{proposal.topic} is a pattern: the other side has to propose each that matches by its name")
+    if pattern := next(filter(is_pattern, (proposal.topic, proposal.remote_topic)), ""):
+        raise LinkError(f"{pattern} is a pattern: the other side has to propose each that matches by its name")
     for problem in validate_topic(topic_of(proposal)):  # first: a prefix can make a valid name of an invalid one
         raise LinkError(str(problem))
     ours = link.with_local_name(proposal)

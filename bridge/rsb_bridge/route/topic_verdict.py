@@ -54,7 +54,10 @@ _LOSSES: dict[str, tuple[Cause, str]] = {
         Cause.QUEUE_FULL,
         "more is published than the link carries: set max_rate, compression: zstd or priority",
     ),
-    "too large": (Cause.TOO_LARGE, "they are larger than its transport carries: use protocol: tcp"),
+    "too large": (
+        Cause.TOO_LARGE,
+        "they are larger than its transport carries: use protocol: tcp, or publish smaller ones",
+    ),
     "publish failed": (Cause.NOT_PUBLISHED, "the receiving side cannot publish them; its log says why"),
     "latched full": (Cause.NOT_PUBLISHED, "the receiving side keeps no more latched messages for this link"),
     "slow subscriber": (Cause.NOT_PUBLISHED, "a subscriber there does not take its messages: restart it"),
