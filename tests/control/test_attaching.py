@@ -147,14 +147,16 @@ def test_read_only_is_enforced_by_the_bridge(machine: Machine) -> None:
 def test_who_attached_read_only_stays_so(machine: Machine) -> None:
     engine = ScriptedEngine()
     machine.serve(engine)
-    said = [
+    said: list[protocol.ToBridge] = [
         protocol.Hello(protocol.VERSION, "0.1.0", read_only=True),
         protocol.Hello(protocol.VERSION, "0.1.0"),
         protocol.Request(1, Retry("")),
     ]
     with control_sockets.connect(machine.folder / "robot1.sock", 60.0) as connection:
-        connection.sendall(b"".join(map(protocol.encode, said)))
-        answers, frames = [], protocol.frames_to_console()
+        for message in said:
+            connection.sendall(protocol.encode(message))
+        frames = protocol.frames_to_console()
+        answers: list[protocol.ToConsole] = []
         while data := connection.recv(1000):
             answers += frames.feed(data)
     assert [type(each) for each in answers] == [protocol.Welcome]
