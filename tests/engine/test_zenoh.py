@@ -274,7 +274,10 @@ def test_a_stream_that_misses_a_sample_closes_says_why_and_opens_again(
         out.publish(text(str(number) * 60_000))
     eventually(lambda: lost)
     out.publish(text("next"))  # by its number the other side knows
-    event = eventually(lambda: happened(server, EventCode.ROUTE_CHANNEL_LOST, PipeProblem.SAMPLE_LOST))
+    one_or_more = (PipeProblem.SAMPLE_LOST, PipeProblem.SAMPLES_LOST)  # Zenoh drops some itself on a busy machine
+    event = eventually(
+        lambda: next(filter(None, (happened(server, EventCode.ROUTE_CHANNEL_LOST, each) for each in one_or_more)), None)
+    )
     assert event.topic == "/odom"
     assert linked(server)
     carries([out], server, ["/odom"])
