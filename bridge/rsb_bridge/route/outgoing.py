@@ -519,15 +519,8 @@ class OutgoingRoute(TopicRoute[SendingChannel]):
         return "" if self.peer.full_out is not None or self.peer.fullness_undecided else self.losses.repeated
 
     def facts(self) -> Facts:
-        facts = (
-            super()
-            .facts()
-            ._replace(
-                left_out=self.notices.warning,
-                rate=self.meter.rate,
-                datagrams=self._datagrams(),
-            )
-        )
+        facts = super().facts()
+        facts = facts._replace(left_out=self.notices.warning, rate=self.meter.rate, datagrams=self._datagrams())
         facts = self._health.added_to(facts)
         loss = facts.loss
         if loss is None or self.peer.full_out is not None:

@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING
 import msgspec
 
 from rsb_bridge.control.features import TOTALS
-from rsb_bridge.model.qos import AUTO
 from rsb_bridge.model.topic_keys import TOPIC_KEYS
 from rsb_console.command.figures import measured
 from rsb_console.command.formatting import clock, json_line, link_word, links_of, route_of, without_peer
@@ -80,16 +79,11 @@ def _qos_values(qos: Qos | None) -> object:
     return None if qos is None else msgspec.structs.asdict(qos)
 
 
-def _type(route: RouteSnapshot) -> str:
-    if route.type_name or route.spec.type != AUTO:
-        return route.type_name or f"{route.spec.type} (as configured)"
-    return "ROS's own for parameters" if route.spec.kind == "parameters" else "not known yet"
-
-
 def _lines(route: RouteSnapshot, link: LinkSnapshot | None, other: str, figures: Figures | None) -> Iterator[str]:
     is_topic = route.calls is None
     yield f"{'Topic' if is_topic else route.spec.kind.capitalize()}: {route.topic}"
-    yield f"Type: {_type(route)}"
+    unknown = "ROS's own for parameters" if route.spec.kind == "parameters" else "not known yet"
+    yield f"Type: {formats.known_type(route) or unknown}"
     if route.type_hash:
         yield f"Type hash: {route.type_hash}"
     cause = f" ({route.cause})" if route.cause else ""

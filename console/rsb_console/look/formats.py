@@ -8,6 +8,7 @@ from collections import Counter
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from rsb_bridge.model.qos import AUTO
 from rsb_bridge.model.snapshot import Ledger, RouteSnapshot
 from rsb_bridge.model.text import plural
 from rsb_bridge.model.verdict import LinkCause
@@ -168,6 +169,13 @@ def qos_parts(qos: Qos, *, depth_known: bool = True) -> list[str]:
     if qos.lifespan:
         parts.append(f"lifespan {span(qos.lifespan)}")
     return [f"{each}," for each in parts[:-1]] + parts[-1:]
+
+
+def known_type(route: RouteSnapshot) -> str:
+    """Return a route's type, or the configured one until the bridge has seen it, or an empty string."""
+    if route.type_name or route.spec.type == AUTO:
+        return route.type_name
+    return f"{route.spec.type} (as configured)"
 
 
 def counted_kinds(kinds: Iterable[Kind]) -> str:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import textwrap
 from typing import TYPE_CHECKING
 
-from rsb_bridge.model.qos import AUTO
 from rsb_bridge.model.wording import Wording
 from rsb_console.look import formats
 from rsb_console.look.glyphs import (
@@ -108,9 +107,8 @@ def crossing(route: RouteSnapshot, way: str, width: int) -> Iterator[Line]:
 
 def _type(route: RouteSnapshot) -> str:
     """Return the type, if the bridge knows it. Parameters have ROS's own types."""
-    if route.type_name or route.spec.type != AUTO:
-        return route.type_name or f"{route.spec.type} (as configured)"
-    return DetailText.ALL_PARAMETERS() if route.spec.kind == "parameters" else DetailText.UNKNOWN_TYPE()
+    unknown = DetailText.ALL_PARAMETERS if route.spec.kind == "parameters" else DetailText.UNKNOWN_TYPE
+    return formats.known_type(route) or unknown()
 
 
 def stages(route: RouteSnapshot, question: str, nothing: str, width: int) -> Iterator[Line]:
