@@ -14,6 +14,7 @@ from rsb_bridge.api import EngineError, Unable
 from rsb_bridge.config.client_entries import ClientProblem
 from rsb_bridge.config.keys import KeyFileProblem, fingerprint, read_key, write_key
 from rsb_bridge.config.session_file import save
+from rsb_bridge.link.errors import Denied
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.session import Client, Topic
 from rsb_bridge.model.verdict import LinkCause
@@ -55,6 +56,13 @@ def test_a_client_comes_and_goes_while_another_stays(bridge: Bridge, robot: Doma
     assert heard(there, 1) == [text("all along")]
     assert link(server).since == since
     assert linked(first)
+
+
+def test_a_retry_of_a_link_that_does_not_exist_is_refused(bridge: Bridge) -> None:
+    server, client = bridge.both()
+    for side in server, client:
+        with pytest.raises(EngineError, match=pattern(Denied.WHICH_CLIENT, clients="robot1")):
+            side.retry("robot9").result(60)
 
 
 def test_changes_that_wait_for_each_other_undo_nothing(bridge: Bridge) -> None:

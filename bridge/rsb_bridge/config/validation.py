@@ -31,7 +31,6 @@ from rsb_bridge.config.files import kind_of_file, typed_path
 from rsb_bridge.config.keys import conceal
 from rsb_bridge.config.rights import benchmark_limit_problems, grant_problems, operator_problems
 from rsb_bridge.config.topic_rules import (
-    A_KIND,
     form_problems,
     name_problems,
     overlaps,
@@ -137,7 +136,6 @@ class SessionMistake(Wording):
     NAME_UNPRINTABLE = "{name} is not a name: give printable characters"
     NAME_TOO_LONG = "has {length} bytes in UTF-8, and at most {limit} are allowed"
     NAME_NOT_A_PREFIX = "{name} cannot be a prefix of topic names, as use_name requires{hint}"
-    KIND_HAS_NONE = "{kind} has no such key: {remedy}"
     PORT_MISSING = "missing, or 0: give a {kind}, {range}"
     DOMAIN_INVALID = "{domain} is not a ROS domain: {range}"
     DOMAIN_VARIABLE_INVALID = "ROS_DOMAIN_ID is {value}, which is not a ROS domain: {range}"
@@ -323,7 +321,7 @@ def validate_topic(topic: Topic, session: Session | None = None, *, client: str 
 def _foreign(topic: Topic, location: str) -> Iterator[Problem]:
     """Yield the fields that a file has no key for. A topic from a peer or a program may have them."""
     for field, remedy in foreign(topic).items():
-        yield Problem(join(location, field), SessionMistake.KIND_HAS_NONE(kind=A_KIND[topic.kind], remedy=remedy))
+        yield Problem(join(location, field), remedy)
 
 
 def domain_of(session: Session, variable: str | None) -> int:

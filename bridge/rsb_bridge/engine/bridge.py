@@ -23,9 +23,9 @@ from rsb_bridge.config.validation import validate
 from rsb_bridge.engine.exporters import Exporters
 from rsb_bridge.engine.inspector import RouteInspector
 from rsb_bridge.engine.topic_commands import ArmingCommands, CommandLog, TopicCommands, undo_mark
-from rsb_bridge.link.errors import Denied, LinkError
+from rsb_bridge.link.errors import LinkError
 from rsb_bridge.link.graph_watch import GraphWatch
-from rsb_bridge.link.link import topics_of_peer
+from rsb_bridge.link.link import link_named, topics_of_peer
 from rsb_bridge.link.name_watch import NameWatch
 from rsb_bridge.link.reloading import Step
 from rsb_bridge.link.roles import BridgeRole, ClientRole, Keys, ServerRole
@@ -358,6 +358,8 @@ class Bridge:
             raise LinkError("; ".join(failed))
 
     async def _retry(self, command: commands.Retry) -> None:
+        if command.link:
+            link_named(command.link, self._role.links())
         self._role.retry(command.link)
         self._log.add(EventCode.OPERATOR_RETRIED, "tried again", link=command.link)
 
@@ -481,15 +483,8 @@ async def carry_out(order: BenchmarkStep, links: Sequence[Link]) -> Outcome:
         cpu, memory = resources()
         sent, received = (sum(each) for each in zip((0, 0), *(link.bench.wire_bytes() for link in links), strict=True))
         return Outcome(Usage(cpu, memory, sent, received))
-    link = _chosen(order.link, links)
+    link = link_named(order.link, links)
     if order.what == "run":
         return await link.bench.run(order)
     link.bench.end()
     return Outcome(link.bench.usage())
-
-
-def _chosen(name: str, links: Sequence[Link]) -> Link:
-    found = [link for link in links if name in ("", link.name)]
-    if len(found) != 1:
-        raise LinkError(Denied.WHICH_CLIENT(clients=", ".join(link.name for link in links)))
-    return found[0]

@@ -6,7 +6,7 @@ from abc import abstractmethod
 from typing import TYPE_CHECKING
 
 from rsb_bridge.link.base_link import BaseLink
-from rsb_bridge.link.errors import LinkError
+from rsb_bridge.link.errors import Denied, LinkError
 from rsb_bridge.link.extension import Extension
 from rsb_bridge.link.link_bench import LinkBench
 from rsb_bridge.link.link_patterns import LinkPatterns
@@ -20,7 +20,7 @@ from rsb_bridge.telemetry.meters import ClockOffset
 from rsb_bridge.wire.messages import Neighbours
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Iterable, Sequence
 
     from rsb_bridge.context import Context
     from rsb_bridge.model.demands import Source
@@ -184,3 +184,15 @@ async def topics_of_peer(links: Iterable[Link], name: str) -> list[TopicInfo]:
         return await link.topic_lists.ask()
     except LinkError as error:
         raise LinkError(f"{link.name}: {error}") from None
+
+
+def link_named(name: str, links: Sequence[Link]) -> Link:
+    """Return the link of a name, or the only link if the name is empty.
+
+    Raises:
+        LinkError: no link has the name, or it is empty and there is not exactly one link.
+    """
+    found = [link for link in links if name in ("", link.name)]
+    if len(found) != 1:
+        raise LinkError(Denied.WHICH_CLIENT(clients=", ".join(link.name for link in links)))
+    return found[0]

@@ -37,7 +37,7 @@ class ForeignKey(Wording):
     LIST_UNDER = "list this entry under {list}, or write {key}: /..."
     OTHER_REMOTE = "write {key}"
     TYPE_OF_PARAMETERS = "parameters have types of ROS's own: leave it out"
-    OTHER = "leave it out"
+    OTHER = "not a key of this kind: leave it out"
 
 
 class RangeText(Wording):
