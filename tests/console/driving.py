@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from tests.console.scripted import SESSION, ScriptedEngine
+from tests.support.waiting import pauses
 from tests.support.wording import says
 from textual.app import App, ScreenStackError
 from textual.events import Paste
@@ -73,12 +74,12 @@ async def until(pilot: Pilot[None], condition: Callable[..., object], what: str,
 
     Textual's pause sends a message to every widget, which takes more time than most conditions: only at the end.
     """
-    deadline = time.monotonic() + seconds
+    deadline, pause = time.monotonic() + seconds, pauses()
     while not condition():
         try:
             while not condition():
                 assert time.monotonic() < deadline, f"not within {seconds} s: {what}\n{text(pilot.app)}"
-                await asyncio.sleep(0.02)
+                await asyncio.sleep(next(pause))
                 pilot.app.screen._on_timer_update()
             await pilot.pause(0)
         except ScreenStackError:  # the app has ended, perhaps as it should

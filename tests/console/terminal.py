@@ -12,6 +12,8 @@ import time
 from collections.abc import Mapping
 from pathlib import Path
 
+from tests.support.waiting import pauses
+
 COMMAND = Path(sys.executable).with_name("rsb-console")
 
 
@@ -91,13 +93,13 @@ class Terminal:
 
     def exit_code(self, seconds: float = 120.0, *, read: bool = True) -> int:
         """Wait for its end."""
-        deadline = time.monotonic() + seconds
+        deadline, pause = time.monotonic() + seconds, pauses()
         while self.alive:
             assert time.monotonic() < deadline, f"still running after {seconds} s:\n{self.output[-400:]!r}"
             if read and not self.hung_up:
                 self.read(0.05)
             else:
-                time.sleep(0.02)
+                time.sleep(next(pause))
         if read and not self.hung_up:
             self._read_all()
         assert self.status is not None

@@ -163,9 +163,11 @@ def test_a_link_that_stalls_until_it_is_given_up(bridge: Bridge, relay: Relay, r
 
     def overflows() -> bool:
         nonlocal published
-        publish(out, range(5), size=50_000)
+        ledger = outgoing(client, "/count")._ledger  # a snapshot's would come too late
+        publish(out, range(5), size=500_000)
         published += 5
-        return "queue full" in outgoing(client, "/count")._ledger.dropped  # a snapshot's would come too late
+        eventually(lambda: ledger.offered == published, what="DDS has lost none")
+        return "queue full" in ledger.dropped
 
     eventually(overflows)
     eventually(lambda: happened(client, EventCode.LINK_LOST, "the peer is silent"))

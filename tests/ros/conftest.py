@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import os
 import threading
-import time
 from typing import TYPE_CHECKING, Any
 
 import pytest
@@ -18,6 +17,7 @@ from rclpy.context import Context
 from rclpy.executors import MultiThreadedExecutor
 from rclpy.node import Node
 from tests.ros.domains import DOMAIN
+from tests.support import waiting
 from tests.support.participants import KnownNode, join
 
 if TYPE_CHECKING:
@@ -30,14 +30,7 @@ if TYPE_CHECKING:
 def eventually() -> Callable[[Callable[[], Any]], Any]:
     """Wait for a condition, with a deadline, and return what it returned."""
 
-    def wait(condition: Callable[[], Any], within: float = 180.0) -> Any:
-        deadline = time.monotonic() + within
-        while not (found := condition()):
-            assert time.monotonic() < deadline, "it did not happen in time"
-            time.sleep(0.005)
-        return found
-
-    return wait
+    return waiting.eventually
 
 
 @pytest.fixture

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 from weakref import WeakKeyDictionary
 
 from rclpy.impl.implementation_singleton import rclpy_implementation as _rclpy
+from tests.support.waiting import pauses
 
 from rsb_bridge.ros.node import RosNode
 
@@ -125,12 +126,12 @@ class KnownNode(RosNode):
 
 
 def _know_each_other(node: Any, others: list[Any]) -> bool:
-    deadline = time.monotonic() + _KNOWN_WITHIN
+    deadline, pause = time.monotonic() + _KNOWN_WITHIN, pauses()
     while time.monotonic() < deadline:
         seen = _seen_by(node)
         if all(_gone(each) or (_name(each) in seen and _name(node) in _seen_by(each)) for each in others):
             return True
-        time.sleep(0.005)
+        time.sleep(next(pause))
     return False
 
 

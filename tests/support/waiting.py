@@ -6,11 +6,19 @@ import time
 from typing import TYPE_CHECKING, TypeAlias, TypeVar
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterator
 
 T = TypeVar("T")
 Condition: TypeAlias = "Callable[..., T | None]"
 """Called without arguments; in a loop it binds the loop's variables by defaults, which `Callable[[], T]` forbids."""
+
+
+def pauses() -> Iterator[float]:
+    """Yield the pauses between looks, in s: short ones at first, as each look may take a snapshot or draw a screen."""
+    pause = 0.005
+    while True:
+        yield pause
+        pause = min(1.5 * pause, 0.05)
 
 
 def eventually(condition: Condition[T], within: float = 180.0, what: str = "") -> T:
@@ -21,10 +29,10 @@ def eventually(condition: Condition[T], within: float = 180.0, what: str = "") -
     Raises:
         AssertionError: it did not within `within` s.
     """
-    deadline = time.monotonic() + within
+    deadline, pause = time.monotonic() + within, pauses()
     while not (found := condition()):
         assert time.monotonic() < deadline, f"not within {within:g} s: {what or 'the condition'}"
-        time.sleep(0.01)
+        time.sleep(next(pause))
     return found
 
 
