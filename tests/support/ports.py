@@ -15,8 +15,9 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
 _BLOCK = 200
-_BLOCKS = range(8_000, 12_000, _BLOCK)
-"""Below those that DDS takes in the tests' domains (7400 + 250 a domain), and those that the kernel gives out."""
+_BLOCKS = range(22_400, 30_000, _BLOCK)
+"""Between the ports of the tests' domains (`tests.support.locks`; 7400 + 250 a domain), which a server refuses in its own
+domain, and those that the kernel gives out."""
 
 
 def free_port(host: str = "127.0.0.1") -> int:
