@@ -66,27 +66,27 @@ def test_each_engine_is_linked_and_has_a_line(program: tuple[str, ...], engines:
 class Looks:
     """A fleet that is another one at each look; the last one stays."""
 
-    def __init__(self, *looks: dict[str, RobotState]) -> None:
+    def __init__(self, *looks: dict[str, RobotState | None]) -> None:
         self._looks = [*looks]
 
     def robots(self) -> list[Robot]:
         look = self._looks.pop(0) if len(self._looks) > 1 else self._looks[0]
         return [self._robot(name, state) for name, state in look.items()]
 
-    def _robot(self, name: str, state: RobotState) -> Robot:
-        seen = None if state is RobotState.WAITING else time.time() + 1.0
-        return Robot(None, RobotSummary(name=name, state=state, seen=seen))  # type: ignore[arg-type]
+    def _robot(self, name: str, state: RobotState | None) -> Robot:
+        seen = None if state is None else time.time() + 1.0
+        return Robot(None, RobotSummary(name=name, state=state or RobotState.WAITING, seen=seen))  # type: ignore[arg-type]
 
 
-@pytest.mark.parametrize(("as_they_are", "expected"), [(False, RobotState.OK), (True, RobotState.FAULT)])
+@pytest.mark.parametrize(("as_they_are", "expected"), [(False, RobotState.OK), (True, RobotState.WAITING)])
 def test_engines_that_a_busy_machine_holds_up_are_waited_for(
     as_they_are: bool, expected: RobotState, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Until each has said how it is; and until it is well, unless something is meant to be wrong."""
+    """Until each has reported; and until it is ok, unless something is meant to be wrong."""
     monkeypatch.setattr(demo, "_LOOK_EVERY", 0.0)
     ok, fault, waiting = RobotState.OK, RobotState.FAULT, RobotState.WAITING
-    looks: list[dict[str, RobotState]] = [{}, {"a": ok}, {"a": ok, "b": waiting}, {"a": ok, "b": fault}]
-    looks.append({"a": ok, "b": ok})
+    looks: list[dict[str, RobotState | None]] = [{}, {"a": ok}, {"a": ok, "b": None}]
+    looks += [{"a": ok, "b": waiting}, {"a": ok, "b": fault}, {"a": ok, "b": ok}]
     found = demo._heard(Looks(*looks), 2, lambda: as_they_are)  # type: ignore[arg-type]
     assert [(robot.summary.name, robot.summary.state) for robot in found] == [("a", ok), ("b", expected)]
 

@@ -254,7 +254,7 @@ def _heard(shown: Fleet, engines: int, as_they_are: Callable[[], bool]) -> list[
         robots = shown.robots()
         enough = as_they_are()
         heard = len(robots) >= engines and all(_has_said(robot, asked) for robot in robots)
-        if heard and (enough or not any(robot.summary.state.is_wrong for robot in robots)):
+        if heard and (enough or all(robot.summary.state is RobotState.OK for robot in robots)):
             return robots
         if time.time() > asked + (_SEEN_WITHIN if enough else _WELL_WITHIN):
             return robots
