@@ -16,8 +16,8 @@ if TYPE_CHECKING:
 
 _BLOCK = 200
 _BLOCKS = range(22_400, 30_000, _BLOCK)
-"""Between the ports of the tests' domains (7400 + 250 a domain), which a server refuses in its own domain, and those that
-the kernel gives out."""
+"""Between the ports of the tests' domains (7400 + 250 a domain), which a server refuses in its own domain, and those
+that the kernel gives out."""
 
 
 def free_port(host: str = "127.0.0.1") -> int:
