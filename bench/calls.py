@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import tempfile
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -101,7 +102,7 @@ def _beds(resources: contextlib.ExitStack, near_domain: int, far_domain: int) ->
     beside.serve("/direct")
     far.serve("/proxy", "/tcp")
     proxy = bed.Process("-m", "bench.proxy", str(near_domain), str(far_domain), "/proxy", TYPE)
-    between = {
+    between: dict[str, list[Process]] = {
         "direct": [],
         "proxy": [resources.enter_context(proxy)],
         "tcp": resources.enter_context(bridged(near_domain, far_domain, ["/tcp"])),
@@ -122,14 +123,10 @@ def bridged(near: int, far: int, services: Sequence[str]) -> Iterator[list[Proce
 def _print(figures: Figures) -> None:
     rows = [load.what for load in LOADS]
     between = _KINDS[1:]
-    print_table("Calls: p50, ms", rows, _KINDS, lambda row, kind: figures.spread(kind, f"{row} p50"), 2)
-    for quantile in ("p50", "p99"):
-        print_table(
-            f"Calls: {quantile} beyond no bridge, ms", rows, between,
-            lambda row, kind, of=quantile: figures.added(kind, "direct", f"{row} {of}"), 2,
-        )  # fmt: skip
-    print_table("Calls answered a second", rows, _KINDS, lambda row, kind: figures.spread(kind, f"{row} rate"), 0)
-    cpu = "Calls: CPU of all between client and server, µs a call"
-    print_table(cpu, rows, between, lambda row, kind: figures.spread(kind, f"{row} CPU"), 0)
-    ratio = "The same, in ratio to proxy"
-    print_table(ratio, rows, ["tcp"], lambda row, kind: figures.ratio(kind, "proxy", f"{row} CPU"), 2)
+    added, ratio = partial(figures.added, other="direct"), partial(figures.ratio, other="proxy")
+    print_table("Calls: p50, ms", rows, _KINDS, figures.spread, 2, "p50")
+    print_table("Calls: p50 beyond no bridge, ms", rows, between, added, 2, "p50")
+    print_table("Calls: p99 beyond no bridge, ms", rows, between, added, 2, "p99")
+    print_table("Calls answered a second", rows, _KINDS, figures.spread, 0, "rate")
+    print_table("CPU of all between client and server, µs a call", rows, between, figures.spread, 0, "CPU")
+    print_table("CPU of a call, in ratio to proxy", rows, ["tcp"], ratio, 2, "CPU")

@@ -36,16 +36,16 @@ class Figures:
         """Return the median of all rounds with the lowest and the highest, or None without a value."""
         return _spread([*self._values[bed, quantity].values()])
 
-    def ratio(self, bed: str, other: str, quantity: str) -> Spread | None:
+    def ratio(self, bed: str, quantity: str, other: str) -> Spread | None:
         """Return a bed's value by another's, from the rounds in which both have one."""
-        return self._paired(bed, other, quantity, lambda a, b: a / b if b else None)
+        return self._paired(bed, quantity, other, lambda a, b: a / b if b else None)
 
-    def added(self, bed: str, other: str, quantity: str) -> Spread | None:
+    def added(self, bed: str, quantity: str, other: str) -> Spread | None:
         """Return the value that a bed has more than another, from the rounds in which both have one."""
-        return self._paired(bed, other, quantity, lambda a, b: a - b)
+        return self._paired(bed, quantity, other, lambda a, b: a - b)
 
     def _paired(
-        self, bed: str, other: str, quantity: str, combine: Callable[[float, float], float | None]
+        self, bed: str, quantity: str, other: str, combine: Callable[[float, float], float | None]
     ) -> Spread | None:
         mine, theirs = self._values[bed, quantity], self._values[other, quantity]
         combined = [combine(mine[number], theirs[number]) for number in sorted(mine.keys() & theirs.keys())]
@@ -63,10 +63,24 @@ def in_turn(beds: Sequence[str], turn: int) -> list[str]:
 
 
 def print_table(
-    title: str, rows: Sequence[str], columns: Sequence[str], cell: Callable[[str, str], Spread | None], digits: int
+    title: str,
+    rows: Sequence[str],
+    columns: Sequence[str],
+    cell: Callable[[str, str], Spread | None],
+    digits: int,
+    of: str = "",
 ) -> None:
-    """Print medians with the lowest and the highest for the rows that have a figure, and a dash for a missing one."""
-    cells = {row: [cell(row, column) for column in columns] for row in rows}
+    """Print medians with the lowest and the highest for the rows that have a figure, and a dash for a missing one.
+
+    Args:
+        title: what the table shows.
+        rows: loads or quantities.
+        columns: beds.
+        cell: returns the figure of a bed and a quantity.
+        digits: digits after the point.
+        of: the quantity, if rows are loads.
+    """
+    cells = {row: [cell(column, f"{row} {of}".strip()) for column in columns] for row in rows}
     cells = {row: its for row, its in cells.items() if any(its)}
     if not cells:
         return

@@ -13,6 +13,7 @@ import contextlib
 import os
 import platform
 import time
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -105,7 +106,7 @@ def _standing(kinds: Sequence[str]) -> Iterator[dict[str, bed.Bed]]:
 
 
 def _measure_idle(figures: Figures, beds: Mapping[str, bed.Bed]) -> None:
-    """Measure all beds at once while nothing crosses: each side, and the whole that a measured bed loses to the others."""
+    """Measure all beds at once while nothing crosses: each side, and the sum that disturbs a measured bed."""
     sides = {(kind, at): process for kind, each in beds.items() for at, process in enumerate(each.between)}
     ends = [process for each in beds.values() for process in (each.talker, each.listener)]
     before, began = {key: process.cpu() for key, process in sides.items()}, time.monotonic()
@@ -165,28 +166,22 @@ def _print(figures: Figures, kinds: Sequence[str], loads: Sequence[Load]) -> Non
     between = [kind for kind in kinds if kind != "drained"]
     rates = [f"{size:,} B" for size in RATE_SIZES]
 
-    def values(title: str, which: Sequence[str], columns: Sequence[str], digits: int, suffix: str = "") -> None:
-        print_table(title, which, columns, lambda row, kind: figures.spread(kind, row + suffix), digits)
-
-    def ratios(what: str, which: Sequence[str], suffix: str = "") -> None:
+    def print_ratios(what: str, which: Sequence[str], of: str = "") -> None:
         for other in ("relay", "thesis"):
-            if other in kinds:
-                columns = [kind for kind in between if kind in bed.OURS or (kind, other) == ("thesis", "relay")]
-                title = f"{what}, in ratio to {other}"
-                print_table(title, which, columns, lambda row, kind: figures.ratio(kind, other, row + suffix), 2)  # noqa: B023
+            columns = [kind for kind in between if kind in bed.OURS or (kind, other) == ("thesis", "relay")]
+            print_table(f"{what}, in ratio to {other}", which, columns, partial(figures.ratio, other=other), 2, of)
 
-    values("CPU of all between talker and listener, µs a message", rows, between, 0, " CPU")
-    ratios("CPU", rows, " CPU")
+    print_table("CPU of all between talker and listener, µs a message", rows, between, figures.spread, 0, "CPU")
+    print_ratios("CPU", rows, "CPU")
+    added = partial(figures.added, other="drained")
     for quantile in ("p50", "p99"):
-        values(f"Latency, {quantile}, ms", rows, kinds, 2, f" {quantile}")
-        if "drained" in kinds:
-            title = f"Added latency, {quantile}, ms beyond drained"
-            print_table(title, rows, between, lambda row, kind: figures.added(kind, "drained", f"{row} {quantile}"), 2)  # noqa: B023
-    values("Share received, %", rows, kinds, 1, " came")
-    values("Page faults a message", large, between, 1, " faults")
-    values("Highest lossless rate, msg/s", rates, kinds, 0)
-    ratios("Highest lossless rate", rates)
-    values("Each side: memory, MB; idle, % of a core", ["memory", "idle"], between, 2)
+        print_table(f"Latency, {quantile}, ms", rows, kinds, figures.spread, 2, quantile)
+        print_table(f"Added latency, {quantile}, ms beyond drained", rows, between, added, 2, quantile)
+    print_table("Share received, %", rows, kinds, figures.spread, 1, "came")
+    print_table("Page faults a message", large, between, figures.spread, 1, "faults")
+    print_table("Highest lossless rate, msg/s", rates, kinds, figures.spread, 0)
+    print_ratios("Highest lossless rate", rates)
+    print_table("Each side: memory, MB; idle, % of a core", ["memory", "idle"], between, figures.spread, 2)
 
 
 if __name__ == "__main__":
