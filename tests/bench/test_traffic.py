@@ -31,7 +31,11 @@ class _Publishing:
     def create_publisher(self, *_: object) -> _Publishing:
         return self
 
-    def publish(self, message: bytes) -> None:
+    @property
+    def handle(self) -> _Publishing:
+        return self
+
+    def publish_raw(self, message: bytes) -> None:
         self.published.append(message)
 
 
