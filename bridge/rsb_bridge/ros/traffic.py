@@ -7,8 +7,8 @@ It is commanded by lines, and answers with lines of JSON; it ends with its stand
 - ``listen``: ``reset`` forgets; ``count`` answers with the count, ``report`` with the count and the latencies (ns).
 - ``many DOMAIN PREFIX COUNT [SUFFIX]`` publishes on COUNT topics, each at 1 Hz.
 
-Talker and listener drain and publish raw, so that they cost little compared with the measured programs. Each message has
-a stamp.
+Talker and listener drain and publish raw, so that they cost little compared with the measured programs. Each message
+has a stamp.
 """
 
 from __future__ import annotations
