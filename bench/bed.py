@@ -1,4 +1,4 @@
-"""Test beds for comparison with our bridge: nothing, a relay, or the thesis's pipeline between talker and listener.
+"""Test beds: no bridge, a relay, our bridge or the thesis's pipeline between a talker and a listener.
 
 The rest is in `rsb_console.bench`, which `rsb-console bench` uses, too.
 """
@@ -20,18 +20,18 @@ if TYPE_CHECKING:
     from contextlib import AbstractContextManager
 
 __all__ = [
+    "BEDS",
     "FAR",
     "NEAR",
+    "OURS",
     "TOPIC",
     "Bed",
     "Process",
     "bridged",
-    "direct",
     "free_port",
     "headless",
     "ready",
     "relayed",
-    "thesis",
 ]
 
 ROOT = Path(__file__).parents[1]
@@ -45,11 +45,6 @@ class Process(processes.Process):
         super().__init__(*command, log=log, folder=ROOT)
 
 
-def direct(listener: str = "listen") -> AbstractContextManager[Bed]:
-    """Put nothing between talker and listener: one domain."""
-    return loopback.direct(NEAR, listener=listener)
-
-
 def bridged(protocol: str, client: Callable[[Path], processes.Process] | None = None) -> AbstractContextManager[Bed]:
     """Put our bridge between talker and listener: two processes, encrypted; `client` may start another client."""
     return loopback.bridged(protocol, NEAR, FAR, side=headless, client=client)
@@ -61,23 +56,37 @@ def headless(session: Path, log: Path | None = None) -> Process:
 
 
 @contextlib.contextmanager
-def relayed() -> Iterator[Bed]:
+def relayed(near: int = NEAR, far: int = FAR) -> Iterator[Bed]:
     """Put a relay of raw messages between talker and listener: the cost of a bridge without a link."""
-    with loopback.ends(NEAR, FAR) as bed, Process("-m", "bench.relay", str(NEAR), str(FAR), TOPIC) as relay:
+    with loopback.ends(near, far) as bed, Process("-m", "bench.relay", str(near), str(far), TOPIC) as relay:
         bed.between.append(relay)
         yield ready(bed)
 
 
 @contextlib.contextmanager
-def thesis() -> Iterator[Bed]:
+def _thesis(near: int, far: int) -> Iterator[Bed]:
     """Put the thesis's pipeline between talker and listener."""
     port, key = str(free_port()), base64.urlsafe_b64encode(os.urandom(32)).decode()
     with (
-        loopback.ends(NEAR, FAR) as bed,
-        Process("-m", "bench.thesis", "receive", str(FAR), TOPIC, port, key) as receiving,
+        loopback.ends(near, far) as bed,
+        Process("-m", "bench.thesis", "receive", str(far), TOPIC, port, key) as receiving,
     ):
         receiving.line()  # it is ready
-        with Process("-m", "bench.thesis", "send", str(NEAR), TOPIC, port, key) as sending:
+        with Process("-m", "bench.thesis", "send", str(near), TOPIC, port, key) as sending:
             sending.line()
             bed.between += [sending, receiving]
             yield ready(bed)
+
+
+BEDS: dict[str, Callable[[int, int], AbstractContextManager[Bed]]] = {
+    "drained": lambda near, _: loopback.direct(near),
+    "relay": relayed,
+    "tcp": lambda near, far: loopback.bridged("tcp", near, far),
+    "udp": lambda near, far: loopback.bridged("udp", near, far),
+    "zenoh": lambda near, far: loopback.bridged("zenoh", near, far, zenoh="peer"),
+    "zenoh-router": lambda near, far: loopback.bridged("zenoh", near, far, zenoh="router"),
+    "zenoh-drop": lambda near, far: loopback.bridged("zenoh-drop", near, far, zenoh="router"),
+    "thesis": _thesis,
+}
+"""By name, for a talker's and a listener's domain. Without a bridge, both are in the talker's domain."""
+OURS = ("tcp", "udp", "zenoh", "zenoh-router", "zenoh-drop")

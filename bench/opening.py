@@ -1,8 +1,10 @@
-"""Prints how long a link's topics take to open: ``python -m bench.opening [topics]``, part of ``make bench``.
+"""Prints how long a link's topics and services take to open: ``python -m bench.opening [topics]``.
 
 Each side is a process of its own, and so are the publishers of the topics where ROS is real. Under ``stand-in`` there
 is no ROS behind the engine: what the bridge itself takes. ``floor`` is what rclpy alone takes for one side's endpoints,
 in a loop. The side that sends runs first, until DDS has found the publishers: its part is no bridge's.
+
+Then 200 services of ten nodes: s from their start until a client sees them all, and calls to them.
 """
 
 from __future__ import annotations
@@ -15,11 +17,12 @@ import sys
 import tempfile
 import time
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from tests.bluetooth.guest.stand_in import StandIn
+from tests.support.calls import CallNode
 
-from bench import bed
+from bench import bed, calls
 from rsb_bridge.engine import Engine
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.qos import Qos
@@ -36,6 +39,10 @@ TOPICS = 500
 _DISCOVERED_WITHIN = 60.0
 _OPEN_WITHIN = 120.0
 _TICK = 0.005
+_NODES, _EACH = 10, 20
+"""Nodes with services, and services of each."""
+_TURN = 10
+"""Calls of each service."""
 
 
 def main() -> None:
@@ -48,8 +55,10 @@ def main() -> None:
             _floor(names)
         case []:
             report(TOPICS)
+            _report_services()
         case [topics]:
             report(int(topics))
+            _report_services()
 
 
 def report(topics: int) -> None:
@@ -165,6 +174,52 @@ def _lateness(engine: Engine) -> list[float]:
 
     engine._bridge.context.call(lambda: tick(loop.time()))
     return late
+
+
+class Services(NamedTuple):
+    """200 services: s until all can be called, s that calls of all at once take; ms of one call after another."""
+
+    seen: float
+    answered: float
+    p50: float
+    p99: float
+
+
+def _report_services() -> None:
+    count = _NODES * _EACH
+    print(f"\n{count} services of {_NODES} nodes; {_TURN} calls of each at once, then of a single one in turn")
+    _row("", "seen, s", "answered, s", "p50, ms", "p99, ms")
+    for kind in ("direct", "tcp"):
+        _row(kind, *(f"{each:.2f}" for each in _measure_services(kind)))
+
+
+def _measure_services(kind: str) -> Services:
+    """Measure a client of 200 services that start while everything else runs."""
+    names = [f"/many_{kind}_{node}_{number}" for node in range(_NODES) for number in range(_EACH)]
+    with contextlib.ExitStack() as resources:
+        server_domain = bed.NEAR if kind == "direct" else bed.FAR
+        near, far = (resources.enter_context(contextlib.closing(CallNode(d))) for d in (bed.NEAR, server_domain))
+        first = f"/first_{kind}"
+        if kind == "tcp":
+            resources.enter_context(calls.bridged(bed.NEAR, bed.FAR, [first, *names]))
+        far.serve(first)
+        near.waits_for(first)
+        calls.check("the first call", first, near.call(first, quiet=calls.QUIET))
+        near.ready(*names)  # its clients are there
+        began = time.monotonic()
+        for at, name in enumerate(names):
+            far.serve(name, node=f"server{at // _EACH}")
+        near.waits_for(*names)
+        seen = time.monotonic() - began
+        began = time.monotonic()
+        for name in names:
+            near.begin(name, _TURN, at_once=_TURN)
+        for name in names:
+            calls.check(f"{len(names)} services", name, near.settled(name, calls.QUIET))
+        answered = time.monotonic() - began
+        outcome = near.call(names[0], 300, quiet=calls.QUIET)
+        calls.check("one of many", names[0], outcome)
+        return Services(seen, answered, 1e3 * outcome.p50, 1e3 * outcome.p99)
 
 
 def _stand_in(names: Sequence[str]) -> RosInterface:

@@ -1,130 +1,187 @@
-"""Prints the bridge's figures next to the figures of no bridge, a relay, and the thesis's pipeline: ``make bench``.
+"""Prints the bridge's figures next to no bridge, a relay, and the thesis's pipeline: ``make bench``.
 
-Each round measures all of them in turn, so that other load on the machine affects all equally. Figures are medians of
-the rounds with the lowest and the highest; ratios are of one round each. Machines differ; the ratios hold.
+``python -m bench.run [ROUNDS] [--beds relay,tcp] [--only small|large|rates|calls]``. All beds stand at once, each in a
+pair of ROS domains of its own, and take turns in bursts of one or two seconds. What else the machine does meets all
+of them, so the ratios hold where the figures don't. Figures are medians of the rounds with the lowest and the highest;
+ratios and differences are of bursts of the same round.
 """
 
 from __future__ import annotations
 
-import math
+import argparse
+import contextlib
 import os
 import platform
-import statistics
-import sys
 import time
-from collections import defaultdict
-from typing import TYPE_CHECKING
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, NamedTuple
 
-from bench import bed, calls, opening
+from bench.figures import Figures, in_turn, print_table
+
+from bench import bed, calls
 from rsb_console.bench.suite import highest_lossless
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping, Sequence
+
     from rsb_console.bench.results import Run
 
-SIZES = (2_500, 5_000, 10_000)
-CPU_RATES = (100, 1_000, 5_000, 10_000, 20_000, 30_000)
-LARGE = ((100_000, 1_000), (100_000, 3_000), (1_000_000, 100), (1_000_000, 250), (6_000_000, 30))
-"""Bytes, and Hz at which their CPU is measured."""
-FIRST_RATE = 5_000
-SECONDS, LATENCY_SECONDS, IDLE_SECONDS = 2.0, 10.0, 5.0
 ROUNDS = 3
+DEFAULT_BEDS = ("drained", "relay", "tcp", "udp", "zenoh", "thesis")
+PARTS = ("small", "large", "rates", "calls")
+RATE_SIZES = (2_500, 10_000)
+DOMAINS = range(66, 92, 2)
+"""The first domain of each bed's pair. They are below 102, above which ports are the kernel's, and not the tests'."""
+THESIS_SIZE = 10_000
+"""Bytes up to which the thesis's pipeline is measured: it searches all that it has for each KiB, minutes for 6 MB."""
+WARM_SECONDS, IDLE_SECONDS, RATE_SECONDS = 0.2, 5.0, 0.5
+FIRST_RATE, CLOSE = 10_000.0, 1.25
+FEW, KEPT_UP = 0.99, 0.9
+"""Shares of the messages that have to arrive, and of the rate that the talker has to reach, for a burst to count."""
 
-# Between talker and listener. "rclpy" and "drained" have no bridge: a raw subscription on rclpy's executor,
-# and one on a drain loop like the bridge's own.
-BEDS = {
-    "rclpy": lambda: bed.direct("spin"),
-    "drained": bed.direct,
-    "relay": bed.relayed,
-    "tcp": lambda: bed.bridged("tcp"),
-    "udp": lambda: bed.bridged("udp"),
-    "thesis": bed.thesis,
-}
-NONE = ("rclpy", "drained")
-_FEW = 0.99  # of the messages that have to arrive for a figure of the CPU to count
-_Figures = defaultdict[tuple[str, str], list[float]]
+
+class Load(NamedTuple):
+    """Messages of one burst."""
+
+    rate: int
+    size: int
+    seconds: float = 1.0
+
+    def __str__(self) -> str:
+        return f"{self.size:,} B at {self.rate:,} Hz"
+
+
+SMALL = (Load(100, 2_500, 2.0), *(Load(rate, 2_500) for rate in (1_000, 5_000, 10_000, 20_000)))
+LARGE = (Load(1_000, 100_000), Load(100, 1_000_000), Load(250, 1_000_000), Load(30, 6_000_000))
 
 
 def main() -> None:
-    rounds = int(sys.argv[1]) if len(sys.argv) > 1 else ROUNDS
-    cores, load = os.cpu_count(), os.getloadavg()[0]
-    print(f"{platform.machine()}, {cores} cores, Python {platform.python_version()}, load {load:.1f}, {rounds} rounds")
-    figures: _Figures = defaultdict(list)
-    for _ in range(rounds):
-        for kind, make in BEDS.items():
-            with make() as between:
-                _measure(kind, between, figures)
-    rates = [f"{size:,} B" for size in SIZES]
-    _print(figures, "Highest lossless rate, msg/s", rates, ("drained", "relay", "thesis"), 0)
-    at = [f"{rate:,} Hz" for rate in CPU_RATES] + [f"{size:,} B at {rate:,} Hz" for size, rate in LARGE]
-    _print(
-        figures,
-        "CPU of all between, µs a message (2,500 B unless said; nan: more than 1 % lost)",
-        at,
-        ("relay", "thesis"),
-        0,
-    )
-    _print(figures, "Share of these received, %", [f"{each} came" for each in at], (), 1)
-    _print(figures, "Latency at 100 Hz, 2,500 B, ms", ["p50", "p99", "p99.9"], ("drained", "relay"), 2)
-    _print(figures, "Memory, MB a side; idle, % of a core a side", ["memory", "idle"], (), 2)
-    opening.report(opening.TOPICS)
-    calls.report(calls.ROUNDS)
+    parser = argparse.ArgumentParser(prog="python -m bench.run")
+    parser.add_argument("rounds", nargs="?", type=int, default=ROUNDS)
+    parser.add_argument("--beds", default=",".join(DEFAULT_BEDS), help=f"of {', '.join(bed.BEDS)}")
+    parser.add_argument("--only", choices=PARTS)
+    options = parser.parse_args()
+    kinds = options.beds.split(",")
+    if unknown := set(kinds) - bed.BEDS.keys():
+        parser.error(f"no such bed: {', '.join(sorted(unknown))}")
+    parts = (options.only,) if options.only else PARTS
+    machine = f"{platform.machine()}, {os.cpu_count()} cores, Python {platform.python_version()}"
+    print(f"{machine}, load {os.getloadavg()[0]:.1f}, {options.rounds} rounds", flush=True)
+    figures, began = Figures(), time.monotonic()
+    if parts != ("calls",):
+        _run_topics(figures, kinds, parts, options.rounds)
+    if "calls" in parts:
+        calls.run(figures, options.rounds, DOMAINS[-1])
+    print(f"\nload {os.getloadavg()[0]:.1f}, {(time.monotonic() - began) / 60:.1f} min")
 
 
-def _measure(kind: str, between: bed.Bed, figures: _Figures) -> None:
-    gentle = between.send(100, LATENCY_SECONDS, SIZES[0])
-    for name, value in (("p50", gentle.p50), ("p99", gentle.p99), ("p99.9", gentle.p999)):
-        figures[kind, name].append(value)
-    for size in SIZES:
-
-        def trial(rate: float, size: int = size) -> Run:
-            return between.send(rate, SECONDS, size)
-
-        best = highest_lossless(trial, first=FIRST_RATE).best
-        figures[kind, f"{size:,} B"].append(best.rate if best else math.nan)
-    if kind in NONE:
-        return
-    figures[kind, "memory"].append(max(process.memory() for process in between.between))
-    figures[kind, "idle"].append(_idle(between))
-    wanted = [(f"{rate:,} Hz", SIZES[0], rate) for rate in CPU_RATES]
-    wanted += [(f"{size:,} B at {rate:,} Hz", size, rate) for size, rate in LARGE]
-    for name, size, rate in wanted:
-        if kind == "thesis" and size > SIZES[-1]:  # it searches all that it has for each 1,024 bytes: minutes for 6 MB
-            figures[kind, name].append(math.nan)
-            figures[kind, f"{name} came"].append(math.nan)
-            continue
-        run = between.send(rate, SECONDS, size)
-        kept = run.received >= _FEW * run.sent and run.rate > 0.95 * rate
-        figures[kind, name].append(run.cpu_per_message if kept else math.nan)
-        figures[kind, f"{name} came"].append(100 * run.received / run.sent)
+def _run_topics(figures: Figures, kinds: Sequence[str], parts: Sequence[str], rounds: int) -> None:
+    loads = [*(SMALL if "small" in parts else ()), *(LARGE if "large" in parts else ())]
+    full = _full_buffers()
+    with _standing(kinds) as beds:
+        _measure_idle(figures, beds)
+        for number in range(rounds):
+            for turn, load in enumerate(loads):
+                for kind in in_turn(kinds, number + turn):
+                    if kind != "thesis" or load.size <= THESIS_SIZE:
+                        _measure(figures, number, kind, beds[kind], load)
+            for turn, size in enumerate(RATE_SIZES if "rates" in parts else ()):
+                for kind in in_turn(kinds, number + turn):
+                    _search(figures, number, kind, beds[kind], size)
+        for kind, each in beds.items():
+            for number, process in enumerate(each.between):
+                figures.add(number, kind, "memory", process.memory())
+    _print(figures, kinds, loads)
+    print(f"\nUDP datagrams without room in a receive buffer, of all programs: {_full_buffers() - full:,}")
 
 
-def _idle(between: bed.Bed) -> float:
-    before, began = sum(process.cpu() for process in between.between), time.monotonic()
+@contextlib.contextmanager
+def _standing(kinds: Sequence[str]) -> Iterator[dict[str, bed.Bed]]:
+    with contextlib.ExitStack() as resources:
+        yield {
+            kind: resources.enter_context(bed.BEDS[kind](near, near + 1))
+            for kind, near in zip(kinds, DOMAINS, strict=False)
+        }
+
+
+def _measure_idle(figures: Figures, beds: Mapping[str, bed.Bed]) -> None:
+    """Measure all beds at once while nothing crosses: each side, and the sum that disturbs a measured bed."""
+    sides = {(kind, at): process for kind, each in beds.items() for at, process in enumerate(each.between)}
+    ends = [process for each in beds.values() for process in (each.talker, each.listener)]
+    before, began = {key: process.cpu() for key, process in sides.items()}, time.monotonic()
+    ends_before = sum(process.cpu() for process in ends)
     time.sleep(IDLE_SECONDS)
-    used = sum(process.cpu() for process in between.between) - before
-    return used / (time.monotonic() - began) / len(between.between) * 100
+    percent = 100 / (time.monotonic() - began)
+    for (kind, at), process in sides.items():
+        figures.add(at, kind, "idle", (process.cpu() - before[kind, at]) * percent)
+    total = sum(process.cpu() for process in sides.values()) - sum(before.values())
+    total += sum(process.cpu() for process in ends) - ends_before
+    print(f"all {len(beds)} beds while idle: {total * percent:.1f} % of a core", flush=True)
 
 
-def _print(figures: _Figures, title: str, names: list[str], others: tuple[str, ...], digits: int) -> None:
-    """Print one table: a row for each figure with a column for each kind, and the ratios of ours to others."""
-    kinds = [kind for kind in BEDS if figures.get((kind, names[0]))]
-    pairs = [(ours, other) for ours in ("tcp", "udp") for other in others]
-    print(f"\n{title}: median (lowest to highest)")
-    print(f"{'':>22}", *(f"{kind:>22}" for kind in kinds), *(f"{'/'.join(pair):>12}" for pair in pairs))
-    for name in names:
-        cells = [_spread(figures[kind, name], digits) for kind in kinds]
-        ratios = [
-            statistics.median(
-                a / b if b else math.nan for a, b in zip(figures[ours, name], figures[other, name], strict=True)
-            )
-            for ours, other in pairs
-        ]
-        print(f"{name:>22}", *(f"{cell:>22}" for cell in cells), *(f"{ratio:>12.2f}" for ratio in ratios), flush=True)
+def _measure(figures: Figures, number: int, kind: str, between: bed.Bed, load: Load) -> None:
+    between.send(load.rate, WARM_SECONDS, load.size)  # the beds before it have emptied the caches
+    faults = _page_faults(between)
+    run = between.send(load.rate, load.seconds, load.size)
+    figures.add(number, kind, f"{load} came", 100 * run.received / run.sent)
+    if run.received < FEW * run.sent or run.rate < KEPT_UP * load.rate:
+        return
+    figures.add(number, kind, f"{load} p50", run.p50)
+    figures.add(number, kind, f"{load} p99", run.p99)
+    if between.between:
+        figures.add(number, kind, f"{load} CPU", run.cpu_per_message)
+        figures.add(number, kind, f"{load} faults", (_page_faults(between) - faults) / run.sent)
 
 
-def _spread(values: list[float], digits: int) -> str:
-    low, middle, high = min(values), statistics.median(values), max(values)
-    return f"{middle:,.{digits}f} ({low:,.{digits}f} to {high:,.{digits}f})"
+def _search(figures: Figures, number: int, kind: str, between: bed.Bed, size: int) -> None:
+    """Find the highest lossless rate, from the last round's on."""
+
+    def trial(rate: float) -> Run:
+        return between.send(rate, RATE_SECONDS, size)
+
+    quantity = f"{size:,} B"
+    best = highest_lossless(trial, first=figures.latest(kind, quantity) or FIRST_RATE, close=CLOSE).best
+    if best is not None:
+        figures.add(number, kind, quantity, best.rate)
+
+
+def _page_faults(between: bed.Bed) -> int:
+    """Page faults so far (proc(5), minflt)."""
+    stats = [Path(f"/proc/{process.pid}/stat").read_text() for process in between.between]
+    return sum(int(stat.rsplit(")", 1)[1].split()[7]) for stat in stats)
+
+
+def _full_buffers() -> int:
+    """Count the datagrams that the kernel dropped because a receive buffer was full, for all IPv4 sockets."""
+    names, values = (
+        line.split() for line in Path("/proc/net/snmp").read_text().splitlines() if line.startswith("Udp:")
+    )
+    return int(values[names.index("RcvbufErrors")])
+
+
+def _print(figures: Figures, kinds: Sequence[str], loads: Sequence[Load]) -> None:
+    """Print all tables: a row for each load or quantity, a column for each bed."""
+    rows, large = [str(load) for load in loads], [str(load) for load in loads if load in LARGE]
+    between = [kind for kind in kinds if kind != "drained"]
+    rates = [f"{size:,} B" for size in RATE_SIZES]
+
+    def print_ratios(what: str, which: Sequence[str], of: str = "") -> None:
+        for other in ("relay", "thesis"):
+            columns = [kind for kind in between if kind in bed.OURS or (kind, other) == ("thesis", "relay")]
+            print_table(f"{what}, in ratio to {other}", which, columns, partial(figures.ratio, other=other), 2, of)
+
+    print_table("CPU of all between talker and listener, µs a message", rows, between, figures.spread, 0, "CPU")
+    print_ratios("CPU", rows, "CPU")
+    added = partial(figures.added, other="drained")
+    for quantile in ("p50", "p99"):
+        print_table(f"Latency, {quantile}, ms", rows, kinds, figures.spread, 2, quantile)
+        print_table(f"Added latency, {quantile}, ms beyond drained", rows, between, added, 2, quantile)
+    print_table("Share received, %", rows, kinds, figures.spread, 1, "came")
+    print_table("Page faults a message", large, between, figures.spread, 1, "faults")
+    print_table("Highest lossless rate, msg/s", rates, kinds, figures.spread, 0)
+    print_ratios("Highest lossless rate", rates)
+    print_table("Each side: memory, MB; idle, % of a core", ["memory", "idle"], between, figures.spread, 2)
 
 
 if __name__ == "__main__":

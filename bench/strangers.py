@@ -22,8 +22,6 @@ from collections import Counter, deque
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
-from bench.zenoh import router
-
 from bench import bed
 from rsb_bridge.transport.zenoh.endpoint import ROOT
 from rsb_bridge.transport.zenoh.sample import Header, Kind
@@ -125,18 +123,11 @@ class Stage:
     def __init__(self, resources: contextlib.ExitStack, transport: str, near: int, far: int) -> None:
         self._folder = Path(resources.enter_context(tempfile.TemporaryDirectory(prefix="rsb-bench-")))
         entry = f"  - {{topic: {loopback.TOPIC}, direction: transmit, type: {_TYPE}, qos: 2000"
-        protocol = "udp" if transport == "udp" else transport
-        port = loopback.write_sessions(self._folder, near, far, [f"{entry}, protocol: {protocol}}}"])
-        self.port = port
-        if transport == _ZENOH:
-            endpoint = f"tcp/127.0.0.1:{port}"
-            resources.enter_context(router(endpoint))
-            for name in ("server", "client"):
-                path = self._folder / f"{name}.yaml"
-                address = f"server_ip: 127.0.0.1\nserver_port: {port}\n"
-                path.write_text(
-                    path.read_text().replace(address, f"server_ip: zenoh\nzenoh: {{connect: [{endpoint}]}}\n")
-                )
+        entries = [f"{entry}, protocol: {transport}}}"]
+        zenoh: loopback.ZenohPath = "router" if transport == _ZENOH else ""
+        self.port = loopback.write_sessions(self._folder, near, far, entries, zenoh)
+        if zenoh:
+            resources.enter_context(loopback.router(f"tcp/127.0.0.1:{self.port}"))
         self._bed = resources.enter_context(loopback.ends(near, far))
         self.server = resources.enter_context(loopback.headless(self._folder / "server.yaml"))
 

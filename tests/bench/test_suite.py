@@ -43,6 +43,12 @@ def test_it_keeps_within_its_time(plan: Plan) -> None:
     assert len(report.points) == 2 * len(plan.sizes)
 
 
+def test_latencies_are_measured_at_each_rate_that_is_carried() -> None:
+    report = measured(SimulatedPlace({"tcp": SimulatedLink(100e6, 12_000.0)}), replace(FULL, sizes=(256, 10_000)))
+    assert [[run.rate for run in each.paced] for each in report.points] == [[1_000, 5_000, 10_000], [1_000, 5_000]]
+    assert all(run.lossless for each in report.points for run in each.paced)
+
+
 def test_without_a_sight_of_the_wire_nothing_more_is_sent_for_it() -> None:
     class Blind(SimulatedLink):
         def wire(self, *_: float) -> None:  # type: ignore[override]

@@ -2,7 +2,13 @@
 
 from __future__ import annotations
 
-from rsb_bridge.ros.known_messages import stamped_string
+import io
+import sys
+
+import pytest
+
+from rsb_bridge.ros import traffic
+from rsb_bridge.ros.known_messages import made_at, stamped_string
 from rsb_bridge.ros.traffic import Arrivals
 
 
@@ -14,3 +20,30 @@ def test_what_an_earlier_run_has_left_does_not_count_for_the_next() -> None:
     arrivals.take(late)
     arrivals.take(stamped_string(100))
     assert (arrivals.count, len(arrivals.latencies)) == (1, 1)
+
+
+class _Publishing:
+    """A node whose publishers keep what they publish."""
+
+    def __init__(self) -> None:
+        self.published: list[bytes] = []
+
+    def create_publisher(self, *_: object) -> _Publishing:
+        return self
+
+    @property
+    def handle(self) -> _Publishing:
+        return self
+
+    def publish_raw(self, message: bytes) -> None:
+        self.published.append(message)
+
+
+@pytest.mark.parametrize("rate", [100_000, 1_000_000])
+def test_each_message_has_a_stamp_of_its_own_at_every_rate(rate: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sys, "stdin", io.StringIO(f"send {rate} 1000 2500\n"))
+    node = _Publishing()
+    traffic._talk(node, ["/topic"])
+    stamps = [made_at(message) for message in node.published]
+    assert len(set(stamps)) == len(stamps) == 1000
+    assert stamps == sorted(stamps)

@@ -5,10 +5,10 @@ It is commanded by lines, and answers with lines of JSON; it ends with its stand
 - ``talk``: ``send RATE COUNT SIZE [AT]`` publishes COUNT messages of SIZE bytes at RATE Hz on the topic of that number,
   and answers with the rate reached.
 - ``listen``: ``reset`` forgets; ``count`` answers with the count, ``report`` with the count and the latencies (ns).
-  ``spin`` listens on rclpy's own executor.
 - ``many DOMAIN PREFIX COUNT [SUFFIX]`` publishes on COUNT topics, each at 1 Hz.
 
-Talker and listener drain and publish raw, so that they cost little compared with the measured programs.
+Talker and listener drain and publish raw, so that they cost little compared with the measured programs. Each message
+has a stamp.
 """
 
 from __future__ import annotations
@@ -22,7 +22,6 @@ from typing import TYPE_CHECKING, Any
 
 import rclpy
 from rclpy.context import Context
-from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.impl.implementation_singleton import rclpy_implementation as _rclpy
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
@@ -37,7 +36,6 @@ if TYPE_CHECKING:
 
 DEPTH = 2000
 _SAMPLES = 100_000
-_STAMPED_BELOW = 5000  # Hz
 _OF_MANY = 200  # bytes
 
 
@@ -53,7 +51,7 @@ def main() -> None:
         prefix, count, *suffix = topics
         _publish_many(node, [f"{prefix}{number:03d}{''.join(suffix)}" for number in range(int(count))])
     else:
-        _listen(context, node, topics, stock=part == "spin")
+        _listen(context, node, topics)
 
 
 def _answer(**fields: object) -> None:
@@ -75,14 +73,12 @@ def _talk(node: Node, topics: Sequence[str]) -> None:
             continue
         rate = float(numbers[0])
         count, size = map(int, numbers[1:3])
-        publish = publishers[int(numbers[3]) if len(numbers) > 3 else 0].publish
-        template = stamped_string(size)
+        publish = publishers[int(numbers[3]) if len(numbers) > 3 else 0].handle.publish_raw
         began, sent = time.perf_counter(), 0
         while sent < count:
             due = min(count, int((time.perf_counter() - began) * rate) + 1)
-            # A stamp of its own each where it costs nothing; at high rates only the count matters.
             for _ in range(due - sent):
-                publish(stamped_string(size) if rate <= _STAMPED_BELOW else template)
+                publish(stamped_string(size))
             sent = max(sent, due)
             time.sleep(0.0005)
         # A single message takes no time; a rate has intervals.
@@ -132,7 +128,7 @@ class Arrivals:
             self.latencies.append(time.monotonic_ns() - made)
 
 
-def _listen(context: Context, node: Node, topics: Sequence[str], *, stock: bool) -> None:
+def _listen(context: Context, node: Node, topics: Sequence[str]) -> None:
     arrivals = Arrivals()
     take = arrivals.take
 
@@ -153,13 +149,7 @@ def _listen(context: Context, node: Node, topics: Sequence[str], *, stock: bool)
         node.create_subscription(String, topic, take, qos, raw=True) for topic, qos in map(_parsed, topics)
     ]
     threading.Thread(target=commands, daemon=True).start()
-    if stock:
-        executor = SingleThreadedExecutor(context=context)
-        executor.add_node(node)
-        with contextlib.suppress(ExternalShutdownException):
-            executor.spin()
-    else:
-        drain(context, [each.handle for each in subscriptions], take)
+    drain(context, [each.handle for each in subscriptions], take)
 
 
 def drain(context: Context, handles: Sequence[Any], take: Callable[[bytes], object]) -> None:

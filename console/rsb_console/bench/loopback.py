@@ -11,7 +11,7 @@ import tempfile
 import time
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal, TypeAlias
 
 from rsb_bridge.api import EngineError
 from rsb_bridge.control.control_sockets import ControlError
@@ -30,6 +30,8 @@ if TYPE_CHECKING:
 
 TOPIC = "/bench"
 TRAFFIC = "rsb_bridge.ros.traffic"
+ZenohPath: TypeAlias = Literal["", "peer", "router"]
+"""How two sides meet over Zenoh: not at all, the client connects to the server, or both to a router."""
 _TYPE = "std_msgs/msg/String"
 _DEPTH = 2000
 _HISTORY = 64 << 20
@@ -136,12 +138,12 @@ def sent_bytes(socket: Path) -> int:
 
 
 @contextlib.contextmanager
-def ends(near: int, far: int, listener: str = "listen", sizes: Sequence[int] = ()) -> Iterator[Bed]:
+def ends(near: int, far: int, sizes: Sequence[int] = ()) -> Iterator[Bed]:
     """Talker and listener, in two domains or one, with a topic for each size."""
     topics = [f"{topic_of(size)}:{depth_of(size)}" for size in sizes] or [TOPIC]
     with (
         Process("-m", TRAFFIC, "talk", str(near), *topics) as talker,
-        Process("-m", TRAFFIC, listener, str(far), *topics) as listening,
+        Process("-m", TRAFFIC, "listen", str(far), *topics) as listening,
     ):
         yield Bed(talker, listening, topics={size: at for at, size in enumerate(sizes)})
 
@@ -152,9 +154,9 @@ def topic_of(size: int) -> str:
 
 
 @contextlib.contextmanager
-def direct(near: int, sizes: Sequence[int] = (), listener: str = "listen") -> Iterator[Bed]:
+def direct(near: int, sizes: Sequence[int] = ()) -> Iterator[Bed]:
     """Put nothing between talker and listener: one domain."""
-    with ends(near, near, listener, sizes) as bed:
+    with ends(near, near, sizes) as bed:
         yield ready(bed)
 
 
@@ -165,6 +167,7 @@ def bridged(
     far: int,
     sizes: Sequence[int] = (),
     *,
+    zenoh: ZenohPath = "",
     side: Callable[[Path], Process] | None = None,
     client: Callable[[Path], Process] | None = None,
 ) -> Iterator[Bed]:
@@ -175,6 +178,7 @@ def bridged(
         near: the domain of the talker and the client.
         far: the domain of the listener and the server.
         sizes: message sizes with a topic each, or empty for one topic for all.
+        zenoh: how the sides meet over Zenoh.
         side: starts a side, or None for `headless`.
         client: starts the client's side, or None for `side`.
     """
@@ -186,8 +190,10 @@ def bridged(
             f"  - {{topic: {topic}, direction: transmit, protocol: {protocol}, type: {_TYPE}, qos: {depth}}}"
             for topic, depth in names.items()
         ]
-        port = write_sessions(folder, near, far, entries)
+        port = write_sessions(folder, near, far, entries, zenoh)
         with contextlib.ExitStack() as between:
+            if zenoh == "router":
+                between.enter_context(router(f"tcp/127.0.0.1:{port}"))
             bed.started = time.monotonic()
             server = between.enter_context(side(folder / "server.yaml"))
             bed.listening = listening(server, port) - bed.started
@@ -197,16 +203,25 @@ def bridged(
             yield ready(bed)
 
 
-def write_sessions(folder: Path, near: int, far: int, entries: Sequence[str]) -> int:
-    """Write the session files of a server and a client in two domains, with these topics; return the port."""
-    key = folder / "bench.key"
-    key.write_bytes(base64.urlsafe_b64encode(os.urandom(32)))
-    key.chmod(0o600)
+def write_sessions(
+    folder: Path, near: int, far: int, entries: Sequence[str], zenoh: ZenohPath = "", *, key: str = "topics"
+) -> int:
+    """Write the session files of a server and a client in two domains, with these entries; return the port.
+
+    The port is the server's, or the router's if both sides connect to a Zenoh router. `key` is the entries' key.
+    """
+    key_file = folder / "bench.key"
+    key_file.write_bytes(base64.urlsafe_b64encode(os.urandom(32)))
+    key_file.chmod(0o600)
     port = free_port()
-    common = f"name: bench\nserver_ip: 127.0.0.1\nserver_port: {port}\nkey_file: bench.key\n"
-    (folder / "server.yaml").write_text(f"role: server\ndomain_id: {far}\n{common}")
+    listens = connects = f"server_ip: 127.0.0.1\nserver_port: {port}\n"
+    if zenoh:
+        connects = f"server_ip: zenoh\nzenoh: {{connect: [tcp/127.0.0.1:{port}]}}\n"
+        listens = connects if zenoh == "router" else connects.replace("connect:", "listen:")
+    common = "name: bench\nkey_file: bench.key\n"
+    (folder / "server.yaml").write_text(f"role: server\ndomain_id: {far}\n{common}{listens}")
     (folder / "client.yaml").write_text(
-        "\n".join([f"role: client\ndomain_id: {near}\n{common}topics:", *entries]) + "\n"
+        "\n".join([f"role: client\ndomain_id: {near}\n{common}{connects}{key}:", *entries]) + "\n"
     )
     return port
 
@@ -226,6 +241,14 @@ def headless(session: Path, log: Path | None = None) -> Process:
         log=log or folder / f"{session.stem}.log",
         environ=apart,
     )
+
+
+def router(endpoint: str) -> Process:
+    """Start a Zenoh router, and return it once it listens."""
+    process = Process("-m", "rsb_console.bench.router", endpoint)
+    if not process.line():
+        raise BenchError(BenchProblem.NO_ROUTER())
+    return process
 
 
 def listening(server: Process, port: int) -> float:

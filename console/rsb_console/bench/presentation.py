@@ -68,6 +68,9 @@ def lines_of(report: Report) -> Iterator[str]:
         yield from _rates(report.points)
         yield ""
         yield from _latencies(report.points)
+        if any(each.paced for each in report.points):
+            yield ""
+            yield from _latencies_by_rate(report.points)
     if report.sides:
         yield ""
         yield from _sides(report)
@@ -114,6 +117,16 @@ def _latencies(points: Sequence[Point]) -> Iterator[str]:
         run = each.gentle
         figures = (run.p50, run.p99, run.p999, *(each.added if added else ()))
         rows.append((_way(each, points), byte_count(each.size), *(f"{figure:.2f}" for figure in figures)))
+    yield from _aligned(rows)
+
+
+def _latencies_by_rate(points: Sequence[Point]) -> Iterator[str]:
+    yield "Latency at higher rates, ms"
+    rows: list[tuple[str, ...]] = [("", "size", "msg/s", "p50", "p99", "p99.9")]
+    for each in points:
+        for run in each.paced:
+            latencies = (f"{figure:.2f}" for figure in (run.p50, run.p99, run.p999))
+            rows.append((_way(each, points), byte_count(each.size), f"{run.rate:,.0f}", *latencies))
     yield from _aligned(rows)
 
 

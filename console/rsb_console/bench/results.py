@@ -81,6 +81,7 @@ class Point:
         best: run at the highest rate without loss, or None if every run had losses.
         limit: reason why no higher rate was found.
         full: run at a rate that is too high, or None.
+        paced: runs at fixed rates up to that of `best`, for the latencies.
     """
 
     transport: str
@@ -91,6 +92,7 @@ class Point:
     best: Run | None
     limit: Limit
     full: Run | None = None
+    paced: tuple[Run, ...] = ()
 
     @property
     def added(self) -> tuple[float, float, float]:

@@ -17,6 +17,7 @@ def main() -> None:
     config.insert_json5("mode", '"router"')
     config.insert_json5("listen/endpoints", json.dumps(sys.argv[1:]))
     config.insert_json5("scouting/multicast/enabled", "false")
+    config.insert_json5("transport/shared_memory/enabled", "false")  # a killed process would leave segments behind
     with zenoh.open(config):
         sys.stdout.write("{}\n")
         sys.stdout.flush()

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from contextlib import AbstractContextManager
     from pathlib import Path
 
-ROBOTS, ROUTER = "rsb_console.bench.robots", "rsb_console.bench.router"
+ROBOTS = "rsb_console.bench.robots"
 USUAL = Load((Talk("/pose", 10.0, 200), Talk("/status", 1.0, 200), Talk("/scan", 5.0, 2500)), ("/goal",))
 WITH_BATTERY = Load((*USUAL.talks, Talk("/battery_state", 1.0, 0, BATTERY_STATE)), USUAL.hears)
 MOST_IN_ONE = 50
@@ -55,9 +55,7 @@ class Router:
 
     def start(self) -> None:
         """Start the router, and return once it listens."""
-        self.process = Process("-m", ROUTER, self.endpoint)
-        if not self.process.line():
-            raise BenchError(BenchProblem.NO_ROUTER())
+        self.process = loopback.router(self.endpoint)
 
     def kill(self) -> None:
         """End it abruptly, like a power cut."""

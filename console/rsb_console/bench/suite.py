@@ -46,6 +46,7 @@ class Plan:
         close: precision of the highest rate (`CLOSE`).
         gentle: rate (Hz) of the runs for latencies.
         gentle_run: seconds of each of these.
+        paced: higher rates (Hz) at which the latency is measured, too.
         idle: seconds to measure an idle bridge, or 0 to skip that.
         many: numbers of topics to open at once.
         most: limit on the whole benchmark, in seconds.
@@ -56,6 +57,7 @@ class Plan:
     close: float = 1.1
     gentle: float = 100.0
     gentle_run: float = 3.0
+    paced: tuple[int, ...] = (1_000, 5_000, 10_000, 20_000)
     idle: float = 3.0
     many: tuple[int, ...] = (1, 50, 500)
     most: float = 600.0
@@ -175,11 +177,22 @@ class Suite:
             self._say(f"{what}, wire")
             seen = ends.wire(best.rate * _SLOWER_BY, plan.run, size)
             best = best if seen is None else replace(best, wire=_of(seen, best.sent))
+        paced = self._paced(ends, what, size, best.rate if best else 0.0)
         if found.limit == "loss":
             rate = min(ends.most(size), _TOO_FAST * (best.rate if best else tried[-1]))
             self._say(f"{what}, {rate:,.0f} msg/s, too fast")
             full = ends.send(rate, max(plan.run, _LEAST_MESSAGES / rate), size)
-        return Point(way.transport, way.direction, size, gentle, base, best, found.limit, full)
+        return Point(way.transport, way.direction, size, gentle, base, best, found.limit, full, paced)
+
+    def _paced(self, ends: Ends, what: str, size: int, highest: float) -> tuple[Run, ...]:
+        """Send at the plan's rates as far as they are carried, and as time remains."""
+        runs = []
+        for rate in self._plan.paced:
+            if rate > min(highest, _FIRST_BYTES / size) or self._clock() >= min(self._share_ends, self._ends_at):
+                break
+            self._say(f"{what}, latency at {rate:,} msg/s")
+            runs.append(ends.send(rate, self._plan.run, size))
+        return tuple(runs)
 
     def _gentle(self, ends: Ends, size: int) -> float:
         return max(1.0, min(self._plan.gentle, _GENTLE_BYTES / size, ends.most(size)))
