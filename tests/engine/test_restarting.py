@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import socket
 import time
 from typing import TYPE_CHECKING
@@ -17,6 +18,7 @@ from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.verdict import LinkCause
 from rsb_bridge.transport.listening import ListenProblem
+from rsb_bridge.transport.udp import Udp
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -24,6 +26,7 @@ if TYPE_CHECKING:
     from tests.support.bridge import Bridge
 
     from rsb_bridge.engine import Engine
+    from rsb_bridge.transport.transport import Acceptor, Listener
 
 
 class Thief:
@@ -87,6 +90,23 @@ def test_a_restart_whose_bind_fails_is_tried_again(kind: type[Thief], bridge: Br
     thief.give_back()
     eventually(lambda: linked(client) and linked(server))
     assert sum(event.code == EventCode.ENGINE_LISTENING for event in server.events()) == listening + 1
+
+
+def test_no_client_links_while_a_port_is_missing(bridge: Bridge, monkeypatch: pytest.MonkeyPatch) -> None:
+    """However long it takes to find out that the datagrams' port is taken."""
+    bind = Udp.listen
+
+    async def bind_late(self: Udp, host: str, port: int, acceptor: Acceptor) -> Listener:
+        await asyncio.sleep(3.0)
+        return await bind(self, host, port, acceptor)
+
+    server, client = bridge.both()
+    thief = UdpThief(bridge.port)
+    monkeypatch.setattr(Udp, "listen", bind_late)
+    restart_in_vain(server, thief)
+    holds(lambda: not linked(client) and not linked(server), 5.0)
+    thief.give_back()
+    eventually(lambda: linked(client) and linked(server))
 
 
 def test_a_server_that_is_stopped_tries_no_more(bridge: Bridge, thief: Thief) -> None:

@@ -78,14 +78,14 @@ class Server:
             self._add_link(entry)
 
     async def start(self) -> None:
-        """Bind the shared port.
+        """Bind the shared port: its streams last, since clients link as soon as these are accepted.
 
         Raises:
             ListenError: it is taken, or not ours.
         """
         session = self.context.session
         names = (self._transport.name, *self._transport.companions)
-        for name in names:
+        for name in reversed(names) if self._transport.ip_ports else names:
             await self._ports.open(name, session.server_port)
         address = self._transport.format_address((session.server_ip, session.server_port))
         self.context.log(Level.INFO, EventCode.ENGINE_LISTENING, f"listening on {address} ({' and '.join(names)})")
