@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from tests.support.domain import Domain
 
 NODES = 40
-WITHIN = 120.0
+WITHIN = 400.0
 
 
 def _subscriptions(domain: Domain) -> int:

@@ -15,6 +15,7 @@ from tests.simulation.action_invariants import ActionInvariants
 from tests.simulation.call_invariants import CallInvariants
 from tests.simulation.tables import tables
 
+from rsb_bridge.model.limits import KEPT_DEPTH
 from rsb_bridge.model.snapshot import State
 from rsb_bridge.route.calls.goals import MOST_GOALS
 from rsb_bridge.route.calls.kept_calls import MOST_KEPT
@@ -52,8 +53,13 @@ _SEEN_WITHIN = 5.0
 _SWEEP_EVERY = 600.0
 _ITEMS, _ITEMS_EACH = 100, 20
 """In one table: so many, and so many more for each route and each link."""
-_BOUNDED = {".goals._goals": MOST_GOALS, ".answers._kept": MOST_KEPT}
-"""Tables that are kept for people, or for an hour."""
+_BOUNDED = {
+    ".goals._goals": MOST_GOALS,
+    ".answers._kept": MOST_KEPT,
+    ".sinks[]._waiting": KEPT_DEPTH,
+    ".sinks[]._free": KEPT_DEPTH,
+}
+"""Tables that are kept for people, or for an hour, or that have a number for each message that DDS holds."""
 _TASKS, _DESCRIPTORS, _TIMERS = 10, 10, 20
 """Of one engine: so many, and four more for each route and each link."""
 
