@@ -48,7 +48,9 @@ if TYPE_CHECKING:
     from rsb_bridge.context import Context
     from rsb_bridge.model.qos import Qos
     from rsb_bridge.model.session import Topic
+    from rsb_bridge.model.verdict import Verdict
     from rsb_bridge.route.arming import Disarmed
+    from rsb_bridge.route.rest import Signs
     from rsb_bridge.route.route import Owner
 
 _INCOMPLETE_IN_A_ROW = 3
@@ -409,6 +411,12 @@ class IncomingRoute(TopicRoute[ReceivingChannel]):
         if self.judged.peer.cause != Cause.THINNED or self.qos is None:
             return False
         return self.qos.latched or (self.qos.reliability == "reliable" and self.rank >= 0)
+
+    def _signs(self) -> Signs:
+        return *super()._signs(), self._report, self._subscribers, self._clash
+
+    def _changes_at(self, shown: Verdict, now: float) -> float:
+        return now if self._sender_ledger.in_flight else super()._changes_at(shown, now)
 
     def tick(self) -> None:
         super().tick()
