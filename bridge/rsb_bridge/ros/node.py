@@ -8,6 +8,7 @@ import re
 import secrets
 import threading
 from collections import defaultdict, deque
+from functools import partial
 from typing import TYPE_CHECKING, Any, Generic, TypeAlias, TypeVar
 
 from rsb_bridge.model.qos import incompatible
@@ -308,13 +309,13 @@ class RosNode:
                 if drains is not self._drains:
                     drains = self._drains
                     endpoints = tuple(each.endpoint for each in drains.values())
-                ready = participant.wait(endpoints, LONGEST_WAIT if turns.watched else None)
+                addresses, graph_changed = participant.wait(endpoints, LONGEST_WAIT if turns.watched else None)
                 if turns.watched:
                     turns.turned()
-                for address in ready.addresses:
+                for address in addresses:
                     if self._participant is participant:
                         drains[address].deliver()
-                if ready.graph_changed:
+                if graph_changed:
                     self._on_graph_change()
         except Exception as error:  # noqa: BLE001 — no error may end the thread unnoticed
             self._failure = RosProblem.THREAD_FAILED(error=error)
@@ -447,7 +448,7 @@ class _Subscription(Drain[RawMessage]):
         own: set[bytes],
         retire: Callable[[Drain[Any]], None],
     ) -> None:
-        super().__init__(reader, lambda limit: reader.take(limit, own), sink, on_failure, retire)
+        super().__init__(reader, partial(reader.take, skip=own), sink, on_failure, retire)
         self.topic = reader.topic
         self.qos = qos
         self.key = key
