@@ -200,14 +200,14 @@ class CallingRoute(CallsRoute):
         self._pending = PendingCalls[CallerCall](context.loop, peer.budget.asked, self._expired, self._outbox.forget)
         self._last_number = 0
         self._messages = LaneMessages(self.members, self._offers, peer.budget.kept, self.notices)
-        self._allowed = _bucket(0.0, context.now())
+        self._allowed: TokenBucket | None = None  # None without a limit
         self.limit.apply = self._limit
 
     def _lease_of_requests(self) -> Lease | None:
         return self.arming.lease if self.arming.required else None
 
     def _limit(self, rate: float) -> None:
-        self._allowed = _bucket(rate, self.context.now())
+        self._allowed = TokenBucket(max(1.0, rate * _AT_ONCE), rate, self.context.now()) if rate else None
 
     # --- offering
 
@@ -434,7 +434,7 @@ class CallingRoute(CallsRoute):
             return Refused.TOO_OLD
         if len(request.payload) > self._outbox.largest:
             return Refused.TOO_LARGE
-        if limited and self.limit.rate and not self._allowed.take(1.0, now):
+        if limited and self._allowed is not None and not self._allowed.take(1.0, now):
             return Refused.CALLS_A_SECOND
         return self.peer.budget.asked.take(frame_size(request.payload), now)
 
@@ -517,15 +517,12 @@ class CallingRoute(CallsRoute):
             raise ProtocolError(f"call {frame.call} is answered on lane {frame.lane}, not {call.lane}")
         return call
 
-    def _end_call(self, frame: CallFrame) -> CallerCall | None:
-        """End the pending call that a frame is about, and return it, or None if it has ended before."""
-        return self._pending.end(frame.call) if self._call_of(frame) is not None else None
-
     def _take_answer(self, frame: CallFrame) -> None:
         """Answer the caller."""
-        if (call := self._end_call(frame)) is None:
+        if (call := self._call_of(frame)) is None:
             self.calls.late += 1
             return
+        self._pending.end(frame.call)
         if self.action is not None and call.kept is not None and (goal := goal_of(call.kept.payload)) is not None:
             self.action.goals.response(call.lane, goal, frame.content)
         took, total = frame.took / 1e9, self.context.now() - call.asked_at
@@ -541,8 +538,9 @@ class CallingRoute(CallsRoute):
 
     def _take_unusable(self, frame: CallFrame, why: Refused) -> None:
         """End a call whose answer came, but cannot be passed on."""
-        if (call := self._end_call(frame)) is None:
+        if (call := self._call_of(frame)) is None:
             return
+        self._pending.end(frame.call)
         self._unanswered(call, why)
         if self.action is not None and call.kept is not None and frame.what is What.ANSWER:
             self.action.unanswered(call.kept)  # a goal may have been accepted
@@ -587,8 +585,7 @@ class CallingRoute(CallsRoute):
 
     def _give_up_all(self, why: str) -> None:
         lost = 0
-        for number, call in self._pending.items():
-            self._pending.end(number)
+        for _, call in self._pending.clear():
             if self.action is not None and self.action.keep(call):
                 continue
             if self.action is not None and call.kept is not None:
@@ -721,7 +718,3 @@ class CallingRoute(CallsRoute):
         kept = [call.kept for _, call in self._pending.items() if call.kept is not None and call.lane == GET_RESULT]
         requests = [*(each.payload for each in kept), *action.waiting.requests(GET_RESULT)]
         return {goal for request in requests if (goal := goal_of(request)) is not None}
-
-
-def _bucket(rate: float, now: float) -> TokenBucket:
-    return TokenBucket(max(1.0, rate * _AT_ONCE), rate, now)
