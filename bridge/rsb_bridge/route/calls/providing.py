@@ -415,7 +415,7 @@ class ProvidingRoute(CallsRoute):
             return False
         took = self.context.now() - call.asked_at
         if not self.members[call.lane].patient:
-            self.calls.node.add(took)
+            self.calls.timed(took)
         if len(payload) > self._outbox.largest:
             self._give_up(peers, Refused.TOO_LARGE)
         elif not self._pending.resize(call, frame_size(payload)):
