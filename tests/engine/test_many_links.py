@@ -69,6 +69,17 @@ class Route:
         self.rests = False
 
 
+class Many:
+    def __init__(self, links: list[Link]) -> None:
+        self._links = links
+
+    def links(self) -> list[Link]:
+        return self._links
+
+    def refused(self) -> tuple[()]:
+        return ()
+
+
 def test_links_tick_one_at_a_time(loop: VirtualLoop, make_context: Callable[..., Context]) -> None:
     context = make_context(name="control", role="server", clients=CLIENTS, use_encryption=False)
     bridge = Bridge(context, {client.name: () for client in CLIENTS}, publisher(context))
@@ -91,15 +102,8 @@ def test_a_snapshot_of_many_links_is_made_a_slice_at_a_time(
 
     links = [Link(turns, routes=4) for _ in range(LINKS)]
 
-    class Many:
-        def links(self) -> list[Link]:
-            return links
-
-        def refused(self) -> tuple[()]:
-            return ()
-
     shown = publisher(make_context())
-    loop.run_until_complete(shown.refresh(Many()))
+    loop.run_until_complete(shown.refresh(Many(links)))
     assert (len(shown.latest.links), len(shown.latest.routes)) == (LINKS, 4 * LINKS)
     assert turns.calls == LINKS + 4 * LINKS
     assert turns.most_in_one_go <= 2 * SLICE
@@ -147,13 +151,6 @@ def test_routes_that_rest_are_shown_anew_while_somebody_looks_often(
         link.snapshot = lambda: None  # type: ignore[method-assign]
     links[0].routes["awake"] = Route(awake)
 
-    class Many:
-        def links(self) -> list[Link]:
-            return links
-
-        def refused(self) -> tuple[()]:
-            return ()
-
     shown = publisher(make_context())
 
     async def look() -> None:
@@ -162,7 +159,7 @@ def test_routes_that_rest_are_shown_anew_while_somebody_looks_often(
             await asyncio.sleep(1 / looks)
 
     async def main() -> None:
-        tasks = [asyncio.ensure_future(shown.run(Many())), asyncio.ensure_future(look())]
+        tasks = [asyncio.ensure_future(shown.run(Many(links))), asyncio.ensure_future(look())]
         await asyncio.sleep(4.9)
         resting.calls = awake.calls = 0
         await asyncio.sleep(4.0)

@@ -15,7 +15,7 @@ Signs: TypeAlias = tuple[object, ...]
 """What a route's verdict and its figures follow from; they are equal while nothing happens."""
 
 RESTS_AFTER = float(HISTORY)
-"""s without any change after which a route rests: its rate is 0, its plot is empty, and its log has said all."""
+"""s without any change after which a route rests. By then its rate is 0 and its plot is empty."""
 LONGEST = 15.0
 """s that a route rests at most: its signs may not show everything, and its figures should not be older."""
 _AWAKE = 0.9
@@ -23,7 +23,7 @@ _AWAKE = 0.9
 
 
 class Rest:
-    """Whether a route rests: then it is neither ticked nor reported to the peer nor, unless somebody looks, shown anew.
+    """Whether a route rests. A resting route is not ticked or reported, and is shown again only for somebody who looks.
 
     The rule: its signs have been the same for `RESTS_AFTER`, and time alone changes nothing before its next tick.
     Messages do not have to tell of themselves: their count is one of the signs.
