@@ -519,12 +519,15 @@ class CallingRoute(CallsRoute):
             raise ProtocolError(f"call {frame.call} is answered on lane {frame.lane}, not {call.lane}")
         return call
 
+    def _end_call(self, frame: CallFrame) -> CallerCall | None:
+        """End the pending call that a frame is about, and return it, or None if it has ended before."""
+        return self._pending.end(frame.call) if self._call_of(frame) is not None else None
+
     def _take_answer(self, frame: CallFrame) -> None:
         """Answer the caller."""
-        if (call := self._call_of(frame)) is None:
+        if (call := self._end_call(frame)) is None:
             self.calls.late += 1
             return
-        self._pending.end(frame.call)
         if self.action is not None and call.kept is not None and (goal := goal_of(call.kept.payload)) is not None:
             self.action.goals.response(call.lane, goal, frame.content)
         took, total = frame.took / 1e9, self.context.now() - call.asked_at
@@ -540,9 +543,8 @@ class CallingRoute(CallsRoute):
 
     def _take_unusable(self, frame: CallFrame, why: Refused) -> None:
         """End a call whose answer came, but cannot be passed on."""
-        if (call := self._call_of(frame)) is None:
+        if (call := self._end_call(frame)) is None:
             return
-        self._pending.end(frame.call)
         self._unanswered(call, why)
         if self.action is not None and call.kept is not None and frame.what is What.ANSWER:
             self.action.unanswered(call.kept)  # a goal may have been accepted
