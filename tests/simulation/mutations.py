@@ -117,9 +117,9 @@ def _counted_before(self: Any) -> Any:
     return self._before[1] if self._before is not None else None
 
 
-def _get_oldest(self: Any, number: int) -> Any:
-    """Return the oldest call instead of the call of a number: answers in order, whoever asked."""
-    return next(iter(self._calls.values()), None)
+def _end_oldest(self: Any, number: int) -> Any:
+    """As `PendingCalls.end`, but of the oldest call: answers in order, whoever asked."""
+    return _end(self, next(iter(self._calls), number))
 
 
 async def _tunnel(world: World) -> None:
@@ -294,7 +294,7 @@ MUTATIONS = (
     ),
     Mutation(
         "an answer goes to whoever asked first",
-        ((PendingCalls, "get", _get_oldest),),
+        ((PendingCalls, "end", _end_oldest),),
         "got for call", CALLS, 1, 1.0,
     ),
     Mutation(
