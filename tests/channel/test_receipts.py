@@ -33,9 +33,7 @@ def test_a_sender_hears_soon_of_a_buffer_that_has_become_larger() -> None:
     receiver = DatagramReceiver(cast("UdpChannel", carrier), cast("RouteSink", route), reader)
 
     def come(size: int) -> None:
-        for datagram in writer.write(bytes(size), 0, 0, 1400):
-            receiver.received(datagram, 0.0)
-        receiver.deliver_whole()
+        receiver.received(writer.write(bytes(size), 0, 0, 1400), 0.0)
 
     come(1000)
     assert [receipt.buffer for receipt in receipts] == [_SMALL]

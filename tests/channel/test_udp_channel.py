@@ -238,7 +238,8 @@ def test_only_what_is_authentic_is_a_sign_of_life() -> None:
             await ready(client)
             channel = server.channels[b"link one"]
             heard, server.time = channel.received_at, server.time + 60.0
-            channel.received([(PROBE_ROUTE, bytes(60), (_HOST, 1)), (1, bytes(60), (_HOST, 1))])
+            channel.received(PROBE_ROUTE, [bytes(60)], (_HOST, 1))
+            channel.received(1, [bytes(60)], (_HOST, 1))
             assert channel.received_at == heard
             client.tick()
             await until(lambda: channel.received_at == server.time)
@@ -394,7 +395,7 @@ def test_a_probe_that_another_one_has_overtaken_counts() -> None:
             first, second = (client._probe.write(Probe(pong=False, opaque=0), 1000) for _ in range(2))
             for (datagram,) in (second, first):
                 server.time += 3.0
-                there.received([(PROBE_ROUTE, datagram, (_HOST, client.socket.port))])
+                there.received(PROBE_ROUTE, [datagram], (_HOST, client.socket.port))
                 assert there.received_at == server.time
 
     asyncio.run(main())

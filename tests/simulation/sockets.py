@@ -296,7 +296,7 @@ class Socket:
             self._queued_bytes += len(data)
             self._rouse()
 
-    def recvfrom(self, _: int) -> tuple[bytes, Address]:
+    def recvmsg(self, size: int, ancillary: int) -> tuple[bytes, list[tuple[int, int, bytes]], int, Address]:
         """The oldest datagram that waits.
 
         Raises:
@@ -306,7 +306,7 @@ class Socket:
             raise BlockingIOError
         data, sender = self._queue.popleft()
         self._queued_bytes -= len(data)
-        return data, sender
+        return data, [], 0, sender
 
 
 def _arrive(source: Machine, destination: Machine, port: int, data: bytes, sender: Address) -> None:

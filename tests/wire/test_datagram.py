@@ -13,7 +13,7 @@ from rsb_bridge.wire.datagram import (
     DatagramWriter,
     Probe,
     Receipt,
-    addressee,
+    by_addressee,
     unpack_probe,
 )
 from rsb_bridge.wire.framing import SOURCE_FLAGS, SOURCE_SHIFT, ZSTD, Budget
@@ -68,7 +68,7 @@ def test_a_datagram_is_as_the_document_says() -> None:
     sealer = Sealer(Suite.AESGCM, KEY)
     assert first[38:] == sealer.seal(b"ab", first[:38])
     assert second[38:] == sealer.seal(b"c", second[:38])
-    assert addressee(second) == (ROUTE, LINK)
+    assert by_addressee([(second, 1)]) == {(ROUTE, LINK, 1): [second]}
 
 
 @SUITES
@@ -229,10 +229,22 @@ def test_garbage_is_ignored(suite: Suite, garbage: bytes) -> None:
 
 def test_only_our_own_datagrams_have_a_header() -> None:
     datagram = Peer().datagram()
-    assert addressee(datagram) == (ROUTE, LINK)
-    assert addressee(datagram[:37]) is None
-    assert addressee(b"\xb6" + datagram[1:]) is None
-    assert addressee(b"") is None
+    assert by_addressee([(datagram, None)]) == {(ROUTE, LINK, None): [datagram]}
+    for foreign in (datagram[:37], b"\xb6" + datagram[1:], b""):
+        assert by_addressee([(foreign, None)]) == {}
+
+
+def test_datagrams_are_sorted_by_route_link_and_origin_in_their_order() -> None:
+    peer = Peer()
+    first, second, other_route, third = peer.datagram(), peer.datagram(), peer.datagram(route=8), peer.datagram()
+    other_link = first.replace(LINK, b"LINKlink")
+    origins = [(first, 1), (other_route, 1), (second, 1), (other_link, 1), (b"foreign", 1), (third, 2), (first, 1)]
+    assert by_addressee(origins) == {
+        (ROUTE, LINK, 1): [first, second, first],
+        (8, LINK, 1): [other_route],
+        (ROUTE, b"LINKlink", 1): [other_link],
+        (ROUTE, LINK, 2): [third],
+    }
 
 
 def test_another_key_or_another_link_does_not_open() -> None:
@@ -270,7 +282,7 @@ def test_probes_travel_on_their_own_route(pong: bool, opaque: int) -> None:
     probe = Probe(pong, opaque)
     writer = DatagramWriter(Sealer(Suite.AESGCM, KEY), LINK, PROBE_ROUTE)
     (datagram,) = writer.write(probe.pack(), 0, 0, 1400)
-    assert addressee(datagram) == (PROBE_ROUTE, LINK)
+    assert list(by_addressee([(datagram, 0)])) == [(PROBE_ROUTE, LINK, 0)]
     message = DatagramReader(DatagramOpener(Suite.AESGCM, KEY), PROBE_ROUTE).receive(datagram, 0.0)
     assert message is not None
     assert unpack_probe(message[0]) == probe
@@ -287,6 +299,15 @@ def test_receipts_are_as_the_document_says(route: int, newest: int, opened: int,
         Probe.unpack(receipt.pack())
 
 
+def test_many_messages_are_written_as_one_by_one() -> None:
+    (many, _), (one, reader) = ends(), ends()
+    messages = [(bytes([index]) * size, index, ZSTD) for index, size in enumerate((0, 5, 25, 10, 11))]
+    together = many.write_many(messages, OVERHEAD + 10)
+    assert together == [datagram for message in messages for datagram in one.write(*message, OVERHEAD + 10)]
+    assert (many.number, many.sequence, many.largest) == (one.number, one.sequence, one.largest) == (5, 8, 25)
+    assert [message for each in together if (message := reader.receive(each, 0.0)) is not None] == messages
+
+
 def test_a_reader_counts_what_it_opens() -> None:
     writer, reader = ends()
     datagrams = writer.write(bytes(30), 0, 0, OVERHEAD + 10)
@@ -294,6 +315,7 @@ def test_a_reader_counts_what_it_opens() -> None:
     for index in (2, 0, 0):
         reader.receive(datagrams[index], 0.0)
     assert (reader.opened, reader.newest_sequence) == (2, 2)
+    assert reader.opened_bytes == 2 * (OVERHEAD + 10)
 
 
 @given(st.integers(0, 5000), st.integers(1, 300))

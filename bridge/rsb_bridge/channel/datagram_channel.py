@@ -189,7 +189,6 @@ class DatagramSender(_DatagramChannel):
         self._pacer = Pacer()
         self._waiting: Sequence[bytes] = ()
         self._timer: asyncio.TimerHandle | None = None
-        self._largest = 0
         self._receipted = (-1, 0)  # the newest datagram of the last receipt, and how many had arrived
         self._arrivals: deque[tuple[float, int]] = deque(maxlen=_MOST_RECEIPTS)  # time (s), arrivals by then
         udp_channel.add_sender(route.id, self)
@@ -203,13 +202,8 @@ class DatagramSender(_DatagramChannel):
         return self._codec.datagrams(size, self.carrier.datagram_size())
 
     def send(self, batch: Sequence[Message]) -> None:
-        size = self.carrier.datagram_size()
-        datagrams = [*self._waiting]
-        for payload, stamp, flags in batch:
-            datagrams += self._codec.write(payload, stamp, flags, size)
-            if len(payload) > self._largest:  # noqa: PLR1730 - max() takes three times as long
-                self._largest = len(payload)
-        self._waiting = datagrams
+        datagrams = self._codec.write_many(batch, self.carrier.datagram_size())
+        self._waiting = [*self._waiting, *datagrams] if self._waiting else datagrams
         if self._timer is None:
             self._send_waiting()
 
@@ -233,8 +227,8 @@ class DatagramSender(_DatagramChannel):
             self._receipted = receipt.newest, receipt.opened
             self._note_arrivals(receipt.opened, self._loop.time())
         self._pacer.receipt(receipt.newest, receipt.opened, receipt.buffer, self._loop.time())
-        if receipt.buffer < RECEIVE_BUFFER and self._largest > self._pacer.window:
-            self.carrier.shortages[False] = BufferShortage(False, receipt.buffer, self._largest)
+        if receipt.buffer < RECEIVE_BUFFER and self._codec.largest > self._pacer.window:
+            self.carrier.shortages[False] = BufferShortage(False, receipt.buffer, self._codec.largest)
         if self._timer is not None:
             self._timer.cancel()
             self._go_on()
@@ -289,11 +283,9 @@ class DatagramReceiver(_DatagramChannel):
     def __init__(self, udp_channel: UdpChannel, route: RouteSink, codec: DatagramReader) -> None:
         super().__init__(udp_channel, route)
         self._codec = codec
-        self._whole: list[Message] = []
         self._buffer = udp_channel.socket.receive_buffer
-        self._due = self._buffer // _RECEIPTS_PER_BUFFER
+        self._due = 1  # opened bytes at which the next receipt is due: the sender knows the buffer once anything comes
         self._missing = 0  # datagrams, at the last receipt
-        self._since_receipt = self._due  # the sender knows the buffer as soon as anything comes
         udp_channel.add_receiver(route.id, self)
 
     def counts(self) -> Counts | None:
@@ -303,31 +295,24 @@ class DatagramReceiver(_DatagramChannel):
         self._codec.close()
         super().close(reason)
 
-    def received(self, datagram: Buffer, now: float) -> bool:
+    def received(self, datagrams: Sequence[Buffer], now: float) -> bool:
         """See `DatagramSink.received`."""
-        opened = self._codec.opened
-        message = self._codec.receive(datagram, now)
-        if self._codec.opened > opened:
-            self._since_receipt += len(datagram)
-        if message is None:
+        receive = self._codec.receive
+        whole = [message for datagram in datagrams if (message := receive(datagram, now)) is not None]
+        if self._codec.opened_bytes >= self._due:
+            self._acknowledge()
+        if not whole:
             return False
-        self._whole.append(message)
+        if self._buffer < RECEIVE_BUFFER:
+            self._check_buffer(max(len(payload) for payload, _, _ in whole))
+        self._route.deliver(whole)
         return True
 
-    def deliver_whole(self) -> None:
-        """Deliver the messages that are whole, and have the sender know what has come, when that is due."""
-        whole, self._whole = self._whole, []
-        if self._since_receipt >= self._due and self._codec.opened:
-            self._acknowledge()
-        if whole:
-            if self._buffer < RECEIVE_BUFFER:
-                self._check_buffer(max(len(payload) for payload, _, _ in whole))
-            self._route.deliver(whole)
-
     def _acknowledge(self) -> None:
-        self._since_receipt = 0
-        self._missing = self._codec.newest_sequence + 1 - self._codec.opened
-        self.carrier.acknowledge(Receipt(self._route_id, self._codec.newest_sequence, self._codec.opened, self._buffer))
+        codec = self._codec
+        self._due = codec.opened_bytes + self._buffer // _RECEIPTS_PER_BUFFER
+        self._missing = codec.newest_sequence + 1 - codec.opened
+        self.carrier.acknowledge(Receipt(self._route_id, codec.newest_sequence, codec.opened, self._buffer))
 
     def expire(self, now: float) -> None:
         """Give up messages whose fragments did not come in time."""
@@ -339,7 +324,7 @@ class DatagramReceiver(_DatagramChannel):
             before, self._buffer = self._buffer, self.carrier.socket.receive_buffer
             if self._buffer != before:
                 # At once: the sender, whose window is still the old one, would wait for a receipt each time.
-                self._since_receipt = self._due = self._buffer // _RECEIPTS_PER_BUFFER
+                self._due = 1
 
     def _check_buffer(self, largest: int) -> None:
         if largest > self._buffer // WINDOW:

@@ -10,11 +10,11 @@ import os
 from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 from rsb_bridge.model.wording import Wording
-from rsb_bridge.wire.datagram import PROBE_ROUTE, Probe, Receipt, addressee, unpack_probe
+from rsb_bridge.wire.datagram import PROBE_ROUTE, Probe, Receipt, by_addressee, unpack_probe
 from rsb_bridge.wire.protocol_error import ProtocolError
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Sequence
+    from collections.abc import Callable, Sequence
 
     from rsb_bridge.channel.data_keys import DataKeys
     from rsb_bridge.transport.streams import Address
@@ -102,12 +102,8 @@ class DatagramSource(Protocol):
 class DatagramSink(Protocol):
     """The receiving end of a route's channel."""
 
-    def received(self, datagram: Buffer, now: float) -> bool:
-        """Take a datagram of the route; return whether it completed a message, which is authentic then."""
-        ...
-
-    def deliver_whole(self) -> None:
-        """Deliver the messages that are whole; called once for all datagrams that came together."""
+    def received(self, datagrams: Sequence[Buffer], now: float) -> bool:
+        """Take datagrams of the route; return whether they completed a message, which is authentic then."""
         ...
 
     def expire(self, now: float) -> None:
@@ -120,6 +116,7 @@ class UdpChannel:
 
     Attributes:
         socket: its UDP socket.
+        ready: whether datagrams are known to get through.
         over: whether it is closed or its last route has left: the next route needs another UDP channel.
         trouble: the reason why no datagrams arrive, for an operator, or an empty string.
         received_at: time (s) of the last authentic datagram, or of the channel's start.
@@ -141,6 +138,7 @@ class UdpChannel:
             on_ready: called once datagrams are known to get through.
         """
         self.socket = socket
+        self.ready = False
         self.over = False
         self.trouble = ""
         self.received_bytes = 0
@@ -156,11 +154,6 @@ class UdpChannel:
         self._heard: float | None = None
         self._senders: dict[int, DatagramSource] = {}
         self._receivers: dict[int, DatagramSink] = {}
-
-    @property
-    def ready(self) -> bool:
-        """Whether datagrams are known to get through."""
-        return self._heard is not None
 
     def add_sender(self, route_id: int, sender: DatagramSource) -> None:
         """Tell a route what concerns its pace."""
@@ -183,7 +176,7 @@ class UdpChannel:
     def send(self, datagrams: Sequence[bytes]) -> None:
         """Send datagrams; nothing happens while the peer's address is not known."""
         if self._peer is not None:
-            self.sent_bytes += sum([len(datagram) for datagram in datagrams])
+            self.sent_bytes += sum(map(len, datagrams))
             self.socket.send(datagrams, self._path)
 
     def datagram_size(self) -> int:
@@ -196,29 +189,28 @@ class UdpChannel:
         if self._peer is not None:
             self.send(self._probe.write(receipt, self.datagram_size()))
 
-    def received(self, datagrams: Iterable[tuple[int, Buffer, Address]]) -> None:
-        """Take datagrams that name this connection, each with its route id."""
+    def received(self, route_id: int, datagrams: Sequence[Buffer], address: Address) -> None:
+        """Take datagrams of one route that name this connection, and came together from one address."""
         now = self._now()
-        was_ready = self.ready
-        touched: dict[DatagramSink, None] = {}
-        for route_id, datagram, address in datagrams:
-            self.received_bytes += len(datagram)
-            receiver = self._receivers.get(route_id)
-            if receiver is not None:
-                if receiver.received(datagram, now):
-                    self._heard_authentic(address, now)
-                touched[receiver] = None
-            elif route_id == PROBE_ROUTE:
-                probe = self._probe.read(datagram, now)
-                if isinstance(probe, Receipt):
-                    self._heard_authentic(address, now)
-                    self._receipted(probe)
-                elif probe is not None and self._probed(probe, address):
-                    self._heard = self.received_at = now
-            # else the route was closed before the datagram arrived, or the peer may not send on it
-        for receiver in touched:
-            receiver.deliver_whole()
-        if self.ready and not was_ready:
+        self.received_bytes += sum(map(len, datagrams))
+        receiver = self._receivers.get(route_id)
+        if receiver is not None:
+            if receiver.received(datagrams, now):
+                self._heard_authentic(address, now)
+        elif route_id == PROBE_ROUTE:
+            self._received_probes(datagrams, address, now)
+        # else the route was closed before the datagrams arrived, or the peer may not send on it
+
+    def _received_probes(self, datagrams: Sequence[Buffer], address: Address, now: float) -> None:
+        for datagram in datagrams:
+            probe = self._probe.read(datagram, now)
+            if isinstance(probe, Receipt):
+                self._heard_authentic(address, now)
+                self._receipted(probe)
+            elif probe is not None and self._probed(probe, address):
+                self._heard = self.received_at = now
+        if self._heard is not None and not self.ready:
+            self.ready = True
             self._on_ready()
 
     def _heard_authentic(self, address: Address, now: float) -> None:
@@ -279,10 +271,9 @@ class ClientUdpChannel(UdpChannel):
         self.tick()
 
     def _arrived(self, socket: DatagramSocket, datagrams: Datagrams) -> None:
-        ours = self._probe.link_id
-        self.received(
-            [(to[0], data, address) for data, address in datagrams if (to := addressee(data)) and to[1] == ours]
-        )
+        for (route_id, link_id, address), its in by_addressee(datagrams).items():
+            if link_id == self._probe.link_id:
+                self.received(route_id, its, address)
 
     def tick(self) -> None:
         super().tick()
@@ -382,14 +373,10 @@ class UdpDemultiplexer:
 
     def received(self, socket: DatagramSocket, datagrams: Datagrams) -> None:
         """Take what one wake-up of a socket brought."""
-        by_link: dict[bytes, list[tuple[int, Buffer, Address]]] = {}
-        for datagram, address in datagrams:
-            if to := addressee(datagram):
-                by_link.setdefault(to[1], []).append((to[0], datagram, address))
-        for link_id, its in by_link.items():
-            channel = self._channels.get((socket, link_id)) or self._begin(socket, link_id, its[0][2])
+        for (route_id, link_id, address), its in by_addressee(datagrams).items():
+            channel = self._channels.get((socket, link_id)) or self._begin(socket, link_id, address)
             if channel is not None:
-                channel.received(its)
+                channel.received(route_id, its, address)
 
     def _begin(self, socket: DatagramSocket, link_id: bytes, address: Address) -> ServerUdpChannel | None:
         channel = self._new_channel(link_id, socket, address)

@@ -30,6 +30,10 @@ if TYPE_CHECKING:
 
 _DATAGRAMS_PER_WAKE, _BYTES_PER_WAKE = 64, 1024 * 1024
 """What is read before the I/O loop turns to other work."""
+_DENSE = 0.0001
+"""s between two wake-ups below which one reads until nothing is left. Otherwise it reads once: what came together is
+mostly one train (UDP_GRO), a further read that finds nothing costs as much as half a message, and the loop calls again
+if something is left."""
 _LARGEST = 65_535
 """Bytes of a datagram with its headers."""
 _RECEIVE_BUFFER = 33, socket.SO_RCVBUF
@@ -53,6 +57,7 @@ class UdpSocket:
 
     Attributes:
         when_writable: called when the socket was congested and takes more again.
+        congested: whether datagrams wait for the kernel.
         waiting_bytes: what waits for the kernel.
     """
 
@@ -65,9 +70,11 @@ class UdpSocket:
         self._loop = asyncio.get_running_loop()
         self._segments = udp_segments.can_segment(sock)
         self._one_by_one_until = 0.0
-        self._coalesces = udp_segments.coalesce(sock)
+        self._read_at = 0.0
+        udp_segments.coalesce(sock)
         self._backlog: deque[tuple[Sequence[bytes], SendPath | None]] = deque()
         self._sizes: dict[Address, tuple[int, float]] = {}
+        self.congested = False
         self.waiting_bytes = 0
         self.when_writable: set[Callable[[], None]] = set()
         self._loop.add_reader(sock, self._read)
@@ -76,10 +83,6 @@ class UdpSocket:
     def port(self) -> int:
         """The local port."""
         return int(self._sock.getsockname()[1])
-
-    @property
-    def congested(self) -> bool:
-        return bool(self._backlog)
 
     @property
     def receive_buffer(self) -> int:
@@ -100,7 +103,7 @@ class UdpSocket:
 
     def send(self, datagrams: Sequence[bytes], path: SendPath | None) -> None:
         """See `DatagramSocket.send`."""
-        if self._backlog:
+        if self.congested:
             if self.waiting_bytes < _BACKLOG_LIMIT:
                 self._wait(datagrams, path)
             return
@@ -110,6 +113,7 @@ class UdpSocket:
             self._loop.add_writer(self._sock, self._flush)
 
     def _wait(self, datagrams: Sequence[bytes], path: SendPath | None) -> None:
+        self.congested = True
         self._backlog.append((datagrams, path))
         self.waiting_bytes += sum(map(len, datagrams))
 
@@ -129,22 +133,26 @@ class UdpSocket:
         self._loop.remove_reader(self._sock)
         self._loop.remove_writer(self._sock)
         self._backlog.clear()
+        self.congested = False
         self.waiting_bytes = 0
         self._sock.close()
 
     def _read(self) -> None:
+        now = self._loop.time()
+        dense, self._read_at = now - self._read_at < _DENSE, now
         datagrams: Datagrams = []
-        size = 0
-        # An OSError is an ICMP error of an earlier send: the control connection tells whether the peer lives.
-        with contextlib.suppress(OSError):
-            while len(datagrams) < _DATAGRAMS_PER_WAKE and size < _BYTES_PER_WAKE:
-                if self._coalesces:
-                    data, control, _, address = self._sock.recvmsg(_LARGEST, udp_segments.CONTROL_SPACE)
-                    datagrams += [(datagram, address) for datagram in udp_segments.split(data, control)]
-                else:
-                    data, address = self._sock.recvfrom(_LARGEST)
-                    datagrams.append((data, address))
-                size += len(data)
+        size, more = 0, True
+        while more:
+            try:
+                data, control, _, address = self._sock.recvmsg(_LARGEST, udp_segments.CONTROL_SPACE)
+            except OSError:  # nothing is left, or ICMP refused an earlier send: the control connection tells who lives
+                break
+            if control:
+                datagrams += [(datagram, address) for datagram in udp_segments.split(data, control)]
+            else:
+                datagrams.append((data, address))
+            size += len(data)
+            more = dense and len(datagrams) < _DATAGRAMS_PER_WAKE and size < _BYTES_PER_WAKE
         if datagrams:
             self._received(self, datagrams)
 
@@ -155,7 +163,17 @@ class UdpSocket:
             together = self._segments and begin + 1 < count and self._loop.time() >= self._one_by_one_until
             end = udp_segments.end_of_run(datagrams, begin) if together else begin + 1
             try:
-                self._send_run(datagrams[begin:end], path)
+                if end - begin > 1:
+                    run = datagrams[begin:end]
+                    cut = udp_segments.segment(len(run[0]))
+                    if path is None:
+                        self._sock.sendmsg(run, [cut])
+                    else:
+                        self._sock.sendmsg(run, [*path.control, cut], 0, path.address)
+                elif path is None:
+                    self._sock.send(datagrams[begin])
+                else:
+                    self._sock.sendmsg(datagrams[begin:end], path.control, 0, path.address)
             except BlockingIOError:
                 return begin
             except OSError:
@@ -166,19 +184,6 @@ class UdpSocket:
             begin = end
         return count
 
-    def _send_run(self, run: Sequence[bytes], path: SendPath | None) -> None:
-        if len(run) == 1:
-            if path is None:
-                self._sock.send(run[0])
-            else:
-                self._sock.sendmsg(run, path.control, 0, path.address)
-            return
-        cut = udp_segments.segment(len(run[0]))
-        if path is None:
-            self._sock.sendmsg(run, [cut])
-        else:
-            self._sock.sendmsg(run, [*path.control, cut], 0, path.address)
-
     def _flush(self) -> None:
         while self._backlog:
             datagrams, path = self._backlog[0]
@@ -188,6 +193,7 @@ class UdpSocket:
                 self._backlog[0] = datagrams[taken:], path
                 return
             self._backlog.popleft()
+        self.congested = False
         self._loop.remove_writer(self._sock)
         for writable in tuple(self.when_writable):
             writable()

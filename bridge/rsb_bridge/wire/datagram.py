@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import struct
 from dataclasses import dataclass, field
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple, TypeVar
 
 from rsb_bridge.wire.framing import (
     HISTORY,
@@ -19,12 +19,18 @@ from rsb_bridge.wire.framing import (
 from rsb_bridge.wire.protocol_error import Broken, Misuse, ProtocolError
 from rsb_bridge.wire.sealing import Buffer, DatagramOpener, Sealer, SealError
 
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Sequence
+
+Origin = TypeVar("Origin")
+
 MAGIC = 0xB5
 FRAGMENTS_LIMIT = 65535
 PROBE_ROUTE = 0
 
 _HEADER = struct.Struct(">BBHHI8sQIQ")
-_ADDRESSEE = struct.Struct(">I8s")
+_HEADER_SIZE = _HEADER.size
+_unpack_addressee = struct.Struct(">I8s").unpack_from
 _PROBE = struct.Struct(">?Q")
 _RECEIPT = struct.Struct(">BIQQI")
 _RECEIPT_KIND = 2
@@ -33,16 +39,21 @@ _FRAGMENT_COST = 400
 """Bytes of memory that a fragment takes beyond its content: many tiny ones must not take more than is counted."""
 
 
-def addressee(datagram: Buffer) -> tuple[int, bytes] | None:
-    """The route and the link that a datagram names, to find its reader by. Not authenticated.
+def by_addressee(datagrams: Iterable[tuple[Buffer, Origin]]) -> dict[tuple[int, bytes, Origin], list[Buffer]]:
+    """Sort datagrams by their addressee, to find its reader; foreign datagrams are left out. Nothing is authenticated.
+
+    Args:
+        datagrams: each with its origin.
 
     Returns:
-        Route id (`PROBE_ROUTE` for probes) and link id (8 bytes), or None for a foreign datagram.
+        For each route id (`PROBE_ROUTE` for probes), link id (8 bytes) and origin the datagrams, in their order.
     """
-    if len(datagram) < _HEADER.size or datagram[0] != MAGIC:
-        return None
-    route, link_id = _ADDRESSEE.unpack_from(datagram, 6)
-    return route, link_id
+    sorted_: dict[tuple[int, bytes, Origin], list[Buffer]] = {}
+    for datagram, origin in datagrams:
+        if len(datagram) >= _HEADER_SIZE and datagram[0] == MAGIC:
+            route, link_id = _unpack_addressee(datagram, 6)
+            sorted_.setdefault((route, link_id, origin), []).append(datagram)
+    return sorted_
 
 
 class Probe(NamedTuple):
@@ -111,14 +122,16 @@ class DatagramWriter:
 
     Attributes:
         number: messages written so far.
+        largest: bytes of the longest of them.
     """
 
     def __init__(self, sealer: Sealer, link_id: bytes, route: int) -> None:
         self.number = 0
+        self.largest = 0
         self._sealer = sealer
         self._link_id = link_id
         self._route = route
-        self._overhead = _HEADER.size + sealer.suite.tag_length
+        self._overhead = _HEADER_SIZE + sealer.suite.tag_length
 
     @property
     def sequence(self) -> int:
@@ -130,37 +143,43 @@ class DatagramWriter:
         return max(-(-size // (max_datagram - self._overhead)), 1)
 
     def write(self, payload: Buffer, stamp: int, flags: int, max_datagram: int) -> list[bytes]:
-        """Return one message as datagrams, all but the last of one size: the kernel takes such at once.
+        """Return one message as datagrams: see `write_many`."""
+        return self.write_many(((payload, stamp, flags),), max_datagram)
+
+    def write_many(self, messages: Iterable[tuple[Buffer, int, int]], max_datagram: int) -> list[bytes]:
+        """Return messages as datagrams, each message's of one size but the last: the kernel takes such at once.
 
         Args:
-            payload: the serialized message.
-            stamp: ns since the epoch.
-            flags: `rsb_bridge.wire.framing.ZSTD`, `rsb_bridge.wire.framing.HISTORY`.
+            messages: each the serialized message, its stamp (ns since the epoch), and its flags
+                (`rsb_bridge.wire.framing.ZSTD`, `rsb_bridge.wire.framing.HISTORY`).
             max_datagram: bytes that a datagram may have.
 
         Raises:
-            ValueError: the message needs more than `FRAGMENTS_LIMIT` datagrams; none was written.
+            ValueError: a message needs more than `FRAGMENTS_LIMIT` datagrams; no datagram of it was written.
         """
-        count = self.datagrams(len(payload), max_datagram)
-        if count > FRAGMENTS_LIMIT:
-            raise ValueError(Misuse.TOO_MANY_DATAGRAMS(length=len(payload), limit=FRAGMENTS_LIMIT))
-        self.number += 1
-        size = -(-len(payload) // count)
-        sealer, view, datagrams = self._sealer, memoryview(payload), []
-        for index in range(count):
-            header = _HEADER.pack(
-                MAGIC,
-                flags,
-                index,
-                count,
-                self._route,
-                self._link_id,
-                sealer.sequence,
-                self.number & 0xFFFFFFFF,
-                stamp,
-            )
-            datagrams.append(header + sealer.seal(view[index * size : (index + 1) * size], header))
+        pack, sealer, route, link_id = _HEADER.pack, self._sealer, self._route, self._link_id
+        room = max_datagram - self._overhead
+        datagrams: list[bytes] = []
+        for payload, stamp, flags in messages:
+            length = len(payload)
+            self.largest = max(self.largest, length)
+            pieces = (payload,) if length <= room else _cut(payload, room)
+            self.number += 1
+            number, count = self.number & 0xFFFFFFFF, len(pieces)
+            for index, piece in enumerate(pieces):
+                header = pack(MAGIC, flags, index, count, route, link_id, sealer.sequence, number, stamp)
+                datagrams.append(header + sealer.seal(piece, header))
         return datagrams
+
+
+def _cut(payload: Buffer, room: int) -> Sequence[memoryview]:
+    """Cut a message into the fewest pieces of at most `room` bytes, all but the last of one size."""
+    view, length = memoryview(payload), len(payload)
+    count = -(-length // room)
+    if count > FRAGMENTS_LIMIT:
+        raise ValueError(Misuse.TOO_MANY_DATAGRAMS(length=length, limit=FRAGMENTS_LIMIT))
+    size = -(-length // count)
+    return [view[begin : begin + size] for begin in range(0, length, size)]
 
 
 @dataclass(slots=True)
@@ -181,6 +200,7 @@ class DatagramReader:
         expired: messages given up incomplete.
         newest: the highest message number seen.
         opened: datagrams opened so far.
+        opened_bytes: bytes of them.
         newest_sequence: the highest sequence number opened; -1: none.
     """
 
@@ -202,6 +222,7 @@ class DatagramReader:
         self.expired = 0
         self.newest = 0
         self.opened = 0
+        self.opened_bytes = 0
         self.newest_sequence = -1
         self._open = opener.open
         self._route = route
@@ -225,20 +246,23 @@ class DatagramReader:
         Returns:
             The message that this datagram completes, if any.
         """
-        if len(datagram) < _HEADER.size:
+        if len(datagram) < _HEADER_SIZE:
             return None
         view = memoryview(datagram)
-        header = view[: _HEADER.size]
+        header = view[:_HEADER_SIZE]
         magic, flags, index, count, route, _, sequence, number, stamp = _HEADER.unpack(header)
         if magic != MAGIC or flags & _UNKNOWN_FLAGS or index >= count or route != self._route:
             return None
         try:
-            content = self._open(sequence, view[_HEADER.size :], header)
+            content = self._open(sequence, view[_HEADER_SIZE:], header)
         except SealError:
             return None
         self.opened += 1
+        self.opened_bytes += len(datagram)
         self.newest_sequence = max(self.newest_sequence, sequence)
-        number = self._unwrap(number)
+        # The full message number is the one nearest to the newest (RFC 1982).
+        number = self.newest + ((number - self.newest + 2**31) & 0xFFFFFFFF) - 2**31
+        self.newest = max(self.newest, number)
         if count == 1:
             return content, stamp, flags
         whole = self._gather(number, index, count, content, now)
@@ -256,12 +280,6 @@ class DatagramReader:
         """Give up all incomplete messages."""
         for number in tuple(self._incomplete):
             self._forget(number)
-
-    def _unwrap(self, number: int) -> int:
-        """Return the full message number, the one nearest to the newest (RFC 1982)."""
-        number = self.newest + ((number - self.newest + 2**31) & 0xFFFFFFFF) - 2**31
-        self.newest = max(self.newest, number)
-        return number
 
     def _gather(self, number: int, index: int, count: int, content: bytes, now: float) -> bytes | None:
         message = self._incomplete.get(number)

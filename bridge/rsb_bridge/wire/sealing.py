@@ -236,6 +236,7 @@ class DatagramOpener:
     def __init__(self, suite: Suite, key: bytes | None, window: int = 1024) -> None:
         self._nonce = _NONCES[suite]
         self._epochs = _Epochs(suite, key)
+        self._current = self._epochs.cipher(0)
         self._window = window
         self._mask = (1 << window) - 1
         self._epoch = 0
@@ -260,7 +261,7 @@ class DatagramOpener:
             if self._seen >> -ahead & 1:
                 raise SealError(InvalidSeal.REPLAYED(sequence=sequence))
         epoch = sequence >> EPOCH_BITS
-        cipher = self._epochs.cipher(epoch)
+        cipher = self._current if epoch == self._epoch else self._epochs.cipher(epoch)
         try:
             content = cipher.decrypt(self._nonce(sequence), sealed, associated)
         except InvalidTag:
@@ -272,7 +273,7 @@ class DatagramOpener:
         self._seen = ((self._seen << ahead) & self._mask) | 1 if ahead < self._window else 1
         if epoch != self._epoch:
             self._epochs.forget_before(epoch - 1)
-            self._epoch = epoch
+            self._epoch, self._current = epoch, cipher
         self._newest = sequence
         return content
 

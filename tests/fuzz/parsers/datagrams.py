@@ -8,7 +8,7 @@ import struct
 from tests.fuzz.editing import behind, edit_bytes
 from tests.fuzz.parser import Parser
 
-from rsb_bridge.wire.datagram import MAGIC, DatagramReader, DatagramWriter, Probe, Receipt, addressee, unpack_probe
+from rsb_bridge.wire.datagram import MAGIC, DatagramReader, DatagramWriter, Probe, Receipt, by_addressee, unpack_probe
 from rsb_bridge.wire.framing import Budget
 from rsb_bridge.wire.protocol_error import ProtocolError
 from rsb_bridge.wire.sealing import DatagramOpener, Sealer, SealError, Suite
@@ -31,7 +31,7 @@ def _read(data: bytes) -> None:
         content, data = data[_PIECE.size : _PIECE.size + size], data[_PIECE.size + size :]
         header = _HEADER.pack(MAGIC, flags, index, count, _ROUTE, _LINK, sequence, number, 5)
         datagram = header + _seal(sequence, content, header)
-        assert addressee(datagram) == (_ROUTE, _LINK)
+        assert by_addressee([(datagram, None)]) == {(_ROUTE, _LINK, None): [datagram]}
         now += wait / 100
         sent += len(content)
         message = reader.receive(datagram, now)
@@ -57,7 +57,7 @@ def _read_unsealed(data: bytes) -> None:
     """Of anybody: nothing of it is a message unless its seal is right."""
     for suite in (Suite.PLAIN, Suite.AESGCM):
         reader = DatagramReader(DatagramOpener(suite, bytes(32)), _ROUTE)
-        addressee(data)
+        by_addressee([(data, None)])
         message = reader.receive(data, 0.0)
         assert message is None or suite is Suite.PLAIN
         assert reader.receive(data, 0.0) is None, "a datagram is read twice"
