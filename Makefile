@@ -30,7 +30,7 @@ demo-fleet: $(STAMP)
 #                    kernel's Bluetooth (tests/bluetooth, tests/README.md)
 #   make test-quick  lint without mypy, and what is tested without ROS, processes and screens
 #   make test-link   one folder, long tests included
-MANY := 12
+MANY := 8
 LONGEST := console.1 console.2 console.3 engine.1 engine.2 engine.3 engine.4 engine.5 engine.6 command.1 command.2 link.1 link.2 \
   calls.1 calls.2 calls.3 system.1 system.2 control
 PURE := cdr channel config fleet fuzz history model route
