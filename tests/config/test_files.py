@@ -34,7 +34,7 @@ WRITES_OTHERWISE = {
     "bench/loopback.py": "sessions in a temporary folder, mode 0700",
     "bench/simulated_fleet.py": "likewise",
     "bench/processes.py": "likewise",
-    "ros/simulation.py": "a child's pipe",
+    "model/text.py": "standard output itself",
     "config/keys.py": "with `owner_only`",
     "cli.py": "crash.log, with `owner_only`",
     "terminal/shutdown.py": "crash.txt, with `owner_only`",
