@@ -88,8 +88,9 @@ def test_it_answers_at_once_without_ros_and_textual(arguments: tuple[str, ...]) 
 
 def test_what_libraries_print_is_kept_out_of_the_log() -> None:
     script = (
-        "import os; from rsb_console.command import shell; "
-        "shell.keep_output_clean(); os.write(1, b'theirs'); shell.print_line('ours')"
+        "import os; from rsb_bridge.model.text import keep_output_clean; "
+        "from rsb_console.command import shell; "
+        "keep_output_clean(); os.write(1, b'theirs'); shell.print_line('ours')"
     )
     run = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=120, check=False)
     assert (run.stdout, run.stderr) == ("ours\n", "theirs")

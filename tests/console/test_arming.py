@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 from tests.console.driving import drive, engine_of, gone, on_main, put, scripted_app, shown, until
-from tests.console.live import COMMAND, Pair, running, talker
+from tests.console.live import COMMAND, ELSEWHERE, HERE, Pair, running, talker
 from tests.console.scripted import route
 from tests.console.side import every_so_often
 from tests.console.tmux import Tmux
@@ -163,10 +163,9 @@ def test_a_console_that_only_watches_arms_nothing() -> None:
 # --- with real processes
 
 
-@pytest.fixture
-def pair(tmp_path: Path) -> Pair:
+def armed_pair(folder: Path, domain: int) -> Pair:
     pytest.importorskip("rclpy", reason="needs ROS 2")
-    return Pair(tmp_path, Topic(CHATTER, "transmit", arm=True, deadman=0.0))
+    return Pair(folder, Topic(CHATTER, "transmit", arm=True, deadman=0.0), domains=(domain, domain + 1))
 
 
 class Robot:
@@ -174,6 +173,7 @@ class Robot:
 
     def __init__(self, control: Path) -> None:
         self._control = str(control)
+        self._events_before = 0
 
     def command(self, *words: str) -> list[str]:
         return [str(COMMAND), *words, "--control", self._control]
@@ -188,6 +188,14 @@ class Robot:
         found = answers[0].get("topics") if answers else None
         return dict(found[0]) if found else {"state": "", "arming": {"armed": None}}
 
+    def begin(self) -> None:
+        """Wait until the topic is disarmed, and leave out the events of earlier tests."""
+        self.is_set_up()
+        self._events_before = len(self.ask("events"))
+
+    def events(self, code: str) -> list[dict[str, Any]]:
+        return [event for event in self.ask("events")[self._events_before :] if event["code"] == code]
+
     def is_set_up(self) -> None:
         every_so_often(lambda: self.topic()["state"] == "disarmed", "disarmed")
 
@@ -195,21 +203,30 @@ class Robot:
         every_so_often(lambda: self.topic()["arming"]["armed"], "armed")
 
     def why_disarmed(self) -> str:
-        causes = [event["cause"] for event in self.ask("events") if event["code"] == "route.disarmed"]
+        causes = [event["cause"] for event in self.events("route.disarmed")]
         return causes[-1] if causes else ""
 
 
+@pytest.fixture(scope="module")
+def _robot(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Robot]:
+    """It is linked with a server, and its topic is published: three processes, which outlive each test's consoles."""
+    folder = tmp_path_factory.mktemp("robot")
+    pair = armed_pair(folder, HERE)
+    made = Robot(folder / "robot.sock")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("XDG_STATE_HOME", str(folder))
+        with (
+            pair.server(),
+            talker(CHATTER),
+            running(*made.command("run", "--no-ui", str(pair.client_path))),
+        ):
+            yield made
+
+
 @pytest.fixture
-def robot(pair: Pair, tmp_path: Path) -> Iterator[Robot]:
-    """It is linked with a server, and its topic is published."""
-    made = Robot(tmp_path / "robot.sock")
-    with (
-        pair.server(),
-        talker(CHATTER),
-        running(*made.command("run", "--no-ui", str(pair.client_path))),
-    ):
-        made.is_set_up()
-        yield made
+def robot(_robot: Robot) -> Robot:
+    _robot.begin()
+    return _robot
 
 
 @pytest.mark.skipif(shutil.which("tmux") is None, reason="needs tmux")
@@ -234,12 +251,13 @@ def test_a_console_that_dies_disarms(end: str, robot: Robot, tmp_path: Path) -> 
     assert robot.why_disarmed() == "console_gone"
 
 
-def test_the_robot_s_own_console_that_dies_disarms_the_other_side(pair: Pair, tmp_path: Path) -> None:
+def test_the_robot_s_own_console_that_dies_disarms_the_other_side(tmp_path: Path) -> None:
     """Its bridge dies with it: the link drops."""
+    pair = armed_pair(tmp_path, ELSEWHERE)
     there = Robot(tmp_path / "server.sock")
     with (
         running(*there.command("run", "--no-ui", str(pair.server_path))),
-        talker(CHATTER),
+        talker(CHATTER, domain=ELSEWHERE),
         Tmux(tmp_path, str(COMMAND), str(pair.client_path), "--control", str(tmp_path / "own.sock")) as tmux,
     ):
         tmux.wait_for("⊘ DISARMED")
@@ -286,7 +304,7 @@ def test_the_command_says_who_has_disarmed_it(robot: Robot) -> None:
         robot.ask("disarm", CHATTER)
         (ended,) = map(json.loads, arming.stdout)
         assert arming.wait(60) == 1
-    (event,) = [each for each in robot.ask("events") if each["code"] == "operator.disarmed"]
+    (event,) = robot.events("operator.disarmed")
     assert event["who"]
     assert (ended["ok"], ended["cause"]) == (False, "operator")
     assert event["who"] in ended["error"]

@@ -9,6 +9,7 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import pytest
 from tests.support.offline import loop, make_context
 
 from rsb_bridge.engine.bridge import Bridge
@@ -22,7 +23,6 @@ from rsb_bridge.transport import descriptors
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    import pytest
     from tests.support.virtual_time import VirtualLoop
 
     from rsb_bridge.context import Context
@@ -66,6 +66,18 @@ class Link:
 class Route:
     def __init__(self, turns: Turns) -> None:
         self.snapshot = turns.called
+        self.rests = False
+
+
+class Many:
+    def __init__(self, links: list[Link]) -> None:
+        self._links = links
+
+    def links(self) -> list[Link]:
+        return self._links
+
+    def refused(self) -> tuple[()]:
+        return ()
 
 
 def test_links_tick_one_at_a_time(loop: VirtualLoop, make_context: Callable[..., Context]) -> None:
@@ -90,15 +102,8 @@ def test_a_snapshot_of_many_links_is_made_a_slice_at_a_time(
 
     links = [Link(turns, routes=4) for _ in range(LINKS)]
 
-    class Many:
-        def links(self) -> list[Link]:
-            return links
-
-        def refused(self) -> tuple[()]:
-            return ()
-
     shown = publisher(make_context())
-    loop.run_until_complete(shown.refresh(Many()))
+    loop.run_until_complete(shown.refresh(Many(links)))
     assert (len(shown.latest.links), len(shown.latest.routes)) == (LINKS, 4 * LINKS)
     assert turns.calls == LINKS + 4 * LINKS
     assert turns.most_in_one_go <= 2 * SLICE
@@ -131,6 +136,39 @@ def test_a_link_that_goes_while_a_snapshot_is_made_is_not_in_it_and_one_that_com
     assert len(shown.latest.links) == len(shown.latest.routes) == LINKS - 50
     loop.run_until_complete(shown.refresh(Changing()))
     assert len(shown.latest.links) == len(shown.latest.routes) == LINKS - 49
+
+
+@pytest.mark.parametrize(
+    ("looks", "least", "most"), [(1.0, 0, 0), (4.0, 4 * LINKS, 16 * LINKS)], ids=["log", "console"]
+)
+def test_routes_that_rest_are_shown_anew_while_somebody_looks_often(
+    looks: float, least: int, most: int, loop: VirtualLoop, make_context: Callable[..., Context]
+) -> None:
+    resting, awake = Turns(loop), Turns(loop)
+    links = [Link(resting, routes=1) for _ in range(LINKS)]
+    for link in links:
+        link.routes["0"].rests = True
+        link.snapshot = lambda: None  # type: ignore[method-assign]
+    links[0].routes["awake"] = Route(awake)
+
+    shown = publisher(make_context())
+
+    async def look() -> None:
+        while True:
+            shown.look()
+            await asyncio.sleep(1 / looks)
+
+    async def main() -> None:
+        tasks = [asyncio.ensure_future(shown.run(Many(links))), asyncio.ensure_future(look())]
+        await asyncio.sleep(4.9)
+        resting.calls = awake.calls = 0
+        await asyncio.sleep(4.0)
+        for task in tasks:
+            task.cancel()
+
+    loop.run_until_complete(main())
+    assert awake.calls >= 3
+    assert least <= resting.calls <= most
 
 
 def test_what_is_left_is_known_without_a_list_of_all_descriptors(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -34,9 +34,10 @@ if TYPE_CHECKING:
 
 _STARTS = {Cause.PUBLISHER_SILENT, Cause.NO_MESSAGE}
 _OVERLOADED = {Cause.LATE, Cause.LOSSY, Cause.QUEUE_FULL}
-_NOTICED_WITHIN, _FULL_WITHIN, _OVER_WITHIN = 5.0, 8.0, 12.0
+_NOTICED_WITHIN, _FULL_WITHIN, _OVER_WITHIN = 5.0, 8.0, 60.0
 """s: from the first late message, or from the beginning if messages are lost, to the topic's verdict; from the
-beginning to the link's; from the end to that of both. A full link is measured for 4 s once messages are late."""
+beginning to the link's; from the end to that of both, which a starved machine delays. A full link is measured for 4 s
+once messages are late."""
 _CARRIED = 0.5 * TUNNEL, 1.2 * TUNNEL
 """Bytes/s, of 4 s at first: in one of them a report may be late."""
 
@@ -96,7 +97,9 @@ def test_nothing_wrong_is_said_of_an_overload(
             overload = _record((client, server), 12.0, lambda: False)
         with Publishing(out, 2.0, 1000):
             recovery = _record((client, server), _OVER_WITHIN, lambda: _is_over(client, server))
-            assert _is_over(client, server), (_look(client, 0.0), _look(server, 0.0))
+            assert max((each.at for each in recovery[0]), default=0.0) < _OVER_WITHIN - 1.0, [
+                seen[-1] for seen in recovery
+            ]
         relay.bytes_per_second = 1e7
         bridge.close()
     late = [came for came, age in zip(there.received, ages(there), strict=True) if age > 1.0]

@@ -4,15 +4,12 @@ from __future__ import annotations
 
 import contextlib
 import random
-import resource
 import threading
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import pytest
 
 from rsb_bridge.model.qos import Qos
-from rsb_bridge.ros import node
 from rsb_bridge.ros.ros_interface import RosError
 
 if TYPE_CHECKING:
@@ -110,26 +107,3 @@ def test_a_publisher_is_not_freed_while_it_publishes(open_node: Callable[..., Ro
         publisher.close()
         thread.join(60)
         assert not thread.is_alive()
-
-
-def test_free_memory_goes_back_to_the_kernel(monkeypatch: pytest.MonkeyPatch, eventually: Callable[..., Any]) -> None:
-    monkeypatch.setattr(node, "_HEAP_TRIMMED_EVERY", 0.05)
-    threads = threading.active_count()
-    with node.large_blocks_kept():
-        blocks = [b"x" * (6 << 20) for _ in range(8)]
-        most = _resident()
-        blocks.clear()
-        eventually(lambda: _resident() < most - (32 << 20))
-    assert threading.active_count() <= threads  # one that a test before left may have ended
-
-
-def test_another_c_library_is_left_alone(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("rsb_bridge.ros.node.ctypes.CDLL", lambda _: object())
-    before = threading.active_count()
-    with node.large_blocks_kept():
-        assert threading.active_count() <= before
-
-
-def _resident() -> int:
-    """Bytes of this process in memory."""
-    return int(Path("/proc/self/statm").read_text().split()[1]) * resource.getpagesize()

@@ -265,12 +265,12 @@ MUTATIONS = (
     Mutation(
         "a silent peer is not given up",
         ((Keepalive, "watch", _nothing),),
-        "seems linked", STORM, 2, 1.0,
+        "seems linked", STORM, 4, 1.0,
     ),
     Mutation(
         "UDP sockets of links that are down are not closed",
         ((UdpChannel, "close", _nothing),),
-        "left open", STORM, 2, 2.0,
+        "left open", STORM, 3, 2.0,
     ),
     Mutation(
         "what the other side makes of a topic is not taken in",

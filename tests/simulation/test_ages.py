@@ -101,7 +101,7 @@ def test_nothing_old_is_published_when_the_link_comes_up_over_a_slow_way(play: P
 @pytest.mark.parametrize(("what", "changes", "doing"), _MISTAKES, ids=[what for what, *_ in _MISTAKES])
 def test_each_rule_is_needed(what: str, changes: Any, doing: Any, play: Play) -> None:
     found = []
-    for seed in range(1, 9):
+    for seed in (4, 7, 1, 2, 3, 5, 6, 8):  # in most of them not every mistake shows; in the first two, soon
         world, _ = aging_world(seed)
         mutation = Mutation(what, changes, "s old, more than", _AGES, seed, 1.0)
         try:

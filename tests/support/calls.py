@@ -26,6 +26,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from tests.support.waiting import eventually
 
+from rsb_bridge.model.text import keep_output_clean
+
 if TYPE_CHECKING:
     from collections.abc import Callable
 
@@ -478,6 +480,7 @@ class _Loop:
 
 def _main(domain_id: int) -> None:
     os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
+    keep_output_clean()
     loop = _Loop(domain_id)
     threading.Thread(target=loop.listen, daemon=True).start()
     loop.run()

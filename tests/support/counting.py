@@ -23,6 +23,7 @@ from tests.support.waiting import eventually
 from rsb_bridge.config.keys import write_key
 from rsb_bridge.config.session_file import save
 from rsb_bridge.model.session import Session, Topic
+from rsb_bridge.model.text import keep_output_clean
 
 if TYPE_CHECKING:
     from types import TracebackType
@@ -306,4 +307,5 @@ def _say(line: str) -> None:
 
 
 if __name__ == "__main__":
+    keep_output_clean()
     {"publish": _publish, "listen": _listen}[sys.argv[1]](int(sys.argv[2]), sys.argv[3], int(sys.argv[4]))

@@ -83,7 +83,7 @@ def test_garbage_does_not_open_into_its_place(suite: Suite, garbage: bytes) -> N
     _, reader = ends(suite)
     header = HEADER.pack(1, MORE, ROUTE, 0)
     with pytest.raises(SealError):
-        reader.open_frame(header + garbage)
+        reader.open_frames((header + garbage,))
     reader.close()
     assert reader._budget.held == 0
 

@@ -111,7 +111,7 @@ def test_a_multiplexed_stream_carries_control_and_data(suite: Suite) -> None:
     assert [type(event) for event in events] == [DataFrame, Received, DataFrame]
     frames = [event for event in events if isinstance(event, DataFrame)]
     assert [event.route for event in frames] == [3, 3]
-    assert [reader.open_frame(event.frame) for event in frames] == [None, (b"payload", 9, 0)]
+    assert [reader.open_frames((event.frame,)) for event in frames] == [[], [(b"payload", 9, 0)]]
 
 
 def test_elsewhere_data_frames_have_no_place_on_the_control_stream() -> None:

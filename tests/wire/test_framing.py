@@ -146,8 +146,8 @@ def test_chunks_of_two_routes_may_alternate() -> None:
     out = []
     for pair in zip(*chunks, strict=True):
         for chunk, (_, reader) in zip(pair, ends, strict=True):
-            out.append(reader.open_frame(memoryview(chunk)[4:]))
-    assert out == [None] * 6 + [(bytes((n,)) * 100, n, 0) for n in (0, 1)]
+            out.append(reader.open_frames((memoryview(chunk)[4:],)))
+    assert out == [[]] * 6 + [[(bytes((n,)) * 100, n, 0)] for n in (0, 1)]
 
 
 @SUITES

@@ -10,7 +10,7 @@ from rsb_bridge.wire.datagram import DatagramReader, DatagramWriter
 from rsb_bridge.wire.framing import DataReader, DataWriter
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterable
 
     from rsb_bridge.wire.framing import Budget, Message
     from rsb_bridge.wire.sealing import Buffer, DatagramOpener, Role, SessionKeys, StreamOpener
@@ -28,13 +28,10 @@ class MeteredDataReader(DataReader):
         self._ended = False
 
     def receive_data(self, data: Buffer) -> list[Message]:
-        if not self._takes(len(data)):
-            return []
-        open_frame = super().open_frame
-        return [message for frame in self._frames.feed(data) if (message := open_frame(frame)) is not None]
+        return super().open_frames(self._frames.feed(data)) if self._takes(len(data)) else []
 
-    def open_frame(self, frame: Buffer) -> Message | None:
-        return super().open_frame(frame) if self._takes(len(frame)) else None
+    def open_frames(self, frames: Iterable[Buffer]) -> list[Message]:
+        return super().open_frames(frame for frame in frames if self._takes(len(frame)))
 
     def _takes(self, size: int) -> bool:
         if not self._ended and not self._meter(size):

@@ -208,9 +208,9 @@ class MultiplexedReceiver(_MultiplexedChannel, ReceiptSender):
             ProtocolError: it breaks the format.
             SealError: its seal does not hold.
         """
-        message = self._reader.open_frame(frame)
-        if message is not None:
-            self._route.deliver((message,))
+        messages = self._reader.open_frames((frame,))
+        if messages:
+            self._route.deliver(messages)
         self.count_bytes(LENGTH.size + len(frame))
 
     def close(self, reason: str) -> None:

@@ -295,7 +295,10 @@ class Engine(EngineApi):
         self._thread = None
 
     def snapshot(self) -> Snapshot:
-        """Return the engine as it was at most 1 s ago; while somebody asks more often than that, 0.25 s."""
+        """Return the engine as it was at most 1 s ago; while somebody asks more often than that, 0.25 s.
+
+        While nobody does, routes to which nothing has happened for minutes are as they were at most 15 s ago.
+        """
         return self._snapshots.look()
 
     def events(self, after: int = 0) -> list[Event]:

@@ -14,9 +14,11 @@ import math
 import selectors
 import threading
 import time
+from functools import partial
 from typing import TYPE_CHECKING, Any, TypeVarTuple
 
 if TYPE_CHECKING:
+    from collections import deque
     from collections.abc import Callable
     from contextvars import Context
 
@@ -28,10 +30,16 @@ Ts = TypeVarTuple("Ts")
 class IoLoop(asyncio.SelectorEventLoop):
     """An event loop that can be visited. It runs on a thread that handles no signals, so never on the main one."""
 
+    # asyncio's own; its methods that return them would be three more calls a message.
+    _debug: bool
+    _ready: deque[asyncio.Handle]
+    _thread_id: int | None
+
     def __init__(self) -> None:
         self._turn = threading.Lock()
         self._waits = _Selector(self._turn)
         super().__init__(self._waits)
+        self._waits.failed = self.call_exception_handler
         # The sockets registered from the start are for other threads, which wake the loop after adding callbacks.
         self._waits.leave_all_to_the_loop()
 
@@ -44,12 +52,12 @@ class IoLoop(asyncio.SelectorEventLoop):
             Whether `work` was called. It is not called while the loop runs callbacks, has some to run, or does not run.
         """
         # asyncio's debug mode refuses call_soon on any thread but the loop's.
-        if self._waits.over or self.get_debug() or not self._turn.acquire(blocking=False):
+        if self._waits.over or self._debug or not self._turn.acquire(False):
             return False
         before = asyncio._get_running_loop()
         try:
             # A visitor overtakes no earlier callback, so that messages keep their order.
-            if not self.is_running() or self._ready:  # type: ignore[attr-defined]
+            if self._thread_id is None or self._ready:
                 return False
             # What every event loop does around its callbacks: the work may ask which loop is running.
             asyncio._set_running_loop(self)
@@ -97,7 +105,10 @@ class _Selector(selectors.EpollSelector):
     Attributes:
         over: whether the wait is over, and the loop's thread wants the turn back before the next visitor.
         due: whether the loop has to run a callback or a timer, or to stop.
+        failed: takes a reader's exception, as the loop's exception handler does.
     """
+
+    failed: Callable[[dict[str, Any]], None]
 
     def __init__(self, turn: threading.Lock) -> None:
         super().__init__()
@@ -105,7 +116,7 @@ class _Selector(selectors.EpollSelector):
         self.due = False
         self._turn = turn
         self._changes = 0
-        self._readers: dict[int, asyncio.Handle] = {}  # of the descriptors that are waited for to read only
+        self._readers: dict[int, Callable[[], object]] = {}  # of the descriptors that are waited for to read only
         self._poll: Callable[[float, int], list[tuple[int, int]]] = self._selector.poll  # type: ignore[attr-defined]
 
     def select(self, timeout: float | None = None) -> list[tuple[selectors.SelectorKey, int]]:
@@ -125,7 +136,12 @@ class _Selector(selectors.EpollSelector):
             reader = self._readers.get(found[0][0]) if len(found) == 1 and changes == self._changes else None
             if reader is None:
                 break
-            reader._run()
+            try:
+                reader()
+            except (SystemExit, KeyboardInterrupt):
+                raise
+            except BaseException as error:  # noqa: BLE001 — as every event loop does
+                self.failed({"message": f"exception in {reader}", "exception": error})
             if self.due:
                 break
             if timeout is not None:
@@ -152,9 +168,9 @@ class _Selector(selectors.EpollSelector):
         self._changes += 1
         self._readers.pop(key.fd, None)
         if key.events == selectors.EVENT_READ:
-            # What asyncio registers is a pair of handles, for reading and for writing. What it does with one that is
-            # ready is to run it.
-            self._readers[key.fd] = key.data[0]
+            # What asyncio registers is a pair of handles, for reading and for writing.
+            callback, args = key.data[0]._callback, key.data[0]._args
+            self._readers[key.fd] = partial(callback, *args) if args else callback
         return key
 
 

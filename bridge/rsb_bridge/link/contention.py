@@ -415,7 +415,8 @@ class Contention:
             share = None
             if first is not None and route in shares and wishes[route].rank < top:
                 share = Share(shares[route], min(self._carried, asked), asked, first.topic)
-            route.thinning.take_share(share, low=route.rank < 0, qos=route.qos, now=now)
+            if share is not None or route.thinning.share is not None:
+                route.thinning.take_share(share, low=route.rank < 0, qos=route.qos, now=now)
 
     def _warn(self, features: Collection[str], connection: int) -> None:
         """Warn once a connection if the other side is too old for priorities of its topics."""

@@ -67,7 +67,8 @@ class RouteReports(Extension):
 
     def tick(self) -> None:
         if self._link.linked:
-            for report in _reports(self._link.routes.values(), self._link.fullness.next_record()):
+            routes = [route for route in self._link.routes.values() if not route.rests]
+            for report in _reports(routes, self._link.fullness.next_record()):
                 self._link.send(report)
 
     def _take(self, report: Report | ReportParts) -> Slices:

@@ -520,8 +520,12 @@ class RouteTable(Extension):
     # --- time
 
     async def tick_routes(self) -> None:
-        """Run the routes' own tick, once a second."""
-        await in_slices(tuple(self._link.routes.values()), lambda route: self._link.guarded(route.tick))
+        """Run the own tick of the routes that do not rest, once a second."""
+        now, link = self._context.now(), self._link
+        await in_slices([route for route in link.routes.values() if route.is_due(now)], self._tick_route)
+
+    def _tick_route(self, route: Route) -> None:
+        self._link.guarded(route.tick)
 
     def tick(self) -> None:
         """Propose refused routes again, and remove routes that the peer no longer wants."""

@@ -3,6 +3,11 @@
 from __future__ import annotations
 
 import time
+from functools import partial
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
 
 
 class Clock:
@@ -12,9 +17,9 @@ class Clock:
         """Return the time in nanoseconds since the epoch."""
         return time.time_ns()
 
-    def steady(self) -> float:
-        """Return the seconds of a clock that is never set and continues while the machine sleeps."""
-        return time.clock_gettime(time.CLOCK_BOOTTIME)
+    steady: Callable[[], float] = staticmethod(partial(time.clock_gettime, time.CLOCK_BOOTTIME))
+    """Return the seconds of a clock that is never set and continues while the machine sleeps. It costs no call of
+    Python, because it is asked for each message."""
 
 
 _STEP, _DRIFT, _MOST = 20_000_000, 1e-4, 50_000_000

@@ -1,8 +1,11 @@
-"""Text from outside, made fit for terminals, logs and messages."""
+"""Text from outside, made fit for terminals, logs and messages; and standard output for text of our own only."""
 
 from __future__ import annotations
 
+import contextlib
+import os
 import re
+import sys
 from typing import TYPE_CHECKING
 
 from rsb_bridge.model.limits import REASON_LENGTH
@@ -97,3 +100,12 @@ def join_first(parts: Sequence[str], most: int) -> str:
     if (more := len(parts) - most) > 0:
         shown.append(f"{more} more")
     return " and ".join(filter(None, (", ".join(shown[:-1]), *shown[-1:])))
+
+
+def keep_output_clean() -> None:
+    """Keep standard output for the program's own lines; libraries such as Fast DDS write to standard error then."""
+    with contextlib.suppress(OSError):  # one of the two is closed
+        sys.stdout.flush()
+        own = os.dup(1)
+        os.dup2(2, 1)
+        sys.stdout = os.fdopen(own, "w", encoding=sys.stdout.encoding, errors=sys.stdout.errors)

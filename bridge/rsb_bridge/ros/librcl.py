@@ -161,6 +161,7 @@ class TakeBuffer(Buffer):
         self._large: list[bytes] = []
         self._memory = ctypes.create_string_buffer(_COPIED_BELOW)
         self._start = ctypes.addressof(self._memory)
+        self._bytes = memoryview(self._memory).cast("B")
         self._callbacks = _REALLOCATE(_growing(self._large)), _DEALLOCATE(_keep)
         self.allocator.reallocate, self.allocator.deallocate = (
             ctypes.cast(each, ctypes.c_void_p) for each in self._callbacks
@@ -170,7 +171,7 @@ class TakeBuffer(Buffer):
     def taken(self) -> bytes:
         """Return the message that was just taken; to be asked once."""
         if not self._large:
-            return ctypes.string_at(self.data, self.length)
+            return self._bytes[: self.length].tobytes()
         payload = self._large.pop()
         self._shrink()
         return payload

@@ -2,24 +2,24 @@
 
 from __future__ import annotations
 
-import ctypes
 import logging
 import os
 import re
 import secrets
 import threading
 from collections import defaultdict, deque
-from contextlib import contextmanager
+from functools import partial
 from typing import TYPE_CHECKING, Any, Generic, TypeAlias, TypeVar
 
 from rsb_bridge.model.qos import incompatible
+from rsb_bridge.ros.memory import histories_that_shrink, large_blocks_kept
 from rsb_bridge.ros.middleware import check_middleware
 from rsb_bridge.ros.ros_interface import BATCH, RawMessage, Request, Response, RosError, RosProblem
 from rsb_bridge.ros.ros_thread import LONGEST_WAIT, RosTurns
 from rsb_bridge.ros.typesupport import hash_of, installed_class, installed_service, service_hash_of
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Hashable, Iterator, Sequence
+    from collections.abc import Callable, Hashable, Sequence
 
     from rsb_bridge.model.calls import Fields
     from rsb_bridge.model.qos import Qos
@@ -48,15 +48,6 @@ _CLOSED_REMEMBERED = 1000
 
 _STOP_WITHIN = 1.0  # s
 _Taken = TypeVar("_Taken")
-_M_TRIM_THRESHOLD, _M_MMAP_THRESHOLD = -1, -3
-_LARGEST_ON_HEAP = 32 << 20
-"""Bytes of a block that comes from the heap; it is the most that glibc allows."""
-_MOST_FREE_HEAP = 64 << 20
-"""Bytes that may be free at the end of each of the heap's arenas, until they go back."""
-_LITTLE_FREE_HEAP = 8 << 20
-"""Bytes that may stay free."""
-_HEAP_TRIMMED_EVERY = 30.0
-"""s; to give 60 MB back takes 10 ms, and to get them again as many."""
 
 
 class RosNode:
@@ -101,7 +92,8 @@ class RosNode:
             raise RosError(RosProblem.NOT_INSTALLED(error=error)) from error
         if self._thread is not None:
             raise RosError(RosProblem.STARTED_TWICE())
-        participant = self._participant = Participant(self._domain_id, self.node_name)
+        with histories_that_shrink(os.environ):
+            participant = self._participant = Participant(self._domain_id, self.node_name)
         self._thread = threading.Thread(target=self._run, args=(participant,), name="ros", daemon=True)
         self._thread.start()
 
@@ -317,13 +309,13 @@ class RosNode:
                 if drains is not self._drains:
                     drains = self._drains
                     endpoints = tuple(each.endpoint for each in drains.values())
-                ready = participant.wait(endpoints, LONGEST_WAIT if turns.watched else None)
+                addresses, graph_changed = participant.wait(endpoints, LONGEST_WAIT if turns.watched else None)
                 if turns.watched:
                     turns.turned()
-                for address in ready.addresses:
+                for address in addresses:
                     if self._participant is participant:
                         drains[address].deliver()
-                if ready.graph_changed:
+                if graph_changed:
                     self._on_graph_change()
         except Exception as error:  # noqa: BLE001 — no error may end the thread unnoticed
             self._failure = RosProblem.THREAD_FAILED(error=error)
@@ -456,7 +448,7 @@ class _Subscription(Drain[RawMessage]):
         own: set[bytes],
         retire: Callable[[Drain[Any]], None],
     ) -> None:
-        super().__init__(reader, lambda limit: reader.take(limit, own), sink, on_failure, retire)
+        super().__init__(reader, partial(reader.take, skip=own), sink, on_failure, retire)
         self.topic = reader.topic
         self.qos = qos
         self.key = key
@@ -496,44 +488,3 @@ class _Publisher:
 
 def _nothing() -> None:
     """Nobody watches the graph."""
-
-
-class _Statistics(ctypes.Structure):
-    """A mallinfo2 (malloc.h)."""
-
-    _fields_ = tuple(
-        (name, ctypes.c_size_t)
-        for name in ("arena", "ordblks", "smblks", "hblks", "hblkhd", "usmblks", "fsmblks", "uordblks", "free", "keep")
-    )
-
-
-@contextmanager
-def large_blocks_kept() -> Iterator[None]:
-    """Keep large blocks on the heap for as long as the context lasts. With a C library other than glibc, do nothing.
-
-    By itself glibc gives the memory of a large message back to the kernel as soon as it is free, and gets new pages for
-    the next one: hundreds of page faults a message, which cost more than to seal it. So large blocks come from the heap
-    here, and what is free of it goes back twice a minute.
-    """
-    library = ctypes.CDLL(None)
-    if not all(hasattr(library, name) for name in ("mallopt", "mallinfo2", "malloc_trim")):
-        yield
-        return
-    library.mallinfo2.restype = _Statistics
-    library.mallopt(_M_MMAP_THRESHOLD, _LARGEST_ON_HEAP)
-    library.mallopt(_M_TRIM_THRESHOLD, _MOST_FREE_HEAP)
-    ended = threading.Event()
-    giving_back = threading.Thread(target=_give_back, args=(library, ended), name="heap", daemon=True)
-    giving_back.start()
-    try:
-        yield
-    finally:
-        ended.set()
-        giving_back.join()
-
-
-def _give_back(library: Any, ended: threading.Event) -> None:
-    """Return free memory to the system. Runs on its own thread, so that only threads that allocate wait for it."""
-    while not ended.wait(_HEAP_TRIMMED_EVERY):
-        if library.mallinfo2().free > _LITTLE_FREE_HEAP:
-            library.malloc_trim(_LITTLE_FREE_HEAP)

@@ -435,6 +435,7 @@ _WRITTEN = b"\0\1"
 _LIBRARY = "libfastcdr.so.2"
 _SPACE = "_ZN8eprosima7fastcdr"
 _WORD = struct.Struct("@P")
+_word_at = ctypes.c_size_t.from_address
 _ROOM = 1024
 """bytes that a Cdr certainly fits in; it takes some 200 in fastcdr 2.2.5."""
 
@@ -487,9 +488,8 @@ def _deserialize(address: int, taken: list[bytes]) -> bool:
     """Put the payload that a Cdr reads into a list."""
     cdr = _cdr()
     assert cdr is not None
-    [buffer] = _WORD.unpack(ctypes.string_at(address + cdr.buffer, _WORD.size))
-    [data] = _WORD.unpack(ctypes.string_at(buffer + cdr.data, _WORD.size))
-    [size] = _WORD.unpack(ctypes.string_at(buffer + cdr.size, _WORD.size))
+    buffer = _word_at(address + cdr.buffer).value
+    data, size = _word_at(buffer + cdr.data).value, _word_at(buffer + cdr.size).value
     taken.append(ctypes.string_at(data, size))
     return True
 

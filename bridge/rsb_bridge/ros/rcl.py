@@ -11,7 +11,7 @@ import ctypes
 import threading
 from collections import Counter
 from contextlib import ExitStack
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple, Protocol
+from typing import TYPE_CHECKING, Any, Literal, Protocol
 
 from rclpy.context import Context
 from rclpy.impl.implementation_singleton import rclpy_implementation as _rclpy
@@ -86,18 +86,6 @@ class Incoming(Protocol):
         ...
 
 
-class Ready(NamedTuple):
-    """The events that ended a wait.
-
-    Attributes:
-        addresses: of the endpoints with new messages or calls.
-        graph_changed: whether a node or an endpoint came or went.
-    """
-
-    addresses: list[int]
-    graph_changed: bool
-
-
 class Participant:
     """Our one node in one domain.
 
@@ -125,6 +113,8 @@ class Participant:
         self._graph_guard_index = ctypes.c_size_t()
         self._waited_for: tuple[Incoming, ...] = ()
         self._capacity: Counter[str] = Counter()
+        self._adding: list[tuple[Callable[[Any], object], Any]] = []  # the wait set's methods, and what they add
+        self._kinds: tuple[str, ...] = ()
         self._graph_version = 0
         self._late: dict[Server, None] = {}
         self._waits = self._wait_set(self._capacity)
@@ -220,35 +210,51 @@ class Participant:
         name: str = handle.rclpy.service_name
         return Client(handle, name) if borrowed.raw else TypedClient(handle, name, borrowed.type.interface)
 
-    def wait(self, endpoints: tuple[Incoming, ...], longest: float | None = None) -> Ready:
+    def wait(self, endpoints: tuple[Incoming, ...], longest: float | None = None) -> tuple[list[int], bool]:
         """Block until something came to an endpoint, the graph changes, `wake` is called, or `longest` s are over.
 
         What is quick here is felt by every message and call. It is quickest where `endpoints` is what it was last time.
+
+        Returns:
+            The addresses of the endpoints with new messages or calls, and whether a node or an endpoint came or went.
         """
         if endpoints is not self._waited_for:
-            self._waited_for = endpoints
-            capacity = Counter[str](each.kind for each in endpoints)
-            if capacity != self._capacity:
-                self._waits.destroy_when_not_in_use()
-                self._waits, self._capacity = self._wait_set(capacity), capacity
+            self._wait_for(endpoints)
         waits = self._waits
         waits.clear_entities()
         waits.add_guard_condition(self._guard)
         _add_guard_condition(waits.pointer, self._graph_guard, self._graph_guard_index)
-        add = {"subscription": waits.add_subscription, "client": waits.add_client, "service": waits.add_service}
-        for endpoint in endpoints:
-            add[endpoint.kind](endpoint.handle.rclpy)
+        for add, handle in self._adding:
+            add(handle)
         within = -1 if longest is None else int(longest * 1e9)
         waits.wait(_TRY_AGAIN_NS if self._late else within)
         head = _WaitSetHead.from_address(waits.pointer)
         graph_changed = bool(head.guard_conditions[self._graph_guard_index.value])
         self._graph_version += graph_changed
+        if self._late:
+            self._try_again()
+        addresses: list[int] = []
+        for kind in self._kinds:
+            addresses += waits.get_ready_entities(kind)
+        return addresses, graph_changed
+
+    def _wait_for(self, endpoints: tuple[Incoming, ...]) -> None:
+        self._waited_for = endpoints
+        capacity = Counter[str](each.kind for each in endpoints)
+        if capacity != self._capacity:
+            self._waits.destroy_when_not_in_use()
+            self._waits, self._capacity = self._wait_set(capacity), capacity
+        waits = self._waits
+        add = {"subscription": waits.add_subscription, "client": waits.add_client, "service": waits.add_service}
+        self._adding = [(add[each.kind], each.handle.rclpy) for each in endpoints]
+        self._kinds = tuple(capacity)
+
+    def _try_again(self) -> None:
+        """Try late answers again."""
         for server in tuple(self._late):
             del self._late[server]
             if server.try_again():
                 self._late[server] = None
-        addresses = [address for kind in self._capacity for address in waits.get_ready_entities(kind)]
-        return Ready(addresses, graph_changed)
 
     def wake(self) -> None:
         """Make `wait` return, now or the next time it is called. From any thread."""

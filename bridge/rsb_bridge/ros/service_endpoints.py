@@ -88,17 +88,19 @@ class ServiceEndpoint:
             self._closed = True
         self.handle.free()
 
-    @contextmanager
-    def _open(self) -> Iterator[None]:
-        """Keep it from being freed.
+    def _check_open(self) -> None:
+        """Check that it may be used, while `_using` keeps it from being freed.
 
         Raises:
             RosError: it is closed.
         """
-        with self._using:
-            if self._closed:
-                raise RosError(f"{self.name}: the server or client is closed")
-            yield
+        if self._closed:
+            raise RosError(f"{self.name}: the server or client is closed")
+
+    def _failure(self, code: int, failed: str) -> RosError:
+        """Return what to raise for an error of rcl's, which is reset."""
+        reset_error()
+        return RosError(f"{self.name}: {failed} (rcl error {code})")
 
 
 class Server(ServiceEndpoint):
@@ -137,9 +139,10 @@ class Server(ServiceEndpoint):
         requests = []
         for _ in range(limit):
             code = _take_request(address, info, id(taken))
-            if code:
-                _check(code, _NO_REQUEST, self.name, "a request could not be taken")
+            if code == _NO_REQUEST:
                 break
+            if code:
+                raise self._failure(code, "a request could not be taken")
             source, _, guid, number = _INFO.unpack(info)
             self._served[guid] = None
             # rmw_fastrtps_cpp gives the time at which it was sent, by the caller's clock, for that at which it came.
@@ -155,14 +158,16 @@ class Server(ServiceEndpoint):
             RosError: it is closed, the payload is no message, or the middleware refused it.
         """
         guid, number = CALLER.unpack(caller)
-        with self._open():
+        with self._using:
+            self._check_open()
             if not self._late.send(guid, number, payload):
                 self._have_tried(self)
 
     def try_again(self) -> bool:
         """Send answers that could not be sent before. Whether some still could not."""
         try:
-            with self._open():
+            with self._using:
+                self._check_open()
                 return self._late.try_again()
         except RosError:
             return False
@@ -179,8 +184,10 @@ class Server(ServiceEndpoint):
             )
         writing = outgoing(payload)
         code = _send_response(self.handle.address, CALLER.pack(to, number), id(writing))
-        if code:
-            _check(code, _NOT_MATCHED, self.name, "an answer could not be sent")
+        if code == _NOT_MATCHED:
+            reset_error()
+        elif code:
+            raise self._failure(code, "an answer could not be sent")
         return not code
 
 
@@ -213,9 +220,10 @@ class Client(ServiceEndpoint):
         responses = []
         for _ in range(limit):
             code = _take_response(address, info, id(taken))
-            if code:
-                _check(code, _NO_RESPONSE, self.name, "a response could not be taken")
+            if code == _NO_RESPONSE:
                 break
+            if code:
+                raise self._failure(code, "a response could not be taken")
             _, stamp, _, number = _INFO.unpack(info)
             responses.append(Response(taken.pop(), number, stamp))
         return responses
@@ -227,11 +235,12 @@ class Client(ServiceEndpoint):
             RosError: it is closed, the payload is no message, or the middleware refused it.
         """
         number = ctypes.c_int64()
-        with self._open():
+        with self._using:
+            self._check_open()
             writing = outgoing(payload)
             code = _send_request(self.handle.address, id(writing), number)
             if code:
-                _check(code, 0, self.name, "a request could not be sent")
+                raise self._failure(code, "a request could not be sent")
         return number.value
 
 
@@ -242,17 +251,6 @@ def is_ready(client: Handle) -> bool:
     except RuntimeError:
         return False
     return available
-
-
-def _check(code: int, expected: int, service: str, failed: str) -> None:
-    """Take note of an error of rcl's.
-
-    Raises:
-        RosError: it is not the expected one.
-    """
-    reset_error()
-    if code != expected:
-        raise RosError(f"{service}: {failed} (rcl error {code})")
 
 
 class _Answer(NamedTuple):
@@ -354,7 +352,8 @@ class TypedServer(ServiceEndpoint):
 
     def answer(self, caller: bytes, payload: bytes) -> None:
         """Answer a call."""
-        with self._open(), _refused(self.name):
+        with self._using, _refused(self.name):
+            self._check_open()
             message = deserialize_message(payload, self._response)
             if (request_id := _asked.pop(caller, None)) is not None:
                 self.handle.rclpy.service_send_response(message, request_id)
@@ -388,7 +387,8 @@ class TypedClient(ServiceEndpoint):
 
     def call(self, payload: bytes) -> int:
         """Send a request."""
-        with self._open(), _refused(self.name):
+        with self._using, _refused(self.name):
+            self._check_open()
             number: int = self.handle.rclpy.send_request(deserialize_message(payload, self._request))
         return number
 

@@ -82,8 +82,11 @@ class CallerTable:
         Args:
             reader: the GUID of its reader of responses.
         """
-        version, now = self._version(), time.monotonic()
-        if self._asked != version or (reader not in self._writers and now >= self._asked_at + _ASKS_AGAIN_AFTER):
+        version = self._version()
+        if version == self._asked and (writer := self._writers.get(reader)) is not None:
+            return writer
+        now = time.monotonic()
+        if version != self._asked or now >= self._asked_at + _ASKS_AGAIN_AFTER:
             self._asked, self._asked_at = version, now
             writing = self._ask(_rclpy.rclpy_get_publishers_info_by_topic, f"rq{self._service}Request")
             reading = self._ask(_rclpy.rclpy_get_subscriptions_info_by_topic, f"rr{self._service}Reply")

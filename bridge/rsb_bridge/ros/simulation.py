@@ -9,7 +9,6 @@ from __future__ import annotations
 import argparse
 import json
 import math
-import os
 import select
 import sys
 import time
@@ -28,9 +27,10 @@ from rclpy.signals import SignalHandlerOptions
 from sensor_msgs.msg import BatteryState, LaserScan
 from std_srvs.srv import SetBool
 
+from rsb_bridge.model.text import keep_output_clean
+
 if TYPE_CHECKING:
     from collections.abc import Callable
-    from typing import TextIO
 
 SCAN_RATE, ODOM_RATE, BATTERY_RATE, GOAL_RATE = 10.0, 50.0, 1.0, 1.0
 """Hz."""
@@ -191,22 +191,21 @@ def main() -> None:
     parser.add_argument("part", choices=("robot", "desk"))
     parser.add_argument("domain", type=int)
     arguments = parser.parse_args()
-    reports = os.fdopen(os.dup(1), "w")
-    os.dup2(2, 1)  # Fast DDS writes its faults to standard output
+    keep_output_clean()
     simulation = (Robot if arguments.part == "robot" else Desk)(arguments.domain)
     next_line = 0.0
     while not select.select([sys.stdin], [], [], 0)[0]:
         simulation.spin_once(0.1)
         if time.monotonic() >= next_line:
             next_line = time.monotonic() + 1.0
-            _report(simulation, reports)
-    _report(simulation, reports)
+            _report(simulation)
+    _report(simulation)
     simulation.close()
 
 
-def _report(simulation: Simulation, reports: TextIO) -> None:
-    reports.write(json.dumps({"published": simulation.published, "received": simulation.received}) + "\n")
-    reports.flush()
+def _report(simulation: Simulation) -> None:
+    sys.stdout.write(json.dumps({"published": simulation.published, "received": simulation.received}) + "\n")
+    sys.stdout.flush()
 
 
 if __name__ == "__main__":

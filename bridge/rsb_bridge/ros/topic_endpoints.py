@@ -41,6 +41,7 @@ class _Gid(ctypes.Structure):
     _fields_ = (("middleware", ctypes.c_char_p), ("value", ctypes.c_uint8 * 16))
 
 
+_new = tuple.__new__  # a NamedTuple's own constructor is a call more
 _take = librcl.rcl_take_serialized_message
 _take_long = librcl_without_gil.rcl_take_serialized_message
 _take.argtypes = _take_long.argtypes = [ctypes.c_void_p] * 4
@@ -125,7 +126,7 @@ class Reader:
             if number > previous + 1:
                 self.lost += number - previous - 1
             last[gid] = number
-            taken.append(RawMessage(buffer.taken(), stamp, gid, number, 0, source))
+            taken.append(_new(RawMessage, (buffer.taken(), stamp, gid, number, 0, source)))
         return taken
 
     def close(self) -> None:

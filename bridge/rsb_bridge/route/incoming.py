@@ -48,7 +48,9 @@ if TYPE_CHECKING:
     from rsb_bridge.context import Context
     from rsb_bridge.model.qos import Qos
     from rsb_bridge.model.session import Topic
+    from rsb_bridge.model.verdict import Verdict
     from rsb_bridge.route.arming import Disarmed
+    from rsb_bridge.route.rest import Signs
     from rsb_bridge.route.route import Owner
 
 _INCOMPLETE_IN_A_ROW = 3
@@ -57,6 +59,8 @@ _ASKED_EVERY = 0.9
 _REPORTS_AFTER = 100
 """Messages after which an early report is sent: if this process is killed, the sender never learns whether the
 unreported messages arrived."""
+_PACKED = HISTORY | LEASED | ZSTD
+"""Flags of messages whose payload is more than the content."""
 _NO_HISTORY = HistoryHeader(bytes(PUBLISHER_ID_LENGTH), number=0, depth=AUTO_DEPTH)
 """For messages without a history header: they count as messages of one publisher."""
 _LATENCIES = ("latency", "latency_p50", "latency_p99")
@@ -72,17 +76,21 @@ def _with_latencies(
 
 
 class _NotPublishedError(Exception):
-    """A message that arrived is not published.
+    """A message that arrived is not published, and operators need not know. Its text is the cause in the ledger."""
 
-    Attributes:
-        cause: in the ledger.
-        code: of the event, or None for no event.
-    """
 
-    def __init__(self, cause: str, code: EventCode | None, text: str) -> None:
-        super().__init__(text)
-        self.cause = cause
-        self.code = code
+_FAILURES: dict[type[Exception], tuple[str, EventCode]] = {
+    ExpandsTooMuchError: ("expands too much", EventCode.ROUTE_EXPANDS_TOO_MUCH),
+    MalformedError: ("malformed", EventCode.ROUTE_MALFORMED),
+    TooComplexError: ("too complex", EventCode.ROUTE_TOO_COMPLEX),
+    LatchedFullError: ("latched full", EventCode.ROUTE_LATCHED_FULL),
+    SlowSubscriberError: ("slow subscriber", EventCode.ROUTE_SLOW_SUBSCRIBER),
+    RosError: ("publish failed", EventCode.ROUTE_PUBLISH_FAILED),
+    zstandard.ZstdError: ("publish failed", EventCode.ROUTE_PUBLISH_FAILED),
+    ProtocolError: ("publish failed", EventCode.ROUTE_PUBLISH_FAILED),
+}
+"""Errors that prevent a publication, each with the cause in the ledger and the event's code."""
+_CAUGHT: tuple[type[Exception], ...] = (_NotPublishedError, *_FAILURES)
 
 
 class IncomingRoute(TopicRoute[ReceivingChannel]):
@@ -225,10 +233,10 @@ class IncomingRoute(TopicRoute[ReceivingChannel]):
 
     # --- messages
 
-    def deliver(self, messages: Iterable[Message]) -> None:
+    def deliver(self, messages: Iterable[Message]) -> None:  # noqa: PLR0915 -- one loop, top to bottom
         """Publish messages that arrived whole and authentic, or let them wait for later turns of the I/O loop.
 
-        Each message goes through lease, expansion budget, rate limit and `_publish`, where they are on.
+        Each message goes through lease, expansion budget, rate limit, unpacking and check, where they are on.
         """
         if self._later:
             self._later.extend(messages)
@@ -238,9 +246,12 @@ class IncomingRoute(TopicRoute[ReceivingChannel]):
         if required and not arming.passes(began):
             self._drop_disarmed(len(tuple(messages)))
             return
-        if not self._outputs.sinks:
+        sinks = self._outputs.sinks
+        if not sinks:
             return
         now = stamp = self.context.stamps.now()
+        checker = self.check.checker
+        check = None if checker is None else self.check.check if checker.loops else checker.check
         limited, looks = self.limit.here > 0.0, required or self.age.is_on
         count = size = number = 0
         messages = iter(messages)
@@ -261,13 +272,20 @@ class IncomingRoute(TopicRoute[ReceivingChannel]):
             if limited and not self.limit.admits(began):
                 self._leave_out()
                 continue
-            look = partial(self._look, stamp, number) if looks else None
+            if flags >> SOURCE_SHIFT >= len(sinks):
+                self._dropped["unknown source"] += 1
+                continue
+            sink, look = sinks[flags >> SOURCE_SHIFT], partial(self._look, stamp, number) if looks else None
             try:
-                self._publish(payload, flags, stamp, look)
-            except _NotPublishedError as error:
-                self._dropped[error.cause] += 1
-                if error.code is not None:
-                    self.notices.message_error(error.code, str(error))
+                header, content = self._unpack(payload, flags) if flags & _PACKED else (_NO_HISTORY, payload)
+                if check is not None:
+                    check(content)
+                if isinstance(sink, LatchedTopic):
+                    self._publish_latched(sink, header, content, stamp, look)
+                else:
+                    sink.publish(content, look)
+            except _CAUGHT as error:
+                self._drop(error)
             else:
                 count += 1
                 size += len(payload)
@@ -304,41 +322,32 @@ class IncomingRoute(TopicRoute[ReceivingChannel]):
         text = f"the other side sends more than the {self.limit.here:g} Hz that this side allows: the rest is left out"
         self.notices.message_error(EventCode.ROUTE_TOO_FAST, text)
 
-    def _publish(self, payload: bytes, flags: int, stamp: int, look: Callable[[], None] | None) -> None:
-        """Publish one message, or raise _NotPublishedError; `look` is called right before DDS gets it."""
-        try:
-            output = self._outputs.sinks[flags >> SOURCE_SHIFT]
-        except IndexError:
-            raise _NotPublishedError("unknown source", None, "") from None
-        try:
-            header = _NO_HISTORY
-            if flags & (HISTORY | LEASED):
-                if flags & LEASED:  # on a route that needs no arming
-                    raise _NotPublishedError("disarmed", None, "")
-                header, payload = split_history(payload)
-            content = self._unpacker.unpack(payload) if flags & ZSTD else payload
-            if self.check.checker is not None:
-                self.check.check(content)
-            if not isinstance(output, LatchedTopic):
-                output.publish(content, look)
-                return
-            if look is not None:
-                look()
-            if not output.publish(header, content, self._still_young(stamp)):
-                raise _NotPublishedError("already published", None, "")
-        except ExpandsTooMuchError as error:
-            raise _NotPublishedError("expands too much", EventCode.ROUTE_EXPANDS_TOO_MUCH, str(error)) from None
-        except MalformedError as error:
+    def _unpack(self, payload: bytes, flags: int) -> tuple[HistoryHeader, bytes]:
+        """Return a message's history header and its content."""
+        if flags & LEASED:  # on a route that needs no arming
+            raise _NotPublishedError("disarmed")
+        header, rest = split_history(payload) if flags & HISTORY else (_NO_HISTORY, payload)
+        return header, self._unpacker.unpack(rest) if flags & ZSTD else rest
+
+    def _publish_latched(
+        self, topic: LatchedTopic, header: HistoryHeader, content: bytes, stamp: int, look: Callable[[], None] | None
+    ) -> None:
+        if look is not None:
+            look()
+        if not topic.publish(header, content, self._still_young(stamp)):
+            raise _NotPublishedError("already published")
+
+    def _drop(self, error: Exception) -> None:
+        """Count a message that is not published, and tell operators why."""
+        if isinstance(error, _NotPublishedError):
+            self._dropped[str(error)] += 1
+            return
+        cause, code = next(found for kind, found in _FAILURES.items() if isinstance(error, kind))
+        self._dropped[cause] += 1
+        text = str(error)
+        if isinstance(error, MalformedError):
             text = malformed_text(self.type_name, self.peer.name, error)
-            raise _NotPublishedError("malformed", EventCode.ROUTE_MALFORMED, text) from None
-        except TooComplexError as error:
-            raise _NotPublishedError("too complex", EventCode.ROUTE_TOO_COMPLEX, str(error)) from None
-        except LatchedFullError as error:
-            raise _NotPublishedError("latched full", EventCode.ROUTE_LATCHED_FULL, str(error)) from None
-        except SlowSubscriberError as error:
-            raise _NotPublishedError("slow subscriber", EventCode.ROUTE_SLOW_SUBSCRIBER, str(error)) from None
-        except (RosError, zstandard.ZstdError, ProtocolError) as error:
-            raise _NotPublishedError("publish failed", EventCode.ROUTE_PUBLISH_FAILED, str(error)) from None
+        self.notices.message_error(code, text)
 
     def _look(self, stamp: int, number: int) -> None:
         """Raise _NotPublishedError if a message may not be published now.
@@ -346,10 +355,10 @@ class IncomingRoute(TopicRoute[ReceivingChannel]):
         Called last: content checks, requests to DDS and new publishers take time.
         """
         if not self.arming.admits(number):
-            raise _NotPublishedError("disarmed", None, "")
+            raise _NotPublishedError("disarmed")
         if self.age.is_on and (why := self.age.why_old(stamp)) is not None:
             self.age.expired(why, 1)
-            raise _NotPublishedError(EXPIRED, None, "")
+            raise _NotPublishedError(EXPIRED)
 
     def _still_young(self, stamp: int) -> Callable[[], bool] | None:
         """Return the check before the publication of a message that has to wait, or None for no check."""
@@ -402,6 +411,12 @@ class IncomingRoute(TopicRoute[ReceivingChannel]):
         if self.judged.peer.cause != Cause.THINNED or self.qos is None:
             return False
         return self.qos.latched or (self.qos.reliability == "reliable" and self.rank >= 0)
+
+    def _signs(self) -> Signs:
+        return *super()._signs(), self._report, self._subscribers, self._clash
+
+    def _changes_at(self, shown: Verdict, now: float) -> float:
+        return now if self._sender_ledger.in_flight else super()._changes_at(shown, now)
 
     def tick(self) -> None:
         super().tick()

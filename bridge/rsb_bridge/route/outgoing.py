@@ -41,7 +41,9 @@ if TYPE_CHECKING:
     from rsb_bridge.context import Context
     from rsb_bridge.model.qos import Qos
     from rsb_bridge.model.session import Topic
+    from rsb_bridge.model.verdict import Verdict
     from rsb_bridge.route.arming import Disarmed
+    from rsb_bridge.route.rest import Signs
     from rsb_bridge.route.route import Owner
     from rsb_bridge.route.topic_verdict import Facts
 
@@ -334,6 +336,18 @@ class OutgoingRoute(TopicRoute[SendingChannel]):
         super().close(reason)
 
     # --- messages
+
+    def _signs(self) -> Signs:
+        lost = 0 if self._subscription is None else self._subscription.lost
+        return (
+            *super()._signs(), self._report, self._resolver.unresolved, self._failure, lost, self.notices.warning,
+            self.notices.loop,
+        )  # fmt: skip
+
+    def _changes_at(self, shown: Verdict, now: float) -> float:
+        if self._health.expected_rate is not None or self._ledger.missed.down or self.ledger().in_flight:
+            return now
+        return super()._changes_at(shown, now)
 
     def tick(self) -> None:
         now = self.context.now()

@@ -225,20 +225,22 @@ class CallBudget:
         """Let a call of `size` bytes begin at `now` (s), or return the reason to refuse it."""
         if not self._rate.take(1.0, now):
             return Refused.CALLS_A_SECOND
-        if not self._calls.take(1):
+        if self._calls.held >= self._calls.limit:
             return Refused.CALLS_UNDER_WAY
-        if self._bytes.held + size + self._lingers(now) > self._bytes.limit or not self._bytes.take(size):
-            self._calls.give(1)
+        lingering = self._lingers(now) if self._lingering else 0
+        if self._bytes.held + size + lingering > self._bytes.limit:
             return Refused.BYTES_UNDER_WAY
+        self._calls.held += 1
+        self._bytes.held += size
         return None
 
     def change(self, before: int, size: int) -> bool:
         """Let a call hold `size` bytes instead of `before`; return False and change nothing if it may not."""
-        self._bytes.give(before)
-        if self._bytes.take(size):
-            return True
-        self._bytes.held += before
-        return False
+        held = self._bytes.held - before + size
+        if held > self._bytes.limit:
+            return False
+        self._bytes.held = held
+        return True
 
     def linger(self, size: int, now: float) -> None:
         """Count `size` bytes of an ended call that DDS holds from `now` (s) on for a server that may have stopped."""
@@ -255,8 +257,8 @@ class CallBudget:
 
     def give(self, size: int) -> None:
         """Note the end of a call that held `size` bytes."""
-        self._calls.give(1)
-        self._bytes.give(size)
+        self._calls.held -= 1
+        self._bytes.held -= size
 
 
 class PeerBudget:

@@ -63,6 +63,7 @@ class RateLimit:
         log: adds an event.
 
     Attributes:
+        rate: Hz, or 0 if all messages cross.
         here: Hz that this side allows, or 0 for any.
         apply: called with the rate (Hz) to keep to whenever it may have changed.
     """
@@ -71,17 +72,12 @@ class RateLimit:
         self, max_rate: float, topic: str, rates: AllowedRates, log: Callable[[Level, EventCode, str], None]
     ) -> None:
         self.apply: Callable[[float], None] = lambda rate: None
-        self._max_rate = max_rate
+        self.rate = self._max_rate = max_rate
         self.here = 0.0
         self._there = self._there_before = self._profile = 0.0
         self._topic = topic
         self._rates = rates
         self._log = log
-
-    @property
-    def rate(self) -> float:
-        """The rate (Hz), or 0 if all messages cross."""
-        return _lowest(self._max_rate, self.allowed, self._profile)
 
     @property
     def allowed(self) -> float:
@@ -100,36 +96,40 @@ class RateLimit:
     def opened(self) -> None:
         """Begin a new opening: the other side will send its limit again."""
         self._there = 0.0
-        self.apply(self.rate)
+        self._changed()
 
     def set_max_rate(self, rate: float) -> None:
         """Take the limit of the topic's entry."""
         if rate != self._max_rate:
             self._max_rate = rate
-            self.apply(self.rate)
+            self._changed()
 
     def set_profile_rate(self, rate: float) -> None:
         """Take the limit of the link's profile, or 0 for none."""
         if rate != self._profile:
             self._profile = rate
-            self.apply(self.rate)
+            self._changed()
 
     def allow_here(self, rate: float) -> bool:
         """Take the rate that this side's rights allow; return whether it is another one than before."""
         if rate == self.here:
             return False
         self.here = rate
-        self.apply(self.rate)
+        self._changed()
         self._log(Level.INFO, EventCode.ROUTE_AMENDED, f"this side allows {_figure(rate)} (allow)")
         return True
 
     def allow_there(self, rate: float) -> None:
         """Take the rate that the other side allows."""
         self._there = rate
-        self.apply(self.rate)
+        self._changed()
         if rate != self._there_before:
             self._there_before = rate
             self._log(Level.INFO, EventCode.ROUTE_AMENDED, f"the other side allows {_figure(rate)}")
+
+    def _changed(self) -> None:
+        self.rate = _lowest(self._max_rate, self.allowed, self._profile)
+        self.apply(self.rate)
 
     def admits(self, now: float) -> bool:
         """Whether this side takes one more message of the peer at `now` (s)."""

@@ -88,6 +88,7 @@ class Route:
         losses: losses of its channels.
         judged: combined verdict of both sides.
         limit: limit of its rate.
+        rests: whether it needs no tick now, as nothing has happened: then it is neither reported nor shown anew.
         peer_report: type of the reports that the other side's half sends.
     """
 
@@ -128,6 +129,7 @@ class Route:
         self.type_hash = ""
         self.endpoints: Sequence[Endpoint] = ()
         self.losses = ChannelLosses()
+        self.rests = False
         self._verdict: Verdict | None = None  # None: it has to be judged
         self.judged = CombinedVerdict(sends=self.outgoing, peer_name="server" if peer.is_client else peer.name)
         self.meter = RateMeter(context.now())
@@ -404,8 +406,12 @@ class Route:
 
     # --- time
 
+    def is_due(self, now: float) -> bool:
+        """Whether it is to be ticked at `now` (s); sets `rests`. Called once a second."""
+        return True
+
     def tick(self) -> None:
-        """Update the meter and report a changed verdict; called once a second."""
+        """Update the meter and report a changed verdict; called once a second while the route does not rest."""
         now = self.context.now()
         self.meter.tick(now, learns=self.learns)
         if self.flowing:  # acceptance alone is not enough: a refusal may follow

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING, Generic, TypeVar
 
 from rsb_bridge.model.codes import EventCode
@@ -9,6 +10,7 @@ from rsb_bridge.model.snapshot import Level, State
 from rsb_bridge.model.verdict import EXPIRES, Cause
 from rsb_bridge.route.lateness import Late, LateWatch
 from rsb_bridge.route.peeking import PeekSlot
+from rsb_bridge.route.rest import Rest
 from rsb_bridge.route.route import Route
 from rsb_bridge.route.thinning import Thinning, why
 from rsb_bridge.route.topic_verdict import LOSS_CAUSES, Facts, judge, topic_stages
@@ -23,6 +25,7 @@ if TYPE_CHECKING:
     from rsb_bridge.model.session import Session, Topic
     from rsb_bridge.model.snapshot import Ledger, RouteSnapshot, Stage
     from rsb_bridge.model.verdict import Verdict
+    from rsb_bridge.route.rest import Signs
     from rsb_bridge.route.route import Owner
     from rsb_bridge.route.topic_verdict import TopicProgress
     from rsb_bridge.wire.messages import Propose
@@ -51,6 +54,8 @@ MEASURED_FOR = 6.0
 """s of lateness or loss after which a full link has been noticed."""
 _DRAINS_FOR = 60.0
 """s for which messages may be late or lost because their link was full."""
+_CALM = frozenset({State.OK, State.WAITING, State.UNHEARD, State.PAUSED})
+"""States that last until something happens, or until silence has lasted too long."""
 _UNUSUAL = frozenset({Cause.LATE, Cause.THINNED, *LOSS_CAUSES, *EXPIRES})
 
 
@@ -112,6 +117,11 @@ class Silence:
         """Time (s) of the last message, or when counting began again."""
         return self._watch.quiet_since
 
+    @property
+    def due(self) -> float:
+        """Time (s) at which it is too long ago, or infinite if any silence is allowed."""
+        return self._watch.quiet_since + self._watch.after if self._watch.after else math.inf
+
     def stale_since(self, now: float) -> float | None:
         """`quiet_since` if that is too long ago at `now` (s), else None."""
         return self._watch.quiet_since if self._watch.stale(now) else None
@@ -143,6 +153,7 @@ class TopicRoute(Route, Generic[ChannelT]):
         self.peek_slot = PeekSlot()
         self.thinning = Thinning(context.now())
         self._last_report: SentReport | ReceivedReport | None = None  # the last one of the present opening
+        self._rest = Rest(context)
 
     # --- what the halves do differently
 
@@ -227,8 +238,26 @@ class TopicRoute(Route, Generic[ChannelT]):
         """Tick `lateness` at `now` (s)."""
         raise NotImplementedError
 
+    def is_due(self, now: float) -> bool:
+        self.rests = self._rest.lasts(self._signs, now)
+        return not self.rests
+
+    def _signs(self) -> Signs:
+        """Return what changes if anything happens to this half, apart from the passing of time."""
+        return (
+            self.id, self._verdict, self.judged.peer, self.meter.count, self._came_here, self.endpoints, self.channel,
+            self.limit.rate, self.link_full, self.notices.last_error,
+            not self.transport.reliable and self.trouble(),
+        )  # fmt: skip
+
+    def _changes_at(self, shown: Verdict, now: float) -> float:
+        """Return when (s) time alone changes the verdict: `now` while it may at any moment, or infinite for never."""
+        if shown.state not in _CALM or self.arming.required or self.lateness.since is not None:
+            return now
+        return self.silence.due if self.flowing and self.silence_counts else math.inf
+
     def tick(self) -> None:
-        """Update histories, stale warnings and the verdict. Called once a second."""
+        """Update histories, stale warnings and the verdict. Called once a second while the route does not rest."""
         self.latency.tick()
         self._tick_lateness(self.context.now())
         self.age.tick(self._came_here, self.context.now())
@@ -239,7 +268,9 @@ class TopicRoute(Route, Generic[ChannelT]):
         if not self.flowing:
             self.silence.rearm(self.context.now())
         shown = self.judged.shown(self.verdict()).verdict
-        self.silence.tick(self.context.now(), due=shown.state in (State.STALE, State.STOPPED), cause=shown.cause)
+        now = self.context.now()
+        self.silence.tick(now, due=shown.state in (State.STALE, State.STOPPED), cause=shown.cause)
+        self._rest.ticked(self._signs(), now, self._changes_at(shown, now))
 
     def _profile_rate(self) -> float:
         """Return the link profile's limit (Hz) if this topic has none and may lose messages, else 0."""

@@ -40,6 +40,11 @@ class ShownRoute(Protocol):
         """Return the route as it is now."""
         ...
 
+    @property
+    def rests(self) -> bool:
+        """Whether nothing has happened to it lately."""
+        ...
+
 
 class ShownLink(Protocol):
     """A link, as the publisher sees it."""
@@ -84,6 +89,7 @@ class SnapshotPublisher:
         self._looks = 0
         self._looks_at: deque[tuple[float, int]] = deque()
         self._turn = 0
+        self._is_looked_at = True
 
     def _acknowledgement_ended(self, faulty: AnyFaulty) -> None:
         """Add an event: the fault counts again."""
@@ -122,16 +128,18 @@ class SnapshotPublisher:
         began = now()
         while True:
             await self.refresh(bridge)
-            every = _EVERY_LOOKED_AT if self.looked_at(now()) else _EVERY
+            self._is_looked_at = self.looked_at(now())
+            every = _EVERY_LOOKED_AT if self._is_looked_at else _EVERY
             turns = math.floor((now() - began + _EARLY) / every) + 1
             await asyncio.sleep(began + turns * every - now())
 
     async def refresh(self, bridge: ShownBridge) -> None:
-        """Renew the links, and a part of the routes, in turn; new ones at once."""
+        """Renew the links, and a part of the routes, in turn; new ones at once, resting ones only if somebody looks."""
         links, routes = bridge.links(), _routes_of(bridge)
-        at_once = max(_AT_ONCE, -(-len(routes) // _REFRESHES))
         self._routes = {route: self._routes[route] for route in routes if route in self._routes}
-        turn = [routes[(self._turn + i) % len(routes)] for i in range(min(at_once, len(routes)))]
+        changing = routes if self._is_looked_at else [route for route in routes if not route.rests]
+        at_once = max(_AT_ONCE, -(-len(changing) // _REFRESHES))
+        turn = [changing[(self._turn + i) % len(changing)] for i in range(min(at_once, len(changing)))]
         self._turn += len(turn)
         await in_slices(turn, self._renew)
         await in_slices([route for route in routes if route not in self._routes], self._renew)

@@ -63,7 +63,7 @@ class DataFrame:
 
     Attributes:
         route: route id from its header; not authenticated yet.
-        frame: for the route's `rsb_bridge.wire.framing.DataReader.open_frame`.
+        frame: for the route's `rsb_bridge.wire.framing.DataReader.open_frames`.
     """
 
     route: int

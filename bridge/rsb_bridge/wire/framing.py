@@ -348,34 +348,34 @@ class DataReader:
             ProtocolError: the format is broken, or the budget is spent.
             SealError: a seal is invalid.
         """
-        open_frame, messages = self.open_frame, list[Message]()
-        for frame in self._frames.feed(data):
-            message = open_frame(frame)
-            if message is not None:
-                messages.append(message)
-        return messages
+        return self.open_frames(self._frames.feed(data))
 
-    def open_frame(self, frame: Buffer) -> Message | None:
-        """Open one data frame.
+    def open_frames(self, frames: Iterable[Buffer]) -> list[Message]:
+        """Open whole data frames.
 
         Returns:
-            The message, or None if more chunks of it follow.
+            The messages, without one of which more chunks follow.
 
         Raises:
             ProtocolError: the format is broken, or the budget is spent.
-            SealError: the seal is invalid.
+            SealError: a seal is invalid.
         """
-        if len(frame) < _HEADER_SIZE:
-            raise ProtocolError(Broken.DATA_FRAME_TOO_SHORT(length=len(frame), header=_HEADER_SIZE))
-        header = frame[:_HEADER_SIZE]
-        kind, flags, route, stamp = _unpack_header(header)
-        if kind != DATA or route != self._route or flags & _UNKNOWN_FLAGS:
-            raise ProtocolError(Broken.FRAME_OF_ANOTHER_STREAM(kind=kind, flags=flags, route=route, stream=self._route))
-        sealed = frame[_HEADER_SIZE:]
-        if not (flags & MORE or self._chunks.begun):
-            return self._open(sealed, header), stamp, flags
-        self._chunks.add(sealed, header)
-        return None if flags & MORE else (self._chunks.take(), stamp, flags)
+        open_, chunks, stream, messages = self._open, self._chunks, self._route, list[Message]()
+        for frame in frames:
+            if len(frame) < _HEADER_SIZE:
+                raise ProtocolError(Broken.DATA_FRAME_TOO_SHORT(length=len(frame), header=_HEADER_SIZE))
+            header = frame[:_HEADER_SIZE]
+            kind, flags, route, stamp = _unpack_header(header)
+            if kind != DATA or route != stream or flags & _UNKNOWN_FLAGS:
+                raise ProtocolError(Broken.FRAME_OF_ANOTHER_STREAM(kind=kind, flags=flags, route=route, stream=stream))
+            sealed = frame[_HEADER_SIZE:]
+            if not (flags & MORE or chunks.begun):
+                messages.append((open_(sealed, header), stamp, flags))
+                continue
+            chunks.add(sealed, header)
+            if not flags & MORE:
+                messages.append((chunks.take(), stamp, flags))
+        return messages
 
     def close(self) -> None:
         """Discard incomplete messages."""

@@ -98,7 +98,7 @@ class What(IntEnum):
     """A request that an earlier opening of the route left unanswered, of an action, whose goals have ids."""
 
 
-_CALL_KINDS = frozenset(What)
+_CALL_KINDS = {int(each): each for each in What}
 
 
 class CallFrame(NamedTuple):
@@ -137,11 +137,12 @@ def unpack_call(payload: bytes) -> CallFrame:
     """
     if len(payload) < CALL_HEADER_LENGTH:
         raise ProtocolError(Broken.CALL_FRAME_TOO_SHORT(length=len(payload), header=CALL_HEADER_LENGTH))
-    what, lane, call, took = _CALL_HEADER.unpack_from(payload)
-    if what not in _CALL_KINDS:
-        raise ProtocolError(Broken.CALL_KIND_UNKNOWN(kind=what))
-    if (call == 0) != (what == What.MESSAGE):
-        raise ProtocolError(Broken.CALL_NUMBER_INVALID(kind=what, number=call))
-    if took > (MOST_TOOK if what == What.ANSWER else 0):
-        raise ProtocolError(Broken.CALL_DURATION_INVALID(kind=what, took=took))
-    return CallFrame(What(what), lane, call, took, payload[CALL_HEADER_LENGTH:])
+    kind, lane, call, took = _CALL_HEADER.unpack_from(payload)
+    what = _CALL_KINDS.get(kind)
+    if what is None:
+        raise ProtocolError(Broken.CALL_KIND_UNKNOWN(kind=kind))
+    if (call == 0) != (what is What.MESSAGE):
+        raise ProtocolError(Broken.CALL_NUMBER_INVALID(kind=kind, number=call))
+    if took > (MOST_TOOK if what is What.ANSWER else 0):
+        raise ProtocolError(Broken.CALL_DURATION_INVALID(kind=kind, took=took))
+    return CallFrame(what, lane, call, took, payload[CALL_HEADER_LENGTH:])

@@ -252,12 +252,17 @@ def router(endpoint: str) -> Process:
 
 
 def listening(server: Process, port: int) -> float:
-    """Wait until a port is listened on, and return the time. Ask the kernel: a connection would disturb the server."""
-    deadline, wanted = time.monotonic() + _READY_WITHIN, f":{port:04X}"
-    while time.monotonic() < deadline and server.running:
+    """Wait until a port is listened on, and return the time of the last look that found it closed.
+
+    It asks the kernel, since a connection would disturb the server.
+    """
+    before, wanted = time.monotonic(), f":{port:04X}"
+    deadline = before + _READY_WITHIN
+    while (now := time.monotonic()) < deadline and server.running:
         rows = [row.split() for row in Path("/proc/net/tcp").read_text().splitlines()[1:]]
         if any(row[1].endswith(wanted) and row[3] == "0A" for row in rows):  # TCP_LISTEN
-            return time.monotonic()
+            return before
+        before = now
         time.sleep(0.01)
     raise BenchError(BenchProblem.NO_SERVER())
 

@@ -269,16 +269,17 @@ def _operators_file(folder: Path, network: ZenohSettings) -> Path:
 
 
 def listening(process: Process, session: Path) -> float:
-    """Wait until the control side's server listens; return the time, s since the epoch."""
+    """Wait until the control side's server listens; return the last time (s since the epoch) at which it did not."""
     if port := session_file.load(session).server_port:
         monotonic = loopback.listening(process, port)
         return time.time() - (time.monotonic() - monotonic)
-    deadline = time.monotonic() + _READY_WITHIN
+    deadline, before = time.monotonic() + _READY_WITHIN, time.time()
     while "listening on" not in (session.parent / "control.log").read_text(encoding="utf-8"):
         if time.monotonic() > deadline or not process.running:
             raise BenchError(BenchProblem.NO_SERVER())
         time.sleep(0.01)
-    return time.time()
+        before = time.time()
+    return before
 
 
 def _free_port() -> int:

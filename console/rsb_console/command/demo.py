@@ -17,10 +17,11 @@ from rsb_bridge.config.fleet_file import load_fleet
 from rsb_bridge.engine import Engine
 from rsb_bridge.model.clock import Clock
 from rsb_bridge.model.robot_summary import RobotState
+from rsb_bridge.model.text import keep_output_clean
 from rsb_console.bench.results import BenchError
 from rsb_console.bench.simulated_fleet import WITH_BATTERY, fleet, listening
 from rsb_console.command.headless import Signals, bridge_until_told
-from rsb_console.command.shell import FAILURE, HUNG_UP, INTERRUPTED, OK, keep_output_clean, print_error, print_line
+from rsb_console.command.shell import FAILURE, HUNG_UP, INTERRUPTED, OK, print_error, print_line
 from rsb_console.fleet.fleet import Fleet, Memory
 from rsb_console.fleet.server_source import ServerFleet
 from rsb_console.fleet.zenoh_source import ZenohFleet

@@ -20,10 +20,10 @@ from rsb_bridge.history.state_folder import state_folder
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.command_origin import acting
 from rsb_bridge.model.snapshot import Event, Level
-from rsb_bridge.model.text import one_line, plural
+from rsb_bridge.model.text import keep_output_clean, one_line, plural
 from rsb_bridge.model.wording import Wording
 from rsb_console.command.formatting import StatusLines, json_event, json_status, summary, text_event
-from rsb_console.command.shell import ALREADY_RUNNING, FAILURE, HUNG_UP, OK, encoded, keep_output_clean, print_error
+from rsb_console.command.shell import ALREADY_RUNNING, FAILURE, HUNG_UP, OK, encoded, print_error
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping

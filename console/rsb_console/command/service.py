@@ -29,6 +29,7 @@ KEPT_VARIABLES = (
     "ROS_STATIC_PEERS",
     "ROS_LOCALHOST_ONLY",
     "FASTRTPS_DEFAULT_PROFILES_FILE",
+    "RMW_FASTRTPS_USE_QOS_FROM_XML",
     "CYCLONEDDS_URI",
 )
 """Variables that ROS reads from the environment; a service does not have the shell's."""

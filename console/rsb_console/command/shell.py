@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import os
 import resource
 import sys
@@ -71,15 +70,6 @@ def _print(text: str) -> None:
 def encoded(text: str) -> bytes:
     """Encode text for standard output; escape characters that its encoding lacks, as a name may be in any script."""
     return text.encode(sys.stdout.encoding, "backslashreplace")
-
-
-def keep_output_clean() -> None:
-    """Keep standard output for the program's own lines; libraries such as Fast DDS write to standard error then."""
-    with contextlib.suppress(OSError):  # one of the two is closed
-        sys.stdout.flush()
-        own = os.dup(1)
-        os.dup2(2, 1)
-        sys.stdout = os.fdopen(own, "w", encoding=sys.stdout.encoding, errors=sys.stdout.errors)
 
 
 def allow_many_descriptors() -> None:

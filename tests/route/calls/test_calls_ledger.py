@@ -29,3 +29,10 @@ def test_what_the_node_took_and_what_the_way_took_are_the_whole() -> None:
     ledger.timed(0.25, 1.0)
     ledger.tick()
     assert (ledger.node.p50, ledger.way.p50) == (0.25, 0.75)
+
+
+def test_the_providing_side_measures_its_node_alone() -> None:
+    ledger = CallsLedger()
+    ledger.timed(0.25)
+    ledger.tick()
+    assert (ledger.node.p50, ledger.way.p50) == (0.25, None)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 from random import Random
 from typing import TYPE_CHECKING
+from unittest.mock import Mock, patch
 
 import pytest
 
@@ -64,11 +65,52 @@ def test_a_call_ends_once(held: Held) -> None:
     assert held.budget.held == (0, 0)
 
 
-def test_no_timer_is_left(held: Held) -> None:
+def test_no_timer_is_left_once_all_are_given_up(held: Held) -> None:
     held.begin(1, 1000.0)
-    held.calls.end(1)
+    held.begin(2, None)
+    assert [number for number, _ in held.calls.clear()] == [1, 2]
+    assert held.ended == [1, 2]
+    assert held.budget.held == (0, 0)
     assert held.calls._timer is None
     assert not held.calls._deadlines
+
+
+def test_no_timer_is_left_after_the_time_of_the_last_call(held: Held) -> None:
+    held.begin(1, 1000.0)
+    held.calls.end(1)
+    held.pass_time(1001.0)
+    assert not held.expired
+    assert held.calls._timer is None
+    assert not held.calls._deadlines
+
+
+def test_calls_one_after_another_set_one_timer(held: Held) -> None:
+    """To set a timer wakes the I/O loop, and to cancel it costs as much as to send the call."""
+    set_ = Mock(wraps=held.loop.call_at)
+    with patch.object(held.loop, "call_at", set_):
+        for number in range(1, 101):
+            held.begin(number, 10.0)
+            held.calls.end(number)
+    assert set_.call_count == 1
+
+
+def test_a_call_with_the_number_of_one_given_up_has_its_own_time(held: Held) -> None:
+    """In the route's next opening, numbers begin again."""
+    held.begin(1, 5.0)
+    held.calls.clear()
+    held.pass_time(3.0)
+    held.begin(1, 5.0)
+    held.pass_time(10.0)
+    assert [(number, round(at, 3)) for number, at in held.expired] == [(1, 8.0)]
+
+
+def test_a_timer_set_by_a_call_that_ended_expires_the_later_ones(held: Held) -> None:
+    held.begin(1, 5.0)
+    held.pass_time(1.0)
+    held.begin(2, 5.0)
+    held.calls.end(1)
+    held.pass_time(10.0)
+    assert [(number, round(at, 3)) for number, at in held.expired] == [(2, 6.0)]
 
 
 def test_an_answer_may_hold_more_than_its_request(held: Held) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import TYPE_CHECKING, Generic, NamedTuple, Protocol, TypeVar
 
 from rsb_bridge.model.budgets import Backoff
@@ -89,6 +90,9 @@ class LaneSink(Generic[T]):
         lane: its place among the route's members.
         taken: gets them, on the I/O loop, as long as the sink is open.
         late: gets them after that, or None to drop them.
+
+    Attributes:
+        put: passes a batch on; called on the ROS thread.
     """
 
     def __init__(
@@ -99,14 +103,10 @@ class LaneSink(Generic[T]):
         late: Callable[[int, Sequence[T]], None] | None = None,
     ) -> None:
         self.open = True
-        self._context = context
+        self.put: Callable[[Sequence[T]], None] = partial(context.ros_queue.put, self)
         self._lane = lane
         self._taken = taken
         self._late = late
-
-    def put(self, batch: Sequence[T]) -> None:
-        """Pass a batch on; called on the ROS thread."""
-        self._context.ros_queue.put(self, batch)
 
     def offer(self, batch: Sequence[T]) -> None:
         """Take a batch; called on the I/O loop."""

@@ -200,14 +200,14 @@ class CallingRoute(CallsRoute):
         self._pending = PendingCalls[CallerCall](context.loop, peer.budget.asked, self._expired, self._outbox.forget)
         self._last_number = 0
         self._messages = LaneMessages(self.members, self._offers, peer.budget.kept, self.notices)
-        self._allowed = _bucket(0.0, context.now())
+        self._allowed: TokenBucket | None = None  # None without a limit
         self.limit.apply = self._limit
 
     def _lease_of_requests(self) -> Lease | None:
         return self.arming.lease if self.arming.required else None
 
     def _limit(self, rate: float) -> None:
-        self._allowed = _bucket(rate, self.context.now())
+        self._allowed = TokenBucket(max(1.0, rate * _AT_ONCE), rate, self.context.now()) if rate else None
 
     # --- offering
 
@@ -398,13 +398,14 @@ class CallingRoute(CallsRoute):
         for request in [self._stamped(request) for request in requests] if with_age else requests:
             payload, now = request.payload, self.context.now()
             self._asked_for(len(payload))
-            if (why := self._refusal(lane, request)) is not None:
+            size = frame_size(payload)
+            if (why := self._refusal(lane, request, size, now)) is not None:
                 self._refuse(why)
                 if action is not None and lane == SEND_GOAL:
                     self._reject(action, server, request.caller, payload)
                 continue
             stamp = request.stamp if with_age else 0
-            call = CallerCall(lane, frame_size(payload), now, server, request.caller)
+            call = CallerCall(lane, size, now, server, request.caller)
             if action is not None:
                 call.kept = KeptCall(
                     lane, request.caller, payload, now, again=False, instance=self.peer.instance, stamp=stamp
@@ -424,9 +425,8 @@ class CallingRoute(CallsRoute):
             self._asked_for(len(request.payload))
         self._lose(len(requests), "it is no longer offered")
 
-    def _refusal(self, lane: int, request: Request) -> Refused | None:
-        """Return the reason why a call is not sent, or take its place in the link's budget and return None."""
-        now = self.context.now()
+    def _refusal(self, lane: int, request: Request, size: int, now: float) -> Refused | None:
+        """Return the reason why a call is not sent, or take its `size` in the link's budget and return None."""
         if (why := self.held_now(lane)) is not None:
             return why
         limited = self.members[lane].limited
@@ -434,9 +434,9 @@ class CallingRoute(CallsRoute):
             return Refused.TOO_OLD
         if len(request.payload) > self._outbox.largest:
             return Refused.TOO_LARGE
-        if limited and self.limit.rate and not self._allowed.take(1.0, now):
+        if limited and self._allowed is not None and not self._allowed.take(1.0, now):
             return Refused.CALLS_A_SECOND
-        return self.peer.budget.asked.take(frame_size(request.payload), now)
+        return self.peer.budget.asked.take(size, now)
 
     def _begin(self, call: CallerCall, payload: bytes, lease: int, stamp: int) -> None:
         """Send a call that has its place in the budget."""
@@ -447,9 +447,10 @@ class CallingRoute(CallsRoute):
         self._outbox.put(CallFrame(what, call.lane, number, 0, payload, lease, stamp))
 
     def _leaves(self, frame: CallFrame) -> bool:
-        if frame.stamp and frame.call in self._pending and not self.age.is_young(frame.stamp):
+        if frame.stamp and not self.age.is_young(frame.stamp):
             self._take_refusal(frame, Refused.TOO_OLD)
-        return frame.call in self._pending
+            return False
+        return True  # the outbox forgets calls that have ended
 
     async def call_by_hand(self, lane: int, request: bytes) -> bytes:
         """Make a call as a caller here would, but without waiting for the end of an interruption."""
@@ -459,11 +460,12 @@ class CallingRoute(CallsRoute):
         self._asked_for(len(request))
         lease = self.arming.newest_number if self.arming.required else 0
         made = Request(request, b"", self.context.stamps.now(), lease)
-        if (why := self._refusal(lane, made)) is not None:
+        size, now = frame_size(request), self.context.now()
+        if (why := self._refusal(lane, made, size, now)) is not None:
             self._refuse(why)
             raise CallError(self.calls.last_failure)
         stamp = made.stamp if self.age.is_on and self.members[lane].limited else 0
-        self._begin(CallerCall(lane, frame_size(request), self.context.now(), manual, b""), request, lease, stamp)
+        self._begin(CallerCall(lane, size, now, manual, b""), request, lease, stamp)
         self.flush()
         try:
             return await manual.answered
@@ -587,8 +589,7 @@ class CallingRoute(CallsRoute):
 
     def _give_up_all(self, why: str) -> None:
         lost = 0
-        for number, call in self._pending.items():
-            self._pending.end(number)
+        for _, call in self._pending.clear():
             if self.action is not None and self.action.keep(call):
                 continue
             if self.action is not None and call.kept is not None:
@@ -721,7 +722,3 @@ class CallingRoute(CallsRoute):
         kept = [call.kept for _, call in self._pending.items() if call.kept is not None and call.lane == GET_RESULT]
         requests = [*(each.payload for each in kept), *action.waiting.requests(GET_RESULT)]
         return {goal for request in requests if (goal := goal_of(request)) is not None}
-
-
-def _bucket(rate: float, now: float) -> TokenBucket:
-    return TokenBucket(max(1.0, rate * _AT_ONCE), rate, now)

@@ -10,6 +10,8 @@ from rsb_bridge.wire.records import CallsReport, VerdictRecord
 
 LATELY = 10
 """s that verdicts look back."""
+_TIMED = 512
+"""Calls that are timed at most in a second: the newest."""
 
 
 REMEDIES = {
@@ -67,6 +69,7 @@ class CallsLedger:
         self.way = LatencyMeter()
         self.last_failure = ""
         self.unanswered = False
+        self._timed: deque[tuple[float, float | None]] = deque(maxlen=_TIMED)  # calls since the last tick
         self._before = 0, 0  # answered and expired, a second ago
         self._lately: deque[tuple[int, Counter[Refused]]] = deque(maxlen=LATELY + 1)
 
@@ -77,6 +80,13 @@ class CallsLedger:
 
     def tick(self) -> None:
         """Update what is measured over time; called once a second."""
+        for took, total in self._timed:
+            if total is None:
+                self.node.add(took)
+            else:
+                self.node.add(min(took, total))
+                self.way.add(max(0.0, total - took))
+        self._timed.clear()
         self.node.tick()
         self.way.tick()
         answered, expired = self._before
@@ -101,11 +111,14 @@ class CallsLedger:
         self._before = self.answered, self.expired
         self._lately.clear()
 
-    def timed(self, took: float, total: float) -> None:
-        """Measure an answer that came after `total` s, `took` s of which the node took as the peer says."""
-        took = min(took, total)
-        self.node.add(took)
-        self.way.add(total - took)
+    def timed(self, took: float, total: float | None = None) -> None:
+        """Measure an answer at the next tick.
+
+        Args:
+            took: s that the node took, on the callers' side as the peer says.
+            total: s after which the answer came to the callers' side, or None on the other side.
+        """
+        self._timed.append((took, total))
 
     def snapshot(self) -> CallsSnapshot:
         """Return the counts for user interfaces."""

@@ -37,7 +37,7 @@ class CallsOutbox:
         proposal: what the two sides have agreed on.
         members: of the route.
         leaves: whether a call or an answer is still wanted; asked right before it is sent.
-        stamp: gives the stamp of a message that has none.
+        stamp: gives the stamp of frames that have none.
     """
 
     def __init__(
@@ -100,14 +100,14 @@ class CallsOutbox:
         frames = self._frames
         while frames and not channel.congested:
             batch: list[Message] = []
-            size = 0
-            while frames and len(batch) < _BATCH and size < channel.batch_bytes:
+            size, most, now = 0, channel.batch_bytes, self._stamp()
+            while frames and len(batch) < _BATCH and size < most:
                 _, frame = frames.popitem(last=False)
                 if frame.what not in _OF_CALLS:
                     self._uncount(frame)
                 elif not self._leaves(frame):
                     continue
-                batch.append(self._pack(frame))
+                batch.append(self._pack(frame, now))
                 size += len(batch[-1][0])
             if batch:
                 channel.send(batch)
@@ -126,9 +126,9 @@ class CallsOutbox:
             self._messages[frame.lane] -= 1
             self._message_bytes -= len(frame.content)
 
-    def _pack(self, frame: CallFrame) -> Message:
+    def _pack(self, frame: CallFrame, now: int) -> Message:
         """Return a frame as a message; its content is compressed if that is agreed and makes it smaller."""
-        stamp, flags = frame.stamp or self._stamp(), 0
+        stamp, flags = frame.stamp or now, 0
         if self._compressor is not None:
             smaller = self._compressor.compress(frame.content)
             if len(smaller) < len(frame.content):

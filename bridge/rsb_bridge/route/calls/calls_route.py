@@ -87,7 +87,7 @@ class CallsRoute(Route):
         self._said: dict[str, float] = {}
 
     def _stamp_now(self) -> int:
-        return shifted(self.context.wall_ns(), self.peer.stamp_shift)
+        return shifted(self.context.clock.time_ns(), self.peer.stamp_shift)
 
     # --- what the halves do differently
 
@@ -166,7 +166,7 @@ class CallsRoute(Route):
 
     def timeout_of(self, lane: int) -> float | None:
         """Return the seconds after which a lane's call expires, or None if it never does."""
-        return None if self.members[lane].patient else self.call_timeout
+        return None if self.members[lane].patient else self.proposal.timeout or CALL_TIMEOUT
 
     @property
     def local_names(self) -> list[str]:
@@ -227,7 +227,9 @@ class CallsRoute(Route):
 
     def held_now(self, lane: int) -> Refused | None:
         """Return why a call of a lane may not pass at this moment, or None."""
-        return Refused.PAUSED if self.paused and self.members[lane].limited else self.unarmed_now(lane)
+        if self.pausing.paused and self.members[lane].limited:
+            return Refused.PAUSED
+        return self.unarmed_now(lane) if self.arming.required else None
 
     # --- opening and closing
 

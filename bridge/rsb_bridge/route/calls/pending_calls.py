@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import heapq
+import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Generic, TypeVar
 
@@ -36,6 +37,8 @@ C = TypeVar("C", bound=Call)
 class PendingCalls(Generic[C]):
     """Holds calls by number, and returns to the budget what ended calls held.
 
+    One timer serves them all: it stays when calls end, and looks at its time for the next deadline.
+
     Args:
         loop: sets the timer; its time is the clock.
         budget: of the link; adding a call does not take from it: the adder has done that.
@@ -57,6 +60,7 @@ class PendingCalls(Generic[C]):
         self._calls: dict[int, C] = {}
         self._deadlines: list[tuple[float, int]] = []  # a heap; entries of ended calls stay for a while
         self._timer: asyncio.TimerHandle | None = None
+        self._looks_at = math.inf  # s, when the timer is due
 
     def __len__(self) -> int:
         return len(self._calls)
@@ -79,8 +83,10 @@ class PendingCalls(Generic[C]):
             if len(self._deadlines) > 2 * len(self._calls) + _ROOM:
                 self._deadlines = [each for each in self._deadlines if each[1] in self._calls]
                 heapq.heapify(self._deadlines)
-            heapq.heappush(self._deadlines, (self._loop.time() + timeout, number))
-            self._set_timer()
+            due = self._loop.time() + timeout
+            heapq.heappush(self._deadlines, (due, number))
+            if due < self._looks_at:
+                self._look_at(due)
 
     def end(self, number: int) -> C | None:
         """Remove a call and return it, or None if it has ended or never began."""
@@ -88,10 +94,16 @@ class PendingCalls(Generic[C]):
         if call is not None:
             self._budget.give(call.size)
             self._on_end(number)
-            if not self._calls:
-                self._deadlines.clear()
-                self._set_timer()
         return call
+
+    def clear(self) -> list[tuple[int, C]]:
+        """End all calls, and return them with their numbers, oldest first. Later calls may have the same numbers."""
+        calls = self.items()
+        for number, _ in calls:
+            self.end(number)
+        self._deadlines.clear()
+        self._look_at(math.inf)
+        return calls
 
     def resize(self, call: C, size: int) -> bool:
         """Have a call hold another number of bytes. Return False if the budget has no room for them."""
@@ -100,24 +112,20 @@ class PendingCalls(Generic[C]):
         call.size = size
         return True
 
-    def _set_timer(self) -> None:
-        due = self._deadlines[0][0] if self._deadlines else None
+    def _look_at(self, due: float) -> None:
+        """Set the timer to a time (s), or to none if that is infinite."""
         if self._timer is not None:
-            if due is not None and self._timer.when() <= due:
-                return
             self._timer.cancel()
-            self._timer = None
-        if due is not None:
-            self._timer = self._loop.call_at(due, self._expire)
+        self._timer = None if due == math.inf else self._loop.call_at(due, self._expire)
+        self._looks_at = due
 
     def _expire(self) -> None:
-        self._timer = None
-        now = self._loop.time()
+        now, deadlines = self._loop.time(), self._deadlines
         expired = []
-        while self._deadlines and self._deadlines[0][0] <= now:
-            _, number = heapq.heappop(self._deadlines)
+        while deadlines and (deadlines[0][0] <= now or deadlines[0][1] not in self._calls):
+            _, number = heapq.heappop(deadlines)
             if (call := self.end(number)) is not None:
                 expired.append((number, call))
-        self._set_timer()
+        self._look_at(deadlines[0][0] if deadlines else math.inf)
         for number, call in expired:
             self._on_expired(number, call)

@@ -332,9 +332,10 @@ class ProvidingRoute(CallsRoute):
             return Refused.PROVIDER_GONE
         if (why := self._malformed(frame, "_Request")) is not None:
             return why
-        if limited and (why := self._why_held(frame)) is not None:  # the check of its content may have taken long
+        timed = self.age.is_on or self.arming.required
+        if limited and timed and (why := self._why_held(frame)) is not None:  # the check may have taken long
             return why
-        if limited and not self.limit.admits(now):
+        if limited and self.limit.here and not self.limit.admits(now):
             return Refused.CALLS_A_SECOND
         return self.peer.budget.provided.take(frame_size(frame.content), now)
 
@@ -348,7 +349,9 @@ class ProvidingRoute(CallsRoute):
         """Return the reason why a limited call may not be made now, or None."""
         if self.age.is_on and self.age.why_old(frame.stamp) is not None:
             return Refused.TOO_OLD
-        return self.held_now(frame.lane) or (None if self.arming.admits(frame.lease) else Refused.DISARMED)
+        if (why := self.held_now(frame.lane)) is not None:
+            return why
+        return Refused.DISARMED if self.arming.required and not self.arming.admits(frame.lease) else None
 
     def _is_answered(self, frame: CallFrame) -> bool:
         """Return whether a kept answer serves a call, without a server."""
@@ -402,25 +405,24 @@ class ProvidingRoute(CallsRoute):
 
     def _take_response(self, lane: int, response: Response) -> None:
         peers = self._by_number.pop((lane, response.number), None)
-        if peers is None or peers not in self._pending:
+        if peers is None or not self._answer(peers, response.payload):
             self.calls.late += 1
-        else:
-            self._answer(peers, response.payload)
 
-    def _answer(self, peers: int, payload: bytes) -> None:
-        """Answer a call of the peer's, if it is still pending."""
+    def _answer(self, peers: int, payload: bytes) -> bool:
+        """Answer a call of the peer's. Return False if it has ended."""
         call = self._pending.get(peers)
         if call is None:
-            return
+            return False
         took = self.context.now() - call.asked_at
         if not self.members[call.lane].patient:
-            self.calls.node.add(took)
+            self.calls.timed(took)
         if len(payload) > self._outbox.largest:
             self._give_up(peers, Refused.TOO_LARGE)
         elif not self._pending.resize(call, frame_size(payload)):
             self._give_up(peers, Refused.BYTES_UNDER_WAY)
         else:
             self._outbox.put(CallFrame(What.ANSWER, call.lane, peers, max(0, int(took * 1e9)), payload))
+        return True
 
     def _leaves(self, frame: CallFrame) -> bool:
         """End the call of an answer that is about to be sent. Return False if it has ended before."""
@@ -470,9 +472,8 @@ class ProvidingRoute(CallsRoute):
                 self._give_up(number, Refused.LOST)
 
     def _give_up_all(self, why: str) -> None:
-        calls = self._pending.items()
+        calls = self._pending.clear()
         for number, call in calls:
-            self._pending.end(number)
             self._outbox.put(CallFrame(What.REFUSED, call.lane, number, 0, Refused.LOST.encode()))
         self._by_number.clear()
         self._lose(len(calls), why)

@@ -1,0 +1,90 @@
+"""Memory of large messages: what DDS's histories and the heap keep of it, and when it goes back to the kernel."""
+
+from __future__ import annotations
+
+import ctypes
+import threading
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, MutableMapping
+
+_HISTORIES = Path(__file__).with_name("fast_dds_histories.xml")
+_PROFILE_VARIABLE, _NEW_PROFILE_VARIABLE = "FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE"
+_QOS_VARIABLE = "RMW_FASTRTPS_USE_QOS_FROM_XML"
+_FOUND_BY_FAST_DDS = Path("DEFAULT_FASTRTPS_PROFILES.xml")
+"""A file in the working directory, which Fast DDS loads by itself."""
+
+_M_TRIM_THRESHOLD, _M_MMAP_THRESHOLD = -1, -3
+_LARGEST_ON_HEAP = 32 << 20
+"""Bytes of a block that comes from the heap; it is the most that glibc allows."""
+_MOST_FREE_HEAP = 64 << 20
+"""Bytes that may be free at the end of each of the heap's arenas, until they go back."""
+_LITTLE_FREE_HEAP = 8 << 20
+"""Bytes that may stay free."""
+_HEAP_TRIMMED_EVERY = 8.0
+"""s; to give 60 MB back takes 10 ms, and to get them again as many."""
+
+
+@contextmanager
+def histories_that_shrink(environment: MutableMapping[str, str]) -> Iterator[None]:
+    """Have the participant that the context creates free what its histories held. A user's own profiles have priority.
+
+    rmw_fastrtps has Fast DDS reuse the memory of each message in a history for the next one, enlarged to the largest
+    that it ever held. So 300 messages of 1 MB keep 180 MB for as long as the topic lasts. With the policy ``DYNAMIC`` a
+    message's memory is freed with it; only an XML profile can ask for that, and only `_QOS_VARIABLE` makes it count.
+    Other middlewares ignore the variables. They are removed again, since children of this process inherit what stays.
+    """
+    own = {_PROFILE_VARIABLE: str(_HISTORIES), _QOS_VARIABLE: "1"}
+    if any(name in environment for name in (*own, _NEW_PROFILE_VARIABLE)) or _FOUND_BY_FAST_DDS.exists():
+        yield
+        return
+    environment.update(own)
+    try:
+        yield
+    finally:
+        for name in own:
+            del environment[name]
+
+
+class _Statistics(ctypes.Structure):
+    """A mallinfo2 (malloc.h)."""
+
+    _fields_ = tuple(
+        (name, ctypes.c_size_t)
+        for name in ("arena", "ordblks", "smblks", "hblks", "hblkhd", "usmblks", "fsmblks", "uordblks", "free", "keep")
+    )
+
+
+@contextmanager
+def large_blocks_kept() -> Iterator[None]:
+    """Keep large blocks on the heap for as long as the context lasts. With a C library other than glibc, do nothing.
+
+    By itself glibc gives the memory of a large message back to the kernel as soon as it is free, and gets new pages for
+    the next one: hundreds of page faults a message, which cost more than to seal it. So large blocks come from the heap
+    here, and what is free of it goes back within 8 s.
+    """
+    library = ctypes.CDLL(None)
+    if not all(hasattr(library, name) for name in ("mallopt", "mallinfo2", "malloc_trim")):
+        yield
+        return
+    library.mallinfo2.restype = _Statistics
+    library.mallopt(_M_MMAP_THRESHOLD, _LARGEST_ON_HEAP)
+    library.mallopt(_M_TRIM_THRESHOLD, _MOST_FREE_HEAP)
+    ended = threading.Event()
+    giving_back = threading.Thread(target=_give_back, args=(library, ended), name="heap", daemon=True)
+    giving_back.start()
+    try:
+        yield
+    finally:
+        ended.set()
+        giving_back.join()
+
+
+def _give_back(library: Any, ended: threading.Event) -> None:
+    """Return free memory to the system. Runs on its own thread, so that only threads that allocate wait for it."""
+    while not ended.wait(_HEAP_TRIMMED_EVERY):
+        if library.mallinfo2().free > _LITTLE_FREE_HEAP:
+            library.malloc_trim(_LITTLE_FREE_HEAP)

@@ -1,0 +1,83 @@
+"""What large messages held goes back to the kernel."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import threading
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from tests.support.locks import two_domains
+from tests.support.resources import resources
+
+from rsb_bridge.ros import memory
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    import pytest
+
+_LARGE = """
+import sys
+from tests.support.resources import resources
+from tests.support.waiting import eventually
+from rsb_bridge.model.qos import Qos
+from rsb_bridge.ros import memory
+from rsb_bridge.ros.node import RosNode
+
+memory._HEAP_TRIMMED_EVERY = 0.05
+sender, receiver = (RosNode(int(sys.argv[1]), name) for name in ("sender", "receiver"))
+sender.start()
+receiver.start()
+taken = []
+arguments = ("/large", "made_up_msgs/msg/Blob", "RIHS01_" + "5b" * 32, Qos(depth=200))
+receiver.subscribe(*arguments, lambda batch: taken.append(len(batch)), "link")
+publisher = sender.advertise(*arguments, "link")
+eventually(lambda: publisher.subscriber_count)
+before = resources().resident
+for _ in range(100):
+    publisher.publish(bytes(1 << 20))
+eventually(lambda: sum(taken) == 100 and publisher.acknowledged)
+eventually(lambda: resources().resident < before + (64 << 20), within=30)
+sender.stop()
+receiver.stop()
+"""
+
+
+def test_what_a_history_held_goes_back_to_the_kernel() -> None:
+    """Its reader and its writer held 100 MB, each once."""
+    command = [sys.executable, "-c", _LARGE, str(two_domains())]
+    subprocess.run(command, cwd=Path(__file__).parents[2], timeout=120, check=True)
+
+
+def test_a_users_profiles_have_priority() -> None:
+    for name in "FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE", "RMW_FASTRTPS_USE_QOS_FROM_XML":
+        environment = {name: "mine"}
+        with memory.histories_that_shrink(environment):
+            assert environment == {name: "mine"}
+
+
+def test_children_inherit_no_profile() -> None:
+    environment: dict[str, str] = {}
+    with memory.histories_that_shrink(environment):
+        assert environment
+    assert not environment
+
+
+def test_free_memory_goes_back_to_the_kernel(monkeypatch: pytest.MonkeyPatch, eventually: Callable[..., Any]) -> None:
+    monkeypatch.setattr(memory, "_HEAP_TRIMMED_EVERY", 0.05)
+    threads = threading.active_count()
+    with memory.large_blocks_kept():
+        blocks = [b"x" * (6 << 20) for _ in range(8)]
+        most = resources().resident
+        blocks.clear()
+        eventually(lambda: resources().resident < most - (32 << 20))
+    assert threading.active_count() <= threads  # one that a test before left may have ended
+
+
+def test_another_c_library_is_left_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("rsb_bridge.ros.memory.ctypes.CDLL", lambda _: object())
+    before = threading.active_count()
+    with memory.large_blocks_kept():
+        assert threading.active_count() <= before

@@ -1,0 +1,150 @@
+"""A route that nothing happens to is ticked seldom, and whatever happens to it is noticed within a second."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, ClassVar
+
+import pytest
+from tests.support.offline import FakePeer
+
+from rsb_bridge.model.capacity import Fullness
+from rsb_bridge.model.qos import Qos
+from rsb_bridge.model.session import Topic
+from rsb_bridge.model.snapshot import State
+from rsb_bridge.model.verdict import Cause
+from rsb_bridge.ros.ros_interface import Endpoint
+from rsb_bridge.route.outgoing import OutgoingRoute
+from rsb_bridge.route.rest import LONGEST, RESTS_AFTER
+from rsb_bridge.wire.messages import Propose
+from rsb_bridge.wire.records import ReceivedReport, VerdictRecord
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from tests.support.virtual_time import VirtualLoop
+
+    from rsb_bridge.context import Context
+
+
+class Channel:
+    """A channel that takes messages, and is not given any."""
+
+    ready = True
+
+    def trouble(self) -> str:
+        return ""
+
+
+class World:
+    """A route that is open and flows, and that its link ticks once a second unless it rests.
+
+    Attributes:
+        ticks: the times (s) of the route's ticks.
+    """
+
+    def __init__(self, loop: VirtualLoop, context: Context, **fields: Any) -> None:
+        proposal = Propose(route=1, topic="/scan", remote_topic="/scan", from_client=True)
+        topic = Topic("/scan", "transmit", **fields)
+        self.peer = FakePeer()
+        self.route = OutgoingRoute(context, self.peer, topic, proposal, proposed_here=True)
+        self.ticks: list[float] = []
+        self.loop = loop
+        self.route.open(1)
+        self.route.on_accepted()
+        self.route.channel = Channel()  # type: ignore[assignment]
+
+    def wait(self, seconds: float) -> None:
+        for _ in range(int(seconds)):
+            self.loop.jump(1.0)
+            if self.route.is_due(self.loop.time()):
+                self.ticks.append(self.loop.time())
+                self.route.tick()
+
+    def rest(self) -> None:
+        """Wait until the route rests, and begin to count its ticks anew."""
+        self.wait(RESTS_AFTER + 5)
+        assert self.route.rests
+        self.ticks.clear()
+
+
+def test_a_quiet_route_is_ticked_seldom_though_never_left_alone(
+    loop: VirtualLoop, make_context: Callable[..., Context]
+) -> None:
+    world = World(loop, make_context())
+    world.wait(RESTS_AFTER)
+    assert len(world.ticks) == RESTS_AFTER
+    world.rest()
+    began = world.loop.time()
+    world.wait(100 * LONGEST)
+    assert 100 <= len(world.ticks) <= 250
+    pairs = zip([began, *world.ticks], world.ticks, strict=False)
+    assert max(after - before for before, after in pairs) <= LONGEST + 1
+
+
+def _message(world: World) -> None:
+    world.route.count(1, 100)
+
+
+def _endpoint(world: World) -> None:
+    world.route.endpoints = [Endpoint("/talker", "std_msgs/msg/String", "", Qos(), b"gid")]
+
+
+def _pause(world: World) -> None:
+    world.route.pause(paused=True)
+
+
+def _full(world: World) -> None:
+    world.peer.full_out = Fullness(5e3, 15e3)
+
+
+def _limit(world: World) -> None:
+    world.route.limit.set_max_rate(7.0)
+
+
+def _report(world: World) -> None:
+    verdict = VerdictRecord("DOWN", Cause.NOT_PUBLISHED, "refused by the middleware")
+    world.route.reported(ReceivedReport(route=1, verdict=verdict))
+
+
+class TestWhateverHappens:
+    """It is ticked again at once, and each second from then on."""
+
+    EVENTS: ClassVar = [_message, _endpoint, _pause, _full, _limit, _report]
+
+    @pytest.mark.parametrize("happens", EVENTS)
+    def test_wakes_it(
+        self, happens: Callable[[World], None], loop: VirtualLoop, make_context: Callable[..., Context]
+    ) -> None:
+        world = World(loop, make_context())
+        world.rest()
+        happens(world)
+        world.wait(60)
+        assert len(world.ticks) == 60
+
+
+def test_silence_that_becomes_too_long_is_noticed_in_time(
+    loop: VirtualLoop, make_context: Callable[..., Context]
+) -> None:
+    after = RESTS_AFTER + 47.0
+    world = World(loop, make_context(), stale_after=after)
+    world.route.count(1, 100)
+    came = loop.time()
+    world.wait(after - 1)
+    assert (world.route.verdict().state, len(world.ticks) < after - 20) == (State.OK, True)
+    world.wait(1)
+    assert (world.route.verdict().state, loop.time()) == (State.STALE, came + after)
+
+
+def test_a_route_that_is_at_fault_does_not_rest(loop: VirtualLoop, make_context: Callable[..., Context]) -> None:
+    world = World(loop, make_context(), stale_after=20.0)
+    world.wait(3 * RESTS_AFTER)
+    assert world.route.verdict().state is State.STALE
+    assert len(world.ticks) == 3 * RESTS_AFTER
+
+
+def test_a_route_at_which_messages_are_due_does_not_rest(
+    loop: VirtualLoop, make_context: Callable[..., Context]
+) -> None:
+    world = World(loop, make_context(), expected_rate=0.001)
+    world.wait(2 * RESTS_AFTER)
+    assert len(world.ticks) == 2 * RESTS_AFTER
