@@ -55,6 +55,7 @@ class Watched:
         self.failures: list[OSError | None] = []
         self.refuses = False
         self.sent: list[int] = []
+        self.reads = 0
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self._sock, name)
@@ -66,6 +67,10 @@ class Watched:
     def sendmsg(self, buffers: list[bytes], *further: Any) -> int:
         self._check(len(buffers))
         return int(self._sock.sendmsg(buffers, *further))
+
+    def recvmsg(self, *sizes: int) -> tuple[bytes, list[Any], int, Any]:
+        self.reads += 1
+        return self._sock.recvmsg(*sizes)  # type: ignore[no-any-return]
 
     def _check(self, count: int) -> None:
         if self.refuses:
@@ -125,6 +130,52 @@ def test_datagrams_of_one_size_go_in_one_call(host: str) -> None:
             await until(lambda: len(came) == 66)
             assert calls.sent == [64, 1, 1]
             assert server.receive_buffer > 0
+
+    asyncio.run(main())
+
+
+@pytest.mark.parametrize(("read_at", "datagrams", "reads"), [(float("-inf"), 1, 1), (float("inf"), 3, 4)])
+def test_a_wake_up_reads_once_unless_they_follow_one_another(read_at: float, datagrams: int, reads: int) -> None:
+    """A read that finds nothing costs as much as half a message; in a flood, one of many."""
+
+    async def main() -> None:
+        async with pair("127.0.0.1") as (server, client, came):
+            watched = watch(server)
+            asyncio.get_running_loop().remove_reader(server._sock)
+            for number in range(3):
+                client.send([bytes([number])], None)
+            server._read_at = read_at
+            server._read()
+            assert len(came) == datagrams
+            assert watched.reads == reads
+
+    asyncio.run(main())
+
+
+def test_what_was_not_read_at_once_comes_next() -> None:
+    async def main() -> None:
+        async with pair("127.0.0.1") as (server, client, came):
+            server._read_at = float("-inf")
+            client.send([b"a"], None)
+            client.send([b"bc"], None)
+            await until(lambda: len(came) == 2)
+            assert came == [b"a", b"bc"]
+
+    asyncio.run(main())
+
+
+def test_nothing_waits_in_a_socket_that_is_closed() -> None:
+    async def main() -> None:
+        async with pair("127.0.0.1") as (server, _, _):
+            client = Udp().connect(server._sock.getsockname(), lambda *_: None)
+            watch(client).refuses = True
+            client.send([b"waits"], None)
+            assert client.congested
+            client.close()
+            vars(client)["_sock"].refuses = False
+            client.send([b"late"], None)
+            assert not client.congested
+            assert client.waiting_bytes == 0
 
     asyncio.run(main())
 

@@ -85,7 +85,7 @@ class Pacer:
             self._passed = self._under_way[-1][:2]
             self._under_way.clear()
             left = self.window
-        return int(min(tokens, left))
+        return int(tokens if tokens < left else left)
 
     def pause(self) -> float:
         """Time (s) until it is worth asking for room again, where no receipt comes before."""
@@ -298,7 +298,11 @@ class DatagramReceiver(_DatagramChannel):
     def received(self, datagrams: Sequence[Buffer], now: float) -> bool:
         """See `DatagramSink.received`."""
         receive = self._codec.receive
-        whole = [message for datagram in datagrams if (message := receive(datagram, now)) is not None]
+        whole: list[Message] = []
+        for datagram in datagrams:
+            message = receive(datagram, now)
+            if message is not None:
+                whole.append(message)
         if self._codec.opened_bytes >= self._due:
             self._acknowledge()
         if not whole:

@@ -231,6 +231,9 @@ class DatagramOpener:
     """Opens what a `Sealer` sealed, in any order, each number once.
 
     Only authentic datagrams move the replay window (RFC 4303, 3.4.3) and the epoch.
+
+    Attributes:
+        newest: the highest sequence number opened, or -1 if none was.
     """
 
     def __init__(self, suite: Suite, key: bytes | None, window: int = 1024) -> None:
@@ -240,7 +243,7 @@ class DatagramOpener:
         self._window = window
         self._mask = (1 << window) - 1
         self._epoch = 0
-        self._newest = -1
+        self.newest = -1
         self._seen = 0  # bit n: the n-th before the newest was received
 
     def open(self, sequence: int, sealed: Buffer, associated: Buffer) -> bytes:
@@ -254,7 +257,7 @@ class DatagramOpener:
         Raises:
             SealError: forged, damaged, replayed, or older than the window.
         """
-        ahead = sequence - self._newest
+        ahead = sequence - self.newest
         if ahead <= 0:
             if ahead <= -self._window:
                 raise SealError(InvalidSeal.TOO_LATE(sequence=sequence, late=-ahead))
@@ -274,7 +277,7 @@ class DatagramOpener:
         if epoch != self._epoch:
             self._epochs.forget_before(epoch - 1)
             self._epoch, self._current = epoch, cipher
-        self._newest = sequence
+        self.newest = sequence
         return content
 
 
