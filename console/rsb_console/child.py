@@ -1,6 +1,7 @@
 """A Python module in a process that ends when its parent ends, even if that is killed.
 
-The parent holds one end of a pipe and never writes to it. When the parent ends, the kernel closes that end.
+The parent holds one end of a pipe and never writes to it. When the parent ends, the kernel closes that end. The child's
+standard output is for the module's own lines, which the parent reads.
 """
 
 from __future__ import annotations
@@ -14,6 +15,8 @@ import threading
 import time
 import weakref
 from typing import Any
+
+from rsb_bridge.model.text import keep_output_clean
 
 _ENDS_WITHIN = 8.0
 """Seconds from the parent's end until a child that still runs is killed."""
@@ -49,5 +52,6 @@ if __name__ == "__main__":
     parents_end, name, *rest = sys.argv[1:]
     os.set_inheritable(int(parents_end), False)
     threading.Thread(target=_end_with_parent, args=(int(parents_end),), name="parent", daemon=True).start()
+    keep_output_clean()
     sys.argv = [name, *rest]
     runpy.run_module(name, run_name="__main__", alter_sys=True)

@@ -21,6 +21,7 @@ from tests.support.waiting import eventually
 
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.robot_summary import RobotState, RobotSummary
+from rsb_console.child import ChildProcess
 from rsb_console.command import demo
 from rsb_console.command.demo import HOW_TO_END
 from rsb_console.command.headless import Signals, bridge_until_told
@@ -176,6 +177,14 @@ def test_a_child_that_ignores_its_parents_end_is_killed(tmp_path: Path) -> None:
         assert running({child})
         parent.kill()
     eventually(lambda: not running({child}), WITHIN, "the end of the child")
+
+
+def test_what_libraries_print_in_a_child_does_not_reach_its_parent(tmp_path: Path) -> None:
+    (tmp_path / "prints.py").write_text("import os\nos.write(1, b'theirs')\nprint('ours')\n")
+    child = ChildProcess(
+        "prints", stdout=subprocess.PIPE, stderr=subprocess.PIPE, env=os.environ | {"PYTHONPATH": str(tmp_path)}
+    )
+    assert child.communicate(timeout=WITHIN) == ("ours\n", "theirs")
 
 
 def descendants(pid: int) -> set[int]:

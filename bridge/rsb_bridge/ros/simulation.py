@@ -27,8 +27,6 @@ from rclpy.signals import SignalHandlerOptions
 from sensor_msgs.msg import BatteryState, LaserScan
 from std_srvs.srv import SetBool
 
-from rsb_bridge.model.text import keep_output_clean
-
 if TYPE_CHECKING:
     from collections.abc import Callable
 
@@ -191,7 +189,6 @@ def main() -> None:
     parser.add_argument("part", choices=("robot", "desk"))
     parser.add_argument("domain", type=int)
     arguments = parser.parse_args()
-    keep_output_clean()
     simulation = (Robot if arguments.part == "robot" else Desk)(arguments.domain)
     next_line = 0.0
     while not select.select([sys.stdin], [], [], 0)[0]:

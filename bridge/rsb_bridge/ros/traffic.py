@@ -28,7 +28,6 @@ from rclpy.qos import QoSProfile
 from rclpy.signals import SignalHandlerOptions
 from std_msgs.msg import String
 
-from rsb_bridge.model.text import keep_output_clean
 from rsb_bridge.ros.known_messages import made_at, stamped_string
 from rsb_bridge.ros.synthetic import percentiles
 
@@ -42,7 +41,6 @@ _OF_MANY = 200  # bytes
 
 def main() -> None:
     """Run one part."""
-    keep_output_clean()
     part, domain, *topics = sys.argv[1:]
     context = Context()
     rclpy.init(context=context, domain_id=int(domain), signal_handler_options=SignalHandlerOptions.NO)
