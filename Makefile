@@ -14,7 +14,7 @@ unexport PYTHONDONTWRITEBYTECODE
 # Nothing that runs from here leaves this machine.
 export ROS_AUTOMATIC_DISCOVERY_RANGE := LOCALHOST
 
-.PHONY: demo demo-fleet test test-all test-quick test-wire test-pure quick-lint lint bench soak fuzz lock screenshots man texts clean system
+.PHONY: demo demo-fleet test test-all test-quick test-wire test-pure test-simulation quick-lint lint bench soak fuzz lock screenshots man texts clean system
 
 demo: $(STAMP)
 	$(BIN)/rsb-console demo
@@ -23,29 +23,30 @@ demo-fleet: $(STAMP)
 	$(BIN)/rsb-console demo --fleet
 
 # The tests by folder, or by several that are short, since each start of pytest takes a second. Most wait for most of their
-# time, so MANY are run at once, the longest first and the largest in shares (K of N takes every N-th file); what only
-# computes gives way to them. What runs at once shares no ROS domain, port or file.
+# time, so MANY are run at once: eight for each core, up to sixteen. The longest come first, and the largest are run in
+# shares (K of N takes every N-th file); what only computes gives way. What runs at once shares no ROS domain, port or file.
 #   make test        lint and all tests but those that make test-all adds
 #   make test-all    these, tests that are marked as long, simulated networks (tests/network), and a machine with the real
 #                    kernel's Bluetooth (tests/bluetooth, tests/README.md)
 #   make test-quick  lint without mypy, and what is tested without ROS, processes and screens
 #   make test-link   one folder, long tests included
-MANY := 8
-LONGEST := console.1 console.2 console.3 engine.1 engine.2 engine.3 engine.4 engine.5 engine.6 command.1 command.2 link.1 link.2 \
-  calls.1 calls.2 calls.3 system.1 system.2 control
+MANY := $(shell $(PYTHON) -c 'import os; print(min(8 * len(os.sched_getaffinity(0)), 16))')
+LONGEST := engine.1 engine.2 engine.3 engine.4 engine.5 engine.6 engine.7 engine.8 engine.9 engine.10 \
+  console.1 console.2 console.3 console.4 console.5 calls.1 calls.2 calls.3 link.1 link.2 link.3 system.1 system.2 system.3 control bench \
+  command.1 command.2
 PURE := cdr channel config fleet fuzz history model route
 QUICK := $(PURE) wire
 COMPUTING := lint test-simulation test-wire test-pure
 ALONE := network bluetooth
 FOLDERS := $(sort $(patsubst tests/%/,%,$(dir $(wildcard tests/*/test_*.py))))
-WAITING := $(LONGEST) $(filter-out $(sort $(basename $(LONGEST))) simulation wire $(PURE) $(ALONE),$(FOLDERS))
+REST := $(filter-out $(sort $(basename $(LONGEST))) simulation wire $(PURE) $(ALONE),$(FOLDERS))
 AT_ONCE := $(MAKE) --no-print-directory --keep-going --output-sync=target --jobs
 
 test: $(STAMP) system
-	$(AT_ONCE)=$(MANY) ONLY="-m 'not long'" $(COMPUTING) $(addprefix test-,$(WAITING))
+	$(AT_ONCE)=$(MANY) ONLY="-m 'not long'" $(COMPUTING) $(addprefix test-,$(LONGEST) $(REST))
 
 test-all: $(STAMP) system
-	$(AT_ONCE)=$(MANY) $(COMPUTING) $(addprefix test-,$(WAITING) $(ALONE))
+	$(AT_ONCE)=$(MANY) $(COMPUTING) $(addprefix test-,$(LONGEST) $(REST) $(ALONE))
 
 test-quick: $(STAMP)
 	$(AT_ONCE)=3 quick-lint quick.1 quick.2
@@ -63,8 +64,11 @@ test-wire: $(STAMP)
 test-pure: $(STAMP)
 	$(GIVES_WAY) $(PYTEST) -p no:textual-snapshot $(ONLY) $(addprefix tests/,$(PURE))
 
+test-simulation: $(STAMP)
+	$(GIVES_WAY) $(PYTEST) -p no:textual-snapshot $(ONLY) tests/simulation
+
 test-%: $(STAMP) system
-	$(if $(filter bluetooth simulation,$*),$(GIVES_WAY)) $(PYTEST) $(if $(filter console,$(basename $*)),,-p no:textual-snapshot) \
+	$(if $(filter bluetooth,$*),$(GIVES_WAY)) $(PYTEST) $(if $(filter console,$(basename $*)),,-p no:textual-snapshot) \
 	  $(ONLY) tests/$(basename $*) $(addprefix --share=,$(addsuffix /$(words $(filter $(basename $*).%,$(LONGEST))),$(subst .,,$(suffix $*))))
 
 quick.%: $(STAMP)

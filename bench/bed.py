@@ -8,6 +8,7 @@ from __future__ import annotations
 import base64
 import contextlib
 import os
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -64,6 +65,19 @@ def relayed(near: int = NEAR, far: int = FAR) -> Iterator[Bed]:
 
 
 @contextlib.contextmanager
+def _bare(program: str, near: int, far: int) -> Iterator[Bed]:
+    """Put the least that two processes with a connection can be between talker and listener."""
+    port = str(free_port())
+    receiver = Process("-m", program, "receive", str(far), TOPIC, port)
+    with loopback.ends(near, far) as bed, receiver as receiving:
+        receiving.line()  # it is ready
+        with Process("-m", program, "send", str(near), TOPIC, port) as sending:
+            sending.line()
+            bed.between += [sending, receiving]
+            yield ready(bed)
+
+
+@contextlib.contextmanager
 def _thesis(near: int, far: int) -> Iterator[Bed]:
     """Put the thesis's pipeline between talker and listener."""
     port, key = str(free_port()), base64.urlsafe_b64encode(os.urandom(32)).decode()
@@ -81,6 +95,8 @@ def _thesis(near: int, far: int) -> Iterator[Bed]:
 BEDS: dict[str, Callable[[int, int], AbstractContextManager[Bed]]] = {
     "drained": lambda near, _: loopback.direct(near),
     "relay": relayed,
+    "bare-tcp": partial(_bare, "bench.bare"),
+    "bare-zenoh": partial(_bare, "bench.bare_zenoh"),
     "tcp": lambda near, far: loopback.bridged("tcp", near, far),
     "udp": lambda near, far: loopback.bridged("udp", near, far),
     "zenoh": lambda near, far: loopback.bridged("zenoh", near, far, zenoh="peer"),

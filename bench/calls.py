@@ -1,7 +1,7 @@
 """Calls of a service for `bench.run`: no bridge, a bare proxy, and our bridge between client and server, in turns.
 
 A typed rclpy client calls a typed rclpy server: in one domain, from one domain to another through one process that
-hands raw requests and responses on, and through our two processes.
+hands raw requests and responses on, through two bare ones with a connection between them, and through ours.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from rsb_console.bench.processes import Process
 
 QUIET = 20.0
-_KINDS = ("direct", "proxy", "tcp")
+_KINDS = ("direct", "proxy", "bare-tcp", "tcp")
 
 
 class Load(NamedTuple):
@@ -100,14 +100,26 @@ def _beds(resources: contextlib.ExitStack, near_domain: int, far_domain: int) ->
         for domain in (near_domain, far_domain, near_domain)
     )
     beside.serve("/direct")
-    far.serve("/proxy", "/tcp")
+    far.serve("/proxy", "/bare", "/tcp")
     proxy = bed.Process("-m", "bench.proxy", str(near_domain), str(far_domain), "/proxy", TYPE)
     between: dict[str, list[Process]] = {
         "direct": [],
         "proxy": [resources.enter_context(proxy)],
+        "bare-tcp": resources.enter_context(_bare(near_domain, far_domain)),
         "tcp": resources.enter_context(bridged(near_domain, far_domain, ["/tcp"])),
     }
-    return {kind: Bed(near, f"/{kind}", between[kind]) for kind in _KINDS}
+    return {kind: Bed(near, f"/{kind.removesuffix('-tcp')}", between[kind]) for kind in _KINDS}
+
+
+@contextlib.contextmanager
+def _bare(near: int, far: int) -> Iterator[list[Process]]:
+    """Run the least that two processes can be."""
+    port = str(bed.free_port())
+    with bed.Process("-m", "bench.bare", "call", str(far), "/bare", port, TYPE) as calling:
+        calling.line()  # it is ready
+        with bed.Process("-m", "bench.bare", "serve", str(near), "/bare", port, TYPE) as serving:
+            serving.line()
+            yield [serving, calling]
 
 
 @contextlib.contextmanager
@@ -129,4 +141,4 @@ def _print(figures: Figures) -> None:
     print_table("Calls: p99 beyond no bridge, ms", rows, between, added, 2, "p99")
     print_table("Calls answered a second", rows, _KINDS, figures.spread, 0, "rate")
     print_table("CPU of all between client and server, µs a call", rows, between, figures.spread, 0, "CPU")
-    print_table("CPU of a call, in ratio to proxy", rows, ["tcp"], ratio, 2, "CPU")
+    print_table("CPU of a call, in ratio to proxy", rows, _KINDS[2:], ratio, 2, "CPU")

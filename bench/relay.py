@@ -21,7 +21,7 @@ from rsb_bridge.ros.traffic import DEPTH, drain
 
 def main() -> None:
     near_domain, far_domain, topic = sys.argv[1:]
-    near, far = _node(int(near_domain)), _node(int(far_domain))
+    near, far = node_in(int(near_domain)), node_in(int(far_domain))
     qos = QoSProfile(depth=DEPTH)
     publisher = far.create_publisher(String, topic, qos)
     subscription = near.create_subscription(String, topic, lambda _: None, qos, raw=True)
@@ -34,7 +34,8 @@ def main() -> None:
     drain(near.context, [subscription.handle], publisher.handle.publish_raw)
 
 
-def _node(domain: int) -> Node:
+def node_in(domain: int) -> Node:
+    """Return a node in a context of its own."""
     context = Context()
     rclpy.init(context=context, domain_id=domain, signal_handler_options=SignalHandlerOptions.NO)
     return Node("bench_relay", context=context, enable_rosout=False, start_parameter_services=False)

@@ -27,7 +27,7 @@ def pytest_configure(config: pytest.Config) -> None:
     At the end pytest would collect five times (for PyPy), which takes seconds after the console's tests.
     """
     gc.set_threshold(100_000, 20, 20)
-    config.stash[gc_collect_iterations_key] = 2
+    config.stash[gc_collect_iterations_key] = 1
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:

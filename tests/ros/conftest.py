@@ -49,6 +49,17 @@ def open_node() -> Iterator[Callable[..., RosNode]]:
         node.stop()
 
 
+@pytest.fixture
+def printed(capfd: pytest.CaptureFixture[str]) -> Callable[[], str]:
+    """Return what was printed since the last time, without Fast DDS's lines about ports that killed processes left."""
+
+    def read() -> str:
+        lines = "".join(capfd.readouterr()).splitlines(keepends=True)
+        return "".join(line for line in lines if "RTPS_TRANSPORT_SHM" not in line)
+
+    return read
+
+
 @pytest.fixture(params=["raw", "typed"])
 def way(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> str:
     """How calls of installed types are carried: as here, or as with another middleware; none comes as a wheel."""
