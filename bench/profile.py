@@ -1,4 +1,4 @@
-"""Profile of a message's CPU time: ``python -m bench.profile [tcp|udp] [RATE] [SIZE]``. Needs Linux's `perf`.
+"""Profile of a message's CPU time: ``python -m bench.profile [tcp|udp|zenoh] [RATE] [SIZE]``. Needs Linux's `perf`.
 
 Prints, for the relay and for each side of the bridge, µs a message by thread and by code: the kernel, DDS, the cipher,
 Python itself.
@@ -29,6 +29,7 @@ _PARTS = (
     ("libfast", "DDS"),
     ("libr", "DDS"),  # librcl, librmw, librosidl and their relatives
     ("_rclpy", "DDS"),
+    ("zenoh", "Zenoh"),
     ("_rust", "cipher"),
     ("libcrypto", "cipher"),
     ("libpython", "Python"),
@@ -44,7 +45,8 @@ def main() -> None:
     arguments = sys.argv[1:] + ["tcp", "5000", "2500"][len(sys.argv) - 1 :]
     protocol, rate, size = arguments[0], float(arguments[1]), int(arguments[2])
     _show(bed.relayed(), ("relay",), rate, size)
-    sides = loopback.bridged(protocol, bed.NEAR, bed.FAR, side=_named)
+    zenoh: loopback.ZenohPath = "peer" if protocol == "zenoh" else ""
+    sides = loopback.bridged(protocol, bed.NEAR, bed.FAR, side=_named, zenoh=zenoh)
     _show(sides, ("sending side", "receiving side"), rate, size)
 
 

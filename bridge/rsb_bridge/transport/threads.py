@@ -1,4 +1,4 @@
-"""Blocking calls in threads that nobody joins.
+"""Blocking calls in threads that nobody joins, and work of the loop on other threads.
 
 The event loop's own pool is joined when the process ends, and other work shares it: a call that does not return would
 hold up both.
@@ -9,12 +9,21 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import threading
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING, Protocol, TypeVar, runtime_checkable
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
 T = TypeVar("T")
+
+
+@runtime_checkable
+class VisitableLoop(Protocol):
+    """A loop whose work other threads may do while it waits (`rsb_bridge.engine.io_loop`)."""
+
+    def do_now(self, work: Callable[[], object]) -> bool:
+        """Call `work` on this thread as if it were the loop's, or return False."""
+        ...
 
 
 async def in_thread(name: str, work: Callable[[], T], within: float) -> T:

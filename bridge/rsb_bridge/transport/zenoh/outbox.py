@@ -1,10 +1,14 @@
 """An endpoint's outgoing samples, sent at once if that cannot take long, else on a thread.
 
 Zenoh blocks a sender while its queue is full (`CongestionControl.BLOCK`), for up to 5 s, and the loop must not
-wait. The queue of each priority has 16 batches of 64 kB, each at least half full while it waits. 5 s of samples
-at less than `AT_ONCE` bytes a second fit it, even if the router takes nothing; a router that takes nothing for longer
-counts as lost. A thread for each rank sends the excess, so that urgent samples never wait for others. If the network
-itself is slower than `AT_ONCE`, a long call shows it.
+wait. The queue of each priority has 16 batches of 64 kB, each at least half full while it waits. So these fit it, even
+if the router takes nothing (one that takes nothing for longer than 5 s counts as lost):
+
+- 5 s of samples at less than `AT_ONCE` bytes a second,
+- samples of data, while at most `IN_FLIGHT` bytes of them have not reached the other end, by its own reports.
+
+A thread for each rank sends the excess, so that urgent samples never wait for others. If the network itself is slower
+than `AT_ONCE`, a long call shows it. If the other end's reports are false, it shows that, too.
 """
 
 from __future__ import annotations
@@ -12,6 +16,8 @@ from __future__ import annotations
 import threading
 from collections import deque
 from typing import TYPE_CHECKING, Any, NamedTuple
+
+from rsb_bridge.transport.zenoh.sample import Kind
 
 if TYPE_CHECKING:
     import asyncio
@@ -23,10 +29,12 @@ if TYPE_CHECKING:
 
 AT_ONCE = 100 * 1024
 """Bytes of one rank in one second that are sent on the loop's thread, in 5 s together."""
+IN_FLIGHT = 256 * 1024
+"""Bytes of one rank that may be in flight for a further sample to be sent on the loop's thread."""
 LINK_RANK = 0
 """Of streams that carry a link's own messages, before all routes."""
 _RANKS = 4
-_OWN_COST = 200
+OWN_COST = 200
 """Bytes of a sample in addition to its payload."""
 _MAY_WAIT = 5 * AT_ONCE
 _COUNTED = 2 * 1024 * 1024
@@ -35,6 +43,8 @@ _LONG = 0.05
 """s of a call that had to wait."""
 _SLOW_FOR = 30.0
 """s for which the thread sends after such a call."""
+_DISBELIEVED_FOR = 600.0
+"""s for which reports do not count after such a call while little was in flight by them."""
 
 
 class Outbox:
@@ -57,11 +67,15 @@ class Outbox:
 
     def put(self, key: str, payload: bytes | bytearray | memoryview[int], header: Header) -> None:
         """Send a sample of a stream; it is held back, and never dropped, while the network is congested."""
-        self._lanes[min(header.rank, _RANKS - 1)].put(_Sample(key, bytes(payload), header.pack()))
+        self._lane(header.rank).put(_Sample(key, bytes(payload), header.pack()), reported=header.kind == Kind.DATA)
+
+    def arrived(self, rank: int, size: int) -> None:
+        """Count data of a stream as arrived, of that many bytes with each sample's `OWN_COST`."""
+        self._lane(rank).in_flight -= size
 
     def waiting(self, key: str, rank: int) -> int:
         """Return the bytes of a stream that Zenoh has yet to be given."""
-        return self._lanes[min(rank, _RANKS - 1)].waiting.get(key, 0)
+        return self._lane(rank).waiting.get(key, 0)
 
     def drop(self, key: str, payload: bytes, header: Header | None = None) -> None:
         """Send a datagram, or lose it."""
@@ -77,6 +91,9 @@ class Outbox:
         """Stop sending, and drop what waits."""
         for lane in self._lanes:
             lane.close()
+
+    def _lane(self, rank: int) -> _Lane:
+        return self._lanes[min(rank, _RANKS - 1)]
 
     def _sender(self, priority: Any) -> Callable[[_Sample], None]:
         def send(sample: _Sample) -> None:
@@ -105,21 +122,27 @@ class _Lane:
 
     Attributes:
         waiting: bytes not yet handed to Zenoh, by key; they are subtracted before the call.
+        in_flight: bytes of data that have not arrived yet, as far as reported, with each sample's `OWN_COST`.
     """
 
     def __init__(self, send: Callable[[_Sample], None], now: Callable[[], float]) -> None:
         self.waiting: dict[str, int] = {}
+        self.in_flight = 0
         self._send = send
         self._now = now
         self._lately = 0.0
-        self._counted_at = self._slow_until = 0.0
+        self._counted_at = self._slow_until = self._disbelieved_until = 0.0
         self._queue: deque[_Sample] = deque()
         self._filled = threading.Condition()
         self._thread: threading.Thread | None = None
         self._closed = False
 
-    def put(self, sample: _Sample) -> None:
-        if self._has_room(len(sample.payload) + _OWN_COST) and not self._queue:
+    def put(self, sample: _Sample, *, reported: bool) -> None:
+        """Send a sample, or queue it; `reported` says whether the other end will report its arrival."""
+        size = len(sample.payload) + OWN_COST
+        if reported:
+            self.in_flight += size
+        if self._has_room(size, reported=reported) and not self._queue:
             self._send_timed(sample)
             return
         with self._filled:
@@ -137,12 +160,14 @@ class _Lane:
             self._closed = True
             self._filled.notify()
 
-    def _has_room(self, size: int) -> bool:
+    def _has_room(self, size: int, *, reported: bool) -> bool:
         """Count a sample, and say whether Zenoh's queue is sure to have room for it."""
         now = self._now()
         left = max(0.0, self._lately - (now - self._counted_at) * AT_ONCE)
         self._lately, self._counted_at = min(left + size, _COUNTED), now
-        return left + size <= _MAY_WAIT and now >= self._slow_until
+        if now < self._slow_until:
+            return False
+        return left + size <= _MAY_WAIT or (reported and self.in_flight <= IN_FLIGHT and now >= self._disbelieved_until)
 
     def _run(self) -> None:
         while True:
@@ -166,3 +191,5 @@ class _Lane:
         ended = self._now()
         if ended - began > _LONG:
             self._slow_until = ended + _SLOW_FOR
+            if self.in_flight <= IN_FLIGHT:
+                self._disbelieved_until = ended + _DISBELIEVED_FOR

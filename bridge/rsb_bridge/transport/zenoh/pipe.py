@@ -20,6 +20,7 @@ from typing import TYPE_CHECKING
 
 from rsb_bridge.model.text import sanitize_text
 from rsb_bridge.model.wording import Wording
+from rsb_bridge.transport.zenoh.outbox import IN_FLIGHT, LINK_RANK, OWN_COST
 from rsb_bridge.transport.zenoh.sample import Header, Kind
 from rsb_bridge.wire.framing import STRANGER_LIMIT
 from rsb_bridge.wire.sealing import SampleTags
@@ -35,12 +36,14 @@ SAMPLE = 1024 * 1024
 """Bytes of one sample at most; with `rsb_bridge.transport.zenoh.network.LARGEST_SAMPLE`."""
 
 _LONGEST = 2 * SAMPLE
-_SAID_EVERY = WINDOW // 8
+_SAID_EVERY = IN_FLIGHT // 4
 _ASKED_AFTER = 2.0
 """Seconds after which a sender asks for a missing window, and after which an idle sender reports that it has sent all:
 else the loss of the last sample would show only with the next one, perhaps hours later."""
 _AT_A_TIME = 256 * 1024
 """Held bytes that are delivered in one turn of the loop after a pause of reading."""
+_SENT_WITHIN = 5.0
+"""s for which a router may take nothing before it counts as lost."""
 _REASON = 200
 _DOUBT = 3.0
 """s without a sample after which a stream ends whose end is not proven: a link's own stream has one a second."""
@@ -96,6 +99,7 @@ class Pipe(asyncio.Transport):
         self._protocol = protocol
         self._when_over = when_over
         self.trusted = not stranger
+        self.of_link = rank == LINK_RANK
         self.longest = STRANGER_LIMIT if stranger else _LONGEST
         self._loop = asyncio.get_running_loop()
         self._closing = self._over = False
@@ -110,7 +114,7 @@ class Pipe(asyncio.Transport):
         self._paused_writing = False
         self._waiting: deque[bytes] = deque()
         self._waiting_bytes = 0
-        self._sent_samples = self._sent = self._taken_there = 0
+        self._sent_samples = self._sent = self._taken_there = self._cost_in_flight = 0
         self._reading = True
         self._resuming = self._saying = False
         self._asking: asyncio.TimerHandle | None = None
@@ -237,11 +241,19 @@ class Pipe(asyncio.Transport):
         elif header.kind == Kind.WINDOW:
             self._heard = True
             there = min(header.number, self._sent - self._endpoint.outbox.waiting(self._key, self._rank))
-            self._taken_there = max(self._taken_there, there)
+            if there > self._taken_there:
+                self._arrived_there(there)
             self._go_on()
         elif header.kind == Kind.END and self._ended is None:
             missing = header.number - self._received_samples
             self._take_end(_missing(missing) if missing > 0 else _reason(payload))
+
+    def _arrived_there(self, there: int) -> None:
+        """Count the samples that have arrived; of a part of the bytes in flight, they count by that part."""
+        cost = self._cost_in_flight * (there - self._taken_there) // (self._sent - self._taken_there)
+        self._taken_there = there
+        self._cost_in_flight -= cost
+        self._endpoint.outbox.arrived(self._rank, cost)
 
     def _take_end(self, reason: str) -> None:
         self._ended = reason
@@ -363,6 +375,7 @@ class Pipe(asyncio.Transport):
     def _put(self, data: bytes | bytearray | memoryview[int]) -> None:
         self._put_sample(Kind.DATA, self._sent_samples, data)
         self._sent_samples += 1
+        self._cost_in_flight += len(data) + OWN_COST
 
     def _put_sample(self, kind: Kind, number: int, payload: bytes | bytearray | memoryview[int]) -> None:
         tag = b"" if self._tags is None else self._tags.tag(kind, number, payload)
@@ -399,6 +412,8 @@ class Pipe(asyncio.Transport):
         if self._ended is None:
             self._put_sample(Kind.END, self._sent_samples, told.encode()[:_REASON])
         self._endpoint.forget(self._peer, self._stream)
+        # Zenoh may still have it; after that time it has sent it, or the router is lost.
+        self._loop.call_later(_SENT_WITHIN, self._endpoint.outbox.arrived, self._rank, self._cost_in_flight)
         if self._asking is not None:
             self._asking.cancel()
         if self._doubting is not None:
