@@ -40,9 +40,9 @@ def main() -> None:
             publish = publisher(int(domain), name)
             _read(_accept(int(port)), publish)
         case "serve":
-            _serve(_node(int(domain), part), name, *type_name, _connect(int(port)))
+            _serve(_node(int(domain), part), name, type_name[0], _connect(int(port)))
         case "call":
-            _call(_node(int(domain), part), name, *type_name, _accept(int(port)))
+            _call(_node(int(domain), part), name, type_name[0], _accept(int(port)))
 
 
 def publisher(domain: int, topic: str) -> Callable[[bytes], None]:

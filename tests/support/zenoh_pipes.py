@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 from typing import TYPE_CHECKING, NamedTuple, cast
 
+from rsb_bridge.transport.zenoh.outbox import OWN_COST
 from rsb_bridge.transport.zenoh.pipe import Pipe
 from rsb_bridge.transport.zenoh.sample import Header, Kind
 from rsb_bridge.wire.sealing import SampleTags
@@ -30,13 +31,14 @@ class FakeEndpoint:
         address: of its own.
         on_its_way: samples that were sent, and have not been carried to the other end.
         backlog: bytes that Zenoh has not been given yet.
+        in_flight: as `rsb_bridge.transport.zenoh.outbox` counts it.
         end: the pipe; None once it is over.
     """
 
     def __init__(self, address: str) -> None:
         self.address = address
         self.on_its_way: list[Sent] = []
-        self.backlog = 0
+        self.backlog = self.in_flight = 0
         self.end: Pipe | None = None
         self.outbox = self
 
@@ -58,6 +60,12 @@ class FakeEndpoint:
     def put(self, key: str, payload: bytes, header: Header) -> None:
         """As `rsb_bridge.transport.zenoh.outbox.Outbox.put`."""
         self.on_its_way.append(Sent(header, bytes(payload)))
+        if header.kind == Kind.DATA:
+            self.in_flight += len(payload) + OWN_COST
+
+    def arrived(self, rank: int, size: int) -> None:
+        """Likewise."""
+        self.in_flight -= size
 
     def waiting(self, key: str, rank: int) -> int:
         """Likewise."""

@@ -8,6 +8,7 @@ import contextlib
 import socket
 import subprocess
 import sys
+import threading
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -73,14 +74,16 @@ async def in_network(router: Router, service: str = "server", *watched: str) -> 
 class End:
     """A stream's end that keeps what comes."""
 
-    def __init__(self, *, trusted: bool = True) -> None:
-        self.trusted = trusted
+    def __init__(self, *, trusted: bool = True, of_link: bool = False) -> None:
+        self.trusted, self.of_link = trusted, of_link
         self.longest = SAMPLE if trusted else STRANGER_LIMIT
         self.came: list[tuple[Header, bytes]] = []
         self.cut: list[str] = []
+        self.threads: set[int] = set()
 
     def arrived(self, header: Header, payload: bytes) -> None:
         self.came.append((header, payload))
+        self.threads.add(threading.get_ident())
 
     def cut_off(self, reason: str) -> None:
         self.cut.append(reason)
@@ -256,6 +259,39 @@ def test_a_long_sample_on_a_stream_that_is_not_proven_is_dropped(router: Router)
             other.close()
 
     asyncio.run(test())
+
+
+class _Waiting(asyncio.SelectorEventLoop):
+    """A loop that always waits, so that it can be visited (`rsb_bridge.engine.io_loop`)."""
+
+    def do_now(self, work: Callable[[], object]) -> bool:
+        work()
+        return True
+
+
+def test_only_samples_of_routes_are_taken_on_zenohs_thread(router: Router) -> None:
+    async def test() -> None:
+        async with in_network(router) as server:
+            of_route, of_link, unproven = End(), End(of_link=True), End(trusted=False)
+            ends = {"1" * 16: of_route, "2" * 16: of_link, "3" * 16: unproven}
+            for stream, end in ends.items():
+                server.add(NOBODY, stream, end)
+            other = stranger(router)
+            header = Header(Kind.DATA, 0, 0).pack()
+
+            def comes() -> bool:
+                for stream in ends:  # again and again: the router may not know yet who subscribes
+                    other.put(f"{ROOT}/fleet/at/{server.address}/{NOBODY}/{stream}", b"x", attachment=header)
+                return all(end.came for end in ends.values())
+
+            await until(comes)
+            here = {threading.get_ident()}
+            assert not of_route.threads & here
+            assert of_link.threads == unproven.threads == here
+            other.close()
+
+    with asyncio.Runner(loop_factory=_Waiting) as runner:
+        runner.run(test())
 
 
 def test_what_strangers_send_takes_no_room_from_peers(router: Router) -> None:

@@ -9,7 +9,7 @@ import pytest
 from tests.support.virtual_time import VirtualLoop, virtual_loop
 from tests.support.waiting import eventually
 
-from rsb_bridge.transport.zenoh.outbox import AT_ONCE, LINK_RANK, Outbox
+from rsb_bridge.transport.zenoh.outbox import AT_ONCE, IN_FLIGHT, LINK_RANK, OWN_COST, Outbox
 from rsb_bridge.transport.zenoh.sample import Header, Kind
 
 zenoh = pytest.importorskip("zenoh")
@@ -95,6 +95,53 @@ def test_what_is_sent_at_once_fits_zenohs_queue_whatever_is_sent(case: Case) -> 
     eventually(lambda: len(case.session.put_by) == 1200)
     at_once = sum(len(payload) for payload, _, thread in case.session.put_by if thread == HERE())
     assert 0 < at_once <= 16 * 32 * 1024
+
+
+def test_what_arrives_soon_is_sent_at_once_at_any_rate(case: Case) -> None:
+    """The other side reports it each time: a hundred times what goes at once without reports."""
+    for _ in range(1000):
+        case.put(bytes(10_000))
+        case.outbox.arrived(2, 10_000 + OWN_COST)
+        case.loop.jump(0.001)
+    assert {thread for _, _, thread in case.session.put_by} == {HERE()}
+
+
+def test_what_nobody_reports_is_not_sent_at_once(case: Case) -> None:
+    """Windows, ends, and data of which more is in flight than fits Zenoh's queue."""
+    for _ in range(100):
+        case.put(bytes(10_000))
+    for _ in range(1000):
+        case.outbox.put("k", bytes(1000), Header(Kind.WINDOW, 2, 0))
+    eventually(lambda: len(case.session.put_by) == 1100)
+    at_once = sum(len(payload) for payload, _, thread in case.session.put_by if thread == HERE())
+    assert IN_FLIGHT < at_once <= 16 * 32 * 1024
+
+
+def test_false_reports_hold_the_loop_up_once(case: Case) -> None:
+    """A peer that reports what the network has not taken: a call waits though hardly anything is in flight."""
+    take = case.session.put
+
+    def put(*args: Any, **settings: Any) -> None:
+        take(*args, **settings)
+        if threading.get_ident() == HERE():
+            case.loop.jump(1.0)
+
+    def threads(count: int) -> list[bool]:
+        case.session.put_by.clear()
+        for _ in range(count):
+            case.put(bytes(6 * AT_ONCE))
+            case.outbox.arrived(2, 6 * AT_ONCE + OWN_COST)
+        eventually(lambda: len(case.session.put_by) == count)
+        return [thread != HERE() for _, _, thread in case.session.put_by]
+
+    case.put(bytes(4 * AT_ONCE))
+    case.outbox.arrived(2, 4 * AT_ONCE + OWN_COST)
+    case.session.put = put  # type: ignore[method-assign]
+    case.put(b"first")
+    case.outbox.arrived(2, 5 + OWN_COST)
+    for _ in range(8):
+        case.loop.jump(60)
+        assert all(threads(3))
 
 
 def test_a_sender_that_is_held_back_is_a_thread(case: Case) -> None:

@@ -12,6 +12,7 @@ import pytest
 from tests.support.virtual_time import virtual_loop
 from tests.support.zenoh_pipes import Pair, Sent, Side
 
+from rsb_bridge.transport.zenoh.outbox import OWN_COST
 from rsb_bridge.transport.zenoh.pipe import SAMPLE, WINDOW, PipeProblem
 from rsb_bridge.transport.zenoh.sample import Header, Kind
 from rsb_bridge.wire.framing import STRANGER_LIMIT
@@ -230,6 +231,30 @@ def test_an_older_window_closes_nothing() -> None:
         pair.near.arrive(Kind.WINDOW, 2 * SAMPLE)
         pair.near.arrive(Kind.WINDOW, SAMPLE)
         assert pair.near.pipe.get_write_buffer_size() == 0
+
+    run(test())
+
+
+def test_what_is_in_flight_is_what_the_other_side_has_not_reported() -> None:
+    """With each sample's own cost, and still where the stream has ended: Zenoh may have it for a while."""
+
+    async def test() -> None:
+        client = Side("a", "b")
+        for _ in range(4):
+            client.pipe.write(bytes(1000))
+        assert client.network.in_flight == 4 * (1000 + OWN_COST)
+        client.arrive(Kind.WINDOW, 1000)
+        assert client.network.in_flight == 3 * (1000 + OWN_COST)
+        client.arrive(Kind.WINDOW, 1000)
+        client.arrive(Kind.WINDOW, 500)
+        assert client.network.in_flight == 3 * (1000 + OWN_COST)
+        client.arrive(Kind.WINDOW, 4000)
+        assert client.network.in_flight == 0
+        client.pipe.write(bytes(1000))
+        client.pipe.abort()
+        assert client.network.in_flight == 1000 + OWN_COST
+        await asyncio.sleep(10)
+        assert client.network.in_flight == 0
 
     run(test())
 
