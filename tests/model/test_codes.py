@@ -12,7 +12,8 @@ _TABLE = Path(__file__).parents[2] / "docs" / "events.md"
 
 
 def test_the_document_lists_every_code_in_order() -> None:
-    assert re.findall(r"^\| `([^`]+)` \|", _TABLE.read_text(), re.MULTILINE) == list(EventCode)
+    cells = re.findall(r"^\| (`[^|]+`) \|", _TABLE.read_text(), re.MULTILINE)
+    assert [code for cell in cells for code in re.findall(r"`([^`]+)`", cell)] == list(EventCode)
 
 
 def test_an_events_source_is_its_codes_first_part() -> None:
