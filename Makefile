@@ -23,14 +23,14 @@ demo-fleet: $(STAMP)
 	$(BIN)/rsb-console demo --fleet
 
 # The tests by folder, or by several that are short, since each start of pytest takes a second. Most wait for most of their
-# time, so MANY are run at once: eight for each core, up to sixteen. The longest come first, and the largest are run in
+# time, so MANY are run at once: eight on one core, twelve on more. The longest come first, and the largest are run in
 # shares (K of N takes every N-th file); what only computes gives way. What runs at once shares no ROS domain, port or file.
 #   make test        lint and all tests but those that make test-all adds
 #   make test-all    these, tests that are marked as long, simulated networks (tests/network), and a machine with the real
 #                    kernel's Bluetooth (tests/bluetooth, tests/README.md)
 #   make test-quick  lint without mypy, and what is tested without ROS, processes and screens
 #   make test-link   one folder, long tests included
-MANY := $(shell $(PYTHON) -c 'import os; print(min(8 * len(os.sched_getaffinity(0)), 16))')
+MANY := $(shell $(PYTHON) -c 'import os; print(min(8 * len(os.sched_getaffinity(0)), 12))')
 LONGEST := engine.1 engine.2 engine.3 engine.4 engine.5 engine.6 engine.7 engine.8 engine.9 engine.10 \
   console.1 console.2 console.3 console.4 console.5 calls.1 calls.2 calls.3 link.1 link.2 link.3 system.1 system.2 system.3 control bench \
   command.1 command.2

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from rsb_console.bench.results import Run
 
 ROUNDS = 3
-DEFAULT_BEDS = ("drained", "relay", "tcp", "udp", "zenoh", "thesis")
+DEFAULT_BEDS = ("drained", "relay", "bare-tcp", "tcp", "udp", "zenoh", "thesis")
 PARTS = ("small", "large", "rates", "calls")
 RATE_SIZES = (2_500, 10_000)
 DOMAINS = range(66, 92, 2)

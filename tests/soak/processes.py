@@ -195,6 +195,8 @@ class Program(Process):
     def take(self, line: str) -> None:
         if not line.endswith("\n"):
             return  # it was killed while it wrote
+        if "RTPS_TRANSPORT_SHM" in line:
+            return  # Fast DDS's, about a port that a killed process left; the bridge has it on standard error
         if not line.startswith("{"):
             self._note(line)
             self.wrong.append(f"{self.name} printed {line.rstrip()!r}")
