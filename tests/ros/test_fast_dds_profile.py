@@ -6,10 +6,14 @@ import os
 import subprocess
 import sys
 from pathlib import Path
+from xml.etree import ElementTree
 
 from tests.support.locks import two_domains
 
+from rsb_bridge.ros import memory
+
 _PROFILE = Path(__file__).parents[2] / "configs" / "fastdds-large-messages.xml"
+_HISTORIES = Path(memory.__file__).with_name("fast_dds_histories.xml")
 _SEGMENT = 32 * 1024 * 1024
 _NODE = """
 import sys, rclpy
@@ -22,6 +26,20 @@ for line in open("/proc/self/maps"):
 node.destroy_node()
 rclpy.shutdown()
 """
+
+
+def test_its_histories_are_the_bridges_own() -> None:
+    """Whoever sets the profile for large messages replaces the one that the bridge brings."""
+
+    def histories(path: Path) -> dict[str, str]:
+        return {
+            each.attrib["profile_name"]: ElementTree.canonicalize(ElementTree.tostring(each), strip_text=True)
+            for each in ElementTree.parse(path).getroot()
+            if each.tag.endswith(("data_writer", "data_reader"))
+        }
+
+    assert len(histories(_HISTORIES)) == 2
+    assert histories(_PROFILE) == histories(_HISTORIES)
 
 
 def test_fast_dds_takes_the_profile() -> None:
