@@ -27,8 +27,8 @@ from std_msgs.msg import String
 
 from rsb_bridge.cdr.checker import Checker
 from rsb_bridge.cdr.description import Field, FieldType, MessageType, TypeDescription, read_description
-from rsb_bridge.ros.rosidl_descriptions import installed_description
-from rsb_bridge.ros.typesupport import hash_of, installed_class
+from rsb_bridge.ros.native.rosidl_descriptions import installed_description
+from rsb_bridge.ros.native.typesupport import hash_of, installed_class
 
 if TYPE_CHECKING:
     from collections.abc import Callable

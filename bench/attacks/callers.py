@@ -12,7 +12,7 @@ from bench.attacks.target import Attack, paced
 from tests.support.calls import TYPE
 from tests.support.rogue import Rogue
 
-from rsb_bridge.ros.typesupport import installed_service, service_hash_of
+from rsb_bridge.ros.native.typesupport import installed_service, service_hash_of
 from rsb_bridge.wire.headers import CallFrame, What
 from rsb_bridge.wire.messages import Accept, Neighbours, Ping, Propose, Provide
 from rsb_bridge.wire.records import LaneEntry

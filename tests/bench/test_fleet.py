@@ -84,7 +84,7 @@ def test_a_battery_of_the_stand_in_is_a_message_whose_charge_falls() -> None:
     from rclpy.serialization import deserialize_message
     from sensor_msgs.msg import BatteryState
 
-    from rsb_bridge.ros.typesupport import hash_of
+    from rsb_bridge.ros.native.typesupport import hash_of
 
     talk = Talk("/battery_state", 1.0, 0, BATTERY_STATE)
     ros, other = StandIn("robot1", [talk]), StandIn("robot2", [talk])

@@ -20,6 +20,8 @@ from tests.support.fibonacci import FibonacciClient, FibonacciServer
 from tests.support.waiting import eventually
 
 from rsb_bridge.ros import raw_types
+from rsb_bridge.ros.native.named_types import named_services
+from rsb_bridge.ros.self_test import findings
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -32,7 +34,8 @@ if TYPE_CHECKING:
 
 @pytest.fixture(autouse=True)
 def _another(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(raw_types, "why_not_raw", lambda: "this is another middleware")
+    found = findings()._replace(no_calls="this is another middleware")
+    monkeypatch.setattr(raw_types, "findings", lambda: found)
 
 
 def test_calls_are_answered_in_any_order(bridge: Bridge, near: CallNode, far: CallNode, service: str) -> None:
@@ -42,7 +45,7 @@ def test_calls_are_answered_in_any_order(bridge: Bridge, near: CallNode, far: Ca
         near.waits_for(service)
         outcome = near.call(service, 100, at_once=50, size=1000, response=100_000)
         assert outcome.right, outcome
-        assert not raw_types.named_services.used
+        assert not named_services.used
         for engine in engines:
             settled(engine, service, asked=100, answered=100)
     nothing_left(*engines)

@@ -26,7 +26,7 @@ from tests.support.filled import filled
 from rsb_bridge.cdr.checker import STEPS, Checker, MalformedError, TooComplexError, UncheckableError
 from rsb_bridge.cdr.decoder import decode
 from rsb_bridge.cdr.description import Field, FieldType, MessageType, TypeDescription
-from rsb_bridge.ros.typesupport import installed_class
+from rsb_bridge.ros.native.typesupport import installed_class
 
 if TYPE_CHECKING:
     from collections.abc import Callable

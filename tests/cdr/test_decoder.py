@@ -30,8 +30,8 @@ from rsb_bridge.cdr.description import (
     read_description,
     text_of,
 )
-from rsb_bridge.ros.rosidl_descriptions import installed_description
-from rsb_bridge.ros.typesupport import hash_of, installed_class
+from rsb_bridge.ros.native.rosidl_descriptions import installed_description
+from rsb_bridge.ros.native.typesupport import hash_of, installed_class
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

@@ -17,8 +17,8 @@ from tests.support.wording import says
 
 from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import PeekedMessage
-from rsb_bridge.ros.rosidl_descriptions import installed_description
-from rsb_bridge.ros.typesupport import hash_of
+from rsb_bridge.ros.native.rosidl_descriptions import installed_description
+from rsb_bridge.ros.native.typesupport import hash_of
 from rsb_console.command.remote import RemoteProblem
 from rsb_console.session.reading import ArrivalText, StampText
 

@@ -50,8 +50,8 @@ from std_msgs.msg import String
 from visualization_msgs.msg import Marker, MarkerArray
 
 from rsb_bridge.cdr.decoder import Items
-from rsb_bridge.ros.rosidl_descriptions import installed_description
-from rsb_bridge.ros.typesupport import hash_of
+from rsb_bridge.ros.native.rosidl_descriptions import installed_description
+from rsb_bridge.ros.native.typesupport import hash_of
 
 CHATTER = f"/console_{os.getpid()}/message"
 SCAN = route("/robot2/scan")

@@ -23,8 +23,8 @@ pytest.importorskip("rclpy", reason="needs ROS 2")
 from rclpy.serialization import serialize_message
 from sensor_msgs.msg import BatteryState
 
-from rsb_bridge.ros.rosidl_descriptions import installed_description
-from rsb_bridge.ros.typesupport import hash_of
+from rsb_bridge.ros.native.rosidl_descriptions import installed_description
+from rsb_bridge.ros.native.typesupport import hash_of
 
 if TYPE_CHECKING:
     from rsb_bridge.model.snapshot import RouteSnapshot

@@ -20,7 +20,7 @@ from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.names import SHORT_NAMES
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.model.session import Topic
-from rsb_bridge.ros.typesupport import installed_class
+from rsb_bridge.ros.native.typesupport import installed_class
 from rsb_bridge.wire.sealing import Suite
 
 if TYPE_CHECKING:

@@ -25,8 +25,8 @@ from rsb_bridge.config.session_file import save
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.model.session import Topic
+from rsb_bridge.ros.native.typesupport import hash_of, installed_class
 from rsb_bridge.ros.node import RosNode
-from rsb_bridge.ros.typesupport import hash_of, installed_class
 from rsb_bridge.route.calls.goals import accepted_by
 
 if TYPE_CHECKING:

@@ -13,7 +13,7 @@ from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.verdict import Cause
-from rsb_bridge.ros.rcl import Participant
+from rsb_bridge.ros.participant import Participant
 from rsb_bridge.ros.ros_interface import RosError
 
 if TYPE_CHECKING:

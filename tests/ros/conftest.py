@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 from rsb_bridge.ros import raw_types
+from rsb_bridge.ros.self_test import findings
 
 os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"  # read by each context that joins a domain
 
@@ -65,7 +66,8 @@ def way(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> str:
     """How calls of installed types are carried: as here, or as with another middleware; none comes as a wheel."""
     name: str = request.param
     if name == "typed":
-        monkeypatch.setattr(raw_types, "why_not_raw", lambda: "this is another middleware")
+        found = findings()._replace(no_calls="this is another middleware")
+        monkeypatch.setattr(raw_types, "findings", lambda: found)
     return name
 
 

@@ -13,7 +13,7 @@ from tests.support.wording import pattern, says
 from rsb_bridge.model.names import TypeNameProblem
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.ros.node import RosNode
-from rsb_bridge.ros.rcl import Participant
+from rsb_bridge.ros.participant import Participant
 from rsb_bridge.ros.ros_interface import RosError, RosProblem
 
 if TYPE_CHECKING:

@@ -13,6 +13,7 @@ from std_srvs.srv import SetBool
 from tests.support.wording import pattern
 
 from rsb_bridge.ros import service_endpoints
+from rsb_bridge.ros.native import librcl
 from rsb_bridge.ros.ros_interface import RosError, RosProblem
 from rsb_bridge.ros.service_endpoints import LateAnswers
 
@@ -128,13 +129,13 @@ def test_a_caller_that_dds_will_never_match_holds_up_nobody(
 ) -> None:
     """It wants answers that were published before; nobody waits 100 ms for it, again and again."""
     sent: list[bytes] = []
-    send_response = service_endpoints._send_response
+    send_response = librcl.send_response
 
     def recording(address: int, caller: bytes, message: int) -> int:
         sent.append(caller)
         return int(send_response(address, caller, message))
 
-    monkeypatch.setattr(service_endpoints, "_send_response", recording)
+    monkeypatch.setattr(service_endpoints, "send_response", recording)
     ours = open_node()
     requests: list[Any] = []
     server = ours.serve("/set", SET, "", requests.extend)

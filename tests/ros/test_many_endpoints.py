@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import pytest
 from tests.support.resources import resources
 
-from rsb_bridge.ros import raw_types
+from rsb_bridge.ros.native.named_types import named_services
 from rsb_bridge.ros.ros_interface import RosError
 
 if TYPE_CHECKING:
@@ -70,10 +70,10 @@ def test_five_hundred_services_and_clients_leave_nothing(
         for number in range(count * ROUND):
             once(number)
         eventually(lambda: not (near._retired or far._retired))
-        eventually(lambda: not raw_types.named_services.used)
+        eventually(lambda: not named_services.used)
         eventually(lambda: not (near.services().keys() | far.services().keys()) & {f"/set{n}" for n in range(NAMES)})
         gc.collect()
-        return resources(), mapped(), raw_types.named_services.made
+        return resources(), mapped(), named_services.made
 
     before, mapped_before, made = rounds(1)
     after, mapped_after, made_after = rounds(ROUNDS)
@@ -89,7 +89,7 @@ def test_five_hundred_services_and_clients_leave_nothing(
 def test_services_that_cannot_be_leave_nothing(open_node: Callable[..., RosNode]) -> None:
     node = open_node()
     node.serve("/taken", SET, "", print)
-    used = raw_types.named_services.used
+    used = named_services.used
 
     def refused() -> None:
         for name, type_name, type_hash in (
@@ -105,7 +105,7 @@ def test_services_that_cannot_be_leave_nothing(open_node: Callable[..., RosNode]
     for _ in range(100):
         refused()
     after = resources()
-    assert raw_types.named_services.used == used
+    assert named_services.used == used
     assert after.threads <= before.threads
     assert after.descriptors <= before.descriptors
     assert after.resident - before.resident < 4 << 20

@@ -12,6 +12,7 @@ import pytest
 from rsb_bridge.config.keys import write_key
 from rsb_bridge.config.session_file import save
 from rsb_bridge.model.session import Session
+from rsb_bridge.ros.distribution import package_of
 from rsb_bridge.ros.middleware import MiddlewareProblem, check_middleware
 from rsb_bridge.ros.ros_interface import RosError
 
@@ -38,7 +39,7 @@ def test_the_program_names_a_middleware_that_is_missing(variable: str, tmp_path:
             variable=variable,
             wanted="rmw_nonsense_cpp",
             installed="rmw_fastrtps_cpp",
-            package="ros-jazzy-rmw-nonsense-cpp",
+            package=package_of("rmw_nonsense_cpp"),
         )
         in line
     )

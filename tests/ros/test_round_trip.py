@@ -16,10 +16,13 @@ from tests.support.wording import pattern
 
 from rsb_bridge.model.names import SHORT_NAMES, TypeNameProblem
 from rsb_bridge.model.qos import Qos
-from rsb_bridge.ros import raw_types, typesupport
+from rsb_bridge.ros import raw_types, self_test
+from rsb_bridge.ros.distribution import package_of
+from rsb_bridge.ros.native import named_types, typesupport
+from rsb_bridge.ros.native.typesupport import hash_of, installed_class
 from rsb_bridge.ros.raw_types import UnusableType
 from rsb_bridge.ros.ros_interface import RosError, RosProblem
-from rsb_bridge.ros.typesupport import hash_of, installed_class
+from rsb_bridge.ros.self_test import Shortfall
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -166,9 +169,9 @@ def test_a_made_type_is_asked_by_none_but_the_thread_that_creates_endpoints(
 
         return wrap
 
-    monkeypatch.setattr(raw_types, "FIND", recording(typesupport.FIND))
-    monkeypatch.setattr(raw_types, "GET_HASH", recording(typesupport.GET_HASH))
-    monkeypatch.setattr(raw_types, "named_types", raw_types.NamedTypes())
+    monkeypatch.setattr(named_types, "FIND", recording(typesupport.FIND))
+    monkeypatch.setattr(named_types, "GET_HASH", recording(typesupport.GET_HASH))
+    monkeypatch.setattr(raw_types, "named_types", named_types.NamedTypes())
     one, other = open_node(), open_node(name="other")
     received: list[Any] = []
     one.subscribe("/asked", "asked_msgs/msg/A", MADE_UP_HASH, Qos(), received.extend, "link")
@@ -182,7 +185,7 @@ def test_a_made_type_is_asked_by_none_but_the_thread_that_creates_endpoints(
 
 
 def test_a_made_type_is_made_once() -> None:
-    types = raw_types.NamedTypes()
+    types = named_types.NamedTypes()
     first, second = (types.borrow("a_msgs/msg/B", MADE_UP_HASH) for _ in range(2))
     assert first.interface is second.interface
     assert hash_of(first.interface) == MADE_UP_HASH
@@ -190,7 +193,7 @@ def test_a_made_type_is_made_once() -> None:
 
 
 def test_a_type_that_nobody_uses_is_renamed_for_the_next() -> None:
-    types = raw_types.NamedTypes()
+    types = named_types.NamedTypes()
     first, second = (types.borrow("a_msgs/msg/B", MADE_UP_HASH) for _ in range(2))
     first.give_back()
     other = types.borrow("a_msgs/msg/C", MADE_UP_HASH)
@@ -207,7 +210,7 @@ def test_months_of_reconnects_with_other_types_make_none(
     open_node: Callable[..., RosNode], eventually: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Each connection brings types that were never seen before; all that they leave is used again, and works."""
-    types = raw_types.NamedTypes()
+    types = named_types.NamedTypes()
     monkeypatch.setattr(raw_types, "named_types", types)
     here, there = open_node(), open_node(name="other")
     for connection in range(5):
@@ -231,7 +234,7 @@ def test_months_of_reconnects_with_other_types_make_none(
 def test_an_endpoint_that_cannot_be_made_keeps_no_type(
     open_node: Callable[..., RosNode], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    types = raw_types.NamedTypes()
+    types = named_types.NamedTypes()
     monkeypatch.setattr(raw_types, "named_types", types)
     with pytest.raises(RosError, match=pattern(RosProblem.INVALID_NAME, name="/no topic")):
         open_node().advertise("/no topic", "made_up_msgs/msg/A", MADE_UP_HASH, Qos(), "link")
@@ -241,7 +244,7 @@ def test_an_endpoint_that_cannot_be_made_keeps_no_type(
 @pytest.mark.parametrize(
     ("type_name", "type_hash", "code", "parameters"),
     [
-        ("no_such_msgs/msg/Name", "", UnusableType.HASH_UNKNOWN, {"remedy": install("ros-jazzy-no-such-msgs")}),
+        ("no_such_msgs/msg/Name", "", UnusableType.HASH_UNKNOWN, {"remedy": install(package_of("no_such_msgs"))}),
         ("no_such_msgs/msg/Name", "RIHS01_12", UnusableType.INVALID_HASH, {"type_hash": "RIHS01_12"}),
         ("nonsense", MADE_UP_HASH, TypeNameProblem.INVALID, {"name": "nonsense"}),
         (STRING, MADE_UP_HASH, UnusableType.ANOTHER_VERSION, {"here": STRING_HASH, "there": MADE_UP_HASH}),
@@ -254,9 +257,12 @@ def test_types_that_will_not_do(type_name: str, type_hash: str, code: Wording, p
 
 def test_another_middleware_needs_the_package(monkeypatch: pytest.MonkeyPatch) -> None:
     """A stand-in for its name: no other middleware comes as a wheel."""
-    monkeypatch.setattr(raw_types, "get_rmw_implementation_identifier", lambda: "rmw_cyclonedds_cpp")
+    monkeypatch.setattr(self_test, "get_rmw_implementation_identifier", lambda: "rmw_cyclonedds_cpp")
+    found = self_test.findings.__wrapped__()
+    monkeypatch.setattr(raw_types, "findings", lambda: found)
+    assert found.no_messages == found.no_calls == Shortfall.ANOTHER_MIDDLEWARE(middleware="rmw_cyclonedds_cpp")
     needed = pattern(
-        UnusableType.NEEDS_FASTRTPS, type_name="other_msgs/msg/Name", remedy=install("ros-jazzy-other-msgs")
+        UnusableType.NOT_CARRIED, type_name="other_msgs/msg/Name", remedy=install(package_of("other_msgs"))
     )
     with pytest.raises(RosError, match=needed):
         raw_types.borrow_type("other_msgs/msg/Name", MADE_UP_HASH)

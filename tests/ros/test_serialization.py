@@ -17,8 +17,8 @@ from tests.cdr.test_decoder import TYPES
 from tests.support.filled import filled
 from tests.support.resources import resources
 
-from rsb_bridge.ros.librcl import serialize_message
-from rsb_bridge.ros.typesupport import installed_class
+from rsb_bridge.ros.native.librcl import serialize_message
+from rsb_bridge.ros.native.typesupport import installed_class
 from rsb_bridge.ros.written_messages import serialize
 
 ROOT = Path(__file__).parents[2]

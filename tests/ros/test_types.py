@@ -10,7 +10,7 @@ import pytest
 from tests.support.wording import pattern
 
 from rsb_bridge.model.names import SHORT_NAMES, TypeNameProblem, expand_type_name, split_type_name
-from rsb_bridge.ros.typesupport import hash_of, installed_class
+from rsb_bridge.ros.native.typesupport import hash_of, installed_class
 
 COMMON_INTERFACES = [
     "actionlib_msgs",
@@ -95,7 +95,7 @@ def test_nothing_but_a_started_node_imports_rclpy() -> None:
 def test_a_type_is_known_without_the_generator_of_its_code() -> None:
     """It comes with a parser, which takes 5 MB; whoever wants it can still import it."""
     program = (
-        "import sys; from rsb_bridge.ros.typesupport import hash_of, installed_class\n"
+        "import sys; from rsb_bridge.ros.native.typesupport import hash_of, installed_class\n"
         "assert hash_of(installed_class('std_msgs/msg/String'))\n"
         "assert 'lark' not in sys.modules\n"
         "import rosidl_generator_py.generate_py_impl; assert 'lark' in sys.modules\n"

@@ -20,9 +20,9 @@ from rsb_bridge.cdr.decoder import decode
 from rsb_bridge.cdr.description import hash_of_text, read_description
 from rsb_bridge.config.fields_text import read_fields, write_fields
 from rsb_bridge.model.calls import FIELDS_LENGTH, FieldError
+from rsb_bridge.ros.native.rosidl_descriptions import installed_description
+from rsb_bridge.ros.native.typesupport import installed_class
 from rsb_bridge.ros.ros_interface import RosError
-from rsb_bridge.ros.rosidl_descriptions import installed_description
-from rsb_bridge.ros.typesupport import installed_class
 from rsb_bridge.ros.written_messages import Misfit, serialize
 
 NOW = 1_700_000_000_000_000_005

@@ -13,7 +13,7 @@ from rosidl_parser.definition import (
     NamespacedType,
 )
 
-from rsb_bridge.ros.typesupport import installed_class
+from rsb_bridge.ros.native.typesupport import installed_class
 
 _SPECIAL = {"octet": b"\x07", "boolean": True, "float": 1.5, "double": 1.5}
 

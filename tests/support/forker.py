@@ -12,7 +12,7 @@ import sys
 
 def main() -> int:
     """Fork until the input ends."""
-    for module in ("rsb_console.cli", "rsb_console.command.headless", "rsb_bridge.ros.rcl", "std_msgs.msg"):
+    for module in ("rsb_console.cli", "rsb_console.command.headless", "rsb_bridge.ros.participant", "std_msgs.msg"):
         importlib.import_module(module)
     signal.signal(signal.SIGCHLD, signal.SIG_IGN)  # no zombies
     print("ready", flush=True)  # noqa: T201

@@ -116,7 +116,7 @@ class KnownNode(RosNode):
         def enter() -> Any:
             super(KnownNode, self).start()
             assert self._participant is not None
-            return self._participant._node
+            return self._participant._node.handle
 
         def leave() -> None:
             self.stop()

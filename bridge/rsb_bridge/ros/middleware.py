@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rsb_bridge.model.wording import Wording
+from rsb_bridge.ros.distribution import package_of
 from rsb_bridge.ros.ros_interface import RosError
 
 if TYPE_CHECKING:
@@ -51,7 +52,7 @@ def check_middleware(environment: Mapping[str, str]) -> None:
                     variable=variable,
                     wanted=wanted,
                     installed=", ".join(sorted(installed)),
-                    package=f"ros-jazzy-{wanted.replace('_', '-')}",
+                    package=package_of(wanted),
                 )
             )
 

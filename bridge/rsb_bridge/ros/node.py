@@ -14,16 +14,16 @@ from typing import TYPE_CHECKING, Any, Generic, TypeAlias, TypeVar
 from rsb_bridge.model.qos import incompatible
 from rsb_bridge.ros.memory import histories_that_shrink, large_blocks_kept
 from rsb_bridge.ros.middleware import check_middleware
+from rsb_bridge.ros.native.typesupport import hash_of, installed_class, installed_service, service_hash_of
 from rsb_bridge.ros.ros_interface import BATCH, RawMessage, Request, Response, RosError, RosProblem
 from rsb_bridge.ros.ros_thread import LONGEST_WAIT, RosTurns
-from rsb_bridge.ros.typesupport import hash_of, installed_class, installed_service, service_hash_of
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Hashable, Sequence
 
     from rsb_bridge.model.calls import Fields
     from rsb_bridge.model.qos import Qos
-    from rsb_bridge.ros.rcl import Incoming, Participant
+    from rsb_bridge.ros.participant import Incoming, Participant
     from rsb_bridge.ros.ros_interface import (
         Endpoint,
         OnFailure,
@@ -87,7 +87,7 @@ class RosNode:
         """
         check_middleware(os.environ)
         try:
-            from rsb_bridge.ros.rcl import Participant  # noqa: PLC0415  only a node that starts needs rclpy
+            from rsb_bridge.ros.participant import Participant  # noqa: PLC0415  only a node that starts needs rclpy
         except ImportError as error:
             raise RosError(RosProblem.NOT_INSTALLED(error=error)) from error
         if self._thread is not None:
@@ -143,7 +143,7 @@ class RosNode:
 
     def installed_description(self, type_name: str) -> str | None:
         """The text of the description of a message type that is installed here, else None."""
-        from rsb_bridge.ros.rosidl_descriptions import installed_description  # noqa: PLC0415  as in `start`
+        from rsb_bridge.ros.native.rosidl_descriptions import installed_description  # noqa: PLC0415  as in `start`
 
         try:
             return installed_description(type_name)

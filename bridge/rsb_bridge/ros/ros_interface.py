@@ -44,6 +44,12 @@ class RosProblem(Wording):
     NOT_TAKEN = "{topic}: a message could not be taken (rcl error {code})"
     NOT_PUBLISHED = "{topic}: {reason}"
     CLOSED = "the publisher is closed"
+    NO_STRINGS = "std_msgs is not installed: install {package}"
+    FOREIGN_ENCAPSULATION = "a message that is encapsulated as {encapsulation} cannot be sent in a call, only 0001 can"
+    LACKS = (
+        "{distribution} lacks {name}, or has it in another form than this rsb-console knows: update rsb-console, or "
+        "install a distribution that it knows (docs/support.md)"
+    )
     REFUSED_BY_MIDDLEWARE = "the middleware refused a message (rcl error {code})"
 
 

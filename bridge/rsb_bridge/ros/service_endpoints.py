@@ -1,4 +1,4 @@
-"""Raw endpoints of services, on rcl through ctypes. Structs: rmw/types.h (ROS 2 Jazzy).
+"""Raw endpoints of services, on rcl through ctypes.
 
 The behaviour of rmw_fastrtps_cpp with calls, and its consequences here:
 
@@ -16,7 +16,6 @@ from __future__ import annotations
 
 import ctypes
 import itertools
-import struct
 import threading
 import time
 import warnings
@@ -26,35 +25,31 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 from rclpy.serialization import deserialize_message
 
-from rsb_bridge.ros.librcl import librcl, reason_of, reset_error, serialize_message
-from rsb_bridge.ros.raw_types import outgoing
+from rsb_bridge.ros.native.extension import reason_of
+from rsb_bridge.ros.native.fast_cdr import outgoing
+from rsb_bridge.ros.native.librcl import (
+    CALL_INFO,
+    CALLER,
+    NO_REQUEST,
+    NO_RESPONSE,
+    NOT_MATCHED,
+    reset_error,
+    send_request,
+    send_response,
+    serialize_message,
+    take_request,
+    take_response,
+)
 from rsb_bridge.ros.ros_interface import Request, Response, RosError, RosProblem
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
-    from rsb_bridge.ros.librcl import Handle
+    from rsb_bridge.ros.native.extension import Handle
     from rsb_bridge.ros.service_graph import CallerTable
 
-_NO_REQUEST = 601  # RCL_RET_SERVICE_TAKE_FAILED
-_NO_RESPONSE = 501  # RCL_RET_CLIENT_TAKE_FAILED
-_NOT_MATCHED = 2  # RCL_RET_TIMEOUT
 _CALLERS_REMEMBERED = 1024
 
-CALLER = struct.Struct("@16sq")
-"""A rmw_request_id_t: a GUID, and the number of the caller's request."""
-
-_INFO = struct.Struct("@qq16sq")
-"""A rmw_service_info_t: source and reception time in ns, and whose call it is."""
-
-_take_request = librcl.rcl_take_request_with_info
-_take_request.argtypes = [ctypes.c_void_p] * 3
-_take_response = librcl.rcl_take_response_with_info
-_take_response.argtypes = [ctypes.c_void_p] * 3
-_send_request = librcl.rcl_send_request
-_send_request.argtypes = [ctypes.c_void_p, ctypes.c_void_p, ctypes.POINTER(ctypes.c_int64)]
-_send_response = librcl.rcl_send_response
-_send_response.argtypes = [ctypes.c_void_p] * 3
 _CALLER_FOUND_WITHIN = 10.0
 """Seconds that the discovery of a caller may take. A caller that has gone is never discovered.
 
@@ -126,7 +121,7 @@ class Server(ServiceEndpoint):
         self._served: dict[bytes, None] = {}
         self._late = LateAnswers(self._send)
         self._have_tried = have_tried
-        self._info = ctypes.create_string_buffer(_INFO.size)
+        self._info = ctypes.create_string_buffer(CALL_INFO.size)
 
     def take(self, limit: int) -> list[Request]:
         """Take up to `limit` calls.
@@ -138,12 +133,12 @@ class Server(ServiceEndpoint):
         taken: list[bytes] = []
         requests = []
         for _ in range(limit):
-            code = _take_request(address, info, id(taken))
-            if code == _NO_REQUEST:
+            code = take_request(address, info, id(taken))
+            if code == NO_REQUEST:
                 break
             if code:
                 raise self._failure(code, "a request could not be taken")
-            source, _, guid, number = _INFO.unpack(info)
+            source, _, guid, number = CALL_INFO.unpack(info)
             self._served[guid] = None
             # rmw_fastrtps_cpp gives the time at which it was sent, by the caller's clock, for that at which it came.
             requests.append(Request(taken.pop(), CALLER.pack(guid, number), time.time_ns(), source=source))
@@ -183,8 +178,8 @@ class Server(ServiceEndpoint):
                 f"{self.name}: this caller asked an earlier server: its middleware takes no answer of this one"
             )
         writing = outgoing(payload)
-        code = _send_response(self.handle.address, CALLER.pack(to, number), id(writing))
-        if code == _NOT_MATCHED:
+        code = send_response(self.handle.address, CALLER.pack(to, number), id(writing))
+        if code == NOT_MATCHED:
             reset_error()
         elif code:
             raise self._failure(code, "an answer could not be sent")
@@ -202,7 +197,7 @@ class Client(ServiceEndpoint):
 
     def __init__(self, handle: Handle, name: str) -> None:
         super().__init__(handle, name)
-        self._info = ctypes.create_string_buffer(_INFO.size)
+        self._info = ctypes.create_string_buffer(CALL_INFO.size)
 
     @property
     def ready(self) -> bool:
@@ -219,12 +214,12 @@ class Client(ServiceEndpoint):
         taken: list[bytes] = []
         responses = []
         for _ in range(limit):
-            code = _take_response(address, info, id(taken))
-            if code == _NO_RESPONSE:
+            code = take_response(address, info, id(taken))
+            if code == NO_RESPONSE:
                 break
             if code:
                 raise self._failure(code, "a response could not be taken")
-            _, stamp, _, number = _INFO.unpack(info)
+            _, stamp, _, number = CALL_INFO.unpack(info)
             responses.append(Response(taken.pop(), number, stamp))
         return responses
 
@@ -238,7 +233,7 @@ class Client(ServiceEndpoint):
         with self._using:
             self._check_open()
             writing = outgoing(payload)
-            code = _send_request(self.handle.address, id(writing), number)
+            code = send_request(self.handle.address, id(writing), number)
             if code:
                 raise self._failure(code, "a request could not be sent")
         return number.value

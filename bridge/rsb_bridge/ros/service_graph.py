@@ -11,11 +11,9 @@ import re
 import time
 from typing import TYPE_CHECKING, Any
 
-from rclpy.impl.implementation_singleton import rclpy_implementation as _rclpy
-
 from rsb_bridge.model.qos import incompatible
-from rsb_bridge.ros.librcl import endpoint_of
-from rsb_bridge.ros.typesupport import joined_hash
+from rsb_bridge.ros.native.extension import PUBLISHERS, SUBSCRIPTIONS, endpoint_of
+from rsb_bridge.ros.native.typesupport import joined_hash
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -38,16 +36,16 @@ _DDS_TYPE = re.compile(r"([a-z]\w*)::(srv|action)::dds_::(\w+)_(?:Request|Respon
 def servers(ask: Ask, service: str) -> list[Endpoint]:
     """Return the servers of a service."""
     return _pairs(
-        ask(_rclpy.rclpy_get_subscriptions_info_by_topic, f"rq{service}Request"),
-        ask(_rclpy.rclpy_get_publishers_info_by_topic, f"rr{service}Reply"),
+        ask(SUBSCRIPTIONS, f"rq{service}Request"),
+        ask(PUBLISHERS, f"rr{service}Reply"),
     )
 
 
 def callers(ask: Ask, service: str) -> list[Endpoint]:
     """Return the clients of a service."""
     return _pairs(
-        ask(_rclpy.rclpy_get_publishers_info_by_topic, f"rq{service}Request"),
-        ask(_rclpy.rclpy_get_subscriptions_info_by_topic, f"rr{service}Reply"),
+        ask(PUBLISHERS, f"rq{service}Request"),
+        ask(SUBSCRIPTIONS, f"rr{service}Reply"),
     )
 
 
@@ -88,8 +86,8 @@ class CallerTable:
         now = time.monotonic()
         if version != self._asked or now >= self._asked_at + _ASKS_AGAIN_AFTER:
             self._asked, self._asked_at = version, now
-            writing = self._ask(_rclpy.rclpy_get_publishers_info_by_topic, f"rq{self._service}Request")
-            reading = self._ask(_rclpy.rclpy_get_subscriptions_info_by_topic, f"rr{self._service}Reply")
+            writing = self._ask(PUBLISHERS, f"rq{self._service}Request")
+            reading = self._ask(SUBSCRIPTIONS, f"rr{self._service}Reply")
             writers = {bytes(each["endpoint_gid"]) for each in writing}
             readers = [end.gid for each in reading if not incompatible(self._offered, (end := endpoint_of(each)).qos)]
             self._writers = {each: next_ if (next_ := _next_writer(each)) in writers else b"" for each in readers}

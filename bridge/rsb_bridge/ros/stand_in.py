@@ -213,7 +213,7 @@ class StandIn(NoRos):
 
     def installed_description(self, type_name: str) -> str | None:
         try:
-            from rsb_bridge.ros.rosidl_descriptions import installed_description  # noqa: PLC0415 (needs ROS)
+            from rsb_bridge.ros.native.rosidl_descriptions import installed_description  # noqa: PLC0415 (needs ROS)
 
             return installed_description(type_name) if type_name in _HASHES else None
         except (ImportError, ValueError):  # a bench without ROS does without

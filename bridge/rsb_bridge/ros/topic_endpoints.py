@@ -1,25 +1,37 @@
 """Raw endpoints of topics, on rcl through ctypes.
 
-rclpy hides the publisher of a message taken, so rcl is called for it. Structs: rmw/types.h (ROS 2 Jazzy).
+rclpy hides the publisher of a message taken, so rcl is called for it.
 """
 
 from __future__ import annotations
 
 import ctypes
-import struct
 import threading
 import time
 from typing import TYPE_CHECKING, Literal
 
-from rsb_bridge.ros.librcl import Serialized, librcl, librcl_without_gil, reason_of, reset_error
+from rsb_bridge.ros.native.extension import reason_of
+from rsb_bridge.ros.native.librcl import (
+    INFO_ROOM,
+    MESSAGE_INFO,
+    TAKE_FAILED,
+    Serialized,
+    gid_of,
+    publish_long_message,
+    publish_message,
+    reset_error,
+    take_long_message,
+    take_message,
+    wait_for_all_acked,
+)
 from rsb_bridge.ros.ros_interface import RawMessage, RosError, RosProblem
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection
 
-    from rsb_bridge.ros.librcl import Handle, TakeBuffer
+    from rsb_bridge.ros.native.extension import Handle
+    from rsb_bridge.ros.native.librcl import TakeBuffer
 
-_TAKE_FAILED = 401  # RCL_RET_SUBSCRIPTION_TAKE_FAILED: there is no message
 _PUBLISHERS_REMEMBERED = 1024
 _DISCOVERED_WITHIN = 5.0  # s: how long a publisher that was there before may take to be found
 _LAST_NUMBER = 2**63 - 1
@@ -30,32 +42,9 @@ _LONG = 256 * 1024
 _ENOUGH = 4 << 20
 """Bytes that are taken at once: the first of many large messages would wait for the last, and all be held together."""
 
-_INFO = struct.Struct("@qqQQP16s?0P")
-"""rmw_message_info_t: source and reception time in ns, publication and reception number, publisher's gid (its
-middleware's name and 16 bytes), whether it came within the process."""
-
-
-class _Gid(ctypes.Structure):
-    """A rmw_gid_t."""
-
-    _fields_ = (("middleware", ctypes.c_char_p), ("value", ctypes.c_uint8 * 16))
-
-
 _new = tuple.__new__  # a NamedTuple's own constructor is a call more
-_take = librcl.rcl_take_serialized_message
-_take_long = librcl_without_gil.rcl_take_serialized_message
-_take.argtypes = _take_long.argtypes = [ctypes.c_void_p] * 4
-_publish = librcl.rcl_publish_serialized_message
-_publish_long = librcl_without_gil.rcl_publish_serialized_message
-_publish.argtypes = _publish_long.argtypes = [ctypes.c_void_p] * 3
 _address_of = ctypes.pythonapi.PyBytes_AsString
 _address_of.argtypes, _address_of.restype = [ctypes.py_object], ctypes.c_void_p
-_publisher_handle = librcl.rcl_publisher_get_rmw_handle
-_publisher_handle.argtypes, _publisher_handle.restype = [ctypes.c_void_p], ctypes.c_void_p
-_gid_of_publisher = librcl.rmw_get_gid_for_publisher
-_gid_of_publisher.argtypes = [ctypes.c_void_p, ctypes.POINTER(_Gid)]
-_wait_for_all_acked = librcl.rcl_publisher_wait_for_all_acked
-_wait_for_all_acked.argtypes = [ctypes.c_void_p, ctypes.c_int64]
 
 
 class Reader:
@@ -83,7 +72,7 @@ class Reader:
         self.topic: str = handle.rclpy.get_topic_name()
         self.lost = 0
         self._buffer = buffer
-        self._info = ctypes.create_string_buffer(_INFO.size)
+        self._info = ctypes.create_string_buffer(INFO_ROOM)
         self._last_size = 0  # bytes that the last message had
         self._last: dict[bytes, int] = {}  # newest sequence number by publisher
         self._earlier = earlier
@@ -98,20 +87,20 @@ class Reader:
             RosError: rcl failed.
         """
         address, buffer, info, last = self.handle.address, self._buffer, self._info, self._last
-        buffer_reference, unpack = ctypes.byref(buffer), _INFO.unpack
+        buffer_reference, unpack = ctypes.byref(buffer), MESSAGE_INFO.unpack_from
         taken: list[RawMessage] = []
         size = 0
         for _ in range(limit):
             if size >= _ENOUGH:
                 break
-            take = _take if self._last_size < _LONG else _take_long
+            take = take_message if self._last_size < _LONG else take_long_message
             code = take(address, buffer_reference, info, None)
             if code:
-                if code == _TAKE_FAILED:
+                if code == TAKE_FAILED:
                     break
                 reset_error()
                 raise RosError(RosProblem.NOT_TAKEN(topic=self.topic, code=code))
-            source, stamp, number, _, _, gid, _ = unpack(info)
+            source, stamp, number, _, _, gid = unpack(info)
             self._last_size = length = buffer.length
             size += length
             if gid in skip:
@@ -156,9 +145,7 @@ class Writer:
 
     def __init__(self, handle: Handle) -> None:
         self.topic: str = handle.rclpy.get_topic_name()
-        gid = _Gid()
-        _gid_of_publisher(_publisher_handle(handle.address), gid)
-        self.gid = bytes(gid.value)
+        self.gid = gid_of(handle.address)
         self._handle = handle
         self._publish = handle.rclpy.publish_raw
         self._closed = False
@@ -176,10 +163,10 @@ class Writer:
             if len(payload) < _LARGE:
                 self._publish(payload)
             elif len(payload) < _LONG:
-                self._publish_in_place(_publish, payload)
+                self._publish_in_place(publish_message, payload)
             else:
                 with self._closing:
-                    self._publish_in_place(_publish_long, payload)
+                    self._publish_in_place(publish_long_message, payload)
         except RuntimeError as error:
             reason = RosProblem.CLOSED() if self._closed else reason_of(error)
             raise RosError(RosProblem.NOT_PUBLISHED(topic=self.topic, reason=reason)) from error
@@ -205,7 +192,7 @@ class Writer:
     def acknowledged(self) -> bool:
         """Whether every reliable subscription has acknowledged all (asked in 2 µs) or not (100 µs); yes once closed."""
         try:
-            code = _wait_for_all_acked(self._handle.rclpy.pointer, 0)
+            code = wait_for_all_acked(self._handle.rclpy.pointer, 0)
         except RuntimeError:
             return True
         if code:

@@ -22,13 +22,13 @@ from typing import TYPE_CHECKING, Any
 
 import rclpy
 from rclpy.context import Context
-from rclpy.impl.implementation_singleton import rclpy_implementation as _rclpy
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
 from rclpy.signals import SignalHandlerOptions
 from std_msgs.msg import String
 
 from rsb_bridge.ros.known_messages import made_at, stamped_string
+from rsb_bridge.ros.native.extension import wait_set
 from rsb_bridge.ros.synthetic import percentiles
 
 if TYPE_CHECKING:
@@ -157,7 +157,7 @@ def drain(context: Context, handles: Sequence[Any], take: Callable[[bytes], obje
     with context.handle, contextlib.ExitStack() as held:
         for handle in handles:
             held.enter_context(handle)
-        waits = _rclpy.WaitSet(len(handles), 0, 0, 0, 0, 0, context.handle)
+        waits = wait_set(context, subscriptions=len(handles))
         while context.ok():
             waits.clear_entities()
             for handle in handles:

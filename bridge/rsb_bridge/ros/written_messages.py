@@ -23,10 +23,10 @@ from rosidl_parser.definition import (
 from rsb_bridge.model.calls import FieldError
 from rsb_bridge.model.text import escape_text, plural
 from rsb_bridge.model.wording import Wording
-from rsb_bridge.ros.librcl import serialize_message
+from rsb_bridge.ros.native.librcl import serialize_message
+from rsb_bridge.ros.native.typesupport import installed_class
 from rsb_bridge.ros.raw_types import remedy
 from rsb_bridge.ros.ros_interface import RosError
-from rsb_bridge.ros.typesupport import installed_class
 
 if TYPE_CHECKING:
     from rsb_bridge.model.calls import Fields

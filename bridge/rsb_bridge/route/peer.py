@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Protocol
 
 from rsb_bridge.model.budgets import TokenBucket
 from rsb_bridge.model.calls import Refused
+from rsb_bridge.ros.distribution import package_of
 from rsb_bridge.ros.ros_interface import RosError
 from rsb_bridge.route.message_check import CHECKED_A_SECOND, CHECKED_AT_ONCE, ExpansionBudget
 from rsb_bridge.route.rate_limit import AllowedRates
@@ -153,7 +154,7 @@ class TypeBudget:
             package = key[0].partition("/")[0]
             raise RosError(
                 f"this link's topics have {self.limit} types that are not installed on this side, which is the limit: "
-                f"install ros-jazzy-{package.replace('_', '-')} here, or remove topics"
+                f"install {package_of(package)} here, or remove topics"
             )
         self._users[key] += 1
 

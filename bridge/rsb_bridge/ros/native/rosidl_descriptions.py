@@ -10,8 +10,6 @@ import ctypes
 import time
 from typing import TYPE_CHECKING, Any
 
-from rclpy.impl.implementation_singleton import rclpy_implementation as _rclpy
-from rclpy.qos import qos_profile_services_default
 from rclpy.type_support import check_for_type_support
 
 from rsb_bridge.cdr.description import (
@@ -22,15 +20,23 @@ from rsb_bridge.cdr.description import (
     TypeDescription,
     text_of,
 )
-from rsb_bridge.ros.typesupport import FIND_DESCRIPTION, installed_class, type_support_of
+from rsb_bridge.model.qos import Qos
+from rsb_bridge.ros.native.extension import wait_set
+from rsb_bridge.ros.native.typesupport import FIND_DESCRIPTION, installed_class, type_support_of
 
 if TYPE_CHECKING:
     import threading
     from collections.abc import Callable, Iterator
 
+    from rclpy.context import Context
+
+    from rsb_bridge.ros.native.extension import OwnNode
+
 _SERVED_WITHIN = 0.5  # s: from when the client exists to when DDS has matched it
 _ANSWERED_WITHIN = 2.0  # s
 _SLICE_NS = 50_000_000
+_QOS = Qos("reliable", "volatile", "keep_last", 10)
+"""That of services by default (rmw/qos_profiles.h)."""
 
 
 class _String(ctypes.Structure):
@@ -116,8 +122,8 @@ def _field_type(described: Any) -> FieldType:
 
 
 def ask_node(
-    own: Any,
-    context: Any,
+    own: OwnNode,
+    context: Context,
     node: str,
     type_name: str,
     type_hash: str,
@@ -129,8 +135,8 @@ def ask_node(
     Takes some seconds at most.
 
     Args:
-        own: our node, rclpy's handle.
-        context: rclpy's handle of its context.
+        own: our node.
+        context: its context.
         node: full name of the node to ask.
         type_name: ``pkg/msg/Name``.
         type_hash: ``RIHS01_...``.
@@ -148,10 +154,9 @@ def ask_node(
     except ImportError:
         return None
     check_for_type_support(GetTypeDescription)
-    profile = qos_profile_services_default.get_c_qos_profile()
     with entities:
-        client = _rclpy.Client(own, GetTypeDescription, f"{node}/get_type_description", profile)
-    waits = _rclpy.WaitSet(0, 0, 0, 1, 0, 0, context)
+        entity = own.create("client", GetTypeDescription, f"{node}/get_type_description", _QOS)
+    client, waits = entity.rclpy, wait_set(context, clients=1)
     try:
         deadline = time.monotonic() + _SERVED_WITHIN
         while not client.service_server_is_available():
@@ -170,7 +175,7 @@ def ask_node(
     finally:
         waits.destroy_when_not_in_use()
         with entities:
-            client.destroy_when_not_in_use()
+            entity.destroy()
     return None
 
 

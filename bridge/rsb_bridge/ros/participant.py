@@ -1,9 +1,4 @@
-"""A participant in one ROS domain and its raw endpoints, on ROS's C client library, rcl.
-
-rclpy's executors cost three times as much, and its `Node` brings a publisher and services that the bridge would not
-serve. So this module uses the extension module under rclpy, and calls rcl itself for functions that it hides: changes
-of the graph here, more in the endpoints' modules. Structs: rcl/wait.h (ROS 2 Jazzy).
-"""
+"""A participant in one ROS domain and its raw endpoints, without rclpy's executors (`rsb_bridge.ros.native`)."""
 
 from __future__ import annotations
 
@@ -14,24 +9,35 @@ from contextlib import ExitStack
 from typing import TYPE_CHECKING, Any, Literal, Protocol
 
 from rclpy.context import Context
-from rclpy.impl.implementation_singleton import rclpy_implementation as _rclpy
 
 from rsb_bridge.model.limits import DOMAIN, TOPIC_LENGTH
 from rsb_bridge.model.names import is_topic_name
 from rsb_bridge.model.qos import Qos
-from rsb_bridge.ros.librcl import (
+from rsb_bridge.ros.distribution import described
+from rsb_bridge.ros.native.extension import (
+    PUBLISHERS,
+    SERVICES,
+    SUBSCRIPTIONS,
+    TOPICS,
     Handle,
-    TakeBuffer,
+    ask,
     endpoint_of,
-    librcl,
-    rcl_profile,
+    guard_condition,
     reason_of,
-    reset_error,
     safe_type_name,
+    wait_set,
 )
+from rsb_bridge.ros.native.librcl import (
+    TakeBuffer,
+    WaitSetHead,
+    add_guard_condition,
+    graph_guard_condition,
+    reset_error,
+)
+from rsb_bridge.ros.native.rosidl_descriptions import ask_node
 from rsb_bridge.ros.raw_types import borrow_service, borrow_type
 from rsb_bridge.ros.ros_interface import Endpoint, RosError, RosProblem
-from rsb_bridge.ros.rosidl_descriptions import ask_node
+from rsb_bridge.ros.self_test import ARGUMENTS, findings
 from rsb_bridge.ros.service_endpoints import Client, Server, TypedClient, TypedServer
 from rsb_bridge.ros.service_graph import CallerTable, callers, servers
 from rsb_bridge.ros.topic_endpoints import Reader, Writer
@@ -39,33 +45,14 @@ from rsb_bridge.ros.topic_endpoints import Reader, Writer
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from rsb_bridge.ros.raw_types import BorrowedType
-
-_ARGUMENTS = ["--ros-args", "--disable-rosout-logs", "--disable-stdout-logs", "--disable-external-lib-logs"]
-"""ROS arguments of ours alone, not the process's; and no log line of rcl's may garble a terminal user interface."""
+    from rsb_bridge.ros.native.extension import Entity, Kind, Question
+    from rsb_bridge.ros.native.named_types import BorrowedType
 
 _TRY_AGAIN_NS = 100_000_000  # after which answers that are kept are tried again, if nothing happens before
 _KEPT = 5000  # messages: Fast DDS's limit on a history that keeps all
 
 _CALLS = Qos("reliable", "volatile", "keep_last", _KEPT)
 """The QoS of all services, with a greater depth: simultaneous calls must not displace each other."""
-
-
-class _WaitSetHead(ctypes.Structure):
-    """The first fields of a rcl_wait_set_t. After a wait, untriggered entries are NULL."""
-
-    _fields_ = (
-        ("subscriptions", ctypes.c_void_p),
-        ("subscription_count", ctypes.c_size_t),
-        ("guard_conditions", ctypes.POINTER(ctypes.c_void_p)),
-        ("guard_condition_count", ctypes.c_size_t),
-    )
-
-
-_graph_guard_condition = librcl.rcl_node_get_graph_guard_condition
-_graph_guard_condition.argtypes, _graph_guard_condition.restype = [ctypes.c_void_p], ctypes.c_void_p
-_add_guard_condition = librcl.rcl_wait_set_add_guard_condition
-_add_guard_condition.argtypes = [ctypes.c_void_p, ctypes.c_void_p, ctypes.POINTER(ctypes.c_size_t)]
 
 
 class Incoming(Protocol):
@@ -102,14 +89,14 @@ class Participant:
             raise RosError(RosProblem.NO_SUCH_DOMAIN(domain=domain_id, domains=DOMAIN))
         self._context = Context()
         try:
-            self._context.init(_ARGUMENTS, domain_id=domain_id)
-            self._node = _rclpy.Node(node_name, "/", self._context.handle, [], False, False)
+            self._context.init(ARGUMENTS, domain_id=domain_id)
+            self._node = findings().node(node_name, self._context)
         except RuntimeError as error:
             self._context.try_shutdown()
             raise RosError(RosProblem.DOMAIN_REFUSED(domain=domain_id, reason=reason_of(error))) from error
-        self._name = self._node.get_fully_qualified_name()
-        self._guard = _rclpy.GuardCondition(self._context.handle)
-        self._graph_guard = _graph_guard_condition(self._node.pointer)
+        self._name = self._node.handle.get_fully_qualified_name()
+        self._guard = guard_condition(self._context)
+        self._graph_guard = graph_guard_condition(self._node.handle.pointer)
         self._graph_guard_index = ctypes.c_size_t()
         self._waited_for: tuple[Incoming, ...] = ()
         self._capacity: Counter[str] = Counter()
@@ -126,29 +113,27 @@ class Participant:
     def leave(self) -> None:
         """Leave the domain; every endpoint is closed before."""
         self._buffer.free()
-        for handle in (self._waits, self._guard, self._node):
+        for handle in (self._waits, self._guard):
             handle.destroy_when_not_in_use()
+        self._node.destroy()
         self._context.shutdown()
         self._context.destroy()
 
     def topics(self) -> dict[str, list[str]]:
         """Every topic that ROS can subscribe to, our own node's too, with its type names."""
-        return _named(self._ask(_rclpy.rclpy_get_topic_names_and_types))
+        return _named(self._ask(TOPICS))
 
     def services(self) -> dict[str, list[str]]:
         """Every service, our own node's too, with its type names."""
-        try:
-            return _named(_rclpy.rclpy_get_service_names_and_types(self._node))
-        except RuntimeError as error:
-            raise _unreadable(error) from error
+        return _named(ask(SERVICES, self._node.handle))
 
     def publishers(self, topic: str) -> list[Endpoint]:
         """The publishers on a topic, our own left out."""
-        return self._others(self._ask(_rclpy.rclpy_get_publishers_info_by_topic, topic))
+        return self._others(self._ask(PUBLISHERS, topic))
 
     def subscriptions(self, topic: str) -> list[Endpoint]:
         """The subscriptions on a topic, our own left out."""
-        return self._others(self._ask(_rclpy.rclpy_get_subscriptions_info_by_topic, topic))
+        return self._others(self._ask(SUBSCRIPTIONS, topic))
 
     def servers(self, service: str) -> list[Endpoint]:
         """The servers of a service, our own left out."""
@@ -167,7 +152,7 @@ class Participant:
             RosError: rcl failed.
         """
         try:
-            return ask_node(self._node, self._context.handle, node, type_name, type_hash, still_wanted, self._entities)
+            return ask_node(self._node, self._context, node, type_name, type_hash, still_wanted, self._entities)
         except RuntimeError as error:
             reset_error()
             raise RosError(RosProblem.NODE_UNREADABLE(node=node, reason=reason_of(error))) from error
@@ -180,7 +165,7 @@ class Participant:
         """
         latched = qos.latched
         earlier = None if latched else frozenset(each.gid for each in self.publishers(topic))
-        handle = self._create(_rclpy.Subscription, topic, borrow_type(type_name, type_hash), qos)
+        handle = self._create("subscription", topic, borrow_type(type_name, type_hash), qos)
         return Reader(handle, self._buffer, earlier)
 
     def create_writer(self, topic: str, type_name: str, type_hash: str, qos: Qos) -> Writer:
@@ -191,12 +176,12 @@ class Participant:
         """
         kept = Qos(qos.reliability, qos.durability, "keep_last", _KEPT, qos.deadline, qos.lifespan)
         asked = kept if qos.history == "keep_all" else qos
-        return Writer(self._create(_rclpy.Publisher, topic, borrow_type(type_name, type_hash), asked))
+        return Writer(self._create("publisher", topic, borrow_type(type_name, type_hash), asked))
 
     def create_server(self, service: str, type_name: str, type_hash: str) -> Server | TypedServer:
         """Create a raw service; errors as `create_reader`."""
         borrowed = borrow_service(type_name, type_hash)
-        handle = self._create(_rclpy.Service, service, borrowed.type, _CALLS)
+        handle = self._create("service", service, borrowed.type, _CALLS)
         name: str = handle.rclpy.name
         if not borrowed.raw:
             return TypedServer(handle, name, borrowed.type.interface)
@@ -206,7 +191,7 @@ class Participant:
     def create_client(self, service: str, type_name: str, type_hash: str) -> Client | TypedClient:
         """Create a raw client of a service; errors as `create_reader`."""
         borrowed = borrow_service(type_name, type_hash)
-        handle = self._create(_rclpy.Client, service, borrowed.type, _CALLS)
+        handle = self._create("client", service, borrowed.type, _CALLS)
         name: str = handle.rclpy.service_name
         return Client(handle, name) if borrowed.raw else TypedClient(handle, name, borrowed.type.interface)
 
@@ -223,12 +208,12 @@ class Participant:
         waits = self._waits
         waits.clear_entities()
         waits.add_guard_condition(self._guard)
-        _add_guard_condition(waits.pointer, self._graph_guard, self._graph_guard_index)
+        add_guard_condition(waits.pointer, self._graph_guard, self._graph_guard_index)
         for add, handle in self._adding:
             add(handle)
         within = -1 if longest is None else int(longest * 1e9)
         waits.wait(_TRY_AGAIN_NS if self._late else within)
-        head = _WaitSetHead.from_address(waits.pointer)
+        head = WaitSetHead.from_address(waits.pointer)
         graph_changed = bool(head.guard_conditions[self._graph_guard_index.value])
         self._graph_version += graph_changed
         if self._late:
@@ -261,41 +246,43 @@ class Participant:
         self._guard.trigger_guard_condition()
 
     def _wait_set(self, capacity: Counter[str]) -> Any:
-        # subscriptions, guard conditions, timers, clients, services, events
-        numbers = (capacity["subscription"], 2, 0, capacity["client"], capacity["service"], 0)
-        return _rclpy.WaitSet(*numbers, self._context.handle)
+        return wait_set(
+            self._context,
+            subscriptions=capacity["subscription"],
+            guards=2,
+            clients=capacity["client"],
+            services=capacity["service"],
+        )
 
     def _have_tried(self, server: Server) -> None:
         """Have `wait` try a server's late answers again."""
         self._late[server] = None
         self.wake()
 
-    def _create(self, kind: Any, name: str, borrowed: BorrowedType, qos: Qos) -> Handle:
+    def _create(self, kind: Kind, name: str, borrowed: BorrowedType, qos: Qos) -> Handle:
         with ExitStack() as failed, self._entities:
             failed.callback(borrowed.give_back)
-            handle = Handle(self._create_of(kind, name, borrowed.interface, qos), borrowed, self._entities)
+            handle = Handle(self._create_of(kind, name, borrowed.interface, qos), borrowed.give_back, self._entities)
             failed.pop_all()
         return handle
 
-    def _create_of(self, kind: Any, name: str, interface: type, qos: Qos) -> Any:
-        profile = rcl_profile(qos).get_c_qos_profile()
+    def _create_of(self, kind: Kind, name: str, interface: type, qos: Qos) -> Entity:
         try:
-            return kind(self._node, interface, name, profile)
+            return self._node.create(kind, interface, name, qos)
         except ValueError as error:
             reset_error()  # rclpy leaves it set, and rcl then writes to the terminal
-            noun = "service" if kind in {_rclpy.Service, _rclpy.Client} else "topic"
+            noun = "service" if kind in {"service", "client"} else "topic"
             raise RosError(RosProblem.INVALID_NAME(name=name, kind=noun)) from error
         except RuntimeError as error:
             raise RosError(f"{name}: {reason_of(error)}") from error
+        except TypeError as error:
+            raise RosError(RosProblem.LACKS(distribution=described(), name=f"rclpy's {kind}")) from error
 
     def _ask_dds(self, question: Any, topic: str) -> Any:
         return self._ask(question, topic, mangled=True)
 
-    def _ask(self, question: Any, *arguments: str, mangled: bool = False) -> Any:
-        try:
-            return question(self._node, *arguments, mangled)  # names as DDS has them, or as ROS
-        except RuntimeError as error:
-            raise _unreadable(error) from error
+    def _ask(self, question: Question, *arguments: str, mangled: bool = False) -> Any:
+        return ask(question, self._node.handle, *arguments, mangled)  # names as DDS has them, or as ROS
 
     def _others(self, infos: list[dict[str, Any]]) -> list[Endpoint]:
         return [end for info in infos if (end := endpoint_of(info)).node != self._name]
@@ -308,7 +295,3 @@ def _named(found: list[tuple[str, list[str]]]) -> dict[str, list[str]]:
         for name, types in found
         if len(name) <= TOPIC_LENGTH and is_topic_name(name)
     }
-
-
-def _unreadable(error: RuntimeError) -> RosError:
-    return RosError(RosProblem.GRAPH_UNREADABLE(reason=reason_of(error)))

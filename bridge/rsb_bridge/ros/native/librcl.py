@@ -1,68 +1,46 @@
-"""ROS's C client library, rcl, as ctypes calls it: handles, buffers, serialization, QoS and endpoints.
+"""ROS's C client library, rcl, as ctypes calls it: functions, the structs that they take, and serialization.
 
-Structs: rcutils/types/uint8_array.h, rcutils/allocator.h (ROS 2 Jazzy).
+Structs: rcl/wait.h, rmw/types.h, rcutils/types/uint8_array.h, rcutils/allocator.h (the same in ROS 2 Jazzy and Kilted).
 """
 
 from __future__ import annotations
 
 import ctypes
-from typing import TYPE_CHECKING, Any
+import struct
+from typing import TYPE_CHECKING, Any, Final
 
-from rclpy.duration import Duration
-from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.type_support import check_for_type_support
 
-from rsb_bridge.model.limits import TEXT_LENGTH
-from rsb_bridge.model.qos import Qos, clamp_qos
-from rsb_bridge.model.text import sanitize_text
-from rsb_bridge.ros.ros_interface import Endpoint, RosError
-from rsb_bridge.ros.typesupport import HASH_PREFIX, pointer_in, type_support_of
+from rsb_bridge.ros.distribution import described
+from rsb_bridge.ros.native.typesupport import pointer_in, type_support_of
+from rsb_bridge.ros.ros_interface import RosError, RosProblem
 
 if TYPE_CHECKING:
-    import threading
     from collections.abc import Callable
-
-    from rsb_bridge.ros.raw_types import BorrowedType
 
 # PyDLL keeps the GIL: the calls take about 1 µs, and giving it up each time would cost a whole switch interval whenever
 # another thread is busy. rclpy has loaded the libraries; librcl's handle also finds what it depends on.
-librcl = ctypes.PyDLL("librcl.so")
-librcl_without_gil = ctypes.CDLL("librcl.so")
+_librcl = ctypes.PyDLL("librcl.so")
+_librcl_without_gil = ctypes.CDLL("librcl.so")
 """For long calls, such as copies of large messages: other threads run meanwhile."""
-reset_error = librcl.rcutils_reset_error
 
 
-def reason_of(error: Exception) -> str:
-    """Return an rcl error without the places in its source code."""
-    return str(error).partition(", at ")[0]
+def _function(name: str, *arguments: Any, returns: Any = ctypes.c_int, library: ctypes.CDLL = _librcl) -> Any:
+    """Return a function of rcl's, or of a library that it depends on; without one, a function that says so."""
+    try:
+        function = library[name]
+    except AttributeError:
+
+        def missing(*_arguments: object) -> None:
+            raise RosError(RosProblem.LACKS(distribution=described(), name=name))
+
+        return missing
+    function.argtypes, function.restype = list(arguments), returns
+    return function
 
 
-class Handle:
-    """An endpoint of rclpy's.
-
-    Attributes:
-        rclpy: itself.
-        address: of what rcl has of it.
-    """
-
-    def __init__(self, rclpy: Any, borrowed: BorrowedType, entities: threading.RLock) -> None:
-        """Hold one that was just created.
-
-        Args:
-            rclpy: itself.
-            borrowed: its type.
-            entities: held while its participant's endpoints are created or freed.
-        """
-        self.rclpy = rclpy
-        self.address: int = rclpy.pointer
-        self._borrowed = borrowed
-        self._entities = entities
-
-    def free(self) -> None:
-        """To be called once."""
-        with self._entities:
-            self.rclpy.destroy_when_not_in_use()
-        self._borrowed.give_back()
+_POINTER = ctypes.c_void_p
+reset_error = _function("rcutils_reset_error", returns=None)
 
 
 class _Allocator(ctypes.Structure):
@@ -94,14 +72,12 @@ class Buffer(Serialized):
         _buffer_fini(self)
 
 
-_default_allocator = librcl.rcutils_get_default_allocator
-_default_allocator.restype = _Allocator
-_buffer_init = librcl.rcutils_uint8_array_init
-_buffer_init.argtypes = [ctypes.POINTER(Buffer), ctypes.c_size_t, ctypes.POINTER(_Allocator)]
-_buffer_fini = librcl.rcutils_uint8_array_fini
-_buffer_fini.argtypes = [ctypes.POINTER(Buffer)]
-_serialize = librcl.rmw_serialize
-_serialize.argtypes = [ctypes.c_void_p, ctypes.c_void_p, ctypes.POINTER(Buffer)]
+_default_allocator = _function("rcutils_get_default_allocator", returns=_Allocator)
+_buffer_init = _function(
+    "rcutils_uint8_array_init", ctypes.POINTER(Buffer), ctypes.c_size_t, ctypes.POINTER(_Allocator)
+)
+_buffer_fini = _function("rcutils_uint8_array_fini", ctypes.POINTER(Buffer))
+_serialize = _function("rmw_serialize", _POINTER, _POINTER, ctypes.POINTER(Buffer))
 
 _CREATE = ctypes.PYFUNCTYPE(ctypes.c_void_p)
 _CONVERT = ctypes.PYFUNCTYPE(ctypes.c_bool, ctypes.py_object, ctypes.c_void_p)
@@ -209,57 +185,70 @@ def _keep(_data: int | None, _state: int | None) -> None:
     """Replace `free`: the memory is Python's."""
 
 
-_INFINITE = 2**63 - 1  # ns: RMW_DURATION_INFINITE
-_UNKNOWN_NODE = "_NODE_NAME_UNKNOWN_"  # of an endpoint that was discovered before its node
-_DEEPEST = 2**31 - 1  # messages: DDS counts a history's depth in 32 bits
+# --- what is waited for
 
 
-def rcl_profile(qos: Qos) -> QoSProfile:
-    """Return a QoS for rcl; a depth or time that it cannot count becomes the highest that it can."""
-    return QoSProfile(
-        reliability=ReliabilityPolicy[qos.reliability.upper()],
-        durability=DurabilityPolicy[qos.durability.upper()],
-        history=HistoryPolicy[qos.history.upper()],
-        depth=min(max(qos.depth, 1), _DEEPEST),
-        deadline=_duration(qos.deadline),
-        lifespan=_duration(qos.lifespan),
+class WaitSetHead(ctypes.Structure):
+    """The first fields of a rcl_wait_set_t. After a wait, untriggered entries are NULL."""
+
+    _fields_ = (
+        ("subscriptions", _POINTER),
+        ("subscription_count", ctypes.c_size_t),
+        ("guard_conditions", ctypes.POINTER(_POINTER)),
+        ("guard_condition_count", ctypes.c_size_t),
     )
 
 
-def _duration(seconds: float) -> Duration:
-    """A peer's figure may be anything; ROS takes what fits in 63 bits."""
-    return Duration(nanoseconds=int(min(_INFINITE, max(0, seconds * 1e9))))
+graph_guard_condition = _function("rcl_node_get_graph_guard_condition", _POINTER, returns=_POINTER)
+add_guard_condition = _function("rcl_wait_set_add_guard_condition", _POINTER, _POINTER, ctypes.POINTER(ctypes.c_size_t))
+
+# --- messages
+
+TAKE_FAILED: Final = 401
+"""RCL_RET_SUBSCRIPTION_TAKE_FAILED: there is no message."""
+MESSAGE_INFO: Final = struct.Struct("@qqQQP16s")
+"""The first fields of a rmw_message_info_t: source and reception time in ns, publication and reception number, the
+publisher's gid (its middleware's name and 16 bytes)."""
+INFO_ROOM: Final = 128
+"""Bytes for a rmw_message_info_t. Until Humble, 8 more bytes of the gid follow."""
 
 
-def endpoint_of(info: dict[str, Any]) -> Endpoint:
-    """An endpoint of the graph. Any DDS program may have put it there, so nothing in it is trusted."""
-    type_hash, profile = info["topic_type_hash"], info["qos_profile"]
-    known = info["node_name"] != _UNKNOWN_NODE
-    return Endpoint(
-        node=sanitize_text(f"{info['node_namespace'].rstrip('/')}/{info['node_name']}") if known else "",
-        type_name=safe_type_name(info["topic_type"]),
-        type_hash=f"{HASH_PREFIX}{type_hash['value'].hex()}" if type_hash["version"] == 1 else "",
-        qos=clamp_qos(
-            Qos(
-                reliability="reliable" if profile["reliability"] == ReliabilityPolicy.RELIABLE else "best_effort",
-                durability="transient_local"
-                if profile["durability"] == DurabilityPolicy.TRANSIENT_LOCAL
-                else "volatile",
-                history="keep_all" if profile["history"] == HistoryPolicy.KEEP_ALL else "keep_last",
-                depth=0,
-                deadline=_seconds(profile["deadline"]),
-                lifespan=_seconds(profile["lifespan"]),
-            )
-        ),
-        gid=bytes(info["endpoint_gid"]),
-    )
+class Gid(ctypes.Structure):
+    """A rmw_gid_t, with room for the 24 bytes that it has until Humble; the first 16 count."""
+
+    _fields_ = (("middleware", ctypes.c_char_p), ("value", ctypes.c_uint8 * 16), ("more", ctypes.c_uint8 * 8))
 
 
-def safe_type_name(name: str) -> str:
-    """Return a type's name from the graph, printable and of a limited length."""
-    return sanitize_text(name, TEXT_LENGTH)
+_TAKE = "rcl_take_serialized_message", _POINTER, _POINTER, _POINTER, _POINTER
+_PUBLISH = "rcl_publish_serialized_message", _POINTER, _POINTER, _POINTER
+take_message, take_long_message = _function(*_TAKE), _function(*_TAKE, library=_librcl_without_gil)
+publish_message, publish_long_message = _function(*_PUBLISH), _function(*_PUBLISH, library=_librcl_without_gil)
+wait_for_all_acked = _function("rcl_publisher_wait_for_all_acked", _POINTER, ctypes.c_int64)
+_publisher_handle = _function("rcl_publisher_get_rmw_handle", _POINTER, returns=_POINTER)
+_gid_of_publisher = _function("rmw_get_gid_for_publisher", _POINTER, ctypes.POINTER(Gid))
 
 
-def _seconds(duration: Duration) -> float:
-    nanoseconds: int = duration.nanoseconds
-    return 0.0 if nanoseconds >= _INFINITE else nanoseconds / 1e9
+def gid_of(publisher: int) -> bytes:
+    """Return what messages say of their publisher, given its address."""
+    gid = Gid()
+    _gid_of_publisher(_publisher_handle(publisher), gid)
+    return bytes(gid.value)
+
+
+# --- calls
+
+NO_REQUEST: Final = 601
+"""RCL_RET_SERVICE_TAKE_FAILED."""
+NO_RESPONSE: Final = 501
+"""RCL_RET_CLIENT_TAKE_FAILED."""
+NOT_MATCHED: Final = 2
+"""RCL_RET_TIMEOUT."""
+CALLER: Final = struct.Struct("@16sq")
+"""A rmw_request_id_t: a GUID, and the number of the caller's request."""
+CALL_INFO: Final = struct.Struct("@qq16sq")
+"""A rmw_service_info_t: source and reception time in ns, and whose call it is."""
+
+take_request = _function("rcl_take_request_with_info", _POINTER, _POINTER, _POINTER)
+take_response = _function("rcl_take_response_with_info", _POINTER, _POINTER, _POINTER)
+send_request = _function("rcl_send_request", _POINTER, _POINTER, ctypes.POINTER(ctypes.c_int64))
+send_response = _function("rcl_send_response", _POINTER, _POINTER, _POINTER)

@@ -2,7 +2,7 @@
 
 A class keeps its type support in a capsule without a name: a pointer to rosidl_message_type_support_t or
 rosidl_service_type_support_t, laid out as in rosidl_runtime_c/message_type_support_struct.h,
-service_type_support_struct.h and type_hash.h (ROS 2 Jazzy).
+service_type_support_struct.h and type_hash.h (ROS 2 Jazzy and Kilted).
 """
 
 from __future__ import annotations

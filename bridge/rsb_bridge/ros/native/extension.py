@@ -1,0 +1,287 @@
+"""rclpy's extension module: nodes, endpoints, wait sets and questions to the graph, without rclpy's own classes.
+
+Its executors cost three times as much, and its `Node` brings a publisher and services that the bridge would not serve.
+But signatures of the extension module change between distributions. So `ExtensionNode` tries those that are known, and
+`PublicNode` is the same with rclpy's documented classes.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, Final, Literal, Protocol, TypeAlias
+
+from rclpy.duration import Duration
+from rclpy.impl.implementation_singleton import rclpy_implementation as _rclpy
+from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
+
+from rsb_bridge.model.limits import TEXT_LENGTH
+from rsb_bridge.model.qos import Qos, clamp_qos
+from rsb_bridge.model.text import sanitize_text
+from rsb_bridge.ros.distribution import described
+from rsb_bridge.ros.native.typesupport import HASH_PREFIX
+from rsb_bridge.ros.ros_interface import Endpoint, RosError, RosProblem
+
+if TYPE_CHECKING:
+    import threading
+    from collections.abc import Callable
+
+    from rclpy.context import Context
+
+Kind: TypeAlias = Literal["subscription", "publisher", "service", "client"]
+Question: TypeAlias = "Callable[..., Any]"
+"""Asks the graph: takes a node's handle, and names."""
+
+
+def reason_of(error: Exception) -> str:
+    """Return an rcl error without the places in its source code."""
+    return str(error).partition(", at ")[0]
+
+
+def _named(name: str) -> Any:
+    """Return what the extension module has under a name, or, if it has nothing, a function that says so."""
+
+    def missing(*_arguments: object) -> None:
+        raise RosError(RosProblem.LACKS(distribution=described(), name=f"rclpy's {name}"))
+
+    return getattr(_rclpy, name, missing)
+
+
+TOPICS: Final[Question] = _named("rclpy_get_topic_names_and_types")
+SERVICES: Final[Question] = _named("rclpy_get_service_names_and_types")
+PUBLISHERS: Final[Question] = _named("rclpy_get_publishers_info_by_topic")
+SUBSCRIPTIONS: Final[Question] = _named("rclpy_get_subscriptions_info_by_topic")
+
+_CLASSES = {kind: _named(kind.capitalize()) for kind in ("subscription", "publisher", "service", "client")}
+_node, _wait_set, _guard_condition = _named("Node"), _named("WaitSet"), _named("GuardCondition")
+
+
+def ask(question: Question, *arguments: object) -> Any:
+    """Ask the graph.
+
+    Raises:
+        RosError: rcl can't answer, or the question takes other arguments in this distribution.
+    """
+    try:
+        return question(*arguments)
+    except RuntimeError as error:
+        raise RosError(RosProblem.GRAPH_UNREADABLE(reason=reason_of(error))) from error
+    except TypeError as error:
+        raise RosError(RosProblem.LACKS(distribution=described(), name=question.__name__)) from error
+
+
+def wait_set(context: Context, *, subscriptions: int = 0, guards: int = 0, clients: int = 0, services: int = 0) -> Any:
+    """Return a wait set with room for so many entities."""
+    return _wait_set(subscriptions, guards, 0, clients, services, 0, context.handle)
+
+
+def guard_condition(context: Context) -> Any:
+    """Return a guard condition."""
+    return _guard_condition(context.handle)
+
+
+class Entity(Protocol):
+    """An endpoint that a node has made.
+
+    Attributes:
+        rclpy: the extension module's object.
+    """
+
+    rclpy: Any
+
+    def destroy(self) -> None:
+        """Free it, once nobody uses it any more."""
+        ...
+
+
+class OwnNode(Protocol):
+    """A node without parameters, services and log topic.
+
+    Attributes:
+        handle: the extension module's object.
+    """
+
+    handle: Any
+
+    def create(self, kind: Kind, interface: type, name: str, qos: Qos) -> Entity:
+        """Create an endpoint.
+
+        Raises:
+            ValueError: the name is invalid.
+            RuntimeError: rcl refused it.
+        """
+        ...
+
+    def destroy(self) -> None:
+        """Leave the graph. To be called after its endpoints are destroyed."""
+        ...
+
+
+class _ExtensionEntity:
+    def __init__(self, rclpy: Any) -> None:
+        self.rclpy = rclpy
+        self.destroy = rclpy.destroy_when_not_in_use
+
+
+class ExtensionNode:
+    """A node by the extension module alone.
+
+    Raises:
+        TypeError: the module has other signatures than the known ones.
+        RuntimeError: rcl refused it.
+    """
+
+    def __init__(self, name: str, context: Context) -> None:
+        # No ROS arguments, the process's do not count, and nothing is logged to /rosout.
+        arguments: tuple[Any, ...] = (name, "/", context.handle, [], False, False)
+        try:
+            self.handle = _node(*arguments)
+        except TypeError:  # from Kilted on, with the QoS of rosout
+            self.handle = _node(*arguments, QoSProfile(depth=1).get_c_qos_profile())
+        self.destroy = self.handle.destroy_when_not_in_use
+
+    def create(self, kind: Kind, interface: type, name: str, qos: Qos) -> Entity:
+        return _ExtensionEntity(_CLASSES[kind](self.handle, interface, name, rcl_profile(qos).get_c_qos_profile()))
+
+
+class _PublicEntity:
+    def __init__(self, entity: Any, destroy: Callable[[Any], object]) -> None:
+        self.rclpy = entity.handle
+        self._entity = entity
+        self._destroy = destroy
+
+    def destroy(self) -> None:
+        self._destroy(self._entity)
+
+
+class PublicNode:
+    """A node by rclpy's documented class, which publishes parameter events besides.
+
+    Raises:
+        RuntimeError: rcl refused it.
+    """
+
+    def __init__(self, name: str, context: Context) -> None:
+        from rclpy.node import Node  # noqa: PLC0415  3 MB, which nobody needs where `ExtensionNode` works
+        from rclpy.parameter import Parameter  # noqa: PLC0415
+
+        self._node = node = Node(
+            name,
+            context=context,
+            cli_args=[],
+            use_global_arguments=False,
+            enable_rosout=False,
+            start_parameter_services=False,
+            parameter_overrides=[Parameter("start_type_description_service", value=False)],
+        )
+        self.handle = node.handle
+        self.destroy = node.destroy_node
+        self._ways: dict[Kind, tuple[Callable[..., Any], Callable[[Any], object]]] = {
+            "subscription": (
+                lambda interface, topic, qos: node.create_subscription(interface, topic, _nothing, qos, raw=True),
+                node.destroy_subscription,
+            ),
+            "publisher": (node.create_publisher, node.destroy_publisher),
+            "service": (
+                lambda interface, name, qos: node.create_service(interface, name, _nothing, qos_profile=qos),
+                node.destroy_service,
+            ),
+            "client": (
+                lambda interface, name, qos: node.create_client(interface, name, qos_profile=qos),
+                node.destroy_client,
+            ),
+        }
+
+    def create(self, kind: Kind, interface: type, name: str, qos: Qos) -> Entity:
+        create, destroy = self._ways[kind]
+        try:
+            return _PublicEntity(create(interface, name, rcl_profile(qos)), destroy)
+        except (AssertionError, TypeError, AttributeError) as error:  # it wants the layout of a type
+            raise RuntimeError(str(error)) from error
+
+
+def _nothing(*_arguments: object) -> None:
+    """Nobody spins the node."""
+
+
+class Handle:
+    """An endpoint, and the type that it uses.
+
+    Attributes:
+        rclpy: the extension module's object.
+        address: of what rcl has of it.
+    """
+
+    def __init__(self, entity: Entity, give_back: Callable[[], None], entities: threading.RLock) -> None:
+        """Hold one that was just created.
+
+        Args:
+            entity: itself.
+            give_back: called when nothing uses its type any more.
+            entities: held while its participant's endpoints are created or freed.
+        """
+        self.rclpy = entity.rclpy
+        self.address: int = entity.rclpy.pointer
+        self._entity = entity
+        self._give_back = give_back
+        self._entities = entities
+
+    def free(self) -> None:
+        """To be called once."""
+        with self._entities:
+            self._entity.destroy()
+        self._give_back()
+
+
+_INFINITE = 2**63 - 1  # ns: RMW_DURATION_INFINITE
+_UNKNOWN_NODE = "_NODE_NAME_UNKNOWN_"  # of an endpoint that was discovered before its node
+_DEEPEST = 2**31 - 1  # messages: DDS counts a history's depth in 32 bits
+
+
+def rcl_profile(qos: Qos) -> QoSProfile:
+    """Return a QoS for rcl; a depth or time that it cannot count becomes the highest that it can."""
+    return QoSProfile(
+        reliability=ReliabilityPolicy[qos.reliability.upper()],
+        durability=DurabilityPolicy[qos.durability.upper()],
+        history=HistoryPolicy[qos.history.upper()],
+        depth=min(max(qos.depth, 1), _DEEPEST),
+        deadline=_duration(qos.deadline),
+        lifespan=_duration(qos.lifespan),
+    )
+
+
+def _duration(seconds: float) -> Duration:
+    """A peer's figure may be anything; ROS takes what fits in 63 bits."""
+    return Duration(nanoseconds=int(min(_INFINITE, max(0, seconds * 1e9))))
+
+
+def endpoint_of(info: dict[str, Any]) -> Endpoint:
+    """An endpoint of the graph. Any DDS program may have put it there, so nothing in it is trusted."""
+    type_hash, profile = info.get("topic_type_hash"), info["qos_profile"]
+    known = info["node_name"] != _UNKNOWN_NODE
+    return Endpoint(
+        node=sanitize_text(f"{info['node_namespace'].rstrip('/')}/{info['node_name']}") if known else "",
+        type_name=safe_type_name(info["topic_type"]),
+        type_hash=f"{HASH_PREFIX}{type_hash['value'].hex()}" if type_hash and type_hash["version"] == 1 else "",
+        qos=clamp_qos(
+            Qos(
+                reliability="reliable" if profile["reliability"] == ReliabilityPolicy.RELIABLE else "best_effort",
+                durability="transient_local"
+                if profile["durability"] == DurabilityPolicy.TRANSIENT_LOCAL
+                else "volatile",
+                history="keep_all" if profile["history"] == HistoryPolicy.KEEP_ALL else "keep_last",
+                depth=0,
+                deadline=_seconds(profile["deadline"]),
+                lifespan=_seconds(profile["lifespan"]),
+            )
+        ),
+        gid=bytes(info["endpoint_gid"]),
+    )
+
+
+def safe_type_name(name: str) -> str:
+    """Return a type's name from the graph, printable and of a limited length."""
+    return sanitize_text(name, TEXT_LENGTH)
+
+
+def _seconds(duration: Duration) -> float:
+    nanoseconds: int = duration.nanoseconds
+    return 0.0 if nanoseconds >= _INFINITE else nanoseconds / 1e9

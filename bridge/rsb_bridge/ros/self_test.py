@@ -1,0 +1,273 @@
+"""What holds here of what `rsb_bridge.ros.native` assumes of ROS's libraries: found out by using it, once in a process.
+
+The test takes 10 ms, in a context of its own that discovers nobody and that nobody discovers.
+"""
+
+from __future__ import annotations
+
+import os
+import threading
+import time
+from contextlib import ExitStack, contextmanager
+from functools import cache, partial
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from rclpy.context import Context
+from rclpy.utilities import get_rmw_implementation_identifier
+
+from rsb_bridge.model.qos import Qos
+from rsb_bridge.model.wording import Wording
+from rsb_bridge.ros.distribution import described, package_of
+from rsb_bridge.ros.known_messages import STRING
+from rsb_bridge.ros.native.extension import (
+    PUBLISHERS,
+    SUBSCRIPTIONS,
+    ExtensionNode,
+    Handle,
+    PublicNode,
+    ask,
+    reason_of,
+    wait_set,
+)
+from rsb_bridge.ros.native.fast_cdr import copies_calls
+from rsb_bridge.ros.native.librcl import (
+    TakeBuffer,
+    WaitSetHead,
+    add_guard_condition,
+    graph_guard_condition,
+    reset_error,
+)
+from rsb_bridge.ros.native.named_types import named_services, named_types
+from rsb_bridge.ros.native.typesupport import HASH_PREFIX, installed_class, type_support_of
+from rsb_bridge.ros.ros_interface import RosError, RosProblem
+from rsb_bridge.ros.service_endpoints import Client, Server
+from rsb_bridge.ros.service_graph import CallerTable
+from rsb_bridge.ros.topic_endpoints import Reader, Writer
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator, Sequence
+
+    from rsb_bridge.ros.native.extension import Kind, OwnNode
+    from rsb_bridge.ros.native.named_types import NamedTypes
+
+ARGUMENTS = ["--ros-args", "--disable-rosout-logs", "--disable-stdout-logs", "--disable-external-lib-logs"]
+"""ROS arguments of ours alone, not the process's; and no log line of rcl's may garble a terminal user interface."""
+FAST_DDS = "rmw_fastrtps_cpp"
+
+_DOMAIN = 101
+_ALONE = {"ROS_AUTOMATIC_DISCOVERY_RANGE": "OFF"}
+_QOS = Qos("reliable", "volatile", "keep_last", 5)
+_NAME = "/rsb_self_test"
+_HASH = HASH_PREFIX + 32 * "5a"
+_MESSAGE, _SERVICE = ("rsb_self_test/msg/Any", _HASH), ("rsb_self_test/srv/Any", f"{_HASH}+{_HASH}")
+_PAYLOAD = b"\0\1\0\0\4\0\0\0rsb\0"
+"""A std_msgs/msg/String, serialized."""
+_WITHIN = 1.0  # s
+_RECENT = 60 * 10**9  # ns
+
+
+class Shortfall(Wording):
+    """What does not work with this ROS, and why."""
+
+    ANOTHER_MIDDLEWARE = "only rmw_fastrtps_cpp carries types that are not installed, and ROS uses {middleware} here"
+    MESSAGES = "{distribution} does not carry messages of types that are not installed ({error})"
+    CALLS = "{distribution} does not carry calls of types that are not installed ({error})"
+    PUBLIC_CLASSES = (
+        "the inside of {distribution} differs from what this rsb-console knows ({error}): it uses rclpy's public "
+        "classes, and its node publishes /parameter_events"
+    )
+
+
+class Findings(NamedTuple):
+    """The result.
+
+    Attributes:
+        node: the class of our nodes.
+        middleware: the name of the rmw implementation.
+        public_only: the reason why rclpy's public classes are used, or an empty string.
+        no_messages: the reason why messages of types that are not installed can't be carried, or an empty string.
+        no_calls: likewise for calls.
+    """
+
+    node: Callable[[str, Context], OwnNode]
+    middleware: str
+    public_only: str = ""
+    no_messages: str = ""
+    no_calls: str = ""
+
+    @property
+    def shortfalls(self) -> tuple[str, ...]:
+        """What operators should know."""
+        return tuple(dict.fromkeys(filter(None, (self.public_only, self.no_messages, self.no_calls))))
+
+
+class _DiffersError(Exception):
+    """Something came, but not what was sent."""
+
+
+@cache
+def findings() -> Findings:
+    """Return what holds.
+
+    Raises:
+        RosError: something is missing without which nothing can be bridged.
+    """
+    with _alone() as context:
+        try:
+            return _found(ExtensionNode, context)
+        except (TypeError, AttributeError) as error:
+            public_only = Shortfall.PUBLIC_CLASSES(distribution=described(), error=error)
+            return _found(PublicNode, context)._replace(public_only=public_only)
+
+
+def _found(node: Callable[[str, Context], OwnNode], context: Context) -> Findings:
+    middleware = get_rmw_implementation_identifier()
+    _try(node, context, _messages_cross, _string())
+    if middleware != FAST_DDS:  # another one would look for what these type supports do not have
+        reason = Shortfall.ANOTHER_MIDDLEWARE(middleware=middleware)
+        return Findings(node, middleware, "", reason, reason)
+    no_messages = _why_not(Shortfall.MESSAGES, partial(_try, node, context, _messages_cross), named_types, _MESSAGE)
+    no_calls = no_messages or _why_not(
+        Shortfall.CALLS, partial(_try, node, context, _calls_cross), named_services, _SERVICE
+    )
+    return Findings(node, middleware, "", no_messages, no_calls)
+
+
+@contextmanager
+def _alone() -> Iterator[Context]:
+    """Make a context that discovers nobody."""
+    before = {name: os.environ.get(name) for name in _ALONE}
+    os.environ.update(_ALONE)
+    context = Context()
+    try:
+        context.init(ARGUMENTS, domain_id=_DOMAIN)
+        yield context
+    except (RuntimeError, _DiffersError) as error:
+        raise RosError(RosProblem.LACKS(distribution=described(), name=reason_of(error))) from error
+    finally:
+        for name, value in before.items():
+            if value is None:
+                del os.environ[name]
+            else:
+                os.environ[name] = value
+        context.try_shutdown()
+        context.destroy()
+
+
+def _string() -> type:
+    found = installed_class(STRING)
+    if found is None:
+        raise RosError(RosProblem.NO_STRINGS(package=package_of("std_msgs")))
+    type_support_of(found)  # which loads it
+    return found
+
+
+def _why_not(
+    shortfall: Shortfall, test: Callable[[type], None], types: NamedTypes, name_and_hash: tuple[str, str]
+) -> str:
+    borrowed = types.borrow(*name_and_hash)
+    try:
+        test(borrowed.interface)
+    except (RosError, RuntimeError, _DiffersError) as error:
+        reset_error()
+        return shortfall(distribution=described(), error=reason_of(error))
+    finally:
+        borrowed.give_back()
+    return ""
+
+
+def _try(
+    node: Callable[[str, Context], OwnNode],
+    context: Context,
+    test: Callable[[_Endpoints, type], None],
+    interface: type,
+) -> None:
+    with ExitStack() as ending:
+        own = node(_NAME[1:], context)
+        ending.callback(own.destroy)
+        test(_Endpoints(own, context, ending), interface)
+
+
+class _Endpoints:
+    """Makes endpoints of a node, and waits for them."""
+
+    def __init__(self, node: OwnNode, context: Context, ending: ExitStack) -> None:
+        self.node = node
+        self._context = context
+        self._ending = ending
+        self._entities = threading.RLock()
+
+    def make(self, kind: Kind, interface: type) -> Handle:
+        entity = self.node.create(kind, interface, _NAME, _QOS)
+        return Handle(entity, _nothing, self._entities)
+
+    def closed_at_end(self, endpoint: Any) -> None:
+        self._ending.callback(endpoint.close)
+
+    def wait(self, kind: Kind, handle: Handle, take: Callable[[], Sequence[Any]]) -> Any:
+        """Return the first thing that comes, or None if nothing comes."""
+        room = {f"{kind}s": 1}
+        waits = wait_set(self._context, guards=1, **room)
+        try:
+            deadline = time.monotonic() + _WITHIN
+            while time.monotonic() < deadline:
+                waits.clear_entities()
+                getattr(waits, f"add_{kind}")(handle.rclpy)
+                add_guard_condition(waits.pointer, graph_guard_condition(self.node.handle.pointer), None)
+                head = WaitSetHead.from_address(waits.pointer)
+                if head.guard_condition_count != 1 or head.subscription_count != (kind == "subscription"):
+                    raise _DiffersError("rcl_wait_set_t")
+                waits.wait(int(_WITHIN * 1e9))
+                if taken := take():
+                    return taken[0]
+        finally:
+            waits.destroy_when_not_in_use()
+        return None
+
+
+def _nothing() -> None:
+    """Nothing is given back."""
+
+
+def _messages_cross(endpoints: _Endpoints, interface: type) -> None:
+    """Publish a message, and compare what is taken. A middleware may take too long, which tells nothing."""
+    reader = Reader(endpoints.make("subscription", interface), TakeBuffer(), frozenset())
+    endpoints.closed_at_end(reader)
+    writer = Writer(endpoints.make("publisher", interface))
+    endpoints.closed_at_end(writer)
+    for question in (PUBLISHERS, SUBSCRIPTIONS):
+        ask(question, endpoints.node.handle, _NAME, False)
+    writer.publish(_PAYLOAD)
+    taken = endpoints.wait("subscription", reader.handle, lambda: reader.take(1, ()))
+    if taken is None:
+        return
+    if taken.payload != _PAYLOAD:
+        raise _DiffersError("rcl_serialized_message_t")
+    known = taken.gid == writer.gid and taken.number in {0, 1}
+    if not known or (taken.source and abs(taken.source - time.time_ns()) > _RECENT):
+        raise _DiffersError("rmw_message_info_t")
+
+
+def _calls_cross(endpoints: _Endpoints, interface: type) -> None:
+    """Ask and answer, and compare what is taken."""
+    if not copies_calls():
+        raise _DiffersError("Fast CDR")
+    served, called = endpoints.make("service", interface), endpoints.make("client", interface)
+
+    def ask_dds(question: Callable[..., Any], topic: str) -> Any:
+        return ask(question, endpoints.node.handle, topic, True)
+
+    server = Server(served, _NAME, CallerTable(ask_dds, _NAME, _QOS, lambda: 0), lambda _: None)
+    endpoints.closed_at_end(server)
+    client = Client(called, _NAME)
+    endpoints.closed_at_end(client)
+    number = client.call(_PAYLOAD)
+    request = endpoints.wait("service", served, lambda: server.take(1))
+    if request is None:
+        return
+    if request.payload != _PAYLOAD:
+        raise _DiffersError("rmw_request_id_t")
+    server.answer(request.caller, _PAYLOAD)
+    response = endpoints.wait("client", called, lambda: client.take(1))
+    if response is not None and (response.payload, response.number) != (_PAYLOAD, number):
+        raise _DiffersError("rmw_service_info_t")

@@ -1,0 +1,113 @@
+"""What the program does where ROS's libraries are not as `rsb_bridge.ros.native` knows them.
+
+Stand-ins for other distributions: arguments that are refused, structs that are laid out otherwise, missing symbols.
+"""
+
+from __future__ import annotations
+
+import os
+import struct
+from typing import TYPE_CHECKING, Any
+
+import pytest
+from tests.support.wording import pattern
+
+from rsb_bridge.model.qos import Qos
+from rsb_bridge.ros import participant, raw_types, self_test, topic_endpoints
+from rsb_bridge.ros.distribution import described
+from rsb_bridge.ros.known_messages import STRING, stamped_string
+from rsb_bridge.ros.native import extension, librcl
+from rsb_bridge.ros.ros_interface import RosError, RosProblem
+from rsb_bridge.ros.self_test import Findings, Shortfall, findings
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from rsb_bridge.ros.node import RosNode
+
+SET = "std_srvs/srv/SetBool"
+_TYPE_HASH = "RIHS01_" + "12" * 32
+
+
+def found_anew(monkeypatch: pytest.MonkeyPatch) -> Findings:
+    """Test again, and have new nodes go by the result."""
+    found = findings.__wrapped__()
+    for module in (participant, raw_types):
+        monkeypatch.setattr(module, "findings", lambda: found)
+    return found
+
+
+def _refuses(*_arguments: object) -> Any:
+    raise TypeError("incompatible constructor arguments")
+
+
+def test_everything_holds_here() -> None:
+    assert findings().node is extension.ExtensionNode
+    assert not findings().shortfalls
+
+
+@pytest.mark.parametrize("refusing", ["node", "subscription", "service", "publisher", "client"])
+def test_other_arguments_lead_to_the_public_classes(
+    refusing: str, monkeypatch: pytest.MonkeyPatch, open_node: Callable[..., RosNode], eventually: Callable[..., Any]
+) -> None:
+    if refusing == "node":
+        monkeypatch.setattr(extension, "_node", _refuses)
+    else:
+        monkeypatch.setitem(extension._CLASSES, refusing, _refuses)
+    found = found_anew(monkeypatch)
+    assert found.node is extension.PublicNode
+    assert found.public_only == Shortfall.PUBLIC_CLASSES(
+        distribution=described(), error="incompatible constructor arguments"
+    )
+    here, there = open_node(), open_node(name="other")
+    received: list[Any] = []
+    there.subscribe("/chatter", STRING, "", Qos(), received.extend, "link")
+    publisher = here.advertise("/chatter", STRING, "", Qos(), "link")
+    eventually(lambda: publisher.subscriber_count)
+    publisher.publish(stamped_string(100))
+    eventually(lambda: received)
+    requests: list[Any] = []
+    responses: list[Any] = []
+    server = there.serve("/set", SET, "", requests.extend)
+    client = here.call_service("/set", SET, "", responses.extend)
+    eventually(lambda: client.ready)
+    client.call(b"\0\1\0\0\1")
+    eventually(lambda: requests)
+    server.answer(requests[0].caller, b"\0\1\0\0\1\0\0\0\1\0\0\0\0")
+    eventually(lambda: responses)
+
+
+@pytest.mark.parametrize("layout", ["@8xqqQQP16s", "@qqQQ16sP"])
+def test_another_layout_of_what_a_message_tells_is_refused_in_words(
+    layout: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Without a message's publisher, a bridge would take its own messages for others'."""
+    monkeypatch.setattr(topic_endpoints, "MESSAGE_INFO", struct.Struct(layout))
+    with pytest.raises(RosError, match=pattern(RosProblem.LACKS, name="rmw_message_info_t")):
+        findings.__wrapped__()
+
+
+def test_calls_that_do_not_cross_leave_messages_alone(
+    monkeypatch: pytest.MonkeyPatch, open_node: Callable[..., RosNode]
+) -> None:
+    monkeypatch.setattr(self_test, "copies_calls", lambda: False)
+    found = found_anew(monkeypatch)
+    assert not found.no_messages
+    assert found.shortfalls == (Shortfall.CALLS(distribution=described(), error="Fast CDR"),)
+    node = open_node()
+    node.advertise("/any", "no_such_msgs/msg/Any", _TYPE_HASH, Qos(), "link")
+    node.serve("/set", SET, "", lambda _: None)
+
+
+def test_a_missing_function_is_named() -> None:
+    function = librcl._function("rcl_no_such_function")
+    with pytest.raises(RosError, match=pattern(RosProblem.LACKS, name="rcl_no_such_function")):
+        function(1, 2)
+    with pytest.raises(RosError, match=pattern(RosProblem.LACKS, name="rclpy's NoSuchClass")):
+        extension._named("NoSuchClass")(1)
+
+
+def test_the_environment_is_as_before(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    findings.__wrapped__()
+    assert os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] == "LOCALHOST"
