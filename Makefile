@@ -13,8 +13,9 @@ unexport PYTHONDONTWRITEBYTECODE
 
 # Nothing that runs from here leaves this machine.
 export ROS_AUTOMATIC_DISCOVERY_RANGE := LOCALHOST
+export OTHER_PYTHON
 
-.PHONY: demo demo-fleet test test-all test-quick test-wire test-pure test-simulation quick-lint lint bench soak fuzz lock screenshots man texts clean system
+.PHONY: demo demo-fleet test test-all test-kilted on-kilted test-quick test-wire test-pure test-simulation quick-lint lint bench soak fuzz lock screenshots man texts clean system
 
 demo: $(STAMP)
 	$(BIN)/rsb-console demo
@@ -28,6 +29,7 @@ demo-fleet: $(STAMP)
 #   make test        lint and all tests but those that make test-all adds
 #   make test-all    these, tests that are marked as long, simulated networks (tests/network), and a machine with the real
 #                    kernel's Bluetooth (tests/bluetooth, tests/README.md)
+#   make test-kilted what touches ROS, on ROS 2 Kilted, and bridges between Kilted and Jazzy
 #   make test-quick  lint without mypy, and what is tested without ROS, processes and screens
 #   make test-link   one folder, long tests included
 MANY := $(shell $(PYTHON) -c 'import os; print(min(8 * len(os.sched_getaffinity(0)), 12))')
@@ -38,8 +40,9 @@ PURE := cdr channel config fleet fuzz history model route
 QUICK := $(PURE) wire
 COMPUTING := lint test-simulation test-wire test-pure
 ALONE := network bluetooth
+ON_KILTED := $(filter engine.% calls.% system.%,$(LONGEST)) ros distributions
 FOLDERS := $(sort $(patsubst tests/%/,%,$(dir $(wildcard tests/*/test_*.py))))
-REST := $(filter-out $(sort $(basename $(LONGEST))) simulation wire $(PURE) $(ALONE),$(FOLDERS))
+REST := $(filter-out $(sort $(basename $(LONGEST))) simulation wire $(PURE) $(ALONE) distributions,$(FOLDERS))
 AT_ONCE := $(MAKE) --no-print-directory --keep-going --output-sync=target --jobs
 
 test: $(STAMP) system
@@ -47,6 +50,13 @@ test: $(STAMP) system
 
 test-all: $(STAMP) system
 	$(AT_ONCE)=$(MANY) $(COMPUTING) $(addprefix test-,$(LONGEST) $(REST) $(ALONE))
+
+test-kilted: $(STAMP) system
+	$(MAKE) --no-print-directory VENV=.venv-kilted ROS_EXTRAS=ros-kilted$(comma)ros-kilted-test$(comma) \
+	  OTHER_PYTHON=$(abspath $(BIN))/python on-kilted
+
+on-kilted: $(STAMP)
+	$(AT_ONCE)=$(MANY) ONLY="-m 'not long'" $(addprefix test-,$(ON_KILTED))
 
 test-quick: $(STAMP)
 	$(AT_ONCE)=3 quick-lint quick.1 quick.2
@@ -138,4 +148,4 @@ man: $(STAMP)
 	$(BIN)/python docs/manpage.py
 
 clean:
-	rm -rf $(VENV) build dist .pytest_cache .mypy_cache .ruff_cache .hypothesis .coverage
+	rm -rf $(VENV) .venv-kilted build dist .pytest_cache .mypy_cache .ruff_cache .hypothesis .coverage

@@ -20,7 +20,7 @@ import sys, rclpy
 rclpy.init(domain_id=int(sys.argv[1]))
 node = rclpy.create_node("large")
 for line in open("/proc/self/maps"):
-    if "/dev/shm/fastrtps_" in line and "port" not in line:
+    if "/dev/shm/fast" in line and "port" not in line:
         begin, end = (int(each, 16) for each in line.split()[0].split("-"))
         print("segment", end - begin)
 node.destroy_node()
@@ -43,7 +43,7 @@ def test_its_histories_are_the_bridges_own() -> None:
 
 
 def test_fast_dds_takes_the_profile() -> None:
-    environ = os.environ | {"FASTRTPS_DEFAULT_PROFILES_FILE": str(_PROFILE)}
+    environ = os.environ | {memory.profile_variable(): str(_PROFILE)}
     command = [sys.executable, "-c", _NODE, str(two_domains())]
     ran = subprocess.run(command, env=environ, capture_output=True, text=True, timeout=120, check=True)
     assert "Error" not in ran.stderr

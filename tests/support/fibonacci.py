@@ -215,8 +215,8 @@ class FibonacciServer(_Spun):
 class FibonacciProcess:
     """A server in a process of its own."""
 
-    def __init__(self, domain_id: int) -> None:
-        command = [sys.executable, "-m", "tests.support.fibonacci", str(domain_id)]
+    def __init__(self, domain_id: int, python: str = sys.executable) -> None:
+        command = [python, "-m", "tests.support.fibonacci", str(domain_id)]
         self._process = subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, text=True)
         assert self._process.stdout
         assert self._process.stdout.readline() == "ready\n"

@@ -30,11 +30,11 @@ _LOCKED_WITHIN = 5.0  # s
 class Programs:
     """Starts programs, and ends them all at the end."""
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path, python: str = sys.executable) -> None:
         self._folder = folder
         self._programs: list[Program] = []
         self._forker = subprocess.Popen(
-            [sys.executable, "-m", "tests.support.forker"],
+            [python, "-m", "tests.support.forker"],
             cwd=Path(__file__).parents[2],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
@@ -126,7 +126,7 @@ def free_shared_memory() -> None:
     Fast DDS holds a lock on a file beside each segment as long as its process lives. It makes the file first, so a new
     one may be that of another run which is about to lock it.
     """
-    for path in Path("/dev/shm").glob("fastrtps_*_el"):
+    for path in Path("/dev/shm").glob("fast*_el"):
         if "port" in path.name:
             continue  # shared by those who send there
         with contextlib.suppress(FileNotFoundError), path.open() as lock, contextlib.suppress(BlockingIOError):

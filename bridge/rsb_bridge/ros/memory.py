@@ -8,14 +8,17 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from rsb_bridge.ros.distribution import distribution
+
 if TYPE_CHECKING:
     from collections.abc import Iterator, MutableMapping
 
 _HISTORIES = Path(__file__).with_name("fast_dds_histories.xml")
-_PROFILE_VARIABLE, _NEW_PROFILE_VARIABLE = "FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE"
+_PROFILE_VARIABLES = "FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE"
+"""Fast DDS 2, until Jazzy, knows the first one only; rmw_fastrtps warns of it where it knows the second one."""
 _QOS_VARIABLE = "RMW_FASTRTPS_USE_QOS_FROM_XML"
-_FOUND_BY_FAST_DDS = Path("DEFAULT_FASTRTPS_PROFILES.xml")
-"""A file in the working directory, which Fast DDS loads by itself."""
+_FOUND_BY_FAST_DDS = Path("DEFAULT_FASTRTPS_PROFILES.xml"), Path("DEFAULT_FASTDDS_PROFILES.xml")
+"""Files in the working directory, which Fast DDS loads by itself."""
 
 _M_TRIM_THRESHOLD, _M_MMAP_THRESHOLD = -1, -3
 _LARGEST_ON_HEAP = 32 << 20
@@ -37,16 +40,24 @@ def histories_that_shrink(environment: MutableMapping[str, str]) -> Iterator[Non
     message's memory is freed with it; only an XML profile can ask for that, and only `_QOS_VARIABLE` makes it count.
     Other middlewares ignore the variables. They are removed again, since children of this process inherit what stays.
     """
-    own = {_PROFILE_VARIABLE: str(_HISTORIES), _QOS_VARIABLE: "1"}
-    if any(name in environment for name in (*own, _NEW_PROFILE_VARIABLE)) or _FOUND_BY_FAST_DDS.exists():
+    if any(name in environment for name in (*_PROFILE_VARIABLES, _QOS_VARIABLE)) or any(
+        path.exists() for path in _FOUND_BY_FAST_DDS
+    ):
         yield
         return
+    own = {profile_variable(): str(_HISTORIES), _QOS_VARIABLE: "1"}
     environment.update(own)
     try:
         yield
     finally:
         for name in own:
             del environment[name]
+
+
+def profile_variable() -> str:
+    """Return the name of the environment variable in which Fast DDS finds the path of its profiles."""
+    old, new = _PROFILE_VARIABLES
+    return old if distribution() in {"humble", "iron", "jazzy"} else new
 
 
 class _Statistics(ctypes.Structure):

@@ -1,8 +1,8 @@
 """Type supports under a name and a hash that can be changed, for raw endpoints of types that are not installed.
 
-Raw CDR needs no layout. rmw_fastrtps_cpp asks a type support for its name, its hash, a bound on its size and an
-introspection handle, all while an endpoint is created; it calls the functions that depend on the layout only for
-ordinary messages. So a type support for a bare name and hash is std_msgs/String's (unbounded, no key) with these.
+Raw CDR needs no layout. rmw_fastrtps_cpp asks a type support for its name, its hash, a bound on its size and, in some
+distributions, an introspection handle, all while an endpoint is created; it calls the functions that depend on the
+layout only for ordinary messages. So a type support for a bare name and hash is std_msgs/String's (unbounded, no key) with these.
 Other middlewares need the layout: there the type's package must be installed.
 
 A service's type support is a struct with the type supports of its request and response. rcl has no function that takes
@@ -17,7 +17,7 @@ from __future__ import annotations
 
 import ctypes
 import threading
-from functools import partial
+from functools import cache, partial
 from typing import TYPE_CHECKING, NamedTuple, Protocol, TypeVar
 
 from rsb_bridge.model.names import split_type_name
@@ -160,12 +160,13 @@ class NamedSupport:
         original = type_support_of(string)
         find_in_string = FIND(original.find)
         fastrtps = find_in_string(ctypes.addressof(original), FASTRTPS)
-        introspection = find_in_string(ctypes.addressof(original), _INTROSPECTION)
 
         type_support = self.type_support = _copy(TypeSupport.from_address(fastrtps))
         callbacks = self.callbacks = _copy(MessageCallbacks.from_address(type_support.data))
         type_hash = self._hash = TypeHash(version=1)
-        answers = {FASTRTPS: ctypes.addressof(type_support), _INTROSPECTION: introspection}
+        answers = {FASTRTPS: ctypes.addressof(type_support)}
+        if not _announces_fields():
+            answers[_INTROSPECTION] = find_in_string(ctypes.addressof(original), _INTROSPECTION)
         find = FIND(lambda _, identifier: answers.get(identifier))
         get_hash = GET_HASH(lambda _: ctypes.addressof(type_hash))
         type_support.data = ctypes.addressof(callbacks)
@@ -248,6 +249,20 @@ class NamedService:
         self._callbacks.namespace, self._callbacks.name = f"{package}::{kind}".encode(), name.encode()
         for part, ending, each in zip(self._parts, ("_Request", "_Response"), type_hash.split("+"), strict=True):
             part.rename(type_name + ending, each)
+
+
+@cache
+def _announces_fields() -> bool:
+    """Whether rmw_fastrtps_cpp announces the fields of a type that has an introspection handle, as from Kilted on.
+
+    Endpoints of other processes match only if their fields are the same, and String's are not. Before, it announces
+    nothing, and demands the handle.
+    """
+    try:
+        library = ctypes.PyDLL("librmw_fastrtps_shared_cpp.so")  # the middleware has loaded it
+    except OSError:
+        return True
+    return hasattr(library, "_ZN23rmw_fastrtps_shared_cpp11TypeSupport35register_type_object_representationEv")
 
 
 def _copy(struct: _Struct) -> _Struct:
