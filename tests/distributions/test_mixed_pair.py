@@ -58,8 +58,14 @@ def _version(python: str) -> str:
     return subprocess.run(command, capture_output=True, text=True, check=True, timeout=60).stdout.strip()
 
 
+@pytest.fixture(autouse=True)
+def _own_libraries(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each process finds the libraries of its own distribution."""
+    monkeypatch.delenv("LD_LIBRARY_PATH", raising=False)
+
+
 @pytest.fixture
-def robots_bridge(bridge: Bridge) -> Iterator[Programs]:
+def robots_bridge(bridge: Bridge, _own_libraries: None) -> Iterator[Programs]:
     """Runs the robot's bridge."""
     made = Programs(bridge.folder, OTHER)
     yield made
@@ -84,7 +90,7 @@ def start() -> Iterator[Callable[..., None]]:
 
 
 @pytest.fixture
-def robot_calls(robot: Domain) -> Iterator[CallNode]:
+def robot_calls(robot: Domain, _own_libraries: None) -> Iterator[CallNode]:
     """A node of the robot that serves and calls."""
 
     def begin(*command: str, **pipes: Any) -> subprocess.Popen[str]:

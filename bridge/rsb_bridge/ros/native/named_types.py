@@ -2,8 +2,8 @@
 
 Raw CDR needs no layout. rmw_fastrtps_cpp asks a type support for its name, its hash, a bound on its size and, in some
 distributions, an introspection handle, all while an endpoint is created; it calls the functions that depend on the
-layout only for ordinary messages. So a type support for a bare name and hash is std_msgs/String's (unbounded, no key) with these.
-Other middlewares need the layout: there the type's package must be installed.
+layout only for ordinary messages. So a type support for a bare name and hash is std_msgs/String's (unbounded, no key)
+with these. Other middlewares need the layout: there the type's package must be installed.
 
 A service's type support is a struct with the type supports of its request and response. rcl has no function that takes
 or sends a call serialized: it has the middleware take and send a ROS message, and rmw_fastrtps_cpp calls that message's
