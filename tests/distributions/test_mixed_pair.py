@@ -61,7 +61,8 @@ def _version(python: str) -> str:
 @pytest.fixture(autouse=True)
 def _own_libraries(monkeypatch: pytest.MonkeyPatch) -> None:
     """Each process finds the libraries of its own distribution."""
-    monkeypatch.delenv("LD_LIBRARY_PATH", raising=False)
+    for name in "LD_LIBRARY_PATH", "_ROS_WHEELS_BOOTSTRAP_COMPLETE":  # which the wheels set once
+        monkeypatch.delenv(name, raising=False)
 
 
 @pytest.fixture
