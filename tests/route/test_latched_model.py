@@ -49,6 +49,7 @@ class NearDds:
     """The sending side's DDS: histories come first, and each reader hears each writer in order, a little late."""
 
     node_name = "rsb_robot1_0123abcd"
+    shortfalls: tuple[str, ...] = ()
 
     def __init__(self, loop: VirtualLoop, random: Random) -> None:
         self.loop = loop

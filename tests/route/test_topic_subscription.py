@@ -30,6 +30,7 @@ class FakeRos:
     """
 
     node_name = "rsb_robot1_0123abcd"
+    shortfalls: tuple[str, ...] = ()
 
     def __init__(self) -> None:
         self.subscriptions: list[FakeSubscription] = []

@@ -26,6 +26,7 @@ class Node:
         instance_id: as a real node's.
         node_name: as a real node's.
         turns: as a real node's, whose thread is the loop's.
+        shortfalls: as a real node's.
         writers: what it publishes with.
         readers: what it subscribes with.
         servers_of_ours: what it serves with.
@@ -36,6 +37,7 @@ class Node:
 
     def __init__(self, domain: Domain, name: str, instance_id: str) -> None:
         self.instance_id = instance_id
+        self.shortfalls: tuple[str, ...] = ()
         self.turns = RosTurns(self._turn_on, domain.loop.time)
         self.writers: dict[Writer, None] = {}
         self.readers: dict[Reader, None] = {}

@@ -262,6 +262,8 @@ class Engine(EngineApi):
             ros.start()
         except RosError as error:
             raise EngineError(str(error)) from None
+        for shortfall in ros.shortfalls:
+            self._events.add(Level.INFO, EventCode.ENGINE_ROS_LIMITED, shortfall)
         started: Future[None] = Future()
         self._thread = threading.Thread(
             target=self._run_thread, args=(ros, domain, keys, started), name="rsb-io", daemon=True

@@ -37,6 +37,8 @@ class EventCode(StrEnum):
     """The engine cannot announce itself to its fleet, or can again; the text says why."""
     ENGINE_ROS_FAILED = "engine.ros_failed"
     """The ROS side has ended by itself, and the engine with it."""
+    ENGINE_ROS_LIMITED = "engine.ros_limited"
+    """Something does not work with this distribution or middleware."""
     ENGINE_SUBSCRIBE_FAILED = "engine.subscribe_failed"
     """A subscription of the engine's own failed; it is opened again."""
 

@@ -65,6 +65,7 @@ class RosNode:
         self._domain_id = domain_id
         self.node_name = f"rsb_{re.sub(r'[^A-Za-z0-9_]', '_', name)[:64]}_{self.instance_id}"
         self.turns = RosTurns(self._wake)
+        self.shortfalls: tuple[str, ...] = ()
         self._lock = threading.Lock()
         self._asking = threading.Lock()
         """Held during questions to other nodes, so that the domain is not left meanwhile."""
@@ -94,6 +95,7 @@ class RosNode:
             raise RosError(RosProblem.STARTED_TWICE())
         with histories_that_shrink(os.environ):
             participant = self._participant = Participant(self._domain_id, self.node_name)
+        self.shortfalls = participant.shortfalls
         self._thread = threading.Thread(target=self._run, args=(participant,), name="ros", daemon=True)
         self._thread.start()
 

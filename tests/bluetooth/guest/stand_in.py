@@ -68,6 +68,7 @@ class StandIn:
     def __init__(self, **offered: Qos) -> None:
         self.instance_id = secrets.token_hex(4)
         self.node_name = f"rsb_{self.instance_id}"
+        self.shortfalls: tuple[str, ...] = ()
         self.turns = RosTurns()
         self.offered = {f"/{name}": qos for name, qos in offered.items()}
         self.arrived: defaultdict[str, list[Arrival]] = defaultdict(list)
