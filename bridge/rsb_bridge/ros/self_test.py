@@ -1,6 +1,6 @@
-"""What holds here of what `rsb_bridge.ros.native` assumes of ROS's libraries: found out by using it, once in a process.
+"""Tests once in a process whether ROS's libraries are as `rsb_bridge.ros.native` assumes, by using them.
 
-The test takes 10 ms, in a context of its own that discovers nobody and that nobody discovers.
+The test takes 15 ms, in a context of its own without discovery, so that nothing leaves the process.
 """
 
 from __future__ import annotations
@@ -67,7 +67,7 @@ _RECENT = 60 * 10**9  # ns
 
 
 class Shortfall(Wording):
-    """What does not work with this ROS, and why."""
+    """The reasons why something does not work with this ROS."""
 
     ANOTHER_MIDDLEWARE = "only rmw_fastrtps_cpp carries types that are not installed, and ROS uses {middleware} here"
     MESSAGES = "{distribution} does not carry messages of types that are not installed ({error})"
@@ -79,7 +79,7 @@ class Shortfall(Wording):
 
 
 class Findings(NamedTuple):
-    """The result.
+    """The result of the test.
 
     Attributes:
         node: the class of our nodes.
@@ -97,17 +97,17 @@ class Findings(NamedTuple):
 
     @property
     def shortfalls(self) -> tuple[str, ...]:
-        """What operators should know."""
+        """The reasons that operators should know."""
         return tuple(dict.fromkeys(filter(None, (self.public_only, self.no_messages, self.no_calls))))
 
 
 class _DiffersError(Exception):
-    """Something came, but not what was sent."""
+    """A message, a call or a struct differs from the expected one; the text names the struct."""
 
 
 @cache
 def findings() -> Findings:
-    """Return what holds.
+    """Return the result of the test.
 
     Raises:
         RosError: something is missing without which nothing can be bridged.
@@ -230,7 +230,7 @@ def _nothing() -> None:
 
 
 def _messages_cross(endpoints: _Endpoints, interface: type) -> None:
-    """Publish a message, and compare what is taken. A middleware may take too long, which tells nothing."""
+    """Publish a message, and compare the taken one. If a middleware takes too long, the test passes."""
     reader = Reader(endpoints.make("subscription", interface), TakeBuffer(), frozenset())
     endpoints.closed_at_end(reader)
     writer = Writer(endpoints.make("publisher", interface))
@@ -249,7 +249,7 @@ def _messages_cross(endpoints: _Endpoints, interface: type) -> None:
 
 
 def _calls_cross(endpoints: _Endpoints, interface: type) -> None:
-    """Ask and answer, and compare what is taken."""
+    """Call a service and answer, and compare both."""
     if not copies_calls():
         raise _DiffersError("Fast CDR")
     served, called = endpoints.make("service", interface), endpoints.make("client", interface)

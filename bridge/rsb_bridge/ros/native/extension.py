@@ -1,8 +1,8 @@
-"""rclpy's extension module: nodes, endpoints, wait sets and questions to the graph, without rclpy's own classes.
+"""Nodes, endpoints, wait sets and questions to the graph, by rclpy's extension module.
 
-Its executors cost three times as much, and its `Node` brings a publisher and services that the bridge would not serve.
-But signatures of the extension module change between distributions. So `ExtensionNode` tries those that are known, and
-`PublicNode` is the same with rclpy's documented classes.
+rclpy's executors cost three times as much, and its `Node` has a publisher and services that the bridge would not serve.
+But the signatures of the extension module differ between distributions. So `ExtensionNode` tries the known ones, and
+`PublicNode` does the same with rclpy's documented classes.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ def reason_of(error: Exception) -> str:
 
 
 def _named(name: str) -> Any:
-    """Return what the extension module has under a name, or, if it has nothing, a function that says so."""
+    """Return a member of the extension module, or a function that raises if there is none."""
 
     def missing(*_arguments: object) -> None:
         raise RosError(RosProblem.LACKS(distribution=described(), name=f"rclpy's {name}"))
