@@ -79,7 +79,7 @@ class Shortfall(Wording):
 
 
 class Findings(NamedTuple):
-    """The result of the test.
+    """The test's result.
 
     Attributes:
         node: the class of our nodes.

@@ -37,7 +37,7 @@ def reason_of(error: Exception) -> str:
 
 
 def _named(name: str) -> Any:
-    """Return a member of the extension module, or a function that raises if there is none."""
+    """Return a member of the extension module, or a function that raises if it is missing."""
 
     def missing(*_arguments: object) -> None:
         raise RosError(RosProblem.LACKS(distribution=described(), name=f"rclpy's {name}"))

@@ -26,7 +26,7 @@ _librcl_without_gil = ctypes.CDLL("librcl.so")
 
 
 def _function(name: str, *arguments: Any, returns: Any = ctypes.c_int, library: ctypes.CDLL = _librcl) -> Any:
-    """Return a function of rcl or of a library that it depends on, or a function that raises if there is none."""
+    """Return a function of rcl or of a library that it depends on, or a function that raises if it is missing."""
     try:
         function = library[name]
     except AttributeError:
