@@ -5,7 +5,9 @@ The test takes 15 ms, in a context of its own without discovery, so that nothing
 
 from __future__ import annotations
 
+import json
 import os
+import sys
 import threading
 import time
 from contextlib import ExitStack, contextmanager
@@ -271,3 +273,19 @@ def _calls_cross(endpoints: _Endpoints, interface: type) -> None:
     response = endpoints.wait("client", called, lambda: client.take(1))
     if response is not None and (response.payload, response.number) != (_PAYLOAD, number):
         raise _DiffersError("rmw_service_info_t")
+
+
+def main() -> None:
+    """Print the findings as JSON, for `rsb_bridge.doctor`, which survives a crash of this process."""
+    began = time.monotonic()
+    try:
+        found = findings()
+    except RosError as error:
+        result: dict[str, Any] = {"error": str(error)}
+    else:
+        result = {"middleware": found.middleware, "shortfalls": found.shortfalls}
+    sys.stdout.write(json.dumps(result | {"seconds": time.monotonic() - began}) + "\n")
+
+
+if __name__ == "__main__":
+    main()

@@ -81,6 +81,14 @@ def parser_and_commands() -> tuple[argparse.ArgumentParser, list[str]]:
     _run_arguments(command("run", local_commands.run, "bridge a session, with or without the console"))
     check = command("check", check_session, "describe a session and its mistakes")
     _complete(check.add_argument("session", type=Path, metavar="SESSION", help="session file"), "yaml_files")
+    doctor = command("doctor", local_commands.doctor, "examine this machine: ROS, network, memory, clock, terminal")
+    _complete(
+        doctor.add_argument(
+            "session", type=Path, metavar="SESSION", nargs="?", help="also examine what this session needs"
+        ),
+        "yaml_files",
+    )
+    doctor.add_argument("--json", action="store_true", help="print JSON, for programs")
     keygen = command("keygen", local_commands.keygen, "create a key for both sides of a link")
     keygen.add_argument(
         "path", type=Path, metavar="PATH", nargs="?", default=Path(DEFAULT_KEY_FILE), help="key file (%(default)s)"

@@ -123,6 +123,14 @@ def keygen(arguments: Namespace) -> int:
     return OK
 
 
+def doctor(arguments: Namespace) -> int:
+    """Examine this machine, and what a session needs of it."""
+    from rsb_console.command.doctor import run_doctor  # noqa: PLC0415 (not needed elsewhere)
+    from rsb_console.terminal.terminal_check import terminal_check  # noqa: PLC0415 (needs Textual)
+
+    return run_doctor(arguments.session, [terminal_check(os.environ)], as_json=arguments.json)
+
+
 def bt_scan(arguments: Namespace) -> int:
     """List Bluetooth adapters and their busy channels."""
     from rsb_console.command.bt_scan import run_bt_scan  # noqa: PLC0415 (needs D-Bus)

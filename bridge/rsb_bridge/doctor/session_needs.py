@@ -1,0 +1,105 @@
+"""Findings about what a session needs of this machine: its ports, keys, types and optional packages."""
+
+from __future__ import annotations
+
+import errno
+import os
+import socket
+import time
+from functools import partial
+from typing import TYPE_CHECKING
+
+from rsb_bridge.config.advice import advise, uninstalled_types
+from rsb_bridge.config.keys import KeyFileError, key_files_by_client, key_path, key_warnings, read_key
+from rsb_bridge.doctor.finding import Check, Finding, Grade
+from rsb_bridge.model import transports
+from rsb_bridge.model.wording import Wording
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping
+    from pathlib import Path
+
+    from rsb_bridge.config.keys import Key
+    from rsb_bridge.model.session import Session
+
+
+class NeedText(Wording):
+    """Findings about a session's needs, and remedies."""
+
+    PORT_FREE = "port {port} is free for TCP and UDP"
+    PORT_TAKEN = "port {port} is taken ({protocols}): the bridge runs already, or another program has it"
+    PORT_REMEDY = "ss -lntup 'sport = :{port}' shows the program"
+    PORT_DENIED = "port {port} is refused: {reason}"
+    ADDRESS_MISSING = "this machine has no address {address}: correct server_ip, or use 0.0.0.0"
+    KEYS = "{files} have safe modes"
+    NO_KEYS = "the session uses no key"
+
+
+def checks(session: Session, path: Path, environ: Mapping[str, str]) -> tuple[Check, ...]:
+    """Return the checks of what a session needs.
+
+    Args:
+        session: without mistakes.
+        path: of its file.
+        environ: the environment.
+    """
+    return (
+        Check("ports", "ports", partial(_ports, session)),
+        Check("keys", "keys", partial(_keys, session, path)),
+        Check("session", "session", partial(_advice, session, environ)),
+    )
+
+
+def _ports(session: Session) -> Iterator[Finding]:
+    if session.role != "server" or not transports.of_link(session.server_ip).ip_ports:
+        return
+    port, address = session.server_port, session.server_ip
+    finding = partial(Finding, "ports", subject="ports", facts={"port": port, "address": address})
+    taken = []
+    family = socket.AF_INET6 if ":" in address else socket.AF_INET
+    for name, kind in (("TCP", socket.SOCK_STREAM), ("UDP", socket.SOCK_DGRAM)):
+        with socket.socket(family, kind) as tried:
+            if kind == socket.SOCK_STREAM:
+                tried.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)  # connections that just ended do not count
+            try:
+                tried.bind((address, port))
+            except OSError as error:
+                if error.errno == errno.EADDRNOTAVAIL:
+                    yield finding(grade=Grade.ERROR, text=NeedText.ADDRESS_MISSING(address=address))
+                    return
+                if error.errno != errno.EADDRINUSE:
+                    reason = os.strerror(error.errno or 0)
+                    yield finding(grade=Grade.ERROR, text=NeedText.PORT_DENIED(port=port, reason=reason))
+                    return
+                taken.append(name)
+    if taken:
+        text = NeedText.PORT_TAKEN(port=port, protocols=", ".join(taken))
+        yield finding(grade=Grade.WARNING, text=text, remedy=NeedText.PORT_REMEDY(port=port))
+    else:
+        yield finding(grade=Grade.OK, text=NeedText.PORT_FREE(port=port))
+
+
+def _keys(session: Session, path: Path) -> Iterator[Finding]:
+    finding = partial(Finding, "keys", subject="keys")
+    files = dict.fromkeys(name for names in key_files_by_client(session).values() for name in names)
+    if not session.use_encryption or not files:
+        yield finding(grade=Grade.OK, text=NeedText.NO_KEYS())
+        return
+    read: dict[str, tuple[Key, ...]] = {}
+    for name in files:
+        try:
+            read[name] = (read_key(key_path(path.parent, name)),)
+        except KeyFileError as error:
+            yield finding(grade=Grade.ERROR, text=str(error))
+    warnings = list(key_warnings(read, time.time()))
+    for warning in warnings:
+        yield finding(grade=Grade.WARNING, text=warning)
+    if read and not warnings:
+        yield finding(grade=Grade.OK, text=NeedText.KEYS(files=", ".join(read)))
+
+
+def _advice(session: Session, environ: Mapping[str, str]) -> Iterator[Finding]:
+    for problem in advise(session, environ.get("ROS_DOMAIN_ID")):
+        yield Finding("session", Grade.WARNING, "session", str(problem))
+    for problem in uninstalled_types(session):
+        yield Finding("types", Grade.NOTE, "types", str(problem))

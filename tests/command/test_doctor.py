@@ -1,0 +1,92 @@
+"""`rsb-console doctor` as operators and programs run it."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from typing import TYPE_CHECKING
+
+import pytest
+
+from rsb_bridge.config.keys import write_key
+from rsb_bridge.doctor.finding import Finding, Grade
+from rsb_console.command.doctor import lines
+from rsb_console.terminal.terminal_check import terminal_check
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+SESSION = "name: robot1\nrole: client\nserver_ip: 127.0.0.1\nserver_port: 7060\nkey_file: robot1.key\ndomain_id: 5\n"
+
+
+def run(*arguments: str, **environ: str) -> subprocess.CompletedProcess[str]:
+    """The command, in a process of its own."""
+    command = [sys.executable, "-m", "rsb_console", "doctor", *arguments]
+    return subprocess.run(command, env=os.environ | environ, capture_output=True, text=True, timeout=120, check=False)
+
+
+def test_a_machine_in_json() -> None:
+    ran = run("--json")
+    assert (ran.returncode, ran.stderr) == (0, "")
+    report = json.loads(ran.stdout)
+    assert report["worst"] in {"ok", "note", "unknown", "warning"}
+    grades = {each["code"]: each["grade"] for each in report["findings"]}
+    assert grades["ros"] == "ok"
+    assert {"program", "udp_buffers", "clock", "multicast", "firewall", "terminal", "disk"} <= set(grades)
+    assert all(each["facts"] is not None and each["subject"] for each in report["findings"])
+
+
+def test_what_is_wrong_comes_last_and_counts(tmp_path: Path) -> None:
+    """A package that is called rclpy and is broken stands in for a broken installation."""
+    (tmp_path / "rclpy").mkdir()
+    (tmp_path / "rclpy/__init__.py").write_text("raise ImportError('librcl.so: cannot open shared object file')\n")
+    ran = run(PYTHONPATH=str(tmp_path), COLUMNS="80")
+    assert (ran.returncode, ran.stderr) == (1, "")
+    *_, remedy, last = ran.stdout.splitlines()
+    assert last.startswith("1 error")
+    assert remedy.lstrip().startswith("> ")
+    assert "librcl.so" in ran.stdout.partition("ERROR")[2]
+    assert "Traceback" not in ran.stdout
+
+
+def test_a_session(tmp_path: Path) -> None:
+    path = tmp_path / "robot1.yaml"
+    path.write_text(SESSION)
+    assert run(str(path)).returncode == 1  # its key is missing
+    write_key(tmp_path / "robot1.key")
+    ran = run(str(path), "--json")
+    assert ran.returncode == 0
+    assert {each["code"]: each["grade"] for each in json.loads(ran.stdout)["findings"] if each["code"] == "keys"} == {
+        "keys": "ok"
+    }
+    path.write_text("name: robot1\nrole: nobody\n")
+    assert run(str(path)).returncode == 2
+
+
+def test_commands_are_not_broken_into_lines() -> None:
+    command = "sudo " + "x" * 200
+    found = [Finding("a", Grade.WARNING, "a", "word " * 40, command), Finding("b", Grade.OK, "b", "fine")]
+    first, *rest = lines(found, 80)
+    assert first.split() == ["ok", "b", "fine"]
+    assert rest[-1] == "1 warning"
+    assert rest[-2].endswith(command)
+    assert all(len(line) < 80 for line in rest[:-2])
+
+
+@pytest.mark.parametrize(
+    ("environ", "size", "grades"),
+    [
+        ({"TERM": "xterm-256color", "LANG": "C.UTF-8"}, (100, 30), [Grade.OK]),
+        ({"TERM": "linux", "LANG": "C.UTF-8"}, (100, 30), [Grade.NOTE]),
+        ({"TERM": "xterm", "LANG": "C"}, (60, 20), [Grade.NOTE, Grade.WARNING]),
+        ({"TERM": "dumb"}, (100, 30), [Grade.WARNING]),
+    ],
+)
+def test_terminals(
+    environ: dict[str, str], size: tuple[int, int], grades: list[Grade], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(sys.stdout, "isatty", lambda: True)
+    monkeypatch.setattr("shutil.get_terminal_size", lambda: os.terminal_size(size))
+    assert [each.grade for each in terminal_check(environ).run()] == grades

@@ -1,0 +1,163 @@
+"""What `rsb-console doctor` finds out about a machine: real files in place of ``/proc``, ``/sys`` and ``/dev/shm``."""
+
+from __future__ import annotations
+
+import fcntl
+import os
+import resource
+import shutil
+import socket
+from typing import TYPE_CHECKING, Any
+
+import pytest
+
+from rsb_bridge.doctor import machine
+from rsb_bridge.doctor.finding import Check, Finding, Grade, examine, worst
+from rsb_bridge.transport.transport import RECEIVE_BUFFER
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+
+def found(code: str, root: Path, environ: dict[str, str] | None = None) -> list[Finding]:
+    """The findings of one check."""
+    environ = environ or {"XDG_STATE_HOME": str(root)}
+    return list(examine(check for check in machine.checks(environ, root) if check.code == code))
+
+
+def grades(findings: list[Finding]) -> list[tuple[str, Grade]]:
+    return [(each.code, each.grade) for each in findings]
+
+
+@pytest.mark.parametrize(
+    ("given", "grade"), [(212_992, Grade.WARNING), (RECEIVE_BUFFER, Grade.OK), (None, Grade.UNKNOWN)]
+)
+def test_what_a_udp_socket_may_hold(given: int | None, grade: Grade, tmp_path: Path) -> None:
+    folder = tmp_path / "proc/sys/net/core"
+    folder.mkdir(parents=True)
+    if given is not None:
+        (folder / "rmem_max").write_text(f"{given}\n")
+    (finding,) = found("udp_buffers", tmp_path)
+    assert finding.grade == grade
+    assert finding.facts.get("rmem_max") == given
+    assert (str(RECEIVE_BUFFER) in finding.remedy) == (grade == Grade.WARNING)
+
+
+def test_files_of_killed_programs_are_counted_and_those_of_running_ones_are_not(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder = tmp_path / "dev/shm"
+    folder.mkdir(parents=True)
+    for name in ("fastrtps_0a", "fastdds_0b", "fastdds_port7411"):
+        (folder / name).write_bytes(bytes(2 << 20))
+        (folder / f"{name}_el").touch()
+    monkeypatch.setattr(machine, "_LITTLE_SHARED_MEMORY", 0)
+    assert grades(found("shared_memory", tmp_path)) == [("shared_memory", Grade.OK)]  # they are too new to tell
+    monkeypatch.setattr(machine, "_LOCKED_WITHIN", -1.0)
+    with (folder / "fastdds_0b_el").open() as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        _, left = found("shared_memory", tmp_path)
+    assert (left.code, left.facts) == ("shared_memory_left", {"files": 1, "bytes": 2 << 20})
+
+
+def test_little_shared_memory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "dev/shm").mkdir(parents=True)
+    monkeypatch.setattr(machine, "_LITTLE_SHARED_MEMORY", 1 << 60)
+    assert grades(found("shared_memory", tmp_path)) == [("shared_memory", Grade.WARNING)]
+    assert grades(found("shared_memory", tmp_path / "none")) == [("shared_memory", Grade.UNKNOWN)]
+
+
+@pytest.mark.parametrize(
+    ("rules", "code", "euid", "grade"),
+    [
+        ("table inet a { chain b { policy accept; } }", 0, 0, Grade.OK),
+        ("table inet a { chain b { policy drop; } }", 0, 0, Grade.NOTE),
+        ("", 1, 0, Grade.UNKNOWN),
+        ("", 0, 1000, Grade.UNKNOWN),
+    ],
+)
+def test_rules_that_drop_packets(
+    rules: str, code: int, euid: int, grade: Grade, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    program = tmp_path / "nft"
+    program.write_text(f"#!/bin/sh\necho '{rules}'\nexit {code}\n")
+    program.chmod(0o755)
+    monkeypatch.setenv("PATH", str(tmp_path), prepend=os.pathsep)
+    monkeypatch.setattr(os, "geteuid", lambda: euid)
+    (finding,) = found("firewall", tmp_path)
+    assert finding.grade == grade
+
+
+@pytest.mark.parametrize(("names", "grade"), [(["hci0", "hci0:1"], Grade.OK), ([], Grade.NOTE)])
+def test_bluetooth_adapters(names: list[str], grade: Grade, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(socket, "AF_BLUETOOTH", 31, raising=False)
+    for name in names:
+        (tmp_path / "sys/class/bluetooth" / name).mkdir(parents=True)
+    (finding,) = found("bluetooth", tmp_path)
+    assert (finding.grade, finding.facts["adapters"]) == (grade, [name for name in names if ":" not in name])
+
+
+def test_a_python_without_bluetooth(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delattr(socket, "AF_BLUETOOTH", raising=False)
+    (finding,) = found("bluetooth", tmp_path)
+    assert (finding.grade, finding.facts) == (Grade.NOTE, {"sockets": False})
+
+
+@pytest.mark.parametrize(
+    ("hard", "grade"), [(1024, Grade.WARNING), (65_536, Grade.OK), (resource.RLIM_INFINITY, Grade.OK)]
+)
+def test_open_files(hard: int, grade: Grade, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(resource, "getrlimit", lambda _: (1024, hard))
+    assert grades(found("descriptors", tmp_path)) == [("descriptors", grade)]
+
+
+def test_a_full_disk_and_a_foreign_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    assert grades(found("disk", tmp_path)) == [("disk", Grade.OK)]
+    usage = shutil.disk_usage(tmp_path)
+    monkeypatch.setattr(shutil, "disk_usage", lambda _: usage._replace(free=1 << 20))
+    assert grades(found("disk", tmp_path)) == [("disk", Grade.WARNING)]
+    monkeypatch.setattr(os, "access", lambda *_: False)
+    (finding,) = found("disk", tmp_path)
+    assert (finding.grade, str(tmp_path) in finding.remedy) == (Grade.WARNING, True)
+
+
+def test_missing_extras_are_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(machine, "_EXTRAS", {"zenoh": "no_such_module", "metrics": "json"})
+    (finding,) = found("extras", tmp_path)
+    assert (finding.grade, finding.facts) == (Grade.NOTE, {"zenoh": False, "metrics": True})
+    assert "[zenoh]" in finding.remedy
+
+
+def test_multicast_comes_back_without_leaving_the_machine() -> None:
+    assert machine._comes_back("127.0.0.1")
+    assert not machine._comes_back("192.0.2.1")  # this machine has no such address
+
+
+def test_multicast_by_interface(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    flags = {"lo": 0x9, "up": 0x1001, "deaf": 0x1, "down": 0x1000}
+    addresses = dict.fromkeys(flags, "127.0.0.1")
+    monkeypatch.setattr(socket, "if_nameindex", lambda: list(enumerate(flags)))
+    monkeypatch.setattr(machine, "_flags", flags.get)
+    monkeypatch.setattr(machine, "_address", addresses.get)
+    good, bad = found("multicast", tmp_path)
+    assert [good.grade, bad.grade] == [Grade.OK, Grade.WARNING]
+    assert good.facts == {"up": True, "deaf": False}
+    assert "deaf" in bad.remedy
+    flags.clear()
+    assert grades(found("multicast", tmp_path)) == [("multicast", Grade.NOTE)]
+
+
+def test_the_clock_is_asked(tmp_path: Path) -> None:
+    (finding,) = found("clock", tmp_path)
+    assert finding.grade == (Grade.OK if finding.facts["synchronized"] else Grade.WARNING)
+    assert finding.facts["max_error"] >= 0
+
+
+def test_a_check_that_fails_is_a_finding() -> None:
+    def fails() -> Any:
+        raise OSError("no \x1b[31mway")
+
+    (finding,) = examine([Check("it", "it", fails)])
+    assert (finding.grade, "\x1b" in finding.text) == (Grade.UNKNOWN, False)
+    assert worst([finding, Finding("a", Grade.OK, "a", "")]) == Grade.UNKNOWN
+    assert worst([]) == Grade.OK

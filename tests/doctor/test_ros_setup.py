@@ -1,0 +1,92 @@
+"""What `rsb-console doctor` finds out about ROS. Programs that crash, hang or fail stand in for the self-test."""
+
+from __future__ import annotations
+
+import importlib.util
+import sys
+from typing import TYPE_CHECKING
+
+import pytest
+
+from rsb_bridge.doctor import ros_setup
+from rsb_bridge.doctor.finding import Finding, Grade, examine
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+
+def found(code: str, environ: dict[str, str] | None = None, program: str | None = None) -> list[Finding]:
+    """The findings of one check."""
+    checks = (
+        ros_setup.checks(environ or {})
+        if program is None
+        else ros_setup.checks(environ or {}, (sys.executable, "-c", program))
+    )
+    return list(examine(check for check in checks if check.code == code))
+
+
+def test_the_real_self_test() -> None:
+    (finding,) = found("ros")
+    assert (finding.grade, finding.facts["middleware"]) == (Grade.OK, "rmw_fastrtps_cpp")
+    assert finding.facts["distribution"] in {"jazzy", "kilted"}
+
+
+@pytest.mark.parametrize(
+    ("program", "within"),
+    [
+        ("import os; os.kill(os.getpid(), 11)", "SIGSEGV"),
+        ("import time; time.sleep(60)", "0.5 s"),
+        ("raise SystemExit('no library')", "no library"),
+        ("", ""),
+        ('print(\'{"error": "it differs", "seconds": 0}\')', "it differs"),
+    ],
+)
+def test_what_ends_or_stops_the_self_test_is_found(program: str, within: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(ros_setup, "_WITHIN", 0.5 if "sleep" in program else 20.0)
+    (finding,) = found("ros", program=program)
+    assert finding.grade == Grade.ERROR
+    assert within in finding.text
+    assert finding.remedy
+
+
+def test_what_is_lost_is_listed() -> None:
+    (finding,) = found("ros", program='print(\'{"middleware": "a", "shortfalls": ["no calls"], "seconds": 0}\')')
+    assert (finding.code, finding.grade, finding.text) == ("ros_limited", Grade.WARNING, "no calls")
+
+
+def test_without_ros(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(importlib.util, "find_spec", lambda _: None)
+    (finding,) = found("ros", program="raise SystemExit('not run')")
+    assert finding.grade == Grade.ERROR
+    assert "rsb-console[ros]" in finding.remedy
+
+
+def test_a_middleware_that_is_not_installed() -> None:
+    (finding,) = found("ros", {"RMW_IMPLEMENTATION": "rmw_nonsense_cpp"}, "raise SystemExit('not run')")
+    assert (finding.grade, "rmw_nonsense_cpp" in finding.text) == (Grade.ERROR, True)
+
+
+@pytest.mark.parametrize(
+    ("environ", "grades"),
+    [
+        ({}, [Grade.OK]),
+        ({"ROS_DOMAIN_ID": " 5 ", "ROS_AUTOMATIC_DISCOVERY_RANGE": "localhost"}, [Grade.OK]),
+        ({"ROS_DOMAIN_ID": "five"}, [Grade.ERROR]),
+        ({"ROS_DOMAIN_ID": "233"}, [Grade.ERROR]),
+        ({"ROS_DOMAIN_ID": "150"}, [Grade.WARNING]),
+        ({"ROS_AUTOMATIC_DISCOVERY_RANGE": "WORLD"}, [Grade.WARNING]),
+        ({"ROS_LOCALHOST_ONLY": "1"}, [Grade.OK, Grade.WARNING]),
+        ({"FASTRTPS_DEFAULT_PROFILES_FILE": "/no/such.xml"}, [Grade.OK, Grade.WARNING]),
+    ],
+)
+def test_the_environment(environ: dict[str, str], grades: list[Grade]) -> None:
+    findings = found("ros_domain", environ)
+    assert [each.grade for each in findings] == grades
+    assert all(each.remedy for each in findings if each.grade != Grade.OK)
+    assert findings[0].facts == environ
+
+
+def test_a_profile_that_exists(tmp_path: Path) -> None:
+    (tmp_path / "a.xml").touch()
+    (finding,) = found("ros_domain", {"FASTDDS_DEFAULT_PROFILES_FILE": str(tmp_path / "a.xml")})
+    assert finding.grade == Grade.OK
