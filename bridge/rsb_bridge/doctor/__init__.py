@@ -1,1 +1,1 @@
-"""What `rsb-console doctor` finds out about a machine, its ROS and what a session needs of them."""
+"""The checks of `rsb-console doctor`: of a machine, of its ROS, and of what a session needs."""

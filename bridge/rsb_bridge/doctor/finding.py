@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 
 
 class Grade(StrEnum):
-    """How good or bad a finding is, from good to bad."""
+    """The grade of a finding, from good to bad."""
 
     OK = "ok"
     NOTE = "note"
@@ -29,11 +29,11 @@ class Finding(NamedTuple):
     """One finding.
 
     Attributes:
-        code: what was looked at, for programs: ``udp_buffers``.
-        grade: how good it is.
-        subject: what was looked at, for people.
-        text: what was found.
-        remedy: what to do, a command if there is one, or an empty string.
+        code: name of the examined thing, for programs: ``udp_buffers``.
+        grade: its grade.
+        subject: name of the examined thing, for people.
+        text: the finding itself.
+        remedy: a command or advice, or an empty string.
         facts: figures and names for programs.
     """
 

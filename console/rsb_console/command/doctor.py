@@ -1,4 +1,4 @@
-"""The command ``doctor``: lists what works on this machine, what does not, and what to do about it."""
+"""The command ``doctor``: examines this machine, and names a remedy for what is wrong."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def run_doctor(path: Path | None, more: Iterable[Check], *, as_json: bool) -> in
 
     Args:
         path: of the session file, or None.
-        more: checks besides those of the machine.
+        more: further checks.
         as_json: whether to print JSON.
     """
     checks = [*ros_setup.checks(os.environ), *machine.checks(os.environ), *more]
