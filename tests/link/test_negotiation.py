@@ -21,6 +21,8 @@ from tests.support.waiting import eventually, holds
 from tests.support.wording import pattern
 
 from rsb_bridge.api import EngineError
+from rsb_bridge.cdr.description import Field, FieldType, MessageType, TypeDescription, hash_of_text, text_of
+from rsb_bridge.cdr.type_difference import TypeDifference
 from rsb_bridge.config.keys import fingerprint, read_key, write_key
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.qos import PROFILES, Qos, parse_qos
@@ -89,11 +91,22 @@ def test_types_that_do_not_agree(other: KnownNode, bridge: Bridge, robot: Domain
     eventually(lambda: says(client, "/silent", "/silent", str(robot.id)))
 
 
+_OTHER_FIELDS = Field("data", FieldType(8, 0, 0, "")), Field("unit", FieldType(17, 0, 0, ""))
+OTHER = text_of(TypeDescription(MessageType(INT32, _OTHER_FIELDS), ()))
+DIFFERENCE = (
+    TypeDifference.OTHER_TYPE(field="data", there="int32", here="int64"),
+    TypeDifference.ONLY_HERE(field="unit", type="string"),
+)
+
+
 class OtherVersions(KnownNode):
     """A stand-in: two versions of a package cannot be installed beside each other."""
 
     def installed_hash(self, type_name: str) -> str | None:
-        return "RIHS01_" + "0" * 64 if type_name == INT32 else super().installed_hash(type_name)
+        return hash_of_text(OTHER) if type_name == INT32 else super().installed_hash(type_name)
+
+    def installed_description(self, type_name: str) -> str | None:
+        return OTHER if type_name == INT32 else super().installed_description(type_name)
 
 
 @pytest.mark.parametrize("direction", ["transmit", *long("receive")])
@@ -106,8 +119,7 @@ def test_versions_of_a_type_that_differ(direction: Any, bridge: Bridge, robot: D
     nodes[receiving] = OtherVersions((pc if direction == "transmit" else robot).id, "other")
     server, client = (bridge.start(session, ros) for session, ros in zip(sessions, nodes, strict=True))
     for engine in (server, client):
-        words = f"{INT32} differs between the two sides", "install the same version on both"
-        eventually(lambda engine=engine, words=words: says(engine, "/count", *words))
+        eventually(lambda engine=engine: says(engine, "/count", INT32, *DIFFERENCE))
 
     def shown() -> list[tuple[State, str, float]]:
         found = [route(engine, "/count") for engine in (server, client)]

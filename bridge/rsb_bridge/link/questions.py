@@ -14,6 +14,7 @@ import msgspec
 import zstandard
 
 from rsb_bridge.cdr.description import DESCRIPTION_LIMIT
+from rsb_bridge.cdr.type_difference import difference_of_texts
 from rsb_bridge.link.control_channel import in_slices
 from rsb_bridge.link.errors import Denied, LinkError
 from rsb_bridge.link.extension import Extension
@@ -29,10 +30,10 @@ from rsb_bridge.wire.records import TopicEntry
 if TYPE_CHECKING:
     from collections.abc import Awaitable, Callable, Coroutine, Iterator, Sequence
 
+    from rsb_bridge.context import Context
     from rsb_bridge.link.control_channel import Slices
     from rsb_bridge.model.session import Kind
     from rsb_bridge.ros.ros_interface import RosInterface
-    from rsb_bridge.ros.type_descriptions import TypeDescriptions
     from rsb_bridge.route.route import Route
     from rsb_bridge.wire.messages import ControlMessage
 
@@ -157,7 +158,7 @@ class TypeQuestions(Extension):
     """Asks the peer for descriptions of routes' types, and answers the same questions.
 
     Args:
-        known: descriptions that this side knows.
+        context: has the descriptions that this side knows.
         open_route: returns the open route with an id.
         send: sends a control message.
         spawn: runs a coroutine as a task.
@@ -165,12 +166,14 @@ class TypeQuestions(Extension):
 
     def __init__(
         self,
-        known: TypeDescriptions,
+        context: Context,
         open_route: Callable[[int], Route | None],
         send: Callable[[ControlMessage], None],
         spawn: Callable[[Coroutine[None, None, None]], object],
     ) -> None:
-        self._known = known
+        self._known = context.descriptions
+        self._installed = context.ros.installed_description
+        self._spawn = spawn
         self._open_route = open_route
         self.messages = {AskType: self._asked, TypeText: self._answered}
         self._questions: Questions[bytes] = Questions(send, spawn, _ANSWERED_WITHIN)
@@ -209,6 +212,19 @@ class TypeQuestions(Extension):
         if text is None:
             raise LinkError(Denied.TYPE_NOT_INSTALLED(type_name=route.type_name))
         return text
+
+    def compare(self, route_id: int, type_name: str, type_hash: str, tell: Callable[[str], None]) -> None:
+        """Implement `rsb_bridge.route.incoming.CompareTypes`."""
+        here = self._installed(type_name)
+        if here is None:
+            tell("")
+            return
+
+        async def compare() -> None:
+            there = self._known.known(type_hash) or self._checked(await self._ask(route_id), type_hash)
+            tell("" if there is None else difference_of_texts(here, there))
+
+        self._spawn(compare())
 
     async def _ask(self, route_id: int) -> bytes:
         """Return the peer's answer, or empty bytes if it knows none or does not answer."""

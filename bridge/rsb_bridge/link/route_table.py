@@ -32,7 +32,7 @@ from rsb_bridge.model.text import sanitize_text
 from rsb_bridge.route.arming import Disarmed
 from rsb_bridge.route.calls.calling import CallingRoute
 from rsb_bridge.route.calls.providing import ProvidingRoute
-from rsb_bridge.route.incoming import IncomingRoute
+from rsb_bridge.route.incoming import CompareTypes, IncomingRoute, unknown_difference
 from rsb_bridge.route.outgoing import OutgoingRoute
 from rsb_bridge.route.route import route_key
 from rsb_bridge.tasks import in_slices
@@ -152,6 +152,7 @@ class RouteTable(Extension):
         superseded: topics of this side whose place the other side's own have taken, by their routes' keys.
         listed: identities of the topics that this side proposes; named ones stay even if the other side removes them.
         on_removed: is called with a route that an operator of the other side has removed.
+        compare_types: asks the peer how its version of a type differs.
     """
 
     def __init__(self, link: BaseLink) -> None:
@@ -159,6 +160,7 @@ class RouteTable(Extension):
         self.superseded: dict[str, Topic] = {}
         self.listed: set[Identity] = set()
         self.on_removed: Callable[[Route], None] = lambda _: None
+        self.compare_types: CompareTypes = unknown_difference
         self._context = link.context
         self._link = link
         self._refused: dict[str, str] = {}
@@ -206,6 +208,8 @@ class RouteTable(Extension):
         half = _half_of(proposal, is_client=self._link.is_client)
         route = self._link.routes[key] = half(self._context, self._link, spec, proposal, proposed_here=proposed_here)
         allow_rate(route, self._link)
+        if isinstance(route, IncomingRoute):
+            route.compare_types = self.compare_types
         if proposed_here:
             self.listed.add(spec.identity)
             self._context.demands.changed()

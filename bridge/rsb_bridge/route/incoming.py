@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter, deque
 from functools import partial
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING, ClassVar, TypeAlias
 
 import msgspec
 import zstandard
@@ -17,6 +17,7 @@ from rsb_bridge.model.qos import incompatible, match_subscriptions
 from rsb_bridge.model.snapshot import Ledger, Level, State
 from rsb_bridge.model.text import sanitize_text
 from rsb_bridge.model.verdict import Cause
+from rsb_bridge.model.wording import Wording
 from rsb_bridge.ros.ros_graph import type_hint
 from rsb_bridge.ros.ros_interface import RosError
 from rsb_bridge.route.age import EXPIRED
@@ -75,6 +76,14 @@ def _with_latencies(
     return msgspec.structs.replace(before, **{name: getattr(report, name) for name in _LATENCIES})
 
 
+class TypeClash(Wording):
+    """The reasons why the type that the other side sends can't be published here."""
+
+    NOT_AGREED = "the other side sends {there}, though {agreed} was agreed on: correct the type"
+    VERSIONS = "{type} differs between the two sides ({difference}): install the same version on both"
+    HASHES = "{there} there, {here} here"
+
+
 class _NotPublishedError(Exception):
     """A message that arrived is not published, and operators need not know. Its text is the cause in the ledger."""
 
@@ -93,14 +102,29 @@ _FAILURES: dict[type[Exception], tuple[str, EventCode]] = {
 _CAUGHT: tuple[type[Exception], ...] = (_NotPublishedError, *_FAILURES)
 
 
+CompareTypes: TypeAlias = "Callable[[int, str, str, Callable[[str], None]], None]"
+"""Tells how the other side's version of a type differs from the installed one, now or in some seconds: takes the id of
+the route, the type's name, its hash there, and a function to be called with the difference, or with an empty string."""
+
+
+def unknown_difference(_route_id: int, _type_name: str, _type_hash: str, tell: Callable[[str], None]) -> None:
+    """Tell at once that nobody can be asked."""
+    tell("")
+
+
 class IncomingRoute(TopicRoute[ReceivingChannel]):
-    """Publishes here what the peer sends."""
+    """Publishes here what the peer sends.
+
+    Attributes:
+        compare_types: asks the other side how its version of a type differs.
+    """
 
     peer_report = SentReport
     outgoing: ClassVar[bool] = False
 
     def __init__(self, context: Context, peer: Owner, spec: Topic, proposal: Propose, *, proposed_here: bool) -> None:
         super().__init__(context, peer, spec, proposal, proposed_here=proposed_here)
+        self.compare_types: CompareTypes = unknown_difference
         self._outputs = SourcePublishers(context, peer, self._failed_later)
         self._unpacker = Unpacker(peer.budget.expansion, context)
         self.check = MessageCheck(context, peer.budget.checks)
@@ -143,8 +167,7 @@ class IncomingRoute(TopicRoute[ReceivingChannel]):
         first = not self.life.described
         if not self.life.take(Event.DESCRIBE):
             return
-        if clash := self._type_clash(description):
-            self._refuse_type(clash)
+        if not self._agrees(description):
             return
         type_and_qos = (description.type, description.type_hash, description.qos)
         if (self.type_name, self.type_hash, self.qos) != type_and_qos:
@@ -177,17 +200,24 @@ class IncomingRoute(TopicRoute[ReceivingChannel]):
             return None  # another one has openings of the same ids
         return self._before[1]
 
-    def _type_clash(self, description: Describe) -> str:
+    def _agrees(self, description: Describe) -> bool:
+        """Whether the described type may be published here; otherwise refuse the route, now or once it is known why."""
         agreed = full_type(self.proposal.type)
         if agreed and description.type != agreed:  # arming may depend on the type
-            return f"the other side sends {description.type}, though {agreed} was agreed on: correct the type"
+            self._refuse_type(TypeClash.NOT_AGREED(there=description.type, agreed=agreed))
+            return False
         installed = self.context.ros.installed_hash(description.type)
-        if installed and installed != description.type_hash:
-            return (
-                f"{description.type} differs between the two sides ({description.type_hash} there, {installed} here): "
-                "install the same version on both"
-            )
-        return ""
+        if not installed or installed == description.type_hash:
+            return True
+        opening = self.id
+
+        def refuse(difference: str) -> None:
+            if self.id == opening:
+                hashes = TypeClash.HASHES(there=description.type_hash, here=installed)
+                self._refuse_type(TypeClash.VERSIONS(type=description.type, difference=difference or hashes))
+
+        self.compare_types(opening, description.type, description.type_hash, refuse)
+        return False
 
     def _refuse_type(self, reason: str) -> None:
         route_id = self.id

@@ -1,0 +1,84 @@
+"""How versions of a message type differ, in words and by codes."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from rsb_bridge.cdr.description import Field, FieldType, MessageType, TypeDescription, text_of
+from rsb_bridge.cdr.type_difference import TypeDifference, difference, difference_of_texts, type_text
+
+FLOAT, STRING, INT = FieldType(10, 0, 0, ""), FieldType(17, 0, 0, ""), FieldType(6, 0, 0, "")
+POINT = FieldType(1, 0, 0, "a_msgs/msg/Point")
+
+
+def described(*fields: tuple[str, FieldType], **others: tuple[tuple[str, FieldType], ...]) -> TypeDescription:
+    """A type and those that it refers to."""
+
+    def message(name: str, of: tuple[tuple[str, FieldType], ...]) -> MessageType:
+        return MessageType(f"a_msgs/msg/{name}", tuple(Field(*each) for each in of))
+
+    return TypeDescription(message("A", fields), tuple(message(*each) for each in others.items()))
+
+
+@pytest.mark.parametrize(
+    ("here", "there", "expected"),
+    [
+        (
+            described(("x", FLOAT)),
+            described(("x", FLOAT), ("v", FLOAT)),
+            ("ONLY_THERE", {"field": "v", "type": "float32"}),
+        ),
+        (
+            described(("x", FLOAT), ("v", STRING)),
+            described(("x", FLOAT)),
+            ("ONLY_HERE", {"field": "v", "type": "string"}),
+        ),
+        (
+            described(("x", FLOAT)),
+            described(("x", INT)),
+            ("OTHER_TYPE", {"field": "x", "there": "int32", "here": "float32"}),
+        ),
+        (described(("x", FLOAT), ("y", INT)), described(("y", INT), ("x", FLOAT)), ("ORDER", {"type": "a_msgs/msg/A"})),
+        (
+            described(("p", POINT), Point=(("x", FLOAT),)),
+            described(("p", POINT), Point=(("x", INT),)),
+            ("OTHER_TYPE", {"field": "Point.x", "there": "int32", "here": "float32"}),
+        ),
+        (described(("p", POINT), Point=()), described(("p", POINT)), ("NO_FIELD", {})),
+    ],
+)
+def test_the_field_is_named(
+    here: TypeDescription, there: TypeDescription, expected: tuple[str, dict[str, Any]]
+) -> None:
+    code, parameters = expected
+    assert difference(here, there) == TypeDifference[code](**parameters)
+    assert difference_of_texts(text_of(here), text_of(there)) == difference(here, there)
+
+
+def test_many_differences_are_counted_and_a_peers_names_are_harmless() -> None:
+    there = described(*((f"f{number}\x1b[31m" + "x" * 200, FLOAT) for number in range(50)))
+    text = difference(described(("x", FLOAT)), there)
+    assert "\x1b" not in text
+    assert len(text) < 400
+    assert text.endswith("and 48 more")
+
+
+def test_what_is_no_description_differs_in_no_field() -> None:
+    assert difference_of_texts("{}", text_of(described())) == ""
+
+
+@pytest.mark.parametrize(
+    ("kind", "text"),
+    [
+        (FieldType(10 + 48, 9, 0, ""), "float32[9]"),
+        (FieldType(3 + 96, 16, 0, ""), "uint8[<=16]"),
+        (FieldType(1 + 144, 0, 0, "a_msgs/msg/Point"), "a_msgs/msg/Point[]"),
+        (FieldType(21, 0, 10, ""), "string<=10"),
+        (FieldType(0, 0, 0, ""), "unknown"),
+        (FieldType(255, 0, 0, ""), "unknown"),
+    ],
+)
+def test_types_as_message_files_write_them(kind: FieldType, text: str) -> None:
+    assert type_text(kind) == text
