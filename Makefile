@@ -15,7 +15,7 @@ unexport PYTHONDONTWRITEBYTECODE
 export ROS_AUTOMATIC_DISCOVERY_RANGE := LOCALHOST
 export OTHER_PYTHON
 
-.PHONY: demo demo-fleet test test-all test-kilted on-kilted test-quick test-wire test-pure test-simulation quick-lint lint bench soak fuzz lock screenshots man texts clean system
+.PHONY: dist demo demo-fleet test test-all test-kilted on-kilted test-quick test-wire test-pure test-simulation quick-lint lint bench soak fuzz lock screenshots man texts clean system
 
 demo: $(STAMP)
 	$(BIN)/rsb-console demo
@@ -29,6 +29,7 @@ demo-fleet: $(STAMP)
 #   make test        lint and all tests but those that make test-all adds
 #   make test-all    these, tests that are marked as long, simulated networks (tests/network), and a machine with the real
 #                    kernel's Bluetooth (tests/bluetooth, tests/README.md)
+#   make test-release wheel and source distribution, installed with hashes into bare environments (part of test-all)
 #   make test-kilted what touches ROS, on ROS 2 Kilted, and bridges between Kilted and Jazzy
 #   make test-quick  lint without mypy, and what is tested without ROS, processes and screens
 #   make test-link   one folder, long tests included
@@ -39,7 +40,7 @@ LONGEST := engine.1 engine.2 engine.3 engine.4 engine.5 engine.6 engine.7 engine
 PURE := cdr channel config fleet fuzz history model route
 QUICK := $(PURE) wire
 COMPUTING := lint test-simulation test-wire test-pure
-ALONE := network bluetooth
+ALONE := network bluetooth release
 ON_KILTED := $(filter engine.% calls.% system.%,$(LONGEST)) ros distributions
 FOLDERS := $(sort $(patsubst tests/%/,%,$(dir $(wildcard tests/*/test_*.py))))
 REST := $(filter-out $(sort $(basename $(LONGEST))) simulation wire $(PURE) $(ALONE) distributions,$(FOLDERS))
@@ -105,6 +106,13 @@ soak: $(STAMP)
 fuzz: SECONDS ?= 300
 fuzz: $(STAMP)
 	$(BIN)/python -m tests.fuzz --seconds $(SECONDS)
+
+# Wheel and source distribution. Two builds of one commit are the same, byte by byte.
+RELEASE := build/release
+dist:
+	[ -x $(RELEASE)/bin/hatchling ] || { $(PYTHON) -m venv $(RELEASE) && $(RELEASE)/bin/pip install --quiet --disable-pip-version-check hatchling; }
+	rm -rf dist
+	SOURCE_DATE_EPOCH=$$(git log -1 --format=%ct) $(RELEASE)/bin/hatchling build -d dist
 
 # The versions and hashes of all that is installed, for every Python and machine at once (docs/install.md).
 LOCK := build/lock
