@@ -71,6 +71,15 @@ async def in_network(router: Router, service: str = "server", *watched: str) -> 
         network.close()
 
 
+async def known_stranger(router: Router, server: Endpoint) -> Any:
+    """A stranger whose router knows where the endpoint is: it drops what comes before."""
+    other = stranger(router)
+    publisher = other.declare_publisher(f"{ROOT}/fleet/at/{server.address}/{NOBODY}/{NOBODY}")
+    await until(lambda: publisher.matching_status.matching)
+    publisher.undeclare()
+    return other
+
+
 class End:
     """A stream's end that keeps what comes."""
 
@@ -137,7 +146,7 @@ def test_keys_that_no_endpoint_makes_are_passed_over(router: Router, sender: str
         async with in_network(router) as server:
             asked: list[str] = []
             server.on_stream = lambda who, which, _: _kept(asked, who)
-            other = stranger(router)
+            other = await known_stranger(router, server)
             at = f"{ROOT}/fleet/at/{server.address}"
             other.put(f"{at}/{sender}/{stream}", b"x", attachment=Header(Kind.DATA, 0, 0).pack())
             other.put(f"{at}/{NOBODY}/{NOBODY}", b"x", attachment=Header(Kind.DATA, 0, 0).pack())
@@ -156,7 +165,7 @@ def test_attachments_that_are_none_of_ours_are_passed_over(router: Router, attac
         async with in_network(router) as server:
             asked: list[str] = []
             server.on_stream = lambda who, which, _: _kept(asked, which)
-            other = stranger(router)
+            other = await known_stranger(router, server)
             at = f"{ROOT}/fleet/at/{server.address}/{NOBODY}"
             other.put(f"{at}/{'1' * 16}", b"x", attachment=attachment)
             other.put(f"{at}/{'2' * 16}", b"x", attachment=Header(Kind.DATA, 0, 0).pack())
@@ -174,7 +183,7 @@ def test_samples_of_a_stream_that_is_over_are_answered_and_begin_nothing(router:
         async with in_network(router) as server:
             asked: list[str] = []
             server.on_stream = lambda who, which, _: _kept(asked, which)
-            other = stranger(router)
+            other = await known_stranger(router, server)
             ends: list[Any] = []
             other.declare_subscriber(f"{ROOT}/fleet/at/{NOBODY}/*/*", ends.append)
             key = f"{ROOT}/fleet/at/{server.address}/{NOBODY}/{NOBODY}"
@@ -226,7 +235,7 @@ def test_a_long_sample_of_a_stranger_is_neither_copied_nor_queued(router: Router
         async with in_network(router) as server:
             asked: list[str] = []
             server.on_stream = lambda who, which, _: _kept(asked, which)
-            other = stranger(router)
+            other = await known_stranger(router, server)
             at = f"{ROOT}/fleet/at/{server.address}/{NOBODY}"
             header = Header(Kind.DATA, 0, number).pack()
             other.put(f"{at}/{'1' * 16}", bytes(STRANGER_LIMIT + 1), attachment=header)
