@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import os
 import struct
+import threading
 from typing import TYPE_CHECKING, Any
 
 import pytest
@@ -14,7 +15,7 @@ from tests.support.wording import pattern
 
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.ros import participant, raw_types, self_test, topic_endpoints
-from rsb_bridge.ros.distribution import described
+from rsb_bridge.ros.distribution import described, package_of
 from rsb_bridge.ros.known_messages import STRING, stamped_string
 from rsb_bridge.ros.native import extension, librcl
 from rsb_bridge.ros.ros_interface import RosError, RosProblem
@@ -31,7 +32,7 @@ _TYPE_HASH = "RIHS01_" + "12" * 32
 
 def found_anew(monkeypatch: pytest.MonkeyPatch) -> Findings:
     """Test again, and have new nodes go by the result."""
-    found = findings.__wrapped__()
+    found = self_test.test()
     for module in (participant, raw_types):
         monkeypatch.setattr(module, "findings", lambda: found)
     return found
@@ -84,7 +85,7 @@ def test_another_layout_of_what_a_message_tells_is_refused_in_words(
     """Without a message's publisher, a bridge would take its own messages for others'."""
     monkeypatch.setattr(topic_endpoints, "MESSAGE_INFO", struct.Struct(layout))
     with pytest.raises(RosError, match=pattern(RosProblem.LACKS, name="rmw_message_info_t")):
-        findings.__wrapped__()
+        self_test.test()
 
 
 def test_calls_that_do_not_cross_leave_messages_alone(
@@ -99,6 +100,26 @@ def test_calls_that_do_not_cross_leave_messages_alone(
     node.serve("/set", SET, "", lambda _: None)
 
 
+def test_without_std_msgs_installed_types_cross(
+    monkeypatch: pytest.MonkeyPatch, open_node: Callable[..., RosNode]
+) -> None:
+    monkeypatch.setattr(self_test, "installed_class", lambda _: None)
+    found = found_anew(monkeypatch)
+    assert found.shortfalls == (RosProblem.NO_STRINGS(package=package_of("std_msgs")),)
+    open_node().advertise("/chatter", STRING, "", Qos(), "link")
+
+
+def test_nodes_that_start_at_once_leave_the_environment_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    monkeypatch.setattr(self_test, "_findings", self_test.test)
+    starting = [threading.Thread(target=findings) for _ in range(4)]
+    for each in starting:
+        each.start()
+    for each in starting:
+        each.join()
+    assert os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] == "LOCALHOST"
+
+
 def test_a_missing_function_is_named() -> None:
     function = librcl._function("rcl_no_such_function")
     with pytest.raises(RosError, match=pattern(RosProblem.LACKS, name="rcl_no_such_function")):
@@ -109,5 +130,5 @@ def test_a_missing_function_is_named() -> None:
 
 def test_the_environment_is_as_before(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
-    findings.__wrapped__()
+    self_test.test()
     assert os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] == "LOCALHOST"

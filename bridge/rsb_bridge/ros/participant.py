@@ -90,10 +90,9 @@ class Participant:
         """
         if domain_id not in DOMAIN:
             raise RosError(RosProblem.NO_SUCH_DOMAIN(domain=domain_id, domains=DOMAIN))
-        self._context = Context()
+        found, self._context = findings(), Context()
         try:
             self._context.init(ARGUMENTS, domain_id=domain_id)
-            found = findings()
             self._node = found.node(node_name, self._context)
         except RuntimeError as error:
             self._context.try_shutdown()
@@ -151,7 +150,7 @@ class Participant:
     def ask_description(
         self, node: str, type_name: str, type_hash: str, still_wanted: Callable[[], bool]
     ) -> str | None:
-        """Ask another node for the description of a type, see `rsb_bridge.ros.rosidl_descriptions.ask_node`.
+        """Ask another node for the description of a type, see `rsb_bridge.ros.native.rosidl_descriptions.ask_node`.
 
         Raises:
             RosError: rcl failed.

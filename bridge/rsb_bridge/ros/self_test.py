@@ -107,13 +107,18 @@ class _DiffersError(Exception):
     """A message, a call or a struct differs from the expected one; the text names the struct."""
 
 
-@cache
 def findings() -> Findings:
-    """Return the result of the test.
+    """Return the result of the test, which the first call in this process makes.
 
     Raises:
         RosError: something is missing without which nothing can be bridged.
     """
+    with _testing:  # a test changes the environment
+        return _findings()
+
+
+def test() -> Findings:
+    """Test now; errors as `findings`."""
     with _alone() as context:
         try:
             return _found(ExtensionNode, context)
@@ -122,9 +127,17 @@ def findings() -> Findings:
             return _found(PublicNode, context)._replace(public_only=public_only)
 
 
+_testing = threading.Lock()
+_findings = cache(test)
+
+
 def _found(node: Callable[[str, Context], OwnNode], context: Context) -> Findings:
-    middleware = get_rmw_implementation_identifier()
-    _try(node, context, _messages_cross, _string())
+    middleware, string = get_rmw_implementation_identifier(), installed_class(STRING)
+    if string is None:  # nothing to test with, and nothing to make other types of
+        reason = RosProblem.NO_STRINGS(package=package_of("std_msgs"))
+        return Findings(node, middleware, "", reason, reason)
+    type_support_of(string)  # which loads it
+    _try(node, context, _messages_cross, string)
     if middleware != FAST_DDS:  # another one would look for what these type supports do not have
         reason = Shortfall.ANOTHER_MIDDLEWARE(middleware=middleware)
         return Findings(node, middleware, "", reason, reason)
@@ -154,14 +167,6 @@ def _alone() -> Iterator[Context]:
                 os.environ[name] = value
         context.try_shutdown()
         context.destroy()
-
-
-def _string() -> type:
-    found = installed_class(STRING)
-    if found is None:
-        raise RosError(RosProblem.NO_STRINGS(package=package_of("std_msgs")))
-    type_support_of(found)  # which loads it
-    return found
 
 
 def _why_not(
