@@ -78,7 +78,9 @@ class Link(BaseLink):
         self.proposed = ProposedTopics(self, self.table)
         self.patterns = self.extend(LinkPatterns(self, self.table, self.proposed))
         self.topic_lists = self.extend(TopicLists(context.ros, self.shows, self.send, self.spawn))
-        self.type_questions = self.extend(TypeQuestions(context, self.ids.open_route, self.send, self.spawn))
+        self.type_questions = self.extend(
+            TypeQuestions(context.descriptions, self.ids.open_route, self.send, self.spawn)
+        )
         self.table.compare_types = self.type_questions.compare
         self.bench = self.extend(LinkBench(self, self.table, self.proposed))
         context.demands.register(self)

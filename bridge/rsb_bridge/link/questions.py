@@ -30,10 +30,10 @@ from rsb_bridge.wire.records import TopicEntry
 if TYPE_CHECKING:
     from collections.abc import Awaitable, Callable, Coroutine, Iterator, Sequence
 
-    from rsb_bridge.context import Context
     from rsb_bridge.link.control_channel import Slices
     from rsb_bridge.model.session import Kind
     from rsb_bridge.ros.ros_interface import RosInterface
+    from rsb_bridge.ros.type_descriptions import TypeDescriptions
     from rsb_bridge.route.route import Route
     from rsb_bridge.wire.messages import ControlMessage
 
@@ -158,7 +158,7 @@ class TypeQuestions(Extension):
     """Asks the peer for descriptions of routes' types, and answers the same questions.
 
     Args:
-        context: has the descriptions that this side knows.
+        known: descriptions that this side knows.
         open_route: returns the open route with an id.
         send: sends a control message.
         spawn: runs a coroutine as a task.
@@ -166,13 +166,12 @@ class TypeQuestions(Extension):
 
     def __init__(
         self,
-        context: Context,
+        known: TypeDescriptions,
         open_route: Callable[[int], Route | None],
         send: Callable[[ControlMessage], None],
         spawn: Callable[[Coroutine[None, None, None]], object],
     ) -> None:
-        self._known = context.descriptions
-        self._installed = context.ros.installed_description
+        self._known = known
         self._spawn = spawn
         self._open_route = open_route
         self.messages = {AskType: self._asked, TypeText: self._answered}
@@ -215,7 +214,7 @@ class TypeQuestions(Extension):
 
     def compare(self, route_id: int, type_name: str, type_hash: str, tell: Callable[[str], None]) -> None:
         """Implement `rsb_bridge.route.incoming.CompareTypes`."""
-        here = self._installed(type_name)
+        here = self._known.installed(type_name)
         if here is None:
             tell("")
             return

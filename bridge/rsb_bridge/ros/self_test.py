@@ -57,7 +57,8 @@ ARGUMENTS = ["--ros-args", "--disable-rosout-logs", "--disable-stdout-logs", "--
 FAST_DDS = "rmw_fastrtps_cpp"
 
 _DOMAIN = 101
-_ALONE = {"ROS_AUTOMATIC_DISCOVERY_RANGE": "OFF"}
+_ALONE = {"ROS_AUTOMATIC_DISCOVERY_RANGE": "OFF", "FASTDDS_BUILTIN_TRANSPORTS": "UDPv4"}
+"""No discovery, and no shared memory, for which processes that test at the same time would compete."""
 _QOS = Qos("reliable", "volatile", "keep_last", 5)
 _NAME = "/rsb_self_test"
 _HASH = HASH_PREFIX + 32 * "5a"

@@ -61,6 +61,10 @@ class TypeDescriptions:
             self._texts[type_hash] = text
         return text
 
+    def installed(self, type_name: str) -> str | None:
+        """Return the text of an installed type's description, or None if it is not installed."""
+        return self._ros.installed_description(type_name)
+
     async def find(self, type_name: str, type_hash: str, topic: str) -> str | None:
         """The text of a type's description: as installed here, or as announced by a node that uses the type on a topic.
 

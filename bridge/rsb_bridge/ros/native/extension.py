@@ -17,6 +17,7 @@ from rsb_bridge.model.limits import TEXT_LENGTH
 from rsb_bridge.model.qos import Qos, clamp_qos
 from rsb_bridge.model.text import sanitize_text
 from rsb_bridge.ros.distribution import described
+from rsb_bridge.ros.native.librcl import reset_error
 from rsb_bridge.ros.native.typesupport import HASH_PREFIX
 from rsb_bridge.ros.ros_interface import Endpoint, RosError, RosProblem
 
@@ -218,6 +219,7 @@ class Handle:
             give_back: called when nothing uses its type any more.
             entities: held while its participant's endpoints are created or freed.
         """
+        reset_error()  # from Kilted on, one is set after a type without fields, and rcl would write to the terminal
         self.rclpy = entity.rclpy
         self.address: int = entity.rclpy.pointer
         self._entity = entity
