@@ -5,6 +5,7 @@ from __future__ import annotations
 import fcntl
 import os
 import resource
+import shlex
 import shutil
 import socket
 from typing import TYPE_CHECKING, Any
@@ -119,6 +120,18 @@ def test_a_full_disk_and_a_foreign_folder(tmp_path: Path, monkeypatch: pytest.Mo
     monkeypatch.setattr(os, "access", lambda *_: False)
     (finding,) = found("disk", tmp_path)
     assert (finding.grade, str(tmp_path) in finding.remedy) == (Grade.WARNING, True)
+
+
+def test_no_remedy_takes_a_folder_above_the_missing_one_from_its_owner(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A service's user may have a home that does not exist: the nearest folder that does is ``/``."""
+    monkeypatch.setattr(os, "access", lambda *_: False)
+    folder = tmp_path / "missing home" / "rsb-console"
+    (finding,) = found("disk", tmp_path, {"STATE_DIRECTORY": str(folder)})
+    command = shlex.split(finding.remedy, comments=True)
+    assert (finding.grade, command[-1]) == (Grade.WARNING, str(folder))
+    assert "chown" not in command
 
 
 def test_missing_extras_are_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1,6 +1,7 @@
 """Findings about a machine: Python, memory, network, clock, files and radio.
 
-Nothing leaves the machine: the packets of the multicast test have a lifetime (TTL) of 0.
+Nothing leaves the machine: the packets of the multicast test have a lifetime (TTL) of 0, and their group is the one
+that hosts do not report to routers (RFC 3376, section 5). To join DDS's own sends a report.
 """
 
 from __future__ import annotations
@@ -20,6 +21,7 @@ import time
 from functools import partial
 from importlib.metadata import version
 from pathlib import Path
+from shlex import quote
 from typing import TYPE_CHECKING
 
 from rsb_bridge.doctor.finding import Check, Finding, Grade
@@ -37,8 +39,7 @@ _FEW_DESCRIPTORS = 4096
 _NOT_SYNCHRONIZED = 5  # adjtimex: TIME_ERROR
 _TIMEX = 208  # bytes of a struct timex on 64 bits, and more than on 32
 _MAX_ERROR = struct.Struct("@Illl")  # modes, offset, freq, maxerror (µs)
-_GROUP = "239.255.0.1"
-"""The multicast group of DDS's discovery (DDSI-RTPS 2.5, 9.6.1.4)."""
+_GROUP = "224.0.0.1"
 _IFF_UP, _IFF_LOOPBACK, _IFF_MULTICAST = 0x1, 0x8, 0x1000
 _SIOCGIFFLAGS = 0x8913
 _ANSWERS_WITHIN = 2.0  # s
@@ -90,7 +91,7 @@ class MachineText(Wording):
     DISK_LITTLE = "only {free:,} MB are free for the history and events in {folder}"
     DISK_REMEDY = "make room, or set XDG_STATE_HOME to another folder"
     FOLDER_NOT_WRITABLE = "{folder} is not writable: there will be no history after a restart"
-    FOLDER_REMEDY = "sudo chown $USER {folder}, or set XDG_STATE_HOME to another folder"
+    FOLDER_REMEDY = "sudo install -d -m 700 -o $(id -un) {folder}  # or set XDG_STATE_HOME to another folder"
 
 
 def checks(environ: Mapping[str, str], root: Path = Path("/")) -> tuple[Check, ...]:
@@ -291,7 +292,8 @@ def _disk(folder: Path) -> Iterator[Finding]:
     facts = {"folder": str(folder), "free": free}
     megabytes = free // _MEGABYTE
     if not os.access(existing, os.W_OK):
-        text, remedy = MachineText.FOLDER_NOT_WRITABLE(folder=existing), MachineText.FOLDER_REMEDY(folder=existing)
+        text = MachineText.FOLDER_NOT_WRITABLE(folder=existing)
+        remedy = MachineText.FOLDER_REMEDY(folder=quote(str(folder)))
         yield Finding("disk", Grade.WARNING, "disk", text, remedy, facts)
     elif free < _LITTLE_DISK:
         text = MachineText.DISK_LITTLE(free=megabytes, folder=folder)
