@@ -7,6 +7,7 @@ import sys
 from typing import TYPE_CHECKING
 
 import pytest
+from tests.support.wording import says
 
 from rsb_bridge.doctor import ros_setup
 from rsb_bridge.doctor.finding import Finding, Grade, examine
@@ -84,6 +85,13 @@ def test_the_environment(environ: dict[str, str], grades: list[Grade]) -> None:
     assert [each.grade for each in findings] == grades
     assert all(each.remedy for each in findings if each.grade != Grade.OK)
     assert findings[0].facts == environ
+
+
+def test_a_sessions_own_domain_counts_more_than_the_environments() -> None:
+    checks = ros_setup.checks({"ROS_DOMAIN_ID": "five"}, own_domain=3)
+    (finding,) = examine(check for check in checks if check.code == "ros_domain")
+    assert finding.grade == Grade.OK
+    assert says(finding.text, ros_setup.RosText.DOMAIN, domain=3)
 
 
 def test_a_profile_that_exists(tmp_path: Path) -> None:

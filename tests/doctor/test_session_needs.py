@@ -2,19 +2,25 @@
 
 from __future__ import annotations
 
+import os
 import socket
 from typing import TYPE_CHECKING, Any
 
 import pytest
+from tests.console.scripted import ScriptedEngine
 from tests.support.ports import free_port
+from tests.support.wording import says
 
 from rsb_bridge.config.keys import write_key
 from rsb_bridge.doctor import session_needs
 from rsb_bridge.doctor.finding import Finding, Grade, examine
-from rsb_bridge.model.session import Session, Topic
+from rsb_bridge.model.session import Operator, Session, Topic
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
     from pathlib import Path
+
+    from tests.support.control import Machine
 
 
 def session(**changes: Any) -> Session:
@@ -23,9 +29,9 @@ def session(**changes: Any) -> Session:
     return Session(**{**fields, "key_file": "robot1.key", **changes})
 
 
-def found(code: str, of: Session, folder: Path) -> list[Finding]:
+def found(code: str, of: Session, folder: Path, environ: Mapping[str, str] | None = None) -> list[Finding]:
     """The findings of one check."""
-    checks = session_needs.checks(of, folder / "session.yaml", {})
+    checks = session_needs.checks(of, folder / "session.yaml", environ or {"RSB_CONSOLE_ISOLATED": "1"})
     return list(examine(check for check in checks if check.code == code))
 
 
@@ -39,6 +45,31 @@ def test_a_port_that_another_program_has(kind: socket.SocketKind, tmp_path: Path
             other.listen()
         (finding,) = found("ports", server, tmp_path)
     assert (finding.grade, finding.facts["port"]) == (Grade.WARNING, server.server_port)
+
+
+def test_a_port_that_this_sessions_own_bridge_has(tmp_path: Path, machine: Machine) -> None:
+    server = session()
+    machine.serve(ScriptedEngine(), file=tmp_path / "session.yaml")
+    with socket.create_server(("127.0.0.1", server.server_port)):
+        (finding,) = found("ports", server, tmp_path, machine.environ)
+        (of_another_file,) = found("ports", server, tmp_path / "another", machine.environ)
+    assert (finding.grade, of_another_file.grade) == (Grade.OK, Grade.WARNING)
+    assert says(finding.text, session_needs.NeedText.PORT_OWN, pid=os.getpid())
+
+
+def test_a_port_that_another_program_has_over_ipv4_only(tmp_path: Path) -> None:
+    if not socket.has_dualstack_ipv6():
+        pytest.skip("needs IPv6")
+    server = session(server_ip="::")
+    with socket.create_server(("0.0.0.0", server.server_port)):
+        assert [each.grade for each in found("ports", server, tmp_path)] == [Grade.OK], "the bridge can bind it"
+
+
+def test_a_name_is_not_looked_up(tmp_path: Path) -> None:
+    (finding,) = found("ports", session(server_ip="control.invalid"), tmp_path)
+    assert finding.grade == Grade.UNKNOWN
+    assert says(finding.text, session_needs.NeedText.NAME, address="control.invalid")
+    assert [each.grade for each in found("ports", session(server_ip="localhost"), tmp_path)] == [Grade.OK]
 
 
 def test_an_address_of_another_machine(tmp_path: Path) -> None:
@@ -59,6 +90,16 @@ def test_key_files(tmp_path: Path) -> None:
     unencrypted = session(use_encryption=False, key_file=None)
     assert [each.grade for each in found("keys", unencrypted, tmp_path)] == [Grade.OK]
     assert [each.grade for each in found("session", unencrypted, tmp_path)] == [Grade.WARNING]
+
+
+def test_key_files_of_operators(tmp_path: Path) -> None:
+    write_key(tmp_path / "robot1.key")
+    server = session(operators=(Operator("anna", "anna.key", "change"),))
+    of_operator, of_link = found("keys", server, tmp_path)
+    assert (of_operator.grade, of_link.grade) == (Grade.ERROR, Grade.OK)
+    assert "anna.key" in of_operator.text
+    unencrypted = session(use_encryption=False, key_file=None, operators=server.operators)
+    assert [each.grade for each in found("keys", unencrypted, tmp_path)] == [Grade.ERROR]
 
 
 def test_types_that_are_not_installed(tmp_path: Path) -> None:

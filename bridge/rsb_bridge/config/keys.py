@@ -302,6 +302,21 @@ def keys_of(session: Session, base: Path) -> dict[str, tuple[Key, ...]]:
     return {name: tuple(read_key(key_path(base, file)) for file in of_client) for name, of_client in files.items()}
 
 
+def session_keys(session: Session, base: Path) -> Iterator[tuple[str, Key | KeyFileError]]:
+    """Yield each key file that a session needs, its operators' too, with its key or its error.
+
+    Args:
+        session: a server's, or a client's.
+        base: the folder that its key files are relative to.
+    """
+    of_links = chain.from_iterable(key_files_by_client(session).values()) if session.use_encryption else ()
+    for name in dict.fromkeys([*of_links, *(each.key_file for each in session.operators)]):
+        try:
+            yield name, read_key(key_path(base, name))
+        except KeyFileError as error:
+            yield name, error
+
+
 def key_warnings(keys: Mapping[str, tuple[Key, ...]], now: float) -> Iterator[str]:
     """Yield the warnings about the valid keys of each client.
 

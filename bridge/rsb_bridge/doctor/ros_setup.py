@@ -63,16 +63,19 @@ class RosText(Wording):
     PROFILE_REMEDY = "unset {variable}, or correct the path"
 
 
-def checks(environ: Mapping[str, str], self_test: Sequence[str] = _SELF_TEST) -> tuple[Check, ...]:
+def checks(
+    environ: Mapping[str, str], self_test: Sequence[str] = _SELF_TEST, own_domain: int | None = None
+) -> tuple[Check, ...]:
     """Return the checks of ROS.
 
     Args:
         environ: the environment.
         self_test: command that prints what `rsb_bridge.ros.self_test.main` prints.
+        own_domain: the session's `domain_id`, which counts more than ``$ROS_DOMAIN_ID``, or None.
     """
     return (
         Check("ros", "ROS", partial(_ros, environ, self_test)),
-        Check("ros_domain", "ROS domain", partial(_environment, environ)),
+        Check("ros_domain", "ROS domain", partial(_environment, environ, own_domain)),
     )
 
 
@@ -113,8 +116,8 @@ def _ros(environ: Mapping[str, str], self_test: Sequence[str]) -> Iterator[Findi
         yield Finding("ros_limited", Grade.WARNING, "ROS", shortfall, RosText.LIMITED_REMEDY(), facts)
 
 
-def _environment(environ: Mapping[str, str]) -> Iterator[Finding]:
-    value = environ.get("ROS_DOMAIN_ID", "").strip() or "0"
+def _environment(environ: Mapping[str, str], own_domain: int | None) -> Iterator[Finding]:
+    value = (environ.get("ROS_DOMAIN_ID", "").strip() or "0") if own_domain is None else str(own_domain)
     reach = environ.get("ROS_AUTOMATIC_DISCOVERY_RANGE", "") or "SUBNET"
     facts = {name: environ[name] for name in environ if name.startswith("ROS_") or name in _PROFILES}
     finding = partial(Finding, "ros_domain", subject="ROS domain", facts=facts)

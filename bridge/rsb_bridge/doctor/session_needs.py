@@ -7,10 +7,12 @@ import os
 import socket
 import time
 from functools import partial
+from ipaddress import ip_address
 from typing import TYPE_CHECKING
 
 from rsb_bridge.config.advice import advise, uninstalled_types
-from rsb_bridge.config.keys import KeyFileError, key_files_by_client, key_path, key_warnings, read_key
+from rsb_bridge.config.keys import KeyFileError, key_warnings, session_keys
+from rsb_bridge.control.bridges import running_bridges
 from rsb_bridge.doctor.finding import Check, Finding, Grade
 from rsb_bridge.model import transports
 from rsb_bridge.model.wording import Wording
@@ -20,6 +22,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from rsb_bridge.config.keys import Key
+    from rsb_bridge.control.bridges import RunningBridge
     from rsb_bridge.model.session import Session
 
 
@@ -27,9 +30,11 @@ class NeedText(Wording):
     """Findings about a session's needs, and remedies."""
 
     PORT_FREE = "port {port} is free for TCP and UDP"
-    PORT_TAKEN = "port {port} is taken ({protocols}): the bridge runs already, or another program has it"
+    PORT_OWN = "this session's bridge runs, and has port {port} (pid {pid})"
+    PORT_TAKEN = "port {port} is taken ({protocols}): another program has it"
     PORT_REMEDY = "ss -lntup 'sport = :{port}' shows the program"
     PORT_DENIED = "port {port} is refused: {reason}"
+    NAME = "port {port} was not tried: {address} is a name, and to look it up could ask the network"
     ADDRESS_MISSING = "this machine has no address {address}: correct server_ip, or use 0.0.0.0"
     KEYS = "{files} have safe modes"
     NO_KEYS = "the session uses no key"
@@ -44,21 +49,26 @@ def checks(session: Session, path: Path, environ: Mapping[str, str]) -> tuple[Ch
         environ: the environment.
     """
     return (
-        Check("ports", "ports", partial(_ports, session)),
+        Check("ports", "ports", partial(_ports, session, path, environ)),
         Check("keys", "keys", partial(_keys, session, path)),
         Check("session", "session", partial(_advice, session, environ)),
     )
 
 
-def _ports(session: Session) -> Iterator[Finding]:
+def _ports(session: Session, path: Path, environ: Mapping[str, str]) -> Iterator[Finding]:
     if session.role != "server" or not transports.of_link(session.server_ip).ip_ports:
         return
     port, address = session.server_port, session.server_ip
     finding = partial(Finding, "ports", subject="ports", facts={"port": port, "address": address})
+    if not _is_address(address):
+        yield finding(grade=Grade.UNKNOWN, text=NeedText.NAME(port=port, address=address))
+        return
     taken = []
     family = socket.AF_INET6 if ":" in address else socket.AF_INET
     for name, kind in (("TCP", socket.SOCK_STREAM), ("UDP", socket.SOCK_DGRAM)):
         with socket.socket(family, kind) as tried:
+            if family == socket.AF_INET6:
+                tried.setsockopt(socket.IPPROTO_IPV6, socket.IPV6_V6ONLY, 1)  # as the bridge
             if kind == socket.SOCK_STREAM:
                 tried.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)  # connections that just ended do not count
             try:
@@ -72,25 +82,45 @@ def _ports(session: Session) -> Iterator[Finding]:
                     yield finding(grade=Grade.ERROR, text=NeedText.PORT_DENIED(port=port, reason=reason))
                     return
                 taken.append(name)
-    if taken:
+    if taken and (bridge := _own_bridge(path, environ)) is not None:
+        yield finding(grade=Grade.OK, text=NeedText.PORT_OWN(port=port, pid=bridge.pid))
+    elif taken:
         text = NeedText.PORT_TAKEN(port=port, protocols=", ".join(taken))
         yield finding(grade=Grade.WARNING, text=text, remedy=NeedText.PORT_REMEDY(port=port))
     else:
         yield finding(grade=Grade.OK, text=NeedText.PORT_FREE(port=port))
 
 
+def _is_address(host: str) -> bool:
+    """Whether a host is an IP address, or the name that every machine knows."""
+    try:
+        ip_address(host)
+    except ValueError:
+        return host == "localhost"
+    return True
+
+
+def _own_bridge(path: Path, environ: Mapping[str, str]) -> RunningBridge | None:
+    """Return the bridge that runs this session file on this machine."""
+    file = os.path.realpath(path)
+    for bridge in running_bridges(environ):
+        if bridge.info is not None and bridge.info.file and os.path.realpath(bridge.info.file) == file:
+            return bridge
+    return None
+
+
 def _keys(session: Session, path: Path) -> Iterator[Finding]:
     finding = partial(Finding, "keys", subject="keys")
-    files = dict.fromkeys(name for names in key_files_by_client(session).values() for name in names)
-    if not session.use_encryption or not files:
+    found = dict(session_keys(session, path.parent))
+    if not found:
         yield finding(grade=Grade.OK, text=NeedText.NO_KEYS())
         return
     read: dict[str, tuple[Key, ...]] = {}
-    for name in files:
-        try:
-            read[name] = (read_key(key_path(path.parent, name)),)
-        except KeyFileError as error:
-            yield finding(grade=Grade.ERROR, text=str(error))
+    for name, key in found.items():
+        if isinstance(key, KeyFileError):
+            yield finding(grade=Grade.ERROR, text=str(key))
+        else:
+            read[name] = (key,)
     warnings = list(key_warnings(read, time.time()))
     for warning in warnings:
         yield finding(grade=Grade.WARNING, text=warning)

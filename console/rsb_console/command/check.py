@@ -17,10 +17,9 @@ from rsb_bridge.config.keys import (
     KeyFileError,
     fingerprint,
     key_files_by_client,
-    key_path,
     key_users,
     key_warnings,
-    read_key,
+    session_keys,
     shared_key_problem,
     written,
 )
@@ -239,7 +238,7 @@ def check_session(arguments: Namespace) -> int:
         print_line(line)
     for line in chain(rights(session), hints(session)):
         print_line(line)
-    keys = dict(_keys(session, path))
+    keys = dict(session_keys(session, path.parent))
     for line in _key_lines(session, keys):
         print_line(line)
     for warning in chain(_warnings(session, keys), fault_command_warnings(session, path)):
@@ -292,13 +291,3 @@ def _shared_keys(session: Session, keys: Mapping[str, Key | KeyFileError]) -> st
     of_links = {name: [*map(read, of_client)] for name, of_client in files}
     shared = shared_key_problem(session, of_links) if session.role == "server" else ""
     return shared or operator_key_problem({each.name: read(each.key_file) for each in session.operators}, of_links)
-
-
-def _keys(session: Session, path: Path) -> Iterator[tuple[str, Key | KeyFileError]]:
-    """Yield each key file that a session needs, with its key or its error."""
-    of_links = chain.from_iterable(key_files_by_client(session).values()) if session.use_encryption else ()
-    for name in dict.fromkeys([*of_links, *(each.key_file for each in session.operators)]):
-        try:
-            yield name, read_key(key_path(path.parent, name))
-        except KeyFileError as error:
-            yield name, error

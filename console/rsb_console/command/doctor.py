@@ -43,12 +43,13 @@ def run_doctor(path: Path | None, more: Iterable[Check], *, as_json: bool) -> in
         more: further checks.
         as_json: whether to print JSON.
     """
-    checks = [*ros_setup.checks(os.environ), *machine.checks(os.environ), *more]
-    if path is not None:
-        try:
-            session = load(path)
-        except SessionError as error:
-            return print_mistakes(error)
+    try:
+        session = None if path is None else load(path)
+    except SessionError as error:
+        return print_mistakes(error)
+    own_domain = None if session is None else session.domain_id
+    checks = [*ros_setup.checks(os.environ, own_domain=own_domain), *machine.checks(os.environ), *more]
+    if session is not None and path is not None:
         checks += session_needs.checks(session, path, os.environ)
     found = list(examine(checks))
     if as_json:
