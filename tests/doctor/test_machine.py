@@ -1,4 +1,4 @@
-"""What `rsb-console doctor` finds out about a machine: real files in place of ``/proc``, ``/sys`` and ``/dev/shm``."""
+"""What `rsb-console doctor` finds out about a machine: real files in place of ``/sys`` and ``/dev/shm``."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ import pytest
 from rsb_bridge.doctor import machine
 from rsb_bridge.doctor.finding import Check, Finding, Grade, examine, worst
 from rsb_bridge.transport.transport import RECEIVE_BUFFER
+from rsb_bridge.transport.udp import enlarge_buffers
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -30,18 +31,21 @@ def grades(findings: list[Finding]) -> list[tuple[str, Grade]]:
     return [(each.code, each.grade) for each in findings]
 
 
-@pytest.mark.parametrize(
-    ("given", "grade"), [(212_992, Grade.WARNING), (RECEIVE_BUFFER, Grade.OK), (None, Grade.UNKNOWN)]
-)
-def test_what_a_udp_socket_may_hold(given: int | None, grade: Grade, tmp_path: Path) -> None:
-    folder = tmp_path / "proc/sys/net/core"
-    folder.mkdir(parents=True)
-    if given is not None:
-        (folder / "rmem_max").write_text(f"{given}\n")
+@pytest.mark.parametrize(("given", "grade"), [(212_992, Grade.WARNING), (RECEIVE_BUFFER, Grade.OK)])
+def test_what_a_udp_socket_may_hold(given: int, grade: Grade, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(machine, "granted_receive_buffer", lambda _: given)
     (finding,) = found("udp_buffers", tmp_path)
     assert finding.grade == grade
-    assert finding.facts.get("rmem_max") == given
+    assert finding.facts["given"] == given
     assert (str(RECEIVE_BUFFER) in finding.remedy) == (grade == Grade.WARNING)
+
+
+def test_a_udp_socket_is_asked_as_the_bridge_asks_it(tmp_path: Path) -> None:
+    """Root, and a process with CAP_NET_ADMIN, get more than net.core.rmem_max."""
+    with socket.socket(type=socket.SOCK_DGRAM) as asking:
+        enlarge_buffers(asking)
+        (finding,) = found("udp_buffers", tmp_path)
+        assert finding.facts["given"] == asking.getsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF) // 2
 
 
 def test_files_of_killed_programs_are_counted_and_those_of_running_ones_are_not(

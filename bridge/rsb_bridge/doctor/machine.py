@@ -28,6 +28,7 @@ from rsb_bridge.doctor.finding import Check, Finding, Grade
 from rsb_bridge.history.state_folder import state_folder
 from rsb_bridge.model.wording import Wording
 from rsb_bridge.transport.transport import RECEIVE_BUFFER
+from rsb_bridge.transport.udp import enlarge_buffers, granted_receive_buffer
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
@@ -99,13 +100,13 @@ def checks(environ: Mapping[str, str], root: Path = Path("/")) -> tuple[Check, .
 
     Args:
         environ: the environment.
-        root: in place of ``/`` for ``/proc``, ``/sys`` and ``/dev/shm``.
+        root: in place of ``/`` for ``/sys`` and ``/dev/shm``.
     """
     return (
         Check("program", "program", _program),
         Check("extras", "extras", _extras),
         Check("shared_memory", "shared memory", partial(_shared_memory, root / "dev/shm")),
-        Check("udp_buffers", "UDP buffers", partial(_udp_buffers, root)),
+        Check("udp_buffers", "UDP buffers", _udp_buffers),
         Check("multicast", "multicast", _multicast),
         Check("firewall", "firewall", _firewall),
         Check("clock", "clock", _clock),
@@ -176,9 +177,12 @@ def _is_left_over(path: Path) -> bool:
     return True
 
 
-def _udp_buffers(root: Path) -> Iterator[Finding]:
-    given = int((root / "proc/sys/net/core/rmem_max").read_text())
-    facts = {"rmem_max": given, "wanted": RECEIVE_BUFFER}
+def _udp_buffers() -> Iterator[Finding]:
+    """Ask for the buffer as the bridge does. net.core.rmem_max does not limit root, and containers may not show it."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as asking:
+        enlarge_buffers(asking)
+        given = granted_receive_buffer(asking)
+    facts = {"given": given, "wanted": RECEIVE_BUFFER}
     if given < RECEIVE_BUFFER:
         text, remedy = MachineText.BUFFERS_SMALL(given=given), MachineText.BUFFERS_REMEDY(wanted=RECEIVE_BUFFER)
         yield Finding("udp_buffers", Grade.WARNING, "UDP buffers", text, remedy, facts)

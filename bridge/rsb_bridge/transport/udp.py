@@ -63,8 +63,7 @@ class UdpSocket:
 
     def __init__(self, sock: socket.socket, received: Received) -> None:
         sock.setblocking(False)
-        _enlarge(sock, *_SEND_BUFFER, RECEIVE_BUFFER)
-        _enlarge(sock, *_RECEIVE_BUFFER, RECEIVE_BUFFER)
+        enlarge_buffers(sock)
         self._sock = sock
         self._received = received
         self._loop = asyncio.get_running_loop()
@@ -87,10 +86,10 @@ class UdpSocket:
     @property
     def receive_buffer(self) -> int:
         """See `DatagramSocket.receive_buffer`; what the kernel has not granted is asked for again."""
-        granted = self._sock.getsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF) // 2  # it counts its overhead double
+        granted = granted_receive_buffer(self._sock)
         if granted < RECEIVE_BUFFER:
             _enlarge(self._sock, *_RECEIVE_BUFFER, RECEIVE_BUFFER)
-            granted = self._sock.getsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF) // 2
+            granted = granted_receive_buffer(self._sock)
         return granted
 
     def path(self, source: str, address: Address) -> SendPath:
@@ -228,6 +227,17 @@ class Udp(UdpTraits, DatagramTransport):
             sock.close()
             raise
         return UdpSocket(sock, received)
+
+
+def enlarge_buffers(sock: socket.socket) -> None:
+    """Ask the kernel for `RECEIVE_BUFFER` bytes in each direction; it may grant less."""
+    _enlarge(sock, *_SEND_BUFFER, RECEIVE_BUFFER)
+    _enlarge(sock, *_RECEIVE_BUFFER, RECEIVE_BUFFER)
+
+
+def granted_receive_buffer(sock: socket.socket) -> int:
+    """Return the bytes that may wait in a socket. The kernel counts its overhead double."""
+    return sock.getsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF) // 2
 
 
 def _enlarge(sock: socket.socket, forced: int, asked: int, size: int) -> None:
