@@ -29,10 +29,10 @@ def _pythons() -> dict[str, str]:
     return found
 
 
-def _run(*command: str | Path, **how: object) -> subprocess.CompletedProcess[str]:
+def _run(*command: str | Path, check: bool = True, **how: object) -> subprocess.CompletedProcess[str]:
     environ = {name: value for name, value in os.environ.items() if not name.startswith(("PYTHON", "LD_", "_ROS"))}
     return subprocess.run(  # type: ignore[call-overload, no-any-return]
-        command, **{"env": environ, "capture_output": True, "text": True, "timeout": 600, "check": True, **how}
+        command, check=check, **{"env": environ, "capture_output": True, "text": True, "timeout": 600, **how}
     )
 
 

@@ -43,7 +43,7 @@ def test_its_histories_are_the_bridges_own() -> None:
 
 
 def test_fast_dds_takes_the_profile() -> None:
-    environ = os.environ | {memory.profile_variable(): str(_PROFILE)}
+    environ = os.environ | {memory.profile_variable(os.environ): str(_PROFILE)}
     command = [sys.executable, "-c", _NODE, str(two_domains())]
     ran = subprocess.run(command, env=environ, capture_output=True, text=True, timeout=120, check=True)
     assert "Error" not in ran.stderr

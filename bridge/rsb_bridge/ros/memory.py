@@ -3,20 +3,20 @@
 from __future__ import annotations
 
 import ctypes
+import sys
 import threading
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from rsb_bridge.ros.distribution import distribution
-
 if TYPE_CHECKING:
-    from collections.abc import Iterator, MutableMapping
+    from collections.abc import Iterator, Mapping, MutableMapping
 
 _HISTORIES = Path(__file__).with_name("fast_dds_histories.xml")
 _PROFILE_VARIABLES = "FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE"
 """Fast DDS 2, until Jazzy, knows the first one only; rmw_fastrtps warns of it where it knows the second one."""
 _QOS_VARIABLE = "RMW_FASTRTPS_USE_QOS_FROM_XML"
+_FAST_DDS_2 = "libfastrtps.so"
 _FOUND_BY_FAST_DDS = Path("DEFAULT_FASTRTPS_PROFILES.xml"), Path("DEFAULT_FASTDDS_PROFILES.xml")
 """Files in the working directory, which Fast DDS loads by itself."""
 
@@ -45,7 +45,7 @@ def histories_that_shrink(environment: MutableMapping[str, str]) -> Iterator[Non
     ):
         yield
         return
-    own = {profile_variable(): str(_HISTORIES), _QOS_VARIABLE: "1"}
+    own = {profile_variable(environment): str(_HISTORIES), _QOS_VARIABLE: "1"}
     environment.update(own)
     try:
         yield
@@ -54,10 +54,11 @@ def histories_that_shrink(environment: MutableMapping[str, str]) -> Iterator[Non
             del environment[name]
 
 
-def profile_variable() -> str:
+def profile_variable(environment: Mapping[str, str]) -> str:
     """Return the name of the environment variable in which Fast DDS finds the path of its profiles."""
     old, new = _PROFILE_VARIABLES
-    return old if distribution() in {"humble", "iron", "jazzy"} else new
+    prefixes = (*environment.get("AMENT_PREFIX_PATH", "").split(":"), sys.prefix)
+    return old if any(prefix and Path(prefix, "lib", _FAST_DDS_2).exists() for prefix in prefixes) else new
 
 
 class _Statistics(ctypes.Structure):
