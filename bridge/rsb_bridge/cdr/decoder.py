@@ -53,11 +53,15 @@ class Items:
         element: the name of its elements' type.
         total: how many elements there are.
         shown: the first ones.
+        raw: the bytes of all elements, if they are primitive and were asked for raw.
+        code: code of `struct` for one element of `raw`, with the byte order.
     """
 
     element: str
     total: int
     shown: list[Value] = field(default_factory=list)
+    raw: memoryview | None = None
+    code: str = ""
 
 
 Value: TypeAlias = Union[bool, int, float, str, Items, "Message"]
@@ -99,7 +103,9 @@ class _UnreadableError(Exception):
     """The next part of a message cannot be read."""
 
 
-def decode(description: TypeDescription, payload: bytes, *, items: int = 128, steps: int = 50_000) -> Decoded:
+def decode(
+    description: TypeDescription, payload: bytes, *, items: int = 128, steps: int = 50_000, raw: bool = False
+) -> Decoded:
     """Read a message.
 
     Args:
@@ -107,10 +113,11 @@ def decode(description: TypeDescription, payload: bytes, *, items: int = 128, st
         payload: the message with its encapsulation header, or the beginning of it.
         items: elements of an array that are kept.
         steps: values that are read at most.
+        raw: give arrays of primitive elements as bytes (`Items.raw`): they count as one value, whatever their length.
     """
     message: Message = {}
     try:
-        reader = _Reader(payload, description, items, steps)
+        reader = _Reader(payload, description, items, steps, raw=raw)
         reader.read_message(description.type_description.type_name, message, DEPTH)
     except _UnreadableError as error:
         return Decoded(message, str(error))
@@ -120,7 +127,7 @@ def decode(description: TypeDescription, payload: bytes, *, items: int = 128, st
 class _Reader:
     """Reads from the beginning to the end. What fails in it is an _UnreadableError."""
 
-    def __init__(self, payload: bytes, description: TypeDescription, items: int, steps: int) -> None:
+    def __init__(self, payload: bytes, description: TypeDescription, items: int, steps: int, *, raw: bool) -> None:
         order = _BYTE_ORDERS.get(payload[:2])
         if order is None or len(payload) < HEADER_LENGTH:
             text = Unreadable.NOT_XCDR1 if payload else Unreadable.NO_BYTES
@@ -130,6 +137,7 @@ class _Reader:
         self._at = HEADER_LENGTH
         self._items = items
         self._steps = steps
+        self._raw = raw
         types = (description.type_description, *description.referenced_type_descriptions)
         self._fields = {each.type_name: each.fields for each in types}
 
@@ -165,6 +173,9 @@ class _Reader:
         if container == _BOUNDED and total > kind.capacity:
             raise _UnreadableError(Unreadable.SEQUENCE_TOO_LONG(length=total, limit=kind.capacity))
         if base in _PRIMITIVES:
+            if self._raw:
+                message[name] = self._raw_primitives(base, total)
+                return
             items = message[name] = Items(_PRIMITIVES[base][1], total)
             self._primitives(base, items)
             return
@@ -208,6 +219,13 @@ class _Reader:
             self._steps -= kept
             items.shown.extend(struct.unpack_from(f"{self._order}{kept}{code}", self._payload, start))
         self._take(size, items.total * size)
+
+    def _raw_primitives(self, base: int, total: int) -> Items:
+        code, name = _PRIMITIVES[base]
+        size = struct.calcsize(f"={code}")
+        self._step()
+        start = self._take(size, total * size) if total else self._at
+        return Items(name, total, raw=memoryview(self._payload)[start : self._at], code=self._order + code)
 
     def _string(self, capacity: int | None, *, wide: bool) -> str:
         length = self._length()

@@ -1,0 +1,186 @@
+"""Pictures of messages: a viewer's wish, and what the sending side draws for it.
+
+The side that has a topic renders its messages for the viewer's terminal, and sends only the picture. It crosses a link
+on a route of its own, whose topic no node has (`view_topic`).
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal, TypeAlias
+
+import msgspec
+from msgspec import Meta
+
+FEATURE = "look"
+"""Feature that a side announces if it renders pictures for its peer."""
+TYPE = "rsb_bridge/msg/Picture"
+TYPE_HASH = "RIHS01_" + "1" * 64
+_PART = "rsb_look"
+
+MOST_COLUMNS, MOST_ROWS = 400, 150
+"""Cells of the largest picture."""
+MOST_RATE = 10.0
+"""Hz."""
+TOPICS_AT_ONCE = 8
+"""Topics in one view: the map view lays several over one another."""
+PICTURE_LIMIT = 1 << 20
+"""Bytes of an encoded picture."""
+_TEXT = 255
+_Text: TypeAlias = Annotated[str, Meta(max_length=_TEXT)]
+_Number: TypeAlias = Annotated[float, Meta(ge=-1e9, le=1e9)]
+
+
+class Wish(msgspec.Struct, frozen=True, omit_defaults=True):
+    """A viewer's wish, which it may change with each picture.
+
+    Attributes:
+        width: cells of the picture's area.
+        height: cells of the picture's area.
+        rate: Hz of pictures, at most.
+        how: kind of picture, or an empty string for the usual one of the type: ``plot`` draws numbers over time,
+            ``tree`` shows all fields.
+        fields: paths of the numbers to plot (``pose.position.x``, ``ranges[3]``), or none for the first few.
+        zoom: factor; above 1 shows less, larger.
+        x: shift of the view to the right, in parts of its width.
+        y: shift of the view upwards, in parts of its height.
+        tilt: degrees by which points are seen from the side, from 0 (above) to 90.
+        frame: frame of a map, or an empty string for the first topic's.
+        colour: colour of points by ``height`` or ``intensity``.
+        seconds: length of a plot's time axis.
+        level: lowest level of the shown log messages (rcl_interfaces/msg/Log) or diagnostics.
+        match: text that shown log messages, nodes, frames or fields contain.
+    """
+
+    width: Annotated[int, Meta(ge=1, le=MOST_COLUMNS)] = 80
+    height: Annotated[int, Meta(ge=1, le=MOST_ROWS)] = 24
+    rate: Annotated[float, Meta(gt=0, le=MOST_RATE)] = 2.0
+    how: Annotated[str, Meta(max_length=16)] = ""
+    fields: Annotated[tuple[_Text, ...], Meta(max_length=8)] = ()
+    zoom: Annotated[float, Meta(ge=0.01, le=1000)] = 1.0
+    x: _Number = 0.0
+    y: _Number = 0.0
+    tilt: Annotated[float, Meta(ge=0, le=90)] = 0.0
+    frame: _Text = ""
+    colour: Literal["height", "intensity"] = "height"
+    seconds: Annotated[float, Meta(ge=1, le=3600)] = 30.0
+    level: Annotated[int, Meta(ge=0, le=255)] = 0
+    match: _Text = ""
+
+
+class Pixels(msgspec.Struct, frozen=True, tag="pixels"):
+    """An image.
+
+    Attributes:
+        width: pixels; a cell of a terminal shows one pixel in width.
+        height: pixels; a cell of a terminal shows two, one above the other.
+        rgb: three bytes a pixel, row by row from the top.
+    """
+
+    width: Annotated[int, Meta(ge=1, le=MOST_COLUMNS)]
+    height: Annotated[int, Meta(ge=1, le=2 * MOST_ROWS)]
+    rgb: bytes
+
+
+class Scale(msgspec.Struct, frozen=True):
+    """The place of a map's cells in the world.
+
+    Attributes:
+        frame: of the coordinates.
+        left: m, x of the left edge.
+        top: m, y of the upper edge.
+        column: m a cell to the right.
+        row: m a cell down; a cell is about twice as high as wide.
+    """
+
+    frame: _Text
+    left: float
+    top: float
+    column: float
+    row: float
+
+
+class Cells(msgspec.Struct, frozen=True, omit_defaults=True, tag="cells"):
+    """Characters with styles.
+
+    Attributes:
+        rows: of the text. Each character takes one cell; rows may be shorter than the picture is wide.
+        styles: for each character of each row, one after the other, the index of its style in `palette`.
+        palette: names of styles (`STYLES`), or colours as ``#rrggbb``.
+        scale: the place of the cells in the world, if they are a map.
+    """
+
+    rows: Annotated[tuple[Annotated[str, Meta(max_length=MOST_COLUMNS)], ...], Meta(max_length=MOST_ROWS)]
+    styles: bytes = b""
+    palette: Annotated[tuple[Annotated[str, Meta(max_length=16)], ...], Meta(max_length=256)] = ()
+    scale: Scale | None = None
+
+
+STYLES = ("", "dim", "strong", "axis", "ok", "warning", "error", "robot", "path", "scan", "occupied", "free", "goal")
+"""Styles of `Cells` that a viewer's theme colours."""
+
+
+class Series(msgspec.Struct, frozen=True, omit_defaults=True, tag="series"):
+    """Numbers over time, reduced to the columns that a plot has.
+
+    Attributes:
+        start: s since the epoch on the sending side's clock, at the left edge of the first column.
+        step: s a column.
+        curves: the plotted numbers.
+    """
+
+    start: float
+    step: float
+    curves: Annotated[tuple[Curve, ...], Meta(max_length=8)]
+
+
+class Curve(msgspec.Struct, frozen=True, omit_defaults=True):
+    """One number over time.
+
+    Attributes:
+        name: path of the field.
+        lows: lowest value in each column; not a number where none came.
+        highs: highest value in each column.
+        last: newest value, or None before the first.
+        mean: of all values in the plot, or None.
+    """
+
+    name: _Text
+    lows: Annotated[tuple[float, ...], Meta(max_length=2 * MOST_COLUMNS)] = ()
+    highs: Annotated[tuple[float, ...], Meta(max_length=2 * MOST_COLUMNS)] = ()
+    last: float | None = None
+    mean: float | None = None
+
+
+class Picture(msgspec.Struct, frozen=True, omit_defaults=True):
+    """A picture of messages, or the reason why there is none.
+
+    Attributes:
+        content: the picture, or None before the first message, or with a problem.
+        taken: ns since the epoch on the sending side's clock, when DDS received the newest message in it, or 0.
+        stamp: ns since the epoch, the newest message's own stamp (``header.stamp``), or 0.
+        messages: that the view has seen since it began.
+        size: bytes of the newest message.
+        type_name: of the first topic.
+        notes: lines about the picture (``1920×1080 rgb8``).
+        problem: the reason why there is no picture, or why it is incomplete, and what to do.
+    """
+
+    content: Pixels | Cells | Series | None = None
+    taken: int = 0
+    stamp: int = 0
+    messages: int = 0
+    size: int = 0
+    type_name: _Text = ""
+    notes: Annotated[tuple[_Text, ...], Meta(max_length=16)] = ()
+    problem: Annotated[str, Meta(max_length=500)] = ""
+
+
+def view_topic(number: int) -> str:
+    """Return the name of the topic that carries a view's pictures, as the client sees it."""
+    return f"/{_PART}/view{number}"
+
+
+def is_view_topic(topic: str) -> bool:
+    """Whether `view_topic` made the name, with or without a client's name as a prefix."""
+    parts = topic.split("/")
+    return len(parts) > 2 and _PART in parts[1:3]

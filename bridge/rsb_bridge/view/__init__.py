@@ -1,0 +1,1 @@
+"""Draws pictures of messages, in a process of its own."""

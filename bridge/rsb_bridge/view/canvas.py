@@ -1,0 +1,96 @@
+"""A picture of characters: text, and dots in braille patterns (Unicode block 2800), eight to a cell."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from rsb_bridge.model.pictures import Cells
+from rsb_bridge.model.text import sanitize_text
+
+if TYPE_CHECKING:
+    from rsb_bridge.model.pictures import Scale
+
+DOTS_ACROSS, DOTS_DOWN = 2, 4
+"""Dots of a cell."""
+DOT_BITS = ((0x01, 0x08), (0x02, 0x10), (0x04, 0x20), (0x40, 0x80))
+"""Bit of each dot in a braille pattern, by row and column."""
+_BRAILLE = 0x2800
+_STYLES = 256
+
+
+class Canvas:
+    """Cells that are drawn on.
+
+    Args:
+        width: cells.
+        height: cells.
+
+    Attributes:
+        width: cells.
+        height: cells.
+        dots: the braille pattern of each cell, row by row; a view may write it directly.
+        styles: the index of each cell's style, row by row (`style`).
+    """
+
+    def __init__(self, width: int, height: int) -> None:
+        self.width, self.height = width, height
+        self.dots = bytearray(width * height)
+        self.styles = bytearray(width * height)
+        self._characters: dict[int, str] = {}
+        self._palette: dict[str, int] = {"": 0}
+
+    def style(self, name: str) -> int:
+        """Return the index of a style of `rsb_bridge.model.pictures.STYLES`, or of a colour ``#rrggbb``."""
+        return self._palette.setdefault(name, min(len(self._palette), _STYLES - 1))
+
+    def dot(self, x: int, y: int, style: str = "") -> None:
+        """Set a dot, counted from the upper left, if it is on the canvas."""
+        column, across = divmod(x, DOTS_ACROSS)
+        row, down = divmod(y, DOTS_DOWN)
+        if 0 <= column < self.width and 0 <= row < self.height:
+            cell = row * self.width + column
+            self.dots[cell] |= DOT_BITS[down][across]
+            self.styles[cell] = self.style(style)
+
+    def line(self, x0: int, y0: int, x1: int, y1: int, style: str = "") -> None:
+        """Set the dots between two points, both included; points far outside are cut off."""
+        limit = 4 * max(self.width * DOTS_ACROSS, self.height * DOTS_DOWN)
+        x0, y0, x1, y1 = (max(-limit, min(limit, each)) for each in (x0, y0, x1, y1))
+        steps = max(abs(x1 - x0), abs(y1 - y0), 1)
+        for step in range(steps + 1):
+            self.dot(round(x0 + (x1 - x0) * step / steps), round(y0 + (y1 - y0) * step / steps), style)
+
+    def write(self, column: int, row: int, text: str, style: str = "") -> None:
+        """Write text over the dots, as much as fits. Each character has to take one cell."""
+        if not 0 <= row < self.height:
+            return
+        for at, character in enumerate(sanitize_text(text), column):
+            if 0 <= at < self.width:
+                cell = row * self.width + at
+                self._characters[cell] = character
+                self.styles[cell] = self.style(style)
+
+    def cells(self, scale: Scale | None = None) -> Cells:
+        """Return the picture."""
+        characters = [chr(_BRAILLE + pattern) if pattern else " " for pattern in self.dots]
+        for cell, character in self._characters.items():
+            characters[cell] = character
+        rows = ("".join(characters[row * self.width : (row + 1) * self.width]) for row in range(self.height))
+        return Cells(tuple(rows), bytes(self.styles), tuple(self._palette), scale)
+
+
+def lines_to_cells(lines: list[list[tuple[str, str]]], width: int, height: int) -> Cells:
+    """Return text as a picture.
+
+    Args:
+        lines: lines of parts, each with its style; longer ones are cut off.
+        width: cells.
+        height: cells; further lines are left out.
+    """
+    canvas = Canvas(width, max(1, min(height, len(lines))))
+    for row, line in enumerate(lines[:height]):
+        column = 0
+        for part, style in line:
+            canvas.write(column, row, part, style)
+            column += len(part)
+    return canvas.cells()

@@ -1,0 +1,219 @@
+"""The process that draws: ``python -m rsb_bridge.view.worker``.
+
+It reads a `Task` from standard input, and writes its `Picture` to standard output, each as four bytes of length,
+big-endian, and MessagePack. It ends with its input. `rsb_bridge.view.renderer` starts it, and kills it if it takes too
+long; it limits its own memory.
+"""
+
+from __future__ import annotations
+
+import importlib
+import os
+import resource
+import sys
+from typing import TYPE_CHECKING, BinaryIO
+
+import msgspec
+
+from rsb_bridge.cdr.decoder import decode
+from rsb_bridge.cdr.description import DescriptionError, read_description
+from rsb_bridge.model.pictures import PICTURE_LIMIT, Picture, Wish
+from rsb_bridge.model.text import sanitize_text
+from rsb_bridge.model.wording import Wording
+from rsb_bridge.view.drawing import Received, UndrawableError, number
+
+if TYPE_CHECKING:
+    from rsb_bridge.cdr.decoder import Message
+    from rsb_bridge.cdr.description import TypeDescription
+    from rsb_bridge.view.drawing import View
+
+MEMORY_LIMIT = 1 << 30
+"""Bytes of address space that drawing may add to that of the started process."""
+VIEWS_AT_MOST = 16
+"""Views whose messages are remembered."""
+_ELEMENTS, _STEPS = 100_000, 500_000
+"""Messages in an array, and values, that are read from one message at most."""
+_NICE = 10
+_LENGTH_BYTES = 4
+
+VIEWS: dict[str, str] = {
+    "tree": "fields:FieldsView",
+}
+"""The module and class of the view of a type, or of a `Wish.how`. Other types show all fields (``tree``)."""
+
+
+class Undrawable(Wording):
+    """The reason why there is no picture."""
+
+    TYPE_INVALID = "the type's description cannot be read: {error}"
+    NOT_READ = "a message of {type_name} cannot be read: {problem}"
+    LIBRARY_MISSING = "{library} is not installed where {topic} is published: pip install 'rsb-console[look]' there"
+    TOO_LARGE = "the picture has {size:,} bytes; at most {limit:,} are sent: make the window smaller"
+    NO_MEMORY = "a picture of this message needs too much memory"
+    FAILED = "the message cannot be drawn: {error}"
+    UNKNOWN_HOW = "there is no view {how!r}: choose one of {known}"
+
+
+class Sample(msgspec.Struct, frozen=True, array_like=True):
+    """A message as it was taken from DDS.
+
+    Attributes:
+        topic: its topic.
+        type_name: ``pkg/msg/Name``.
+        payload: serialized, with its encapsulation header.
+        stamp: ns since the epoch, when DDS received it.
+    """
+
+    topic: str
+    type_name: str
+    payload: bytes
+    stamp: int
+
+
+class Task(msgspec.Struct, frozen=True, array_like=True):
+    """A picture to draw.
+
+    Attributes:
+        view: number of the view, whose earlier messages are remembered.
+        type_name: of its first topic.
+        wish: the viewer's.
+        samples: messages since the last task, oldest first.
+        seen: messages that the view's topics had so far, including the ones left out.
+        size: bytes of the newest message.
+        descriptions: texts that describe the types (`rsb_bridge.cdr.description`), with their names and hashes, if
+            they were not in an earlier task.
+        ended: whether the view is over: forget it, and answer nothing.
+    """
+
+    view: int
+    type_name: str
+    wish: Wish
+    samples: tuple[Sample, ...] = ()
+    seen: int = 0
+    size: int = 0
+    descriptions: tuple[tuple[str, str, str], ...] = ()
+    ended: bool = False
+
+
+class Artist:
+    """Draws the pictures of all views."""
+
+    def __init__(self) -> None:
+        self._types: dict[str, TypeDescription] = {}
+        self._views: dict[int, tuple[str, View]] = {}
+
+    def do(self, task: Task) -> Picture | None:
+        """Draw a picture, or return None if the task only ends a view."""
+        if task.ended:
+            self._views.pop(task.view, None)
+            return None
+        newest = task.samples[-1] if task.samples else None
+        about = {
+            "taken": newest.stamp if newest is not None else 0,
+            "messages": task.seen,
+            "size": task.size,
+            "type_name": sanitize_text(task.type_name, 255),
+        }
+        try:
+            picture = self._draw(task, Picture(**about))
+        except MemoryError:
+            self._views.pop(task.view, None)
+            return Picture(**about, problem=Undrawable.NO_MEMORY())
+        except ModuleNotFoundError as error:
+            topic = task.samples[0].topic if task.samples else "the topic"
+            problem = Undrawable.LIBRARY_MISSING(library=_LIBRARIES.get(error.name or "", error.name), topic=topic)
+            return Picture(**about, problem=sanitize_text(problem))
+        except UndrawableError as error:
+            return Picture(**about, problem=sanitize_text(str(error)))
+        except Exception as error:  # noqa: BLE001 -- whatever a stranger's message does to a view, the next one is drawn
+            return Picture(**about, problem=sanitize_text(Undrawable.FAILED(error=f"{type(error).__name__}: {error}")))
+        if (size := len(msgspec.msgpack.encode(picture))) > PICTURE_LIMIT:
+            return Picture(**about, problem=Undrawable.TOO_LARGE(size=size, limit=PICTURE_LIMIT))
+        return picture
+
+    def _draw(self, task: Task, about: Picture) -> Picture:
+        for type_name, text, type_hash in task.descriptions:
+            try:
+                self._types[type_name] = read_description(text, type_hash)
+            except DescriptionError as error:
+                raise UndrawableError(Undrawable.TYPE_INVALID(error=error)) from None
+        problem, stamp = "", 0
+        for sample in task.samples:
+            decoded = decode(self._types[sample.type_name], sample.payload, items=_ELEMENTS, steps=_STEPS, raw=True)
+            if decoded.problem:
+                problem = Undrawable.NOT_READ(type_name=sample.type_name, problem=decoded.problem)
+                continue
+            stamp = _stamp_of(decoded.message)
+            try:
+                self._view(task).take(Received(sample.topic, sample.type_name, decoded.message, sample.stamp / 1e9))
+            except UndrawableError as error:
+                problem = str(error)
+        drawn = self._view(task).draw(task.wish)
+        return msgspec.structs.replace(
+            about,
+            content=drawn.content,
+            stamp=stamp,
+            notes=tuple(sanitize_text(each, 255) for each in drawn.notes[:16]),
+            problem=sanitize_text(problem or drawn.problem),
+        )
+
+    def _view(self, task: Task) -> View:
+        """Return the view of a task; a wish for another kind begins a new one."""
+        how = task.wish.how or task.type_name
+        known = self._views.get(task.view)
+        if known is not None and how == known[0]:
+            return known[1]
+        if task.wish.how and task.wish.how not in VIEWS:
+            raise UndrawableError(Undrawable.UNKNOWN_HOW(how=how, known=", ".join(k for k in VIEWS if "/" not in k)))
+        module, _, name = VIEWS.get(how, VIEWS["tree"]).partition(":")
+        view: View = getattr(importlib.import_module(f"rsb_bridge.view.{module}"), name)()
+        while len(self._views) >= VIEWS_AT_MOST:
+            del self._views[next(iter(self._views))]
+        self._views[task.view] = how, view
+        return view
+
+
+_LIBRARIES = {"PIL": "Pillow", "numpy": "numpy"}
+
+
+def _stamp_of(message: Message) -> int:
+    """Return a message's own time stamp in ns since the epoch, or 0."""
+    seconds, nanoseconds = number(message, "header.stamp.sec"), number(message, "header.stamp.nanosec")
+    return int(seconds) * 10**9 + int(nanoseconds) if seconds > 0 else 0
+
+
+def read_frame(stream: BinaryIO) -> bytes | None:
+    """Return the next frame, or None at the end of the stream."""
+    head = stream.read(_LENGTH_BYTES)
+    if len(head) < _LENGTH_BYTES:
+        return None
+    body = stream.read(length := int.from_bytes(head, "big"))
+    return body if len(body) == length else None
+
+
+def frame(message: Task | Picture) -> bytes:
+    """Return a message with its length before it."""
+    body = msgspec.msgpack.encode(message)
+    return len(body).to_bytes(_LENGTH_BYTES, "big") + body
+
+
+def _limit_memory() -> None:
+    with open("/proc/self/statm", encoding="ascii") as statm:  # noqa: PTH123 -- Path costs an import
+        used = int(statm.read().split()[0]) * resource.getpagesize()
+    resource.setrlimit(resource.RLIMIT_AS, (used + MEMORY_LIMIT, used + MEMORY_LIMIT))
+    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+
+
+def main() -> None:
+    """Draw until the input ends."""
+    os.nice(_NICE)
+    _limit_memory()
+    artist, tasks = Artist(), msgspec.msgpack.Decoder(Task)
+    while (body := read_frame(sys.stdin.buffer)) is not None:
+        if (picture := artist.do(tasks.decode(body))) is not None:
+            sys.stdout.buffer.write(frame(picture))
+            sys.stdout.buffer.flush()
+
+
+if __name__ == "__main__":
+    main()
