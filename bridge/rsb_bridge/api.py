@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from rsb_bridge.model.benchmark import BenchmarkStep, Outcome
     from rsb_bridge.model.commands import Command, R
     from rsb_bridge.model.history import HistoryReport
+    from rsb_bridge.model.pictures import Viewed, Wish
     from rsb_bridge.model.session import Client, Session, Topic
     from rsb_bridge.model.snapshot import Event, PeekedMessage, Reloaded, Snapshot, TopicInfo
 
@@ -161,6 +162,9 @@ class EngineApi(ABC):
 
     def peek(self, key: str, *, kept: bool = False) -> Future[PeekedMessage | None]:
         return self.do(commands.Peek(key, kept))
+
+    def look(self, viewer: str, topics: tuple[str, ...], wish: Wish, link: str = "") -> Future[Viewed | None]:
+        return self.do(commands.Look(viewer, topics, wish, link))
 
     def describe(self, key: str) -> Future[str]:
         return self.do(commands.Describe(key))

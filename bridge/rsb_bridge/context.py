@@ -20,6 +20,7 @@ from rsb_bridge.ros.ros_graph import NameSuggester, SimilarTopics
 from rsb_bridge.ros.type_descriptions import TypeCheckers, TypeDescriptions
 from rsb_bridge.telemetry.event_log import RateLimitedEventLog
 from rsb_bridge.transport.registry import Transports, default_transports
+from rsb_bridge.view.renderer import Renderer
 
 if TYPE_CHECKING:
     import asyncio
@@ -55,6 +56,7 @@ class Context:
         parameter_events: of the nodes whose parameters are bridged.
         similar_topics: suggests topics for a misspelt name.
         suggester: suggests services, actions and nodes for a misspelt name.
+        renderer: draws pictures of messages for viewers.
         demands: the names that have to be armed, as the running session demands it.
         names_changed: to be called when another set of names of the graph is followed (`rsb_bridge.link.name_watch`).
     """
@@ -77,6 +79,7 @@ class Context:
     parameter_events: ParameterEvents = field(init=False)
     similar_topics: SimilarTopics = field(init=False)
     suggester: NameSuggester = field(init=False)
+    renderer: Renderer = field(init=False)
     demands: RunningDemands = field(init=False)
     names_changed: Callable[[], None] = lambda: None
 
@@ -90,6 +93,7 @@ class Context:
         self.parameter_events = ParameterEvents(self.ros, self.call)
         self.similar_topics = SimilarTopics(self.ros, self.now)
         self.suggester = NameSuggester(self.ros, self.now)
+        self.renderer = Renderer(self.now)
         self.demands = RunningDemands(
             lambda: self.session.armed,
             self._set_armed,

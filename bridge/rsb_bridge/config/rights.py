@@ -22,6 +22,7 @@ from rsb_bridge.model.calls import LANES
 from rsb_bridge.model.limits import NAME_BYTES, OPERATORS, PORTS_PER_CLIENT
 from rsb_bridge.model.names import client_topic
 from rsb_bridge.model.patterns import Pattern, is_pattern
+from rsb_bridge.model.pictures import is_view_topic
 from rsb_bridge.model.session import Grant, May, Problem
 from rsb_bridge.model.text import is_clean, join_first
 from rsb_bridge.model.wording import Wording
@@ -36,6 +37,8 @@ if TYPE_CHECKING:
 TOPIC_USES: Final[tuple[May, May]] = ("publish", "read")
 CALL_USES: Final[tuple[May, May]] = ("call", "serve")
 """The two rights of a peer: to send messages or requests here, and to take them."""
+_TOPIC_ENTRIES: Final[tuple[May, ...]] = (*TOPIC_USES, "look")
+"""The rights that an entry about topics may name. Whoever may read a topic may look at pictures of it."""
 _MOST_BENCHMARKED = 1e6
 _ENTRY = re.compile(r"\{[^{}]*\}?|[^\s,{]+")
 """A mapping, or a word: entries have blanks or commas between them."""
@@ -79,7 +82,7 @@ class RightsMistake(Wording):
     NO_PATTERN = "missing: give a pattern as topics, or as services"
     BOTH = "topics and services are in one entry: make an entry for each"
     UNRELIABLE = "{protocol} carries no calls: leave it out"
-    OTHER_USE = "{may} is for {others}: a {noun} takes {uses}, or leave may out for both"
+    OTHER_USE = "{may} is for {others}: a {noun} takes {uses}, or leave may out for all"
     NO_MATCH = "{pattern} matches no {noun}: a pattern begins with / or * (/robot1/*)"
     SLASHES = "{pattern} matches no {noun}: names have one / before each part, and none at the end"
     LIMIT = "{value} is out of range: above 0, at most {limit}"
@@ -201,10 +204,10 @@ def _subject_problems(grant: Grant, here: str) -> Iterator[Problem]:
         yield Problem(join(here, "services"), RightsMistake.BOTH())
         return
     if grant.topics is not None:
-        noun, uses, others = "topic", TOPIC_USES, "services"
+        noun, uses, others = "topic", _TOPIC_ENTRIES, "services"
         yield from _pattern_problems(grant.topics, noun, join(here, "topics"))
     else:
-        noun, uses, others = "service", CALL_USES, "topics"
+        noun, uses, others = "service", tuple(CALL_USES), "topics"
         yield from _pattern_problems(grant.services or "", noun, join(here, "services"))
         for protocol in protocols_of(grant):
             if not transports.named(protocol).reliable:
@@ -298,6 +301,8 @@ class Rights:
 
     def refusal(self, use: Use) -> Refusal | None:
         """Return the reason why the peer may not do something, or None if it may."""
+        if is_view_topic(use.topic):  # its viewer asks for topics, whose rights are checked then
+            return None if use.may == "read" and use.kind == "topic" else self._no_leave()
         if is_bench_topic(use.topic):
             return None if self.bench is not None and use.kind == "topic" else self._no_leave()
         for grant in self._about(self.deny, use, also=_meant_by(use)):
@@ -332,13 +337,13 @@ class Rights:
 
     def _by_default(self, use: Use) -> bool:
         """Whether the peer may do something that no entry of `allow` mentions."""
-        if self.listed is not None and use.may != "read":
+        if self.listed is not None and use.may not in ("read", "look"):
             return (use.kind, use.topic, _LISTED_AS[use.may][0]) in self.listed
         return not self.allow
 
     def _remedy(self, use: Use) -> str:
         entry = f"{{{'topics' if use.kind == 'topic' else 'services'}: {use.topic}, may: {use.may}}}"
-        if self.listed is None or use.may == "read":
+        if self.listed is None or use.may in ("read", "look"):
             return DeniedRemedy.ADD_ALLOW(entry=entry, place=self.place)
         remedy = DeniedRemedy.LIST_OR_ALLOW if self.allow else DeniedRemedy.LIST
         return remedy(list=LISTS[use.kind], place=self.place, direction=_LISTED_AS[use.may][1], entry=entry)
@@ -350,10 +355,15 @@ class Rights:
         return [
             grant
             for grant in grants
-            if grant.may in (None, use.may)
+            if _covers(grant, use.may)
             and (pattern := grant.topics if use.kind == "topic" else grant.services) is not None
             and any(fnmatch.fnmatchcase(name, pattern) for name in names)
         ]
+
+
+def _covers(grant: Grant, may: May) -> bool:
+    """Whether an entry is about a right: an entry about reading is about looking, too."""
+    return grant.may in (None, may) or (may == "look" and grant.may == "read")
 
 
 def rights_of_client(client: Client, server: str) -> Rights:
@@ -478,6 +488,9 @@ def listings(session: Session) -> Iterator[Listing]:
 
 def _listing(rights: Rights, carried: Sequence[str], within: str, ports: str) -> Listing:
     rows = [*_rows(rights, TOPIC_USES, carried, within, ports)]
+    if any(grant.may == "look" for grant in (*rights.allow, *rights.deny)):
+        looked = _allowed(rights, "look", carried, within)
+        rows += [Row(rights.peer, "look", names, over, rate, ports) for names, over, rate in looked]
     reliable = [name for name in carried if transports.named(name).reliable]
     rows += _rows(rights, CALL_USES, reliable, within, ports)
     return Listing(rights.peer, tuple(rows), tuple(_moves(rights, carried)), tuple(_acts(rights, reliable)))
@@ -498,7 +511,7 @@ def _allowed(rights: Rights, may: May, carried: Sequence[str], within: str) -> I
     """Yield names, transports and rates for one right."""
     groups: dict[tuple[str, str], list[str]] = {}
     anything = (", ".join(carried), "any")
-    if rights.listed is not None and may != "read":
+    if rights.listed is not None and may not in ("read", "look"):
         if names := sorted(_listed(rights, may)):
             groups[anything] = names
     elif not rights.allow:
@@ -519,8 +532,8 @@ def _allowed(rights: Rights, may: May, carried: Sequence[str], within: str) -> I
 def _about(grants: Sequence[Grant], may: May) -> Iterator[tuple[Grant, str]]:
     """Yield the entries that apply to a right, each with its pattern."""
     for grant in grants:
-        pattern = grant.topics if may in TOPIC_USES else grant.services
-        if pattern is not None and grant.may in (None, may):
+        pattern = grant.topics if may in _TOPIC_ENTRIES else grant.services
+        if pattern is not None and _covers(grant, may):
             yield grant, pattern
 
 

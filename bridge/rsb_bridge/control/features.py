@@ -15,7 +15,7 @@ import msgspec
 
 from rsb_bridge import __version__
 from rsb_bridge.control.protocol import VERSION, Hello
-from rsb_bridge.model.commands import Acknowledge, AnyCommand, ChangeClient, Command, EditTopic, RemoveTopic
+from rsb_bridge.model.commands import Acknowledge, AnyCommand, ChangeClient, Command, EditTopic, Look, RemoveTopic
 from rsb_bridge.model.session import Client, Session, Topic
 
 if TYPE_CHECKING:
@@ -27,12 +27,14 @@ ACKNOWLEDGE = "acknowledge"
 """The command `Acknowledge`."""
 ARMED = "armed"
 """The field `armed` of sessions, and `drop_arm` of commands."""
+LOOK = "look"
+"""The command `Look`."""
 TOTALS = "totals"
 """The field `messages_total` of routes."""
-FEATURES: Final = (ACKNOWLEDGE, ARMED, "check_messages", "late_after", "max_age", "on_fault", TOTALS)
+FEATURES: Final = (ACKNOWLEDGE, ARMED, "check_messages", "late_after", LOOK, "max_age", "on_fault", TOTALS)
 """All features of this version. A feature with the name of a field of sessions or topics is that field."""
 
-COMMANDS: Final[dict[type, str]] = {Acknowledge: ACKNOWLEDGE}
+COMMANDS: Final[dict[type, str]] = {Acknowledge: ACKNOWLEDGE, Look: LOOK}
 """The features of commands."""
 FIELDS: Final[dict[type, dict[str, str]]] = {
     Topic: {name: name for name in FEATURES if name in Topic.__struct_fields__},
@@ -46,6 +48,7 @@ _ALL = frozenset(FEATURES)
 _LACKS: Final = {
     ACKNOWLEDGE: "cannot acknowledge faults",
     ARMED: "cannot end the demand that a name be armed",
+    LOOK: "cannot draw pictures of messages",
     TOTALS: "does not report message counts",
 }
 

@@ -20,6 +20,7 @@ from rsb_bridge.api import EngineError
 from rsb_bridge.model.benchmark import Outcome
 from rsb_bridge.model.commands import AnyCommand
 from rsb_bridge.model.history import HistoryReport
+from rsb_bridge.model.pictures import Viewed
 from rsb_bridge.model.session import Session
 from rsb_bridge.model.snapshot import (
     Event,
@@ -289,6 +290,7 @@ class Reply(_Message, frozen=True, tag="reply"):
         reloaded: the result of `Reload`.
         history: the result of `History`.
         bench: the result of `Bench`.
+        viewed: the result of `Look`.
     """
 
     id: int
@@ -296,6 +298,7 @@ class Reply(_Message, frozen=True, tag="reply"):
     reloaded: Reloaded | None = None
     history: HistoryReport | None = None
     bench: Outcome | None = None
+    viewed: Viewed | None = None
 
 
 class Failed(_Message, frozen=True, tag="failed"):
@@ -336,7 +339,7 @@ def encode(message: ToBridge | ToConsole) -> bytes:
     return len(body).to_bytes(_LENGTH_BYTES, "big") + body
 
 
-_FIELD_OF: Final = {Reloaded: "reloaded", HistoryReport: "history", Outcome: "bench"}
+_FIELD_OF: Final = {Reloaded: "reloaded", HistoryReport: "history", Outcome: "bench", Viewed: "viewed"}
 
 
 def reply(request: int, result: object) -> Reply:
@@ -353,7 +356,7 @@ def result_of(command: Command[R], reply: Reply) -> R:
     kind = get_args(type(command).__orig_bases__[0])[0]  # type: ignore[attr-defined]
     if kind is type(None):
         return cast("R", None)
-    value = reply.reloaded or reply.history or reply.bench or reply.value
+    value = reply.reloaded or reply.history or reply.bench or reply.viewed or reply.value
     if not isinstance(value, get_origin(kind) if get_origin(kind) is tuple else kind):
         raise EngineError(RequestProblem.UNEXPECTED_REPLY())
     return cast("R", value)

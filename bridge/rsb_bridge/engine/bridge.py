@@ -23,6 +23,7 @@ from rsb_bridge.config.validation import validate
 from rsb_bridge.engine.exporters import Exporters
 from rsb_bridge.engine.inspector import RouteInspector
 from rsb_bridge.engine.topic_commands import ArmingCommands, CommandLog, TopicCommands, undo_mark
+from rsb_bridge.engine.viewing import Viewing
 from rsb_bridge.link.errors import LinkError
 from rsb_bridge.link.graph_watch import GraphWatch
 from rsb_bridge.link.link import link_named, topics_of_peer
@@ -142,6 +143,8 @@ class Bridge:
         topics = TopicCommands(self._role, self._log, context.demands)
         self._arming = arming = ArmingCommands(self.links, topics.find)
         inspector = RouteInspector(context, topics.find, self._log)
+        self._tasks = Tasks(context.loop, lambda: None)
+        self._viewing = Viewing(context, self.links, self._tasks.spawn)
         self.handlers: dict[type[Command[Any]], Handler] = {
             commands.Acknowledge: self._acknowledge,
             commands.AddTopic: topics.add,
@@ -152,6 +155,7 @@ class Bridge:
             commands.DisarmTopic: arming.disarm,
             commands.EditTopic: topics.edit,
             commands.KeepArmed: arming.keep,
+            commands.Look: self._viewing.look,
             commands.Pause: topics.pause,
             commands.Peek: inspector.peek,
             commands.ReleaseArmed: arming.release,
@@ -164,7 +168,6 @@ class Bridge:
         }
         self._changing = asyncio.Lock()
         """Held by the command that changes the session, so that the next one sees all of its effect."""
-        self._tasks = Tasks(context.loop, lambda: None)
         self._stopping = asyncio.Event()
         self._shutdown_watch: LastingSubscription | None = None
         self._exporters = Exporters(context, snapshots.look, folder)
@@ -236,6 +239,7 @@ class Bridge:
                 await link.table.tick_routes()
                 link.guarded(link.tick)
                 await asyncio.sleep(0)  # no message waits until hundreds of links have had their turn
+            self._viewing.tick()
             self._exporters.tick(self._snapshots.latest)
 
     def _ros_failed(self, reason: str) -> None:
@@ -247,6 +251,7 @@ class Bridge:
         if self._shutdown_watch is not None:
             self._shutdown_watch.close()
         self._exporters.close()
+        self._viewing.close()
         self.context.descriptions.close()
         await self._role.stop()
         self.context.announcements.stop()

@@ -10,6 +10,7 @@ from rsb_bridge.link.errors import Denied, LinkError
 from rsb_bridge.link.extension import Extension
 from rsb_bridge.link.link_bench import LinkBench
 from rsb_bridge.link.link_patterns import LinkPatterns
+from rsb_bridge.link.link_views import LinkViews
 from rsb_bridge.link.proposed_topics import ProposedTopics
 from rsb_bridge.link.questions import TopicLists, TypeQuestions
 from rsb_bridge.link.route_reports import RouteReports
@@ -68,6 +69,7 @@ class Link(BaseLink):
         topic_lists: questions of the two sides about their graphs.
         type_questions: questions about types.
         bench: measures the link.
+        views: pictures of topics, for viewers of both sides.
     """
 
     def __init__(self, context: Context, name: str, *, is_client: bool, encrypted: bool) -> None:
@@ -83,6 +85,7 @@ class Link(BaseLink):
         )
         self.table.compare_types = self.type_questions.compare
         self.bench = self.extend(LinkBench(self, self.table, self.proposed))
+        self.views = self.extend(LinkViews(self, self.table, self.proposed))
         context.demands.register(self)
 
     @property

@@ -11,6 +11,7 @@ from rsb_bridge.model.benchmark import is_bench_topic
 from rsb_bridge.model.budgets import TokenBucket
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.demands import NO_DEMAND, PEER_DEMANDS, Demands, Source, default_max_age, smallest_max_age
+from rsb_bridge.model.pictures import is_view_topic
 from rsb_bridge.model.snapshot import Level
 from rsb_bridge.route.arming import DISARM_TEXT, Disarmed
 from rsb_bridge.route.lease import BEAT, Lease, Standstill
@@ -207,7 +208,7 @@ class LinkArming:
 
     def demand_on(self, route: Route, demands: Demands | RunningDemands) -> Demand | None:
         """Return what this side's session, or some lines of it, demands of a route's names."""
-        if is_bench_topic(route.local_topic):
+        if is_bench_topic(route.local_topic) or is_view_topic(route.local_topic):
             return None  # no node has it
         client, far = ("", "") if self._peer.is_client else (self._peer.name, route.far_topic)
         kind, type_name = route.spec.kind, route.proposal.type

@@ -9,6 +9,7 @@ from rsb_bridge.config.validation import validate_topic
 from rsb_bridge.link.errors import LinkError
 from rsb_bridge.link.proposals import proposal_of, same_route
 from rsb_bridge.model.benchmark import is_bench_topic
+from rsb_bridge.model.pictures import is_view_topic
 from rsb_bridge.route.route import route_key
 
 if TYPE_CHECKING:
@@ -31,7 +32,7 @@ class ProposedTopics:
         """Return the topics that this side proposes by name, in the session's order. May be called from any thread."""
         routes = tuple(self._link.routes.values())
         proposed = [route.spec for route in routes if route.proposed_here and not route.pattern]
-        topics = [topic for topic in proposed if not is_bench_topic(topic.topic)]
+        topics = [topic for topic in proposed if not (is_bench_topic(topic.topic) or is_view_topic(topic.topic))]
         return (*topics, *tuple(self._table.superseded.values()))
 
     def add(self, topic: Topic, *, by_pattern: bool = False) -> Route:

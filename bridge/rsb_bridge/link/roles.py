@@ -19,7 +19,7 @@ from rsb_bridge.link.errors import Denied, LinkError
 from rsb_bridge.link.link_server import Server
 from rsb_bridge.link.reloading import Step, client_steps, server_steps
 from rsb_bridge.link.server_link import ClientEntry
-from rsb_bridge.model import benchmark, calls, patterns
+from rsb_bridge.model import benchmark, calls, patterns, pictures
 from rsb_bridge.model.budgets import Backoff
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.limits import LATE_AFTER_FEATURE, MAX_AGE_FEATURE
@@ -55,6 +55,7 @@ FEATURES = (
     LEASE_FEATURE,
     MAX_AGE_FEATURE,
     sealing.FEATURE,
+    pictures.FEATURE,
 )  # fmt: skip
 """Features of this version beyond version 2 of the wire format."""
 ReportStep = Callable[[str], None]

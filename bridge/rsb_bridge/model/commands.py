@@ -7,12 +7,14 @@ socket sends commands as they are (`rsb_bridge.control.protocol.Request`), so ta
 from __future__ import annotations
 
 import enum
-from typing import ClassVar, Generic, TypeAlias, TypeVar
+from typing import Annotated, ClassVar, Generic, TypeAlias, TypeVar
 
 import msgspec
+from msgspec import Meta
 
 from rsb_bridge.model.benchmark import BenchmarkStep, Outcome
 from rsb_bridge.model.history import HistoryReport
+from rsb_bridge.model.pictures import TOPICS_AT_ONCE, Viewed, Wish
 from rsb_bridge.model.session import Client, Topic
 from rsb_bridge.model.snapshot import PeekedMessage, Reloaded, TopicInfo
 
@@ -223,6 +225,29 @@ class Peek(Command[PeekedMessage | None], frozen=True, tag="peek"):
     kept: bool = False
 
 
+class Look(Command[Viewed | None], frozen=True, tag="look"):
+    """Wait for the next picture of topics, drawn by the side that publishes them.
+
+    The result is None if there is no new one within some seconds: ask again. The view ends some seconds after the last
+    question.
+
+    Attributes:
+        viewer: identifies the view; a random text.
+        topics: their names on this side, or on the other side if they are not bridged. The first one gives the kind of
+            picture; a map has the others over it.
+        wish: the size and the way to draw; it may change with each question.
+        link: the link to the side that publishes them, or an empty string if the engine is to find that out.
+    """
+
+    right = Right.LOOK
+    refreshes = False
+    cancellable = True
+    viewer: Annotated[str, Meta(min_length=1, max_length=64)]
+    topics: Annotated[tuple[str, ...], Meta(min_length=1, max_length=TOPICS_AT_ONCE)]
+    wish: Wish
+    link: str = ""
+
+
 class Describe(Command[str], frozen=True, tag="describe"):
     """Find the description of a topic's type (`rsb_bridge.cdr.description`) on either side."""
 
@@ -303,6 +328,7 @@ AnyCommand: TypeAlias = (
     | Reload
     | Topics
     | Peek
+    | Look
     | Describe
     | Template
     | Call

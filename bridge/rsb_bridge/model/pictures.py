@@ -11,6 +11,8 @@ from typing import Annotated, Literal, TypeAlias
 import msgspec
 from msgspec import Meta
 
+from rsb_bridge.model.text import UNPRINTABLE, sanitize_text
+
 FEATURE = "look"
 """Feature that a side announces if it renders pictures for its peer."""
 TYPE = "rsb_bridge/msg/Picture"
@@ -26,7 +28,7 @@ TOPICS_AT_ONCE = 8
 PICTURE_LIMIT = 1 << 20
 """Bytes of an encoded picture."""
 _TEXT = 255
-_Text: TypeAlias = Annotated[str, Meta(max_length=_TEXT)]
+_Text: TypeAlias = Annotated[str, Meta(max_length=_TEXT, pattern=rf"\A[^{UNPRINTABLE}]*\Z")]
 _Number: TypeAlias = Annotated[float, Meta(ge=-1e9, le=1e9)]
 
 
@@ -138,15 +140,15 @@ class Curve(msgspec.Struct, frozen=True, omit_defaults=True):
 
     Attributes:
         name: path of the field.
-        lows: lowest value in each column; not a number where none came.
-        highs: highest value in each column.
+        lows: lowest value in each column, or None where none came.
+        highs: highest value in each column, or None.
         last: newest value, or None before the first.
         mean: of all values in the plot, or None.
     """
 
     name: _Text
-    lows: Annotated[tuple[float, ...], Meta(max_length=2 * MOST_COLUMNS)] = ()
-    highs: Annotated[tuple[float, ...], Meta(max_length=2 * MOST_COLUMNS)] = ()
+    lows: Annotated[tuple[float | None, ...], Meta(max_length=2 * MOST_COLUMNS)] = ()
+    highs: Annotated[tuple[float | None, ...], Meta(max_length=2 * MOST_COLUMNS)] = ()
     last: float | None = None
     mean: float | None = None
 
@@ -158,7 +160,7 @@ class Picture(msgspec.Struct, frozen=True, omit_defaults=True):
         content: the picture, or None before the first message, or with a problem.
         taken: ns since the epoch on the sending side's clock, when DDS received the newest message in it, or 0.
         stamp: ns since the epoch, the newest message's own stamp (``header.stamp``), or 0.
-        messages: that the view has seen since it began.
+        messages: received since the view began.
         size: bytes of the newest message.
         type_name: of the first topic.
         notes: lines about the picture (``1920×1080 rgb8``).
@@ -172,7 +174,61 @@ class Picture(msgspec.Struct, frozen=True, omit_defaults=True):
     size: int = 0
     type_name: _Text = ""
     notes: Annotated[tuple[_Text, ...], Meta(max_length=16)] = ()
-    problem: Annotated[str, Meta(max_length=500)] = ""
+    problem: Annotated[str, Meta(max_length=500, pattern=rf"\A[^{UNPRINTABLE}]*\Z")] = ""
+
+
+class Viewed(msgspec.Struct, frozen=True, omit_defaults=True):
+    """A picture as a viewer gets it.
+
+    Attributes:
+        picture: the picture.
+        where: the link's name if the other side drew it, or an empty string if this side did.
+        age: s since DDS received the newest message in it, by both machines' clocks, or None if it has none, or if the
+            clocks cannot be compared.
+        encoded: bytes of the picture as it crossed the link, before compression.
+    """
+
+    picture: Picture
+    where: str = ""
+    age: float | None = None
+    encoded: int = 0
+
+
+class PictureError(ValueError):
+    """Bytes are no picture."""
+
+
+_encoder, _decoder = msgspec.msgpack.Encoder(), msgspec.msgpack.Decoder(Picture)
+
+
+def encode_picture(picture: Picture) -> bytes:
+    """Return a picture as bytes."""
+    return _encoder.encode(picture)
+
+
+def decode_picture(encoded: bytes) -> Picture:
+    """Return a picture of a side that is not trusted, safe for terminals.
+
+    Raises:
+        PictureError: it is none, or its parts do not fit each other.
+    """
+    if len(encoded) > PICTURE_LIMIT:
+        raise PictureError(f"a picture of {len(encoded):,} bytes; at most {PICTURE_LIMIT:,} are read")
+    try:
+        picture = _decoder.decode(encoded)
+    except (msgspec.MsgspecError, ValueError) as error:
+        raise PictureError(str(error)) from None
+    content = picture.content
+    if isinstance(content, Pixels) and len(content.rgb) != 3 * content.width * content.height:
+        raise PictureError("an image has not as many bytes as its size says")
+    if isinstance(content, Cells):
+        if len(content.styles) not in (0, sum(map(len, content.rows))):
+            raise PictureError("not each character has a style")
+        if max(content.styles, default=0) >= max(1, len(content.palette)):
+            raise PictureError("a character has a style that is not in the palette")
+        content = msgspec.structs.replace(content, rows=tuple(map(sanitize_text, content.rows)))
+        picture = msgspec.structs.replace(picture, content=content)
+    return picture
 
 
 def view_topic(number: int) -> str:

@@ -52,7 +52,7 @@ Identity = tuple[Kind, str, Direction]
 """The key of a topic, unique in a session: kind, name on the client, direction."""
 Protocol = Literal["tcp", "udp", "bluetooth", "zenoh", "zenoh-drop"]
 Role = Literal["client", "server"]
-May = Literal["publish", "read", "call", "serve"]
+May = Literal["publish", "read", "look", "call", "serve"]
 OperatorMay = Literal["look", "change"]
 
 ZENOH_HOST = "zenoh"

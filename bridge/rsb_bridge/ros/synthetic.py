@@ -1,4 +1,4 @@
-"""Topics without nodes, for measuring a link: `Synthetic` makes their messages and takes them on the other side.
+"""Topics without nodes, for measuring a link and for pictures: `Synthetic` makes and takes their messages.
 
 A route handles them like other topics: it seals, limits and counts their messages. They never reach DDS.
 """
@@ -12,7 +12,9 @@ from collections import defaultdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, cast
 
+from rsb_bridge.model import pictures
 from rsb_bridge.model.benchmark import TYPE, TYPE_HASH, is_bench_topic
+from rsb_bridge.model.pictures import is_view_topic
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.ros.ros_interface import Endpoint, RawMessage
 
@@ -170,10 +172,64 @@ class Drain:
         self._closed()
 
 
+class PictureSource:
+    """Sends the pictures of one view."""
+
+    def __init__(self, sink: Sink, closed: Callable[[], None]) -> None:
+        self._sink = sink
+        self._closed = closed
+        self._number = 0
+        self.lost = 0
+        self.closed = False
+
+    def send(self, encoded: bytes, stamp: int) -> None:
+        """Send a picture. This may block, so not on the I/O thread.
+
+        Args:
+            encoded: the picture.
+            stamp: ns since the epoch, when its newest message was received.
+        """
+        if not self.closed:
+            self._number += 1
+            self._sink([RawMessage(_HEADER + encoded, stamp, _GID, self._number)])
+
+    def close(self) -> None:
+        """Send nothing more."""
+        self.closed = True
+        self._closed()
+
+
+class PictureSink:
+    """Takes the pictures of one view where they arrive.
+
+    Attributes:
+        taken: called with each picture; set by the user.
+        gid: as of `Drain`.
+    """
+
+    subscriber_count = 1
+    acknowledged = True
+
+    def __init__(self, closed: Callable[[], None]) -> None:
+        self._closed = closed
+        self.taken: Callable[[bytes], None] = lambda _: None
+        self.gid = secrets.token_bytes(len(_GID))
+
+    def publish(self, payload: bytes) -> None:
+        """Take a picture."""
+        self.taken(payload[len(_HEADER) :])
+
+    def close(self) -> None:
+        """Take no more."""
+        self._closed()
+
+
 class Synthetic:
     """A ROS side with such topics in addition to its graph's.
 
     Attributes:
+        picture_sources: the sources of pictures that routes send, by topic and link.
+        picture_sinks: where the pictures of the other side go, by topic and link.
         sources: the sources that routes send from, by topic and link: several links may have a topic of one name.
         drains: the drains that routes publish to, by topic and link.
         admits: by link, a function that tells whether a drain may take a message of so many bytes.
@@ -185,6 +241,8 @@ class Synthetic:
         self.sources: dict[tuple[str, Hashable], Source] = {}
         self.drains: dict[tuple[str, Hashable], Drain] = {}
         self.admits: dict[Hashable, Callable[[Drain, int], bool]] = {}
+        self.picture_sources: dict[tuple[str, Hashable], PictureSource] = {}
+        self.picture_sinks: dict[tuple[str, Hashable], PictureSink] = {}
         self._opened: defaultdict[Hashable, list[Drain]] = defaultdict(list)
 
     def __getattr__(self, name: str) -> Any:
@@ -192,10 +250,10 @@ class Synthetic:
 
     def publishers(self, topic: str) -> list[Endpoint]:
         """See `rsb_bridge.ros.ros_interface.RosInterface`, also for the methods below."""
-        return [_endpoint()] if is_bench_topic(topic) else self._ros.publishers(topic)
+        return [endpoint] if (endpoint := _endpoint_of(topic)) else self._ros.publishers(topic)
 
     def subscriptions(self, topic: str) -> list[Endpoint]:
-        return [_endpoint()] if is_bench_topic(topic) else self._ros.subscriptions(topic)
+        return [endpoint] if (endpoint := _endpoint_of(topic)) else self._ros.subscriptions(topic)
 
     def subscribe(
         self,
@@ -207,16 +265,24 @@ class Synthetic:
         origin: Hashable,
         on_failure: OnFailure | None = None,
     ) -> Subscription:
+        key = topic, origin
+        if is_view_topic(topic):
+            views = self.picture_sources
+            picture_source = views[key] = PictureSource(sink, lambda: _forget(views, key, picture_source))
+            return picture_source
         if not is_bench_topic(topic):
             return self._ros.subscribe(topic, type_name, type_hash, qos, sink, origin, on_failure)
-        key = topic, origin
         source = self.sources[key] = Source(sink, self._clocks, lambda: _forget(self.sources, key, source))
         return source
 
     def advertise(self, topic: str, type_name: str, type_hash: str, qos: Qos, origin: Hashable) -> Publisher:
+        key = topic, origin
+        if is_view_topic(topic):
+            views = self.picture_sinks
+            picture_sink = views[key] = PictureSink(lambda: _forget(views, key, picture_sink))
+            return picture_sink
         if not is_bench_topic(topic):
             return self._ros.advertise(topic, type_name, type_hash, qos, origin)
-        key = topic, origin
         drain = self.drains[key] = Drain(
             self._clocks,
             lambda: _forget(self.drains, key, drain),
@@ -230,8 +296,13 @@ class Synthetic:
         return self._opened.pop(origin, [])
 
 
-def _endpoint() -> Endpoint:
-    return Endpoint(_NODE, TYPE, TYPE_HASH, Qos(), _GID)
+def _endpoint_of(topic: str) -> Endpoint | None:
+    """Return the end of a topic without nodes, or None if it is an ordinary topic."""
+    if is_bench_topic(topic):
+        return Endpoint(_NODE, TYPE, TYPE_HASH, Qos(), _GID)
+    if is_view_topic(topic):
+        return Endpoint(_NODE, pictures.TYPE, pictures.TYPE_HASH, Qos(), _GID)
+    return None
 
 
 def _forget(held: dict[tuple[str, Hashable], Any], key: tuple[str, Hashable], which: object) -> None:

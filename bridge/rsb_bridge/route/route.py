@@ -16,6 +16,7 @@ import msgspec
 from rsb_bridge.model.budgets import Backoff
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.limits import MAX_AGE_FEATURE
+from rsb_bridge.model.pictures import is_view_topic
 from rsb_bridge.model.session import HIGHEST, RANKS, priority_of
 from rsb_bridge.model.snapshot import Level, RouteSnapshot
 from rsb_bridge.model.text import sanitize_text
@@ -107,6 +108,7 @@ class Route:
         self.transport = context.transports[proposal.transport]
         self.proposed_here = proposed_here
         self.key = route_key(peer.name, proposal)
+        self.shown = not is_view_topic(self.topic)
         self.pattern = ""
         self.id = 0
         self.instance = ""

@@ -40,6 +40,9 @@ class ShownRoute(Protocol):
         """Return the route as it is now."""
         ...
 
+    shown: bool
+    """Whether it appears in snapshots."""
+
     @property
     def rests(self) -> bool:
         """Whether nothing has happened to it lately."""
@@ -176,4 +179,4 @@ class SnapshotPublisher:
 
 
 def _routes_of(bridge: ShownBridge) -> list[ShownRoute]:
-    return [route for link in bridge.links() for route in link.routes.values()]
+    return [route for link in bridge.links() for route in link.routes.values() if route.shown]

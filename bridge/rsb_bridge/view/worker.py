@@ -31,6 +31,8 @@ MEMORY_LIMIT = 1 << 30
 """Bytes of address space that drawing may add to that of the started process."""
 VIEWS_AT_MOST = 16
 """Views whose messages are remembered."""
+TYPES_AT_MOST = 64
+"""Descriptions that are remembered."""
 _ELEMENTS, _STEPS = 100_000, 500_000
 """Messages in an array, and values, that are read from one message at most."""
 _NICE = 10
@@ -80,8 +82,7 @@ class Task(msgspec.Struct, frozen=True, array_like=True):
         samples: messages since the last task, oldest first.
         seen: messages that the view's topics had so far, including the ones left out.
         size: bytes of the newest message.
-        descriptions: texts that describe the types (`rsb_bridge.cdr.description`), with their names and hashes, if
-            they were not in an earlier task.
+        descriptions: texts that describe the types (`rsb_bridge.cdr.description`), with their names and hashes.
         ended: whether the view is over: forget it, and answer nothing.
     """
 
@@ -99,7 +100,7 @@ class Artist:
     """Draws the pictures of all views."""
 
     def __init__(self) -> None:
-        self._types: dict[str, TypeDescription] = {}
+        self._types: dict[tuple[str, str], TypeDescription] = {}
         self._views: dict[int, tuple[str, View]] = {}
 
     def do(self, task: Task) -> Picture | None:
@@ -108,38 +109,34 @@ class Artist:
             self._views.pop(task.view, None)
             return None
         newest = task.samples[-1] if task.samples else None
-        about = {
-            "taken": newest.stamp if newest is not None else 0,
-            "messages": task.seen,
-            "size": task.size,
-            "type_name": sanitize_text(task.type_name, 255),
-        }
+        about = Picture(
+            taken=newest.stamp if newest is not None else 0,
+            messages=task.seen,
+            size=task.size,
+            type_name=sanitize_text(task.type_name, 255),
+        )
         try:
-            picture = self._draw(task, Picture(**about))
+            picture = self._draw(task, about)
         except MemoryError:
             self._views.pop(task.view, None)
-            return Picture(**about, problem=Undrawable.NO_MEMORY())
+            return _failed(about, Undrawable.NO_MEMORY())
         except ModuleNotFoundError as error:
             topic = task.samples[0].topic if task.samples else "the topic"
             problem = Undrawable.LIBRARY_MISSING(library=_LIBRARIES.get(error.name or "", error.name), topic=topic)
-            return Picture(**about, problem=sanitize_text(problem))
+            return _failed(about, problem)
         except UndrawableError as error:
-            return Picture(**about, problem=sanitize_text(str(error)))
+            return _failed(about, str(error))
         except Exception as error:  # noqa: BLE001 -- whatever a stranger's message does to a view, the next one is drawn
-            return Picture(**about, problem=sanitize_text(Undrawable.FAILED(error=f"{type(error).__name__}: {error}")))
+            return _failed(about, Undrawable.FAILED(error=f"{type(error).__name__}: {error}"))
         if (size := len(msgspec.msgpack.encode(picture))) > PICTURE_LIMIT:
-            return Picture(**about, problem=Undrawable.TOO_LARGE(size=size, limit=PICTURE_LIMIT))
+            return _failed(about, Undrawable.TOO_LARGE(size=size, limit=PICTURE_LIMIT))
         return picture
 
     def _draw(self, task: Task, about: Picture) -> Picture:
-        for type_name, text, type_hash in task.descriptions:
-            try:
-                self._types[type_name] = read_description(text, type_hash)
-            except DescriptionError as error:
-                raise UndrawableError(Undrawable.TYPE_INVALID(error=error)) from None
+        types = {name: self._type(name, text, type_hash) for name, text, type_hash in task.descriptions}
         problem, stamp = "", 0
         for sample in task.samples:
-            decoded = decode(self._types[sample.type_name], sample.payload, items=_ELEMENTS, steps=_STEPS, raw=True)
+            decoded = decode(types[sample.type_name], sample.payload, items=_ELEMENTS, steps=_STEPS, raw=True)
             if decoded.problem:
                 problem = Undrawable.NOT_READ(type_name=sample.type_name, problem=decoded.problem)
                 continue
@@ -157,6 +154,18 @@ class Artist:
             problem=sanitize_text(problem or drawn.problem),
         )
 
+    def _type(self, name: str, text: str, type_hash: str) -> TypeDescription:
+        known = self._types.get((name, type_hash))
+        if known is None:
+            try:
+                known = read_description(text, type_hash)
+            except DescriptionError as error:
+                raise UndrawableError(Undrawable.TYPE_INVALID(error=error)) from None
+            if len(self._types) >= TYPES_AT_MOST:
+                self._types.clear()
+            self._types[name, type_hash] = known
+        return known
+
     def _view(self, task: Task) -> View:
         """Return the view of a task; a wish for another kind begins a new one."""
         how = task.wish.how or task.type_name
@@ -171,6 +180,10 @@ class Artist:
             del self._views[next(iter(self._views))]
         self._views[task.view] = how, view
         return view
+
+
+def _failed(about: Picture, problem: str) -> Picture:
+    return msgspec.structs.replace(about, problem=sanitize_text(problem))
 
 
 _LIBRARIES = {"PIL": "Pillow", "numpy": "numpy"}

@@ -11,6 +11,7 @@ from msgspec import Meta, Struct
 
 from rsb_bridge.cdr.description import DESCRIPTION_LIMIT
 from rsb_bridge.model.limits import LATE_AFTER, MAX_AGE, PORT, RATE, REASON_LENGTH, STALE_AFTER, TEXT_LENGTH
+from rsb_bridge.model.pictures import TOPICS_AT_ONCE
 from rsb_bridge.model.session import HIGHEST, LOWEST
 from rsb_bridge.model.sources import HOP_LENGTH, MOST_BRIDGES, MOST_HOPS
 from rsb_bridge.model.text import UNPRINTABLE
@@ -44,6 +45,7 @@ MaybeHops: TypeAlias = Annotated[tuple[Hop, ...], Meta(max_length=MOST_HOPS)]
 Kinds: TypeAlias = Annotated[tuple[Name, ...], Meta(max_length=16)]
 Bridges: TypeAlias = Annotated[tuple[Name, ...], Meta(min_length=1, max_length=MOST_BRIDGES)]
 NodeNames: TypeAlias = Annotated[tuple[Name, ...], Meta(max_length=16)]
+ViewedTopics: TypeAlias = Annotated[tuple[Name, ...], Meta(min_length=1, max_length=TOPICS_AT_ONCE)]
 Features: TypeAlias = Annotated[tuple[Name, ...], Meta(max_length=32)]
 
 MOST_PUBLISHERS = 4096

@@ -10,6 +10,7 @@ from msgspec import UNSET, Meta, UnsetType
 from rsb_bridge.model.benchmark import MOST_SIZE
 from rsb_bridge.model.calls import MOST_LANES
 from rsb_bridge.model.patterns import NAMES_FOLLOWED, PATTERNS_PER_LINK
+from rsb_bridge.model.pictures import Wish
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.model.sources import MOST_SOURCES
 from rsb_bridge.wire.fields import (
@@ -38,6 +39,7 @@ from rsb_bridge.wire.fields import (
     Shift,
     StaleAfter,
     Transport,
+    ViewedTopics,
     check_limits,
 )
 from rsb_bridge.wire.headers import LeaseNumber
@@ -655,6 +657,34 @@ class Followed(ControlMessageBase, frozen=True):
     more: Count = 0
 
 
+class Look(ControlMessageBase, frozen=True):
+    """A viewer wants pictures of topics of the other side. Answered by a `LookAnswer` of the same number.
+
+    Attributes:
+        request: counts up.
+        route: id of the route that carries the pictures.
+        topics: names on the receiving side.
+        wish: the viewer's.
+    """
+
+    request: Count
+    route: RouteId
+    topics: ViewedTopics
+    wish: Wish
+
+
+class LookAnswer(ControlMessageBase, frozen=True):
+    """The answer to `Look`.
+
+    Attributes:
+        request: the question's.
+        problem: the reason for a refusal, for an operator, or empty.
+    """
+
+    request: Count
+    problem: Reason = ""
+
+
 class Lease(ControlMessageBase, frozen=True):
     """A number from either side, sent several times a second while a route is armed or an operator asks for that.
 
@@ -709,6 +739,8 @@ ControlMessage: TypeAlias = (
     | Followed
     | BenchAsk
     | BenchAnswer
+    | Look
+    | LookAnswer
     | Duplicate
     | Shutdown
 )

@@ -1,0 +1,194 @@
+"""The views of an engine's consoles: opens each where its topic is published, and ends it when nobody looks."""
+
+from __future__ import annotations
+
+import asyncio
+from typing import TYPE_CHECKING
+
+from rsb_bridge.link.errors import LinkError
+from rsb_bridge.link.topic_view import TopicView, Viewable
+from rsb_bridge.model.pictures import Picture, Viewed, encode_picture
+from rsb_bridge.model.wording import Wording
+from rsb_bridge.ros.ros_interface import RosError
+from rsb_bridge.route.topic_route import TopicRoute
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    from rsb_bridge.context import Context
+    from rsb_bridge.link.link import Link
+    from rsb_bridge.link.link_views import PeerView
+    from rsb_bridge.model.commands import Look
+
+VIEWS = 8
+"""Views of all consoles at the same time."""
+WAITS_AT_MOST = 10.0
+"""s after which a console gets None, and asks again."""
+ENDS_AFTER = 5.0
+"""s without a question after which a view ends: its console is gone."""
+
+
+class LookProblem(Wording):
+    """The reason why a console gets no picture."""
+
+    TOO_MANY = "{limit} views are open here already: close one of them"
+    NOWHERE = "{topic} has no publisher on this side or {others}"
+
+
+class _View:
+    """A console's view, wherever its topic is."""
+
+    def __init__(self) -> None:
+        self.asking = 0
+        self.used_at = 0.0
+        self.place: tuple[str, tuple[str, ...]] | None = None
+        self.link: Link | None = None
+        self.peer_view: PeerView | None = None
+        self.own: TopicView | None = None
+        self.task: asyncio.Task[None] | None = None
+        self.newest: Picture | None = None
+        self.news = asyncio.Event()
+
+    async def deliver(self, picture: Picture) -> None:
+        self.newest = picture
+        self.news.set()
+
+    def close(self) -> None:
+        if self.task is not None:
+            self.task.cancel()
+        if self.link is not None and self.peer_view is not None:
+            self.link.views.close_view(self.peer_view)
+        self.task = self.link = self.peer_view = self.own = None
+
+
+class Viewing:
+    """Answers `Look`.
+
+    Args:
+        context: the engine's.
+        links: gives the links.
+        spawn: runs a view.
+    """
+
+    def __init__(
+        self, context: Context, links: Callable[[], Sequence[Link]], spawn: Callable[..., asyncio.Task[None]]
+    ) -> None:
+        self._context = context
+        self._links = links
+        self._spawn = spawn
+        self._views: dict[str, _View] = {}
+
+    async def look(self, command: Look) -> Viewed | None:
+        """Return a console's next picture, or None if there is none for some time.
+
+        Raises:
+            LinkError: there is no picture of the topic.
+        """
+        view = self._views.get(command.viewer)
+        if view is None:
+            if len(self._views) >= VIEWS:
+                raise LinkError(LookProblem.TOO_MANY(limit=VIEWS))
+            view = self._views[command.viewer] = _View()
+        view.asking += 1
+        try:
+            return await self._next(view, command)
+        except LinkError:
+            view.place = None  # the next question looks for the topic again
+            raise
+        finally:
+            view.asking -= 1
+            view.used_at = self._context.now()
+
+    async def _next(self, view: _View, command: Look) -> Viewed | None:
+        place = command.link, command.topics
+        if view.place != place:
+            view.close()
+            view.place = place
+            await self._open(view, command)
+        if view.peer_view is not None:
+            assert view.link is not None
+            topics = tuple(_there(view.link, topic) for topic in command.topics)
+            return await view.link.views.look(view.peer_view, topics, command.wish, WAITS_AT_MOST)
+        assert view.own is not None
+        view.own.change(command.topics, command.wish)
+        try:
+            async with asyncio.timeout(WAITS_AT_MOST):
+                await view.news.wait()
+        except TimeoutError:
+            return None
+        view.news.clear()
+        picture, view.newest = view.newest, None
+        if picture is None:
+            return None
+        age = max(0.0, self._context.wall() - picture.taken / 1e9) if picture.taken else None
+        return Viewed(picture, "", age, len(encode_picture(picture)))
+
+    async def _open(self, view: _View, command: Look) -> None:
+        link = await self._place(command.topics[0], command.link)
+        if link is not None:
+            view.link, view.peer_view = link, await link.views.open()
+            return
+        renderer = self._context.renderer
+        view.own = TopicView(
+            self._context, renderer, renderer.next_view(), command.topics, command.wish, view.deliver, self._bridged
+        )
+        await view.own.check()
+        view.task = self._spawn(view.own.run())
+
+    async def _place(self, topic: str, link_name: str) -> Link | None:
+        """Return the link to the side that publishes a topic, or None if this side does.
+
+        Raises:
+            LinkError: no side is known to publish it.
+        """
+        links = self._links()
+        if link_name:
+            named = next((each for each in links if each.name == link_name), None)
+            if named is None:
+                raise LinkError(f"there is no link {link_name!r}")
+            return named
+        if self._bridged(topic) is not None:
+            return None
+        try:
+            if await asyncio.to_thread(self._context.ros.publishers, topic):
+                return None
+        except RosError as error:
+            raise LinkError(str(error)) from None
+        for link in links:
+            if not link.linked:
+                continue
+            if any(each.topic == _there(link, topic) and each.publishers for each in await link.topic_lists.ask()):
+                return link
+        others = "any side that is linked" if links else "another side"
+        raise LinkError(LookProblem.NOWHERE(topic=topic, others=others))
+
+    def _bridged(self, topic: str) -> Viewable | None:
+        """Return a topic that a link brings to this side, or None."""
+        for link in self._links():
+            for route in link.routes.values():
+                is_that = isinstance(route, TopicRoute) and not route.outgoing and route.local_topic == topic
+                if is_that and route.flowing and route.type_hash and route.qos is not None:
+                    return Viewable(route.type_name, route.type_hash, route.qos)
+        return None
+
+    def tick(self) -> None:
+        """End the views that nobody looks at, and the process that draws if it has nothing to do."""
+        now = self._context.now()
+        for viewer, view in list(self._views.items()):
+            if not view.asking and now - view.used_at > ENDS_AFTER:
+                del self._views[viewer]
+                view.close()
+        self._context.renderer.end_if_idle()
+
+    def close(self) -> None:
+        """End all views."""
+        for view in self._views.values():
+            view.close()
+        self._views.clear()
+        self._context.renderer.close()
+
+
+def _there(link: Link, topic: str) -> str:
+    """Return the peer's name of a topic that this side's operator may name with the client's name before it."""
+    prefix = f"/{link.name}/"
+    return topic[len(prefix) - 1 :] if not link.is_client and topic.startswith(prefix) else topic

@@ -1,0 +1,280 @@
+"""Pictures of one peer's topics for this side's viewers, and of this side's topics for the peer's.
+
+Each view has a route of its own, at the lowest priority, whose topic no node has (`rsb_bridge.ros.synthetic`). So its
+pictures are sealed, limited and counted like messages, and give way to them. `Look` tells the sending side what to
+draw.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from functools import partial
+from typing import TYPE_CHECKING
+
+from rsb_bridge.config.rights import Use
+from rsb_bridge.link.errors import LinkError
+from rsb_bridge.link.extension import Extension
+from rsb_bridge.link.questions import Questions
+from rsb_bridge.link.topic_view import TopicView
+from rsb_bridge.model.codes import EventCode
+from rsb_bridge.model.pictures import (
+    FEATURE,
+    PICTURE_LIMIT,
+    TYPE,
+    Picture,
+    PictureError,
+    Viewed,
+    decode_picture,
+    encode_picture,
+    is_view_topic,
+    view_topic,
+)
+from rsb_bridge.model.session import Topic
+from rsb_bridge.model.snapshot import Level
+from rsb_bridge.model.text import sanitize_text
+from rsb_bridge.model.wording import Wording
+from rsb_bridge.ros.synthetic import synthetic_of
+from rsb_bridge.wire.messages import Look, LookAnswer
+
+if TYPE_CHECKING:
+    from rsb_bridge.link.base_link import BaseLink
+    from rsb_bridge.link.proposed_topics import ProposedTopics
+    from rsb_bridge.link.route_table import RouteTable
+    from rsb_bridge.model.pictures import Wish
+    from rsb_bridge.ros.synthetic import PictureSink, PictureSource
+    from rsb_bridge.route.route import Route
+
+VIEWS_OF_PEER = 4
+"""Views that one peer has at the same time."""
+OPENED_WITHIN = 10.0
+_ANSWERED_WITHIN = 15.0
+"""s: the other side may have to ask several nodes for a type."""
+_LOOK_EVERY = 0.05
+_ENDED = "the view is closed"
+
+
+class ViewRefused(Wording):
+    """The reason why the peer gets no picture, or this side none from the peer."""
+
+    TOO_MANY = "{limit} views of this link are open already: close one of them"
+    OLD_PEER = "the other side's rsb-console is too old to draw pictures: update it"
+    NOT_LINKED = "{link} is not linked: {reason}"
+    NO_VIEW = "this route carries no pictures"
+    NOT_POSSIBLE = "no pictures can be drawn here"
+    NOT_OPENED = "the view was not opened: {reason}"
+
+
+class PeerView:
+    """One view of the peer's topics, on the side of its viewer.
+
+    Attributes:
+        route: carries the pictures.
+        newest: the newest picture that the viewer has not seen, or None.
+    """
+
+    def __init__(self, route: Route) -> None:
+        self.route = route
+        self.newest: bytes | None = None
+        self.news = asyncio.Event()
+        self.asked: tuple[int, tuple[str, ...], Wish] | None = None
+        """The opening, topics and wish that the peer knows."""
+        self.sink: PictureSink | None = None
+
+    def take(self, encoded: bytes) -> None:
+        """Take a picture."""
+        self.newest = encoded
+        self.news.set()
+
+
+class LinkViews(Extension):
+    """One link's views, in both directions."""
+
+    def __init__(self, link: BaseLink, table: RouteTable, proposed: ProposedTopics) -> None:
+        self._context = link.context
+        self._link = link
+        self._table = table
+        self._proposed = proposed
+        self._synthetic = synthetic_of(link.context.ros)
+        self.messages = {Look: self._asked, LookAnswer: self._answered}
+        self._questions: Questions[LookAnswer] = Questions(link.send, link.spawn, _ANSWERED_WITHIN)
+        self._request = 0
+        self._number = 0
+        self._drawing: dict[int, tuple[TopicView, asyncio.Task[None]]] = {}
+        """Views that are drawn for the peer, by the id of their route's opening."""
+
+    # --- for the peer
+
+    def refusal(self, topic: str) -> str:
+        if not is_view_topic(topic):
+            return ""
+        if self._synthetic is None:
+            return ViewRefused.NOT_POSSIBLE()
+        own = [route for route in self._routes() if not route.proposed_here and route.local_topic != topic]
+        return ViewRefused.TOO_MANY(limit=VIEWS_OF_PEER) if len(own) >= VIEWS_OF_PEER else ""
+
+    def _asked(self, look: Look) -> None:
+        self._questions.answer(look.request, partial(self._answer, look))
+
+    def _answered(self, answer: LookAnswer) -> None:
+        self._questions.answered(answer.request, answer)
+
+    async def _answer(self, look: Look) -> LookAnswer:
+        try:
+            await self._show(look)
+        except LinkError as error:
+            return LookAnswer(look.request, sanitize_text(str(error)))
+        return LookAnswer(look.request)
+
+    async def _show(self, look: Look) -> None:
+        """Begin to draw for the peer, or draw something else.
+
+        Raises:
+            LinkError: the peer may not, or the topic cannot be viewed.
+        """
+        route = self._link.ids.open_route(look.route)
+        if route is None or route.proposed_here or not route.outgoing or not is_view_topic(route.local_topic):
+            raise LinkError(ViewRefused.NO_VIEW())
+        for topic in look.topics:
+            if refusal := self._link.rights.refusal(Use(topic, "look", route.proposal.transport)):
+                raise LinkError(str(refusal))
+        if (drawing := self._drawing.get(look.route)) is not None:
+            drawing[0].change(look.topics, look.wish)
+            return
+        context = self._context
+        source = None if self._synthetic is None else self._source(route)
+        if source is None:
+            raise LinkError(ViewRefused.NO_VIEW())
+        view = TopicView(
+            context, context.renderer, context.renderer.next_view(), look.topics, look.wish, partial(_send, source)
+        )
+        await view.check()
+        self._drawing[look.route] = view, self._link.spawn(view.run())
+        self._log(look.topics[0], begins=True)
+
+    def _log(self, topic: str, *, begins: bool) -> None:
+        text = f"{topic}: {self._link.name} {'looks at pictures of it' if begins else 'stopped looking'}"
+        code = EventCode.LINK_VIEW_BEGAN if begins else EventCode.LINK_VIEW_ENDED
+        self._context.log(Level.INFO, code, text, link=self._link.name, topic=topic)
+
+    def _source(self, route: Route) -> PictureSource | None:
+        assert self._synthetic is not None
+        return self._synthetic.picture_sources.get((route.local_topic, self._link.name))
+
+    def tick(self) -> None:
+        """End views whose routes are closed."""
+        for opening, (view, task) in list(self._drawing.items()):
+            if self._link.ids.open_route(opening) is None or task.done():
+                del self._drawing[opening]
+                task.cancel()
+                self._log(view.topics[0], begins=False)
+
+    def disconnected(self) -> None:
+        self._questions.disconnected()
+        self.tick()
+
+    # --- for this side's viewers
+
+    async def open(self) -> PeerView:
+        """Open a view of the peer's topics.
+
+        Raises:
+            LinkError: it cannot be opened.
+        """
+        if self._synthetic is None:
+            raise LinkError(ViewRefused.NOT_POSSIBLE())
+        if not self._link.linked:
+            raise LinkError(ViewRefused.NOT_LINKED(link=self._link.name, reason=self._link.down_reason))
+        if FEATURE not in self._link.features:
+            raise LinkError(ViewRefused.OLD_PEER())
+        if sum(route.proposed_here for route in self._routes()) >= VIEWS_OF_PEER:
+            raise LinkError(ViewRefused.TOO_MANY(limit=VIEWS_OF_PEER))
+        self._number += 1
+        transport = self._context.transports.of_link(self._context.session.server_ip)
+        topic = Topic(
+            view_topic(self._number),
+            "receive" if self._link.is_client else "transmit",
+            TYPE,
+            transport.name,
+            qos=1,
+            compression="zstd",
+            stale_after=0.0,
+            late_after=0.0,
+            priority="low",
+        )  # fmt: skip
+        view = PeerView(self._proposed.add(topic))
+        await self._opened(view)
+        return view
+
+    async def look(self, view: PeerView, topics: tuple[str, ...], wish: Wish, seconds: float) -> Viewed | None:
+        """Return the next picture, or None if there is none within so many seconds.
+
+        Args:
+            view: the view.
+            topics: names on the peer's side.
+            wish: the viewer's.
+            seconds: to wait at most.
+
+        Raises:
+            LinkError: the peer refuses, or the link is lost.
+        """
+        await self._opened(view)
+        opening = view.route.id
+        if view.asked != (opening, topics, wish):
+            view.asked = opening, topics, wish
+            self._request += 1
+            answer = await self._questions.ask(self._request, Look(self._request, opening, topics, wish))
+            if answer.problem:
+                view.asked = None
+                raise LinkError(answer.problem)
+        try:
+            async with asyncio.timeout(seconds):
+                await view.news.wait()
+        except TimeoutError:
+            return None
+        view.news.clear()
+        encoded, view.newest = view.newest, None
+        return None if encoded is None else self._viewed(encoded)
+
+    def _viewed(self, encoded: bytes) -> Viewed:
+        try:
+            picture = decode_picture(encoded)
+        except PictureError as error:
+            raise LinkError(f"{self._link.name} sent no valid picture: {error}") from None
+        offset, age = self._link.clock.offset, None
+        if picture.taken and offset is not None:
+            age = max(0.0, self._context.wall() - picture.taken / 1e9 + offset)
+        return Viewed(picture, self._link.name, age, len(encoded))
+
+    def close_view(self, view: PeerView) -> None:
+        """End a view."""
+        if view.route.key in self._link.routes:
+            self._table.remove(view.route, _ENDED)
+
+    async def _opened(self, view: PeerView) -> None:
+        """Wait until pictures can cross."""
+        assert self._synthetic is not None
+        route, deadline = view.route, self._context.now() + OPENED_WITHIN
+        key = route.local_topic, self._link.name
+        while not (route.flowing and key in self._synthetic.picture_sinks):
+            if route.refusal:
+                raise LinkError(route.refusal)
+            if route.key not in self._link.routes or self._context.now() > deadline:
+                raise LinkError(ViewRefused.NOT_OPENED(reason=route.trouble()))
+            await asyncio.sleep(_LOOK_EVERY)
+        sink = self._synthetic.picture_sinks[key]
+        if view.sink is not sink:
+            view.sink, sink.taken = sink, partial(self._arrived, view)
+
+    def _arrived(self, view: PeerView, encoded: bytes) -> None:
+        """Take a picture; on the ROS thread, if that does the I/O thread's work."""
+        self._context.call(partial(view.take, encoded))
+
+    def _routes(self) -> list[Route]:
+        return [each for each in self._link.routes.values() if is_view_topic(each.local_topic)]
+
+
+async def _send(source: PictureSource, picture: Picture) -> None:
+    """Send a picture, on a thread that may wait for the link's queue."""
+    encoded = encode_picture(picture)
+    assert len(encoded) <= PICTURE_LIMIT
+    await asyncio.to_thread(source.send, encoded, picture.taken)
