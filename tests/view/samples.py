@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from rclpy.serialization import serialize_message
 
 from rsb_bridge.cdr.description import hash_of_text
-from rsb_bridge.model.pictures import Picture, Wish
 from rsb_bridge.ros.native.rosidl_descriptions import installed_description
 from rsb_bridge.view.worker import Artist, Sample, Task
+
+if TYPE_CHECKING:
+    from rsb_bridge.model.pictures import Picture, Wish
 
 _NS = 10**9
 

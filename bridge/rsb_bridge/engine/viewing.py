@@ -166,8 +166,9 @@ class Viewing:
         """Return a topic that a link brings to this side, or None."""
         for link in self._links():
             for route in link.routes.values():
-                is_that = isinstance(route, TopicRoute) and not route.outgoing and route.local_topic == topic
-                if is_that and route.flowing and route.type_hash and route.qos is not None:
+                if not isinstance(route, TopicRoute) or route.outgoing or route.local_topic != topic:
+                    continue
+                if route.flowing and route.type_hash and route.qos is not None:
                     return Viewable(route.type_name, route.type_hash, route.qos)
         return None
 

@@ -40,7 +40,6 @@ class ViewProblem(Wording):
     NO_PUBLISHER = "{topic} has no publisher here"
     TYPES_DIFFER = "{topic} has publishers of several types"
     TYPE_UNKNOWN = "{topic}: the type {type_name} is not installed there, and no node of the topic describes it"
-    TOO_LARGE = "{topic}: a message of {size:,} bytes is too large to draw"
 
 
 class Viewable(NamedTuple):
@@ -55,9 +54,6 @@ class Viewable(NamedTuple):
     type_name: str
     type_hash: str
     qos: Qos
-
-
-Bridged = "Callable[[str], Viewable | None]"
 
 
 class _Feed:
