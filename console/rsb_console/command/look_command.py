@@ -1,0 +1,210 @@
+"""The command ``look``: draws pictures of a topic's messages, which the side that publishes it renders."""
+
+from __future__ import annotations
+
+import os
+import secrets
+import shutil
+import sys
+import time
+from typing import TYPE_CHECKING
+
+from rich.color import ColorSystem
+from rich.console import Console
+from rich.style import Style
+
+from rsb_bridge.api import EngineError
+from rsb_bridge.model.pictures import MOST_COLUMNS, MOST_ROWS, Wish
+from rsb_bridge.model.text import escape_text
+from rsb_bridge.model.wording import Wording
+from rsb_console.command.formatting import json_line
+from rsb_console.command.shell import OK, print_line
+from rsb_console.command.target import UsageError, attached, failed, reported
+from rsb_console.look import formats
+from rsb_console.look.glyphs import to_ascii
+from rsb_console.look.picture_rows import notes_line, picture_rows
+from rsb_console.session.picture_files import FORMATS, picture_file
+
+if TYPE_CHECKING:
+    from argparse import Namespace
+
+    from rsb_bridge.control.remote_engine import RemoteEngine
+    from rsb_bridge.model.pictures import Viewed
+    from rsb_console.look.picture_rows import Row
+
+_FAILURE = 1
+_ANSWERED_WITHIN = 60.0
+_TRIED_AGAIN_AFTER = 1.0
+_STYLES = {
+    "dim": "bright_black", "strong": "bold", "axis": "bright_black", "ok": "green", "warning": "yellow",
+    "error": "bold red", "robot": "bold bright_cyan", "path": "cyan", "scan": "magenta", "occupied": "",
+    "free": "bright_black", "goal": "bold bright_yellow",
+}  # fmt: skip
+"""The styles of pictures on a terminal, without a theme."""
+_HOME, _CLEAR_REST, _CLEAR_LINE = "\x1b[H", "\x1b[J", "\x1b[K"
+_ENTER, _LEAVE = "\x1b[?1049h\x1b[?25l", "\x1b[?25h\x1b[?1049l"
+
+
+class LookText(Wording):
+    """Texts of the command."""
+
+    NOTHING_CAME = "no picture of {topic} within {seconds:g} s"
+    NO_TERMINAL = "standard output is no terminal: give --once, or a file with --output"
+    UNKNOWN_FORMAT = "{file}: write a picture to one of {known}"
+    WRITTEN = "written: {file}"
+    AGE = "{age} old"
+    NO_MESSAGE = "no message yet"
+
+
+def run(_: str, arguments: Namespace) -> int:
+    """Run the command. Return the exit code."""
+    return reported(_look, arguments)
+
+
+def _look(arguments: Namespace) -> int:
+    file = arguments.output
+    if file is not None and file.suffix not in FORMATS:
+        raise UsageError(LookText.UNKNOWN_FORMAT(file=file, known=", ".join(FORMATS)))
+    once = arguments.once or file is not None
+    if not once and not sys.stdout.isatty():
+        raise UsageError(LookText.NO_TERMINAL())
+    with attached(arguments, read_only=True) as engine:
+        return _one(engine, arguments) if once else _many(engine, arguments)
+
+
+def _one(engine: RemoteEngine, arguments: Namespace) -> int:
+    """Print one picture, or write it to a file."""
+    seconds = _ANSWERED_WITHIN if arguments.timeout is None else arguments.timeout
+    deadline = time.monotonic() + seconds
+    viewer, problem = secrets.token_hex(8), ""
+    while (left := deadline - time.monotonic()) > 0:
+        wish = _wish(arguments)
+        try:
+            viewed = engine.look(viewer, tuple(arguments.topics), wish, arguments.link).result(left)
+        except TimeoutError:
+            break
+        if viewed is None:
+            continue
+        if viewed.picture.content is not None:
+            if arguments.output is not None:
+                arguments.output.write_bytes(picture_file(viewed.picture.content, arguments.output.suffix))
+                print_line(LookText.WRITTEN(file=arguments.output))
+                return OK
+            _print(viewed, wish, arguments)
+            return OK
+        problem = viewed.picture.problem
+        if problem:
+            break
+    text = problem or LookText.NOTHING_CAME(topic=arguments.topics[0], seconds=seconds)
+    return failed(arguments, escape_text(text), _FAILURE)
+
+
+def _print(viewed: Viewed, wish: Wish, arguments: Namespace) -> None:
+    console, rows = _console(arguments), _rows(viewed, wish, arguments)
+    if arguments.json:
+        picture = viewed.picture
+        print_line(
+            json_line(
+                {
+                    "ok": True,
+                    "side": viewed.where or "here",
+                    "type": picture.type_name,
+                    "age": viewed.age,
+                    "messages": picture.messages,
+                    "size": picture.size,
+                    "encoded": viewed.encoded,
+                    "notes": picture.notes,
+                    "problem": picture.problem,
+                    "rows": ["".join(part.text for part in row) for row in rows],
+                }
+            )
+        )
+        return
+    for row in rows:
+        sys.stdout.write(f"{_encoded(console, row)}\n")
+    print_line(_status(viewed))
+
+
+def _many(engine: RemoteEngine, arguments: Namespace) -> int:
+    """Draw pictures until an interrupt."""
+    viewer, console = secrets.token_hex(8), _console(arguments)
+    sys.stdout.write(_ENTER)
+    try:
+        viewed: Viewed | None = None
+        while True:
+            problem = ""
+            wish = _wish(arguments)
+            try:
+                newer = engine.look(viewer, tuple(arguments.topics), wish, arguments.link).result(_ANSWERED_WITHIN)
+                viewed = newer or viewed
+            except EngineError as error:
+                problem = str(error)
+            lines = [] if viewed is None else [_encoded(console, row) for row in _rows(viewed, wish, arguments)]
+            status = problem or (LookText.NO_MESSAGE() if viewed is None else _status(viewed))
+            lines = [*lines[: wish.height], escape_text(status)[: wish.width]]
+            sys.stdout.write(_HOME + "".join(f"{line}{_CLEAR_LINE}\r\n" for line in lines[:-1]))
+            sys.stdout.write(f"{lines[-1]}{_CLEAR_LINE}{_CLEAR_REST}")
+            sys.stdout.flush()
+            if problem:
+                time.sleep(_TRIED_AGAIN_AFTER)
+    finally:
+        sys.stdout.write(_LEAVE)
+        sys.stdout.flush()
+
+
+def _wish(arguments: Namespace) -> Wish:
+    size = shutil.get_terminal_size((80, 24))
+    return Wish(
+        width=max(1, min(MOST_COLUMNS, arguments.width or size.columns)),
+        height=max(1, min(MOST_ROWS, arguments.height or size.lines - 1)),
+        rate=arguments.rate,
+        how=arguments.how,
+        fields=tuple(arguments.field),
+        zoom=arguments.zoom,
+        tilt=arguments.tilt,
+        frame=arguments.frame,
+        colour=arguments.colour,
+        seconds=arguments.seconds,
+        match=arguments.match,
+    )
+
+
+def _rows(viewed: Viewed, wish: Wish, arguments: Namespace) -> list[Row]:
+    content = viewed.picture.content
+    if content is None:
+        return []
+    return picture_rows(content, wish.width, wish.height, colours=_console(arguments).color_system is not None)
+
+
+def _console(arguments: Namespace) -> Console:
+    """Return rich's idea of this terminal, which changes colours to ones that it has."""
+    if arguments.ascii or "NO_COLOR" in os.environ or not sys.stdout.isatty():
+        return Console(color_system=None)
+    return Console()
+
+
+def _encoded(console: Console, row: Row) -> str:
+    """Return a row with escape sequences for the terminal's colours."""
+    system = None if console.color_system is None else ColorSystem[_SYSTEMS[console.color_system]]
+    ascii_only = not (sys.stdout.encoding or "").lower().startswith("utf")
+    parts = []
+    for text, style, background in row:
+        shown = to_ascii(text) if ascii_only else text
+        if system is None:
+            parts.append(shown)
+            continue
+        fore = _STYLES.get(style, style)
+        look = Style.parse(f"{fore} on {background}" if background else fore or "none")
+        parts.append(look.render(shown, color_system=system))
+    return "".join(parts)
+
+
+_SYSTEMS = {"standard": "STANDARD", "256": "EIGHT_BIT", "truecolor": "TRUECOLOR", "windows": "WINDOWS"}
+
+
+def _status(viewed: Viewed) -> str:
+    picture = viewed.picture
+    where = viewed.where or "this side"
+    age = LookText.AGE(age=formats.age(viewed.age)) if viewed.age is not None else ""
+    parts = (where, age, notes_line(picture), picture.problem)
+    return escape_text("  ".join(part for part in parts if part))

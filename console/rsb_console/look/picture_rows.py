@@ -1,0 +1,99 @@
+"""Pictures of messages as rows of a terminal: half blocks, styled characters, or ASCII."""
+
+from __future__ import annotations
+
+from itertools import groupby
+from typing import TYPE_CHECKING, NamedTuple
+
+from rsb_bridge.model.pictures import Cells, Pixels, Series
+from rsb_console.look.plot_lines import plot_rows
+
+if TYPE_CHECKING:
+    from rsb_bridge.model.pictures import Picture
+
+RAMP = " .:-=+*#%@"
+"""Characters for an image on a terminal without colours, from dark to light."""
+_UPPER_HALF = "▀"
+
+
+class Part(NamedTuple):
+    """Some cells of one row.
+
+    Attributes:
+        text: the characters.
+        style: a style of `rsb_bridge.model.pictures.STYLES`, or the characters' colour as ``#rrggbb``.
+        background: a colour as ``#rrggbb``, or an empty string for the terminal's own.
+    """
+
+    text: str
+    style: str = ""
+    background: str = ""
+
+
+Row = tuple[Part, ...]
+
+
+def picture_rows(
+    content: Cells | Pixels | Series, width: int, height: int, *, colours: bool = True, cursor: int | None = None
+) -> list[Row]:
+    """Return a picture's rows.
+
+    Args:
+        content: of the picture.
+        width: cells that a plot fills.
+        height: cells that a plot fills.
+        colours: whether images have colours; else they are drawn in ASCII by brightness.
+        cursor: column of a plot whose values are shown, or None.
+    """
+    if isinstance(content, Pixels):
+        return _half_blocks(content) if colours else _brightness(content)
+    if isinstance(content, Series):
+        return [tuple(Part(*part) for part in row) for row in plot_rows(content, width, height, cursor=cursor)]
+    return _cells(content)
+
+
+def _half_blocks(pixels: Pixels) -> list[Row]:
+    width, rgb, line = pixels.width, pixels.rgb, 3 * pixels.width
+    rows: list[Row] = []
+    for y in range(0, pixels.height, 2):
+        upper = rgb[y * line : (y + 1) * line]
+        lower = rgb[(y + 1) * line : (y + 2) * line].ljust(line, b"\0")
+        both = [(upper[at : at + 3], lower[at : at + 3]) for at in range(0, 3 * width, 3)]
+        runs = ((colours, len([*same])) for colours, same in groupby(both))
+        rows.append(
+            tuple(Part(_UPPER_HALF * count, f"#{fore.hex()}", f"#{back.hex()}") for (fore, back), count in runs)
+        )
+    return rows
+
+
+def _brightness(pixels: Pixels) -> list[Row]:
+    width, rgb = pixels.width, pixels.rgb
+    grey = [(54 * rgb[at] + 183 * rgb[at + 1] + 19 * rgb[at + 2]) >> 8 for at in range(0, len(rgb), 3)]  # Rec. 709
+    rows: list[Row] = []
+    for y in range(0, pixels.height, 2):
+        upper = grey[y * width : (y + 1) * width]
+        lower = grey[(y + 1) * width : (y + 2) * width] or upper
+        means = ((above + below) // 2 for above, below in zip(upper, lower, strict=True))
+        rows.append((Part("".join(RAMP[mean * len(RAMP) // 256] for mean in means)),))
+    return rows
+
+
+def _cells(cells: Cells) -> list[Row]:
+    rows: list[Row] = []
+    at = 0
+    for text in cells.rows:
+        styles = cells.styles[at : at + len(text)] or bytes(len(text))
+        at += len(text)
+        parts: list[Part] = []
+        begin = 0
+        for style, same in groupby(styles):
+            count = len([*same])
+            parts.append(Part(text[begin : begin + count], cells.palette[style] if cells.palette else ""))
+            begin += count
+        rows.append(tuple(parts))
+    return rows
+
+
+def notes_line(picture: Picture) -> str:
+    """Return the picture's notes as one line."""
+    return " · ".join(picture.notes)
