@@ -7,6 +7,7 @@ second, and ends with its standard input, so that it never outlives its starter.
 from __future__ import annotations
 
 import argparse
+import array
 import json
 import math
 import select
@@ -14,6 +15,7 @@ import sys
 import time
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
 import rclpy
 from geometry_msgs.msg import PoseStamped
 from nav_msgs.msg import OccupancyGrid, Odometry
@@ -24,16 +26,21 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.qos import QoSDurabilityPolicy, QoSProfile, qos_profile_sensor_data
 from rclpy.signals import SignalHandlerOptions
-from sensor_msgs.msg import BatteryState, LaserScan
+from sensor_msgs.msg import BatteryState, Image, LaserScan
 from std_srvs.srv import SetBool
+
+from rsb_bridge.ros import simulated_room
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-SCAN_RATE, ODOM_RATE, BATTERY_RATE, GOAL_RATE = 10.0, 50.0, 1.0, 1.0
+SCAN_RATE, ODOM_RATE, BATTERY_RATE, GOAL_RATE, CAMERA_RATE = 10.0, 50.0, 1.0, 1.0, 10.0
 """Hz."""
 _BEAMS = 360
-_MAP_SIDE = 384  # cells
+_MAP_SIDE, _MAP_RESOLUTION = 384, 0.05  # cells, m
+_IMAGE_WIDTH, _IMAGE_HEIGHT = 320, 240
+_CIRCLE, _TURNS = 2.0, 0.2
+"""m, and rad/s: the robot's way around the middle of its room."""
 _CALL_EVERY = 2.0  # s
 _SPEED, _TOP_SPEED = 0.2, 1.0  # m/s
 _LATCHED = QoSProfile(depth=1, durability=QoSDurabilityPolicy.TRANSIENT_LOCAL)
@@ -105,7 +112,7 @@ class Simulation:
 
 
 class Robot(Simulation):
-    """Drives a circle in a square room: scan, odometry, a latched map, the battery; takes goals.
+    """Drives a circle in a room: scan, odometry, a latched map, the battery, a camera; takes goals.
 
     It has a light, switched by a service, and a parameter: its speed.
     """
@@ -121,31 +128,34 @@ class Robot(Simulation):
         self._publishes(Odometry, "/odom", 10, ODOM_RATE, self._odometry)
         self._publishes(OccupancyGrid, "/map", _LATCHED, 0, self._map)
         self._publishes(BatteryState, "/battery_state", 10, BATTERY_RATE, self._battery)
+        self._publishes_images("/camera/image_raw")
         self._counts(PoseStamped, "/goal_pose", 10)
 
     def _scan(self, t: float) -> LaserScan:
         scan = LaserScan(angle_min=-math.pi, angle_max=math.pi, angle_increment=2 * math.pi / _BEAMS)
-        scan.header.stamp, scan.header.frame_id = self._stamp(), "laser"
+        scan.header.stamp, scan.header.frame_id = self._stamp(), "base_link"
         scan.time_increment, scan.scan_time, scan.range_min, scan.range_max = 0.0, 1 / SCAN_RATE, 0.1, 12.0
-        angles = (2 * math.pi * i / _BEAMS + t / 10 for i in range(_BEAMS))
-        scan.ranges = [2.5 / max(abs(math.cos(a)), abs(math.sin(a))) for a in angles]
+        angles = scan.angle_min + np.arange(_BEAMS) * scan.angle_increment
+        scan.ranges = simulated_room.ranges(*_pose(t), angles).astype(np.float32)
         scan.intensities = [100.0] * _BEAMS
         return scan
 
     def _odometry(self, t: float) -> Odometry:
         odometry = Odometry(child_frame_id="base_link")
-        odometry.header.stamp, odometry.header.frame_id = self._stamp(), "odom"
-        odometry.pose.pose.position.x, odometry.pose.pose.position.y = math.cos(t / 5), math.sin(t / 5)
-        odometry.pose.pose.orientation.w = 1.0
+        odometry.header.stamp, odometry.header.frame_id = self._stamp(), "map"
+        x, y, heading = _pose(t)
+        odometry.pose.pose.position.x, odometry.pose.pose.position.y = x, y
+        odometry.pose.pose.orientation.z = math.sin(heading / 2)
+        odometry.pose.pose.orientation.w = math.cos(heading / 2)
         odometry.twist.twist.linear.x = self._node.get_parameter("speed").value
         return odometry
 
     def _map(self, _: float) -> OccupancyGrid:
         grid = OccupancyGrid()
         grid.header.stamp, grid.header.frame_id = self._stamp(), "map"
-        grid.info.resolution, grid.info.width, grid.info.height = 0.05, _MAP_SIDE, _MAP_SIDE
-        edge = (0, _MAP_SIDE - 1)
-        grid.data = [100 if x in edge or y in edge else 0 for y in range(_MAP_SIDE) for x in range(_MAP_SIDE)]
+        grid.info.resolution, grid.info.width, grid.info.height = _MAP_RESOLUTION, _MAP_SIDE, _MAP_SIDE
+        grid.info.origin.position.x = grid.info.origin.position.y = -_MAP_SIDE * _MAP_RESOLUTION / 2
+        grid.data = simulated_room.grid(_MAP_SIDE, _MAP_RESOLUTION)
         return grid
 
     def _battery(self, t: float) -> BatteryState:
@@ -155,11 +165,33 @@ class Robot(Simulation):
         battery.power_supply_status = BatteryState.POWER_SUPPLY_STATUS_DISCHARGING
         return battery
 
+    def _publishes_images(self, topic: str) -> None:
+        """Publish what a camera sees, while anybody subscribes: images are large."""
+        publisher = self._node.create_publisher(Image, topic, qos_profile_sensor_data)
+
+        def publish() -> None:
+            if publisher.get_subscription_count():
+                publisher.publish(self._image(time.monotonic() - self._began))
+
+        self._node.create_timer(1 / CAMERA_RATE, publish)
+
+    def _image(self, t: float) -> Image:
+        image = Image(width=_IMAGE_WIDTH, height=_IMAGE_HEIGHT, encoding="rgb8", step=3 * _IMAGE_WIDTH)
+        image.header.stamp, image.header.frame_id = self._stamp(), "camera"
+        image.data = array.array("B", simulated_room.image(*_pose(t), _IMAGE_WIDTH, _IMAGE_HEIGHT))
+        return image
+
     def _set_light(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
         was, self._lit = self._lit, request.data
         response.success = True
         response.message = f"the light is {'on' if self._lit else 'off'}{' already' if was == self._lit else ''}"
         return response
+
+
+def _pose(t: float) -> tuple[float, float, float]:
+    """Return where the robot is after so many seconds: x and y in m, and its heading in rad."""
+    angle = t * _TURNS
+    return _CIRCLE * math.cos(angle), _CIRCLE * math.sin(angle), angle + math.pi / 2
 
 
 class Desk(Simulation):

@@ -40,6 +40,8 @@ _LENGTH_BYTES = 4
 
 VIEWS: dict[str, str] = {
     "tree": "fields:FieldsView",
+    "sensor_msgs/msg/Image": "images:ImageView",
+    "sensor_msgs/msg/CompressedImage": "images:ImageView",
 }
 """The module and class of the view of a type, or of a `Wish.how`. Other types show all fields (``tree``)."""
 

@@ -1,0 +1,287 @@
+"""Camera images: sensor_msgs Image and CompressedImage, reduced to the pixels that a viewer's terminal shows."""
+
+from __future__ import annotations
+
+import io
+import warnings
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from rsb_bridge.model.pictures import Pixels
+from rsb_bridge.model.wording import Wording
+from rsb_bridge.view.drawing import Drawn, UndrawableError, View, nested, raw, text
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from numpy.typing import NDArray
+
+    from rsb_bridge.cdr.decoder import Message
+    from rsb_bridge.model.pictures import Wish
+    from rsb_bridge.view.drawing import Received
+
+    Array = NDArray[np.generic]
+
+MOST_PIXELS = 64 << 20
+"""Pixels of an image that is drawn at most."""
+_SAMPLES = 4
+"""Pixels of the image, in each direction, that are averaged to one of the picture at most."""
+_LOW, _HIGH = 2.0, 98.0
+"""Percentiles of the valid depths at the ends of the colours."""
+_RAMP = np.array(
+    [(48, 18, 59), (70, 107, 227), (40, 187, 235), (50, 241, 151), (164, 252, 60), (237, 208, 58), (251, 128, 34),
+     (210, 49, 5), (122, 4, 3)], dtype=np.float32,
+)  # fmt: skip
+"""Colours from near to far, after Turbo (Mikhailov, 2019)."""
+
+
+class ImageProblem(Wording):
+    """The reason why an image cannot be drawn."""
+
+    NO_SIZE = "the image is empty: {width}×{height}"
+    TOO_LARGE = "the image is too large to draw: {width:,}×{height:,}; at most {limit:,} pixels"
+    TOO_SHORT = "the image has {got:,} bytes; {width}×{height} in {encoding} needs {needed:,}"
+    STEP = "the image's rows have {step:,} bytes; {width} pixels in {encoding} need {needed:,}"
+    ENCODING = "images in {encoding!r} cannot be drawn"
+    FORMAT = "compressed images in {format!r} cannot be drawn, only JPEG, PNG and WebP"
+    BROKEN = "the compressed image is damaged: {error}"
+
+
+class _Encoding(NamedTuple):
+    """A way to store pixels in rows (sensor_msgs/image_encodings.hpp).
+
+    Attributes:
+        bytes: of a pixel.
+        dtype: of a channel, without byte order.
+        channels: of a pixel in the rows.
+        to_rgb: makes red, green and blue, from 0 to 255, of rows of pixels.
+    """
+
+    bytes: int
+    dtype: str
+    channels: int
+    to_rgb: Callable[[Array], Array]
+
+
+def _grey(pixels: Array) -> Array:
+    return np.repeat(pixels[:, :, :1], 3, axis=2)
+
+
+def _grey16(pixels: Array) -> Array:
+    return _grey(pixels >> 8)
+
+
+def _swapped(pixels: Array) -> Array:
+    return pixels[:, :, 2::-1]
+
+
+def _first_three(pixels: Array) -> Array:
+    return pixels[:, :, :3]
+
+
+ENCODINGS = {
+    "rgb8": _Encoding(3, "u1", 3, _first_three),
+    "bgr8": _Encoding(3, "u1", 3, _swapped),
+    "rgba8": _Encoding(4, "u1", 4, _first_three),
+    "bgra8": _Encoding(4, "u1", 4, _swapped),
+    "8UC3": _Encoding(3, "u1", 3, _swapped),
+    "8UC4": _Encoding(4, "u1", 4, _swapped),
+    "mono8": _Encoding(1, "u1", 1, _grey),
+    "8UC1": _Encoding(1, "u1", 1, _grey),
+    "mono16": _Encoding(2, "u2", 1, _grey16),
+}
+_DEPTHS = {"16UC1": ("u2", 1e-3), "32FC1": ("f4", 1.0)}
+"""Encodings of depths (REP 118): the type, and m in one unit."""
+_YUV = {"yuv422": (1, 0), "uyvy": (1, 0), "yuv422_yuy2": (0, 1), "yuyv": (0, 1)}
+"""Places of the brightness and of the colour among two bytes."""
+_BAYER = {"bayer_rggb8": (0, 0), "bayer_bggr8": (1, 1), "bayer_gbrg8": (1, 0), "bayer_grbg8": (0, 1)}
+"""Row and column of the red pixel among four."""
+_FORMATS = {b"\xff\xd8\xff": "JPEG", b"\x89PNG": "PNG", b"RIFF": "WEBP"}
+_DEPTH_HEADER = 12
+"""Bytes before the PNG of a compressed depth image (compressed_depth_image_transport)."""
+
+
+class ImageView(View):
+    """Draws the newest image."""
+
+    def __init__(self) -> None:
+        self._message: Message | None = None
+
+    def take(self, received: Received) -> None:
+        self._message = received.message
+
+    def draw(self, wish: Wish) -> Drawn:
+        if self._message is None:
+            return Drawn()
+        message = self._message
+        if "format" in message:
+            picture, note = _compressed(message, wish)
+            return Drawn(picture, (note,))
+        width, height = _size(message)
+        encoding, step = text(message, "encoding"), _whole(message, "step")
+        content, _ = raw(message, "data")
+        data = np.frombuffer(content, np.uint8)
+        order = ">" if nested(message, "is_bigendian") else "<"
+        note = f"{width}×{height} {encoding}"
+        if encoding in _DEPTHS:
+            dtype, unit = _DEPTHS[encoding]
+            depth = _rows(data, width, height, step, int(dtype[1]), encoding).view(order + dtype)
+            picture, span = _depth(_reduced(depth[:, :, None], wish)[:, :, 0].astype(np.float32) * unit, encoding)
+            return Drawn(picture, (note, span) if span else (note,))
+        if encoding in ENCODINGS:
+            known = ENCODINGS[encoding]
+            rows = _rows(data, width, height, step, known.bytes, encoding)
+            pixels = rows.view(order + known.dtype).reshape(height, width, known.channels)
+            return Drawn(_pixels(known.to_rgb(_reduced(pixels, wish))), (note,))
+        if encoding in _YUV:
+            return Drawn(_pixels(_yuv(_rows(data, width, height, step, 2, encoding), encoding, wish)), (note,))
+        if encoding in _BAYER:
+            return Drawn(_pixels(_bayer(_rows(data, width, height, step, 1, encoding), encoding, wish)), (note,))
+        raise UndrawableError(ImageProblem.ENCODING(encoding=encoding))
+
+
+def _whole(message: Message, name: str) -> int:
+    value = nested(message, name)
+    return value if isinstance(value, int) else 0
+
+
+def _size(message: Message) -> tuple[int, int]:
+    width, height = _whole(message, "width"), _whole(message, "height")
+    _check_size(width, height)
+    return width, height
+
+
+def _check_size(width: int, height: int) -> None:
+    if width <= 0 or height <= 0:
+        raise UndrawableError(ImageProblem.NO_SIZE(width=width, height=height))
+    if width * height > MOST_PIXELS:
+        raise UndrawableError(ImageProblem.TOO_LARGE(width=width, height=height, limit=MOST_PIXELS))
+
+
+def _rows(data: Array, width: int, height: int, step: int, size: int, encoding: str) -> Array:
+    """Return an image's bytes by row, without padding."""
+    needed = width * size
+    step = step or needed
+    if step < needed:
+        raise UndrawableError(ImageProblem.STEP(step=step, width=width, encoding=encoding, needed=needed))
+    total = step * (height - 1) + needed
+    if len(data) < total:
+        problem = ImageProblem.TOO_SHORT(got=len(data), width=width, height=height, encoding=encoding, needed=total)
+        raise UndrawableError(problem)
+    rows = np.lib.stride_tricks.as_strided(data, (height, needed), (step, 1), writeable=False)
+    return rows if step == needed else np.ascontiguousarray(rows)
+
+
+def _part(height: int, width: int, wish: Wish) -> tuple[slice, slice]:
+    """Return the rows and columns of an image that a zoomed view shows."""
+    zoom = max(1.0, wish.zoom)
+    shown_height, shown_width = max(1, round(height / zoom)), max(1, round(width / zoom))
+    top = round((height - shown_height) / 2 - wish.y * shown_height)
+    left = round((width - shown_width) / 2 + wish.x * shown_width)
+    top, left = max(0, min(height - shown_height, top)), max(0, min(width - shown_width, left))
+    return slice(top, top + shown_height), slice(left, left + shown_width)
+
+
+def _fitted(height: int, width: int, wish: Wish) -> tuple[int, int]:
+    """Return the height and width of the picture in pixels: as large as the area allows, in the same proportions."""
+    factor = min(wish.width / width, 2 * wish.height / height)
+    return max(1, min(2 * wish.height, round(height * factor))), max(1, min(wish.width, round(width * factor)))
+
+
+def _reduced(pixels: Array, wish: Wish) -> Array:
+    """Return the wished part of an image in the picture's size, by averages of a few pixels."""
+    rows, columns = _part(*pixels.shape[:2], wish)
+    part = pixels[rows, columns]
+    height, width = part.shape[:2]
+    new_height, new_width = _fitted(height, width, wish)
+    down = max(1, min(_SAMPLES, height // new_height))
+    across = max(1, min(_SAMPLES, width // new_width))
+    at_rows = _places(height, new_height * down)
+    at_columns = _places(width, new_width * across)
+    samples = part[at_rows[:, None], at_columns[None, :]]
+    if down == across == 1:
+        return samples
+    blocks = samples.reshape(new_height, down, new_width, across, -1)
+    if pixels.dtype.kind == "f" or pixels.dtype.itemsize > 1:
+        return blocks[:, 0, :, 0]  # an average over the edge of a depth would be where nothing is
+    return blocks.mean(axis=(1, 3)).astype(pixels.dtype)
+
+
+def _places(length: int, count: int) -> NDArray[np.intp]:
+    return ((np.arange(count) + 0.5) * length / count).astype(np.intp)
+
+
+def _pixels(rgb: Array) -> Pixels:
+    height, width = rgb.shape[:2]
+    return Pixels(width, height, np.ascontiguousarray(rgb, dtype=np.uint8).tobytes())
+
+
+def _depth(metres: Array, encoding: str) -> tuple[Pixels, str]:
+    """Return the picture of depths, coloured from near to far, and a note with the range. Invalid depths are black."""
+    valid = np.isfinite(metres) & (metres > 0)
+    if not valid.any():
+        return _pixels(np.zeros((*metres.shape, 3), np.uint8)), "no valid depth"
+    low, high = np.percentile(metres[valid], (_LOW, _HIGH))
+    part = np.clip((np.where(valid, metres, low) - low) / max(high - low, 1e-6), 0, 1) * (len(_RAMP) - 1)
+    below = np.minimum(part.astype(int), len(_RAMP) - 2)
+    rest = (part - below)[:, :, None]
+    rgb = _RAMP[below] * (1 - rest) + _RAMP[below + 1] * rest
+    return _pixels(rgb * valid[:, :, None]), f"{low:.2f} to {high:.2f} m"
+
+
+def _yuv(rows: Array, encoding: str, wish: Wish) -> Array:
+    """Return red, green and blue of YUV 4:2:2 (ITU-R BT.601)."""
+    height, width = rows.shape[0], rows.shape[1] // 2
+    pairs = rows[:, : width // 2 * 4].reshape(height, width // 2, 4)
+    if not pairs.size:
+        raise UndrawableError(ImageProblem.NO_SIZE(width=width, height=height))
+    bright, colour = _YUV[encoding]
+    y = np.repeat(pairs[:, :, bright : bright + 1], 2, axis=1)
+    y[:, 1::2, 0] = pairs[:, :, bright + 2]
+    u, v = (np.repeat(pairs[:, :, at : at + 1], 2, axis=1) for at in (colour, colour + 2))
+    reduced = _reduced(np.concatenate([y, u, v], axis=2), wish).astype(np.float32)
+    y, u, v = reduced[:, :, 0] - 16, reduced[:, :, 1] - 128, reduced[:, :, 2] - 128
+    rgb = np.stack([1.164 * y + 1.596 * v, 1.164 * y - 0.392 * u - 0.813 * v, 1.164 * y + 2.017 * u], axis=2)
+    return rgb.clip(0, 255)
+
+
+def _bayer(rows: Array, encoding: str, wish: Wish) -> Array:
+    """Return red, green and blue of a Bayer pattern, in half of its resolution."""
+    height, width = rows.shape[0] // 2 * 2, rows.shape[1] // 2 * 2
+    if not height or not width:
+        raise UndrawableError(ImageProblem.NO_SIZE(width=width, height=height))
+    row, column = _BAYER[encoding]
+    red = rows[row:height:2, column:width:2]
+    blue = rows[1 - row : height : 2, 1 - column : width : 2]
+    green = rows[row:height:2, 1 - column : width : 2]
+    return _reduced(np.stack([red, green, blue], axis=2), wish)
+
+
+def _compressed(message: Message, wish: Wish) -> tuple[Pixels, str]:
+    from PIL import Image, UnidentifiedImageError  # noqa: PLC0415 -- uncompressed images do without
+
+    content, _ = raw(message, "data")
+    data, words = bytes(content), text(message, "format")
+    if "compressedDepth" in words:
+        data = data[_DEPTH_HEADER:]
+    kind = next((name for start, name in _FORMATS.items() if data.startswith(start)), "")
+    if not kind:
+        raise UndrawableError(ImageProblem.FORMAT(format=words))
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", Image.DecompressionBombWarning)
+            image = Image.open(io.BytesIO(data), formats=[kind])
+        _check_size(*image.size)
+        size = "×".join(map(str, image.size))
+        note = f"{size} {kind.lower()} {words.partition(';')[0]}".strip()
+        if image.mode.startswith("I") or image.mode == "F":
+            depth = np.asarray(image).astype(np.float32) * 1e-3
+            picture, span = _depth(_reduced(depth[:, :, None], wish)[:, :, 0], words)
+            return picture, f"{note}, {span}" if span else note
+        if wish.zoom <= 1:
+            image.draft("RGB", (_SAMPLES * wish.width, 2 * _SAMPLES * wish.height))  # JPEG: decodes less
+        pixels = np.asarray(image.convert("RGB"))
+    except (OSError, SyntaxError, ValueError, UnidentifiedImageError, Image.DecompressionBombError) as error:
+        raise UndrawableError(ImageProblem.BROKEN(error=error)) from None
+    return _pixels(_reduced(pixels, wish)), note

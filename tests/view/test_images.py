@@ -1,0 +1,156 @@
+"""Images of all usual encodings, and damaged ones."""
+
+from __future__ import annotations
+
+import io
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from PIL import Image as Pillow
+from sensor_msgs.msg import CompressedImage, Image
+from tests.support.wording import has_text
+from tests.view.samples import drawn
+
+from rsb_bridge.model.pictures import Picture, Pixels, Wish
+from rsb_bridge.view.images import _BAYER, _DEPTHS, _YUV, ENCODINGS, ImageProblem
+
+WISH = Wish(width=8, height=4)
+RED, GREEN, BLUE = (255, 0, 0), (0, 255, 0), (0, 0, 255)
+
+
+def image(encoding: str, data: bytes, width: int = 8, height: int = 8, step: int = 0, **more: int) -> Image:
+    return Image(encoding=encoding, width=width, height=height, step=step, data=list(data), **more)
+
+
+def pixels(picture: Picture) -> np.ndarray:
+    assert isinstance(picture.content, Pixels), picture.problem
+    return np.frombuffer(picture.content.rgb, np.uint8).reshape(picture.content.height, picture.content.width, 3)
+
+
+@pytest.mark.parametrize(
+    ("encoding", "pixel"),
+    [("rgb8", (255, 0, 0)), ("bgr8", (0, 0, 255)), ("rgba8", (255, 0, 0, 9)), ("bgra8", (0, 0, 255, 9)),
+     ("8UC3", (0, 0, 255)), ("8UC4", (0, 0, 255, 9))],
+)  # fmt: skip
+def test_colours(encoding: str, pixel: tuple[int, ...]) -> None:
+    assert (pixels(drawn(WISH, image(encoding, bytes(pixel) * 64))) == RED).all()
+
+
+@pytest.mark.parametrize(("encoding", "pixel"), [("mono8", b"\x80"), ("8UC1", b"\x80"), ("mono16", b"\x00\x80")])
+def test_greys(encoding: str, pixel: bytes) -> None:
+    assert (pixels(drawn(WISH, image(encoding, pixel * 64))) == 128).all()
+
+
+def test_big_endian() -> None:
+    assert (pixels(drawn(WISH, image("mono16", b"\x80\x00" * 64, is_bigendian=1))) == 128).all()
+
+
+@pytest.mark.parametrize("encoding", sorted(_YUV))
+def test_yuv(encoding: str) -> None:
+    bright, colour = _YUV[encoding]
+    pair = bytearray(4)
+    pair[bright] = pair[bright + 2] = 81
+    pair[colour], pair[colour + 2] = 90, 240
+    assert np.abs(pixels(drawn(WISH, image(encoding, bytes(pair) * 32))).astype(int) - RED).max() <= 3
+
+
+@pytest.mark.parametrize("encoding", sorted(_BAYER))
+def test_bayer(encoding: str) -> None:
+    data = np.zeros((16, 16), np.uint8)
+    row, column = _BAYER[encoding]
+    data[row::2, column::2] = 255
+    assert (pixels(drawn(WISH, image(encoding, data.tobytes(), 16, 16))) == RED).all()
+
+
+@pytest.mark.parametrize("encoding", sorted(_DEPTHS))
+def test_near_and_far_differ_and_invalid_depths_are_black(encoding: str) -> None:
+    dtype, unit = _DEPTHS[encoding]
+    metres = np.full((8, 8), 1.0)
+    metres[:, 4:] = 5.0
+    metres[:2] = 0.0
+    picture = pixels(drawn(WISH, image(encoding, (metres / unit).astype(dtype).tobytes())))
+    assert (picture[:2] == 0).all()
+    assert (picture[4, 0] != picture[4, 7]).any()
+
+
+def test_padding_at_the_ends_of_rows_is_left_out() -> None:
+    row = bytes(GREEN) * 8 + b"\xff" * 5
+    assert (pixels(drawn(WISH, image("rgb8", row * 8, step=29))) == GREEN).all()
+
+
+def test_proportions_are_kept() -> None:
+    picture = pixels(drawn(Wish(width=80, height=24), image("mono8", bytes(200 * 100), 200, 100)))
+    assert picture.shape[:2] == (40, 80)
+    picture = pixels(drawn(Wish(width=80, height=24), image("mono8", bytes(100 * 200), 100, 200)))
+    assert picture.shape[:2] == (48, 24)
+
+
+def test_zoom_and_shift_show_a_part() -> None:
+    data = np.zeros((64, 64, 3), np.uint8)
+    data[:32, 32:] = BLUE
+    message = image("rgb8", data.tobytes(), 64, 64)
+    assert (pixels(drawn(Wish(width=8, height=4, zoom=4.0, x=1.5, y=1.5), message)) == BLUE).all()
+
+
+@pytest.mark.parametrize("kind", ["jpeg", "png", "webp"])
+def test_compressed_images(kind: str) -> None:
+    file = io.BytesIO()
+    Pillow.new("RGB", (64, 48), BLUE).save(file, kind)
+    message = CompressedImage(format=f"rgb8; {kind} compressed bgr8", data=list(file.getvalue()))
+    assert np.abs(pixels(drawn(WISH, message)).astype(int) - BLUE).max() <= 3
+
+
+def test_compressed_depth() -> None:
+    file = io.BytesIO()
+    metres = np.full((48, 64), 1000, np.uint16)
+    metres[:, 32:] = 4000
+    Pillow.fromarray(metres).save(file, "png")
+    message = CompressedImage(format="16UC1; compressedDepth png", data=list(bytes(12) + file.getvalue()))
+    picture = pixels(drawn(WISH, message))
+    assert (picture[0, 0] != picture[0, -1]).any()
+
+
+@pytest.mark.parametrize(
+    ("message", "problem"),
+    [
+        (image("rgb8", b"", 0, 0), ImageProblem.NO_SIZE),
+        (image("rgb8", b"", 65535, 65535), ImageProblem.TOO_LARGE),
+        (image("rgb8", b"123"), ImageProblem.TOO_SHORT),
+        (image("rgb8", bytes(192), step=3), ImageProblem.STEP),
+        (image("nv99", bytes(192)), ImageProblem.ENCODING),
+        (image("yuv422", b"12", 1, 1), ImageProblem.NO_SIZE),
+        (image("bayer_rggb8", b"1", 1, 1), ImageProblem.NO_SIZE),
+        (CompressedImage(format="theora", data=list(b"OggS")), ImageProblem.FORMAT),
+        (CompressedImage(format="jpeg", data=list(b"\xff\xd8\xff\xe0rubbish")), ImageProblem.BROKEN),
+    ],
+)
+def test_images_that_cannot_be_drawn(message: Image | CompressedImage, problem: ImageProblem) -> None:
+    picture = drawn(WISH, message)
+    assert picture.content is None
+    assert has_text(picture.problem, problem)
+
+
+def test_a_decompression_bomb_is_refused() -> None:
+    file = io.BytesIO()
+    Pillow.new("1", (20_000, 20_000)).save(file, "png")
+    picture = drawn(WISH, CompressedImage(format="png", data=list(file.getvalue())))
+    assert picture.content is None
+    assert has_text(picture.problem, ImageProblem.TOO_LARGE) or has_text(picture.problem, ImageProblem.BROKEN)
+
+
+SIZES = st.integers(0, 20) | st.sampled_from([65535, 2**32 - 1])
+
+
+@settings(suppress_health_check=[HealthCheck.too_slow], deadline=None)
+@given(
+    st.sampled_from([*ENCODINGS, *_DEPTHS, *_YUV, *_BAYER, "?"]), st.binary(max_size=600), SIZES, SIZES,
+    st.integers(0, 50) | st.just(2**32 - 1), st.integers(0, 255),
+)  # fmt: skip
+def test_any_image_is_drawn_or_refused_in_words(
+    encoding: str, data: bytes, width: int, height: int, step: int, order: int
+) -> None:
+    picture = drawn(WISH, image(encoding, data, width, height, step, is_bigendian=order))
+    assert (picture.content is None) == bool(picture.problem)
+    assert "Error" not in picture.problem
