@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 
+import msgspec
 import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
@@ -15,6 +16,7 @@ from tests.view.samples import drawn
 
 from rsb_bridge.model.pictures import Picture, Pixels, Wish
 from rsb_bridge.view.images import _BAYER, _DEPTHS, _YUV, ENCODINGS, ImageProblem
+from rsb_console.look.picture_rows import rgb_of
 
 WISH = Wish(width=8, height=4)
 RED, GREEN, BLUE = (255, 0, 0), (0, 255, 0), (0, 0, 255)
@@ -26,7 +28,7 @@ def image(encoding: str, data: bytes, width: int = 8, height: int = 8, step: int
 
 def pixels(picture: Picture) -> np.ndarray:
     assert isinstance(picture.content, Pixels), picture.problem
-    return np.frombuffer(picture.content.rgb, np.uint8).reshape(picture.content.height, picture.content.width, 3)
+    return np.frombuffer(picture.content.data, np.uint8).reshape(picture.content.height, picture.content.width, 3)
 
 
 @pytest.mark.parametrize(
@@ -73,6 +75,15 @@ def test_near_and_far_differ_and_invalid_depths_are_black(encoding: str) -> None
     picture = pixels(drawn(WISH, image(encoding, (metres / unit).astype(dtype).tobytes())))
     assert (picture[:2] == 0).all()
     assert (picture[4, 0] != picture[4, 7]).any()
+
+
+def test_webp_for_a_viewer_that_reads_it() -> None:
+    wish = msgspec.structs.replace(WISH, width=80, height=24, webp=True)
+    content = drawn(wish, image("rgb8", bytes(BLUE) * 96 * 96, 96, 96)).content
+    assert isinstance(content, Pixels)
+    assert content.coding == "webp"
+    read = np.frombuffer(rgb_of(content), np.uint8).reshape(content.height, content.width, 3)
+    assert np.abs(read.astype(int) - BLUE).max() <= 3
 
 
 def test_padding_at_the_ends_of_rows_is_left_out() -> None:

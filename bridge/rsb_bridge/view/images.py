@@ -27,6 +27,8 @@ MOST_PIXELS = 64 << 20
 """Pixels of an image that is drawn at most."""
 _SAMPLES = 4
 """Pixels of the image, in each direction, that are averaged to one of the picture at most."""
+_QUALITY = 80
+"""Of WebP: a picture of 80×48 pixels takes some 500 bytes."""
 _LOW, _HIGH = 2.0, 98.0
 """Percentiles of the valid depths at the ends of the colours."""
 _RAMP = np.array(
@@ -127,17 +129,17 @@ class ImageView(View):
         if encoding in _DEPTHS:
             dtype, unit = _DEPTHS[encoding]
             depth = _rows(data, width, height, step, int(dtype[1]), encoding).view(order + dtype)
-            picture, span = _depth(_reduced(depth[:, :, None], wish)[:, :, 0].astype(np.float32) * unit, encoding)
+            picture, span = _depth(_reduced(depth[:, :, None], wish)[:, :, 0].astype(np.float32) * unit, wish)
             return Drawn(picture, (note, span) if span else (note,))
         if encoding in ENCODINGS:
             known = ENCODINGS[encoding]
             rows = _rows(data, width, height, step, known.bytes, encoding)
             pixels = rows.view(order + known.dtype).reshape(height, width, known.channels)
-            return Drawn(_pixels(known.to_rgb(_reduced(pixels, wish))), (note,))
+            return Drawn(_pixels(known.to_rgb(_reduced(pixels, wish)), wish), (note,))
         if encoding in _YUV:
-            return Drawn(_pixels(_yuv(_rows(data, width, height, step, 2, encoding), encoding, wish)), (note,))
+            return Drawn(_pixels(_yuv(_rows(data, width, height, step, 2, encoding), encoding, wish), wish), (note,))
         if encoding in _BAYER:
-            return Drawn(_pixels(_bayer(_rows(data, width, height, step, 1, encoding), encoding, wish)), (note,))
+            return Drawn(_pixels(_bayer(_rows(data, width, height, step, 1, encoding), encoding, wish), wish), (note,))
         raise UndrawableError(ImageProblem.ENCODING(encoding=encoding))
 
 
@@ -212,22 +214,36 @@ def _places(length: int, count: int) -> NDArray[np.intp]:
     return ((np.arange(count) + 0.5) * length / count).astype(np.intp)
 
 
-def _pixels(rgb: Array) -> Pixels:
+def _pixels(rgb: Array, wish: Wish) -> Pixels:
     height, width = rgb.shape[:2]
-    return Pixels(width, height, np.ascontiguousarray(rgb, dtype=np.uint8).tobytes())
+    pixels = np.ascontiguousarray(rgb, dtype=np.uint8)
+    if wish.webp and (webp := _webp(pixels)):
+        return Pixels(width, height, webp, "webp")
+    return Pixels(width, height, pixels.tobytes())
 
 
-def _depth(metres: Array, encoding: str) -> tuple[Pixels, str]:
+def _webp(pixels: Array) -> bytes:
+    """Return pixels as a WebP file, or empty bytes without Pillow."""
+    try:
+        from PIL import Image  # noqa: PLC0415 -- optional
+    except ModuleNotFoundError:
+        return b""
+    file = io.BytesIO()
+    Image.fromarray(pixels).save(file, "webp", quality=_QUALITY)
+    return file.getvalue()
+
+
+def _depth(metres: Array, wish: Wish) -> tuple[Pixels, str]:
     """Return the picture of depths, coloured from near to far, and a note with the range. Invalid depths are black."""
     valid = np.isfinite(metres) & (metres > 0)
     if not valid.any():
-        return _pixels(np.zeros((*metres.shape, 3), np.uint8)), "no valid depth"
+        return _pixels(np.zeros((*metres.shape, 3), np.uint8), wish), "no valid depth"
     low, high = np.percentile(metres[valid], (_LOW, _HIGH))
     part = np.clip((np.where(valid, metres, low) - low) / max(high - low, 1e-6), 0, 1) * (len(_RAMP) - 1)
     below = np.minimum(part.astype(int), len(_RAMP) - 2)
     rest = (part - below)[:, :, None]
     rgb = _RAMP[below] * (1 - rest) + _RAMP[below + 1] * rest
-    return _pixels(rgb * valid[:, :, None]), f"{low:.2f} to {high:.2f} m"
+    return _pixels(rgb * valid[:, :, None], wish), f"{low:.2f} to {high:.2f} m"
 
 
 def _yuv(rows: Array, encoding: str, wish: Wish) -> Array:
@@ -277,11 +293,11 @@ def _compressed(message: Message, wish: Wish) -> tuple[Pixels, str]:
         note = f"{size} {kind.lower()} {words.partition(';')[0]}".strip()
         if image.mode.startswith("I") or image.mode == "F":
             depth = np.asarray(image).astype(np.float32) * 1e-3
-            picture, span = _depth(_reduced(depth[:, :, None], wish)[:, :, 0], words)
+            picture, span = _depth(_reduced(depth[:, :, None], wish)[:, :, 0], wish)
             return picture, f"{note}, {span}" if span else note
         if wish.zoom <= 1:
             image.draft("RGB", (_SAMPLES * wish.width, 2 * _SAMPLES * wish.height))  # JPEG: decodes less
         pixels = np.asarray(image.convert("RGB"))
     except (OSError, SyntaxError, ValueError, UnidentifiedImageError, Image.DecompressionBombError) as error:
         raise UndrawableError(ImageProblem.BROKEN(error=error)) from None
-    return _pixels(_reduced(pixels, wish)), note
+    return _pixels(_reduced(pixels, wish), wish), note

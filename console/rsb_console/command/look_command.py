@@ -22,7 +22,7 @@ from rsb_console.command.shell import OK, print_line
 from rsb_console.command.target import UsageError, attached, failed, reported
 from rsb_console.look import formats
 from rsb_console.look.glyphs import to_ascii
-from rsb_console.look.picture_rows import notes_line, picture_rows
+from rsb_console.look.picture_rows import UnreadableError, notes_line, picture_rows, reads_webp
 from rsb_console.session.picture_files import FORMATS, picture_file
 
 if TYPE_CHECKING:
@@ -166,6 +166,7 @@ def _wish(arguments: Namespace) -> Wish:
         colour=arguments.colour,
         seconds=arguments.seconds,
         match=arguments.match,
+        webp=reads_webp(),
     )
 
 
@@ -173,7 +174,10 @@ def _rows(viewed: Viewed, wish: Wish, arguments: Namespace) -> list[Row]:
     content = viewed.picture.content
     if content is None:
         return []
-    return picture_rows(content, wish.width, wish.height, colours=_console(arguments).color_system is not None)
+    try:
+        return picture_rows(content, wish.width, wish.height, colours=_console(arguments).color_system is not None)
+    except UnreadableError as error:
+        raise EngineError(str(error)) from None
 
 
 def _console(arguments: Namespace) -> Console:

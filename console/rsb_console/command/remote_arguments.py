@@ -281,7 +281,7 @@ def _look_arguments(look: argparse.ArgumentParser, complete: Complete) -> None:
     look.add_argument("--width", type=count, metavar="N", help="cells; default: the terminal's")
     look.add_argument("--height", type=count, metavar="N", help="cells; default: the terminal's")
     look.add_argument("--ascii", action="store_true", help="use neither colours nor block characters")
-    look.set_defaults(run=lazily("look", "look_command"))
+    look.set_defaults(command=lazily("look", "look_command"))
 
 
 def _figures_arguments(parser: argparse.ArgumentParser, complete: Complete) -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import io
+from importlib.util import find_spec
 from itertools import groupby
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -44,6 +46,9 @@ def picture_rows(
         height: cells that a plot fills.
         colours: whether images have colours; else they are drawn in ASCII by brightness.
         cursor: column of a plot whose values are shown, or None.
+
+    Raises:
+        UnreadableError: the other side's image is damaged.
     """
     if isinstance(content, Pixels):
         return _half_blocks(content) if colours else _brightness(content)
@@ -52,8 +57,36 @@ def picture_rows(
     return _cells(content)
 
 
+class UnreadableError(ValueError):
+    """The bytes of an image are not what they should be."""
+
+
+def reads_webp() -> bool:
+    """Whether images in WebP can be shown."""
+    return find_spec("PIL") is not None
+
+
+def rgb_of(pixels: Pixels) -> bytes:
+    """Return an image's pixels, three bytes each.
+
+    Raises:
+        UnreadableError: the other side's WebP file is damaged.
+    """
+    if pixels.coding == "rgb":
+        return pixels.data
+    from PIL import Image  # noqa: PLC0415 -- optional, and needed only for images
+
+    try:
+        image = Image.open(io.BytesIO(pixels.data), formats=["WEBP"])
+        if image.size != (pixels.width, pixels.height):
+            raise UnreadableError("an image has another size than it says")
+        return image.convert("RGB").tobytes()
+    except (OSError, SyntaxError, ValueError, Image.DecompressionBombError) as error:
+        raise UnreadableError(f"an image cannot be read: {error}") from None
+
+
 def _half_blocks(pixels: Pixels) -> list[Row]:
-    width, rgb, line = pixels.width, pixels.rgb, 3 * pixels.width
+    width, rgb, line = pixels.width, rgb_of(pixels), 3 * pixels.width
     rows: list[Row] = []
     for y in range(0, pixels.height, 2):
         upper = rgb[y * line : (y + 1) * line]
@@ -67,7 +100,7 @@ def _half_blocks(pixels: Pixels) -> list[Row]:
 
 
 def _brightness(pixels: Pixels) -> list[Row]:
-    width, rgb = pixels.width, pixels.rgb
+    width, rgb = pixels.width, rgb_of(pixels)
     grey = [(54 * rgb[at] + 183 * rgb[at + 1] + 19 * rgb[at + 2]) >> 8 for at in range(0, len(rgb), 3)]  # Rec. 709
     rows: list[Row] = []
     for y in range(0, pixels.height, 2):

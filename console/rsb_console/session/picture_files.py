@@ -8,6 +8,7 @@ from html import escape
 from typing import TYPE_CHECKING
 
 from rsb_bridge.model.pictures import Cells, Pixels, Series
+from rsb_console.look.picture_rows import rgb_of
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -36,7 +37,8 @@ def picture_file(content: Cells | Pixels | Series, suffix: str) -> bytes:
 def _png(pixels: Pixels) -> bytes:
     """Return an image as PNG (ISO/IEC 15948)."""
     line = 3 * pixels.width
-    rows = b"".join(b"\0" + pixels.rgb[at : at + line] for at in range(0, len(pixels.rgb), line))
+    rgb = rgb_of(pixels)
+    rows = b"".join(b"\0" + rgb[at : at + line] for at in range(0, len(rgb), line))
     head = struct.pack(">IIBBBBB", pixels.width, pixels.height, _DEPTH, _RGB, 0, 0, 0)
     chunks = ((b"IHDR", head), (b"IDAT", zlib.compress(rows)), (b"IEND", b""))
     return b"\x89PNG\r\n\x1a\n" + b"".join(
