@@ -122,7 +122,12 @@ def test_a_bridged_topic_is_drawn_where_its_messages_are(bridge: Bridge, robot: 
     talker = Talker(robot, "/pose")
     listener = pc.listener("/pose", PoseStamped)
     server, client = bridge.both(Topic("/pose", "transmit"))
-    eventually(lambda: (talker(), listener.received)[1])
+
+    def heard() -> list[int]:
+        talker()
+        return listener.received
+
+    eventually(heard)
     viewed = looked_while(talker, server, "/pose")
     assert viewed.where == ""
     assert views(client) == []

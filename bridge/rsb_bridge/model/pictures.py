@@ -223,10 +223,10 @@ def decode_picture(encoded: bytes) -> Picture:
     except (msgspec.MsgspecError, ValueError) as error:
         raise PictureError(str(error)) from None
     content = picture.content
-    is_raw = isinstance(content, Pixels) and content.coding == "rgb"
-    if is_raw and len(content.data) != 3 * content.width * content.height:
-        raise PictureError("an image has not as many bytes as its size says")
-    if isinstance(content, Cells):
+    if isinstance(content, Pixels):
+        if content.coding == "rgb" and len(content.data) != 3 * content.width * content.height:
+            raise PictureError("an image has not as many bytes as its size says")
+    elif isinstance(content, Cells):
         if len(content.styles) not in (0, sum(map(len, content.rows))):
             raise PictureError("not each character has a style")
         if max(content.styles, default=0) >= max(1, len(content.palette)):

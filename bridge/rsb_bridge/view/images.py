@@ -14,6 +14,7 @@ from rsb_bridge.view.drawing import Drawn, UndrawableError, View, nested, raw, t
 
 if TYPE_CHECKING:
     from collections.abc import Callable
+    from typing import Any
 
     from numpy.typing import NDArray
 
@@ -21,7 +22,7 @@ if TYPE_CHECKING:
     from rsb_bridge.model.pictures import Wish
     from rsb_bridge.view.drawing import Received
 
-    Array = NDArray[np.generic]
+    Array = NDArray[Any]
 
 MOST_PIXELS = 64 << 20
 """Pixels of an image that is drawn at most."""
@@ -193,7 +194,7 @@ def _fitted(height: int, width: int, wish: Wish) -> tuple[int, int]:
 
 def _reduced(pixels: Array, wish: Wish) -> Array:
     """Return the wished part of an image in the picture's size, by averages of a few pixels."""
-    rows, columns = _part(*pixels.shape[:2], wish)
+    rows, columns = _part(pixels.shape[0], pixels.shape[1], wish)
     part = pixels[rows, columns]
     height, width = part.shape[:2]
     new_height, new_width = _fitted(height, width, wish)
@@ -210,8 +211,9 @@ def _reduced(pixels: Array, wish: Wish) -> Array:
     return blocks.mean(axis=(1, 3)).astype(pixels.dtype)
 
 
-def _places(length: int, count: int) -> NDArray[np.intp]:
-    return ((np.arange(count) + 0.5) * length / count).astype(np.intp)
+def _places(length: int, count: int) -> Array:
+    places: Array = ((np.arange(count) + 0.5) * length / count).astype(np.intp)
+    return places
 
 
 def _pixels(rgb: Array, wish: Wish) -> Pixels:

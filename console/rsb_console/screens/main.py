@@ -350,7 +350,7 @@ class MainScreen(Screen[None]):
             self._mode("-detail")
 
     def action_message(self) -> None:
-        from rsb_console.screens.message_screen import MessageScreen  # noqa: PLC0415 -- keeps the start short
+        from rsb_console.screens.view_screen import has_picture  # noqa: PLC0415 -- keeps the start short
 
         route = self.selected
         if route is None or self.console.engine is None:
@@ -358,10 +358,21 @@ class MainScreen(Screen[None]):
         if isinstance(route, PatternRow):
             self.notify(f"{route.topic} is a pattern: choose a topic that it matches", markup=False, timeout=4)
         elif route.calls is None:
-            self.app.push_screen(MessageScreen(self.console, route))
+            self._show_messages(route, as_picture=has_picture(route.type_name))
         else:
             text = MainText.NO_MESSAGES if self.console.readonly else MainText.NO_MESSAGES_BUT_CALLS
             self.notify(text(topic=route.topic, key=self._key("call")), markup=False, timeout=4)
+
+    def _show_messages(self, route: RouteSnapshot, *, as_picture: bool) -> None:
+        """Show a topic's messages as pictures or as text, until the screen is closed."""
+        from rsb_console.screens.message_screen import MessageScreen  # noqa: PLC0415 -- keeps the start short
+        from rsb_console.screens.view_screen import ViewScreen  # noqa: PLC0415
+
+        def closed(other: bool | None) -> None:
+            if other:
+                self._show_messages(route, as_picture=not as_picture)
+
+        self.app.push_screen((ViewScreen if as_picture else MessageScreen)(self.console, route), closed)
 
     def action_zoom(self) -> None:
         """Maximize the focused pane, or restore the layout."""

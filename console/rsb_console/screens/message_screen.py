@@ -38,7 +38,7 @@ _STEPS = 20_000
 _HEX = 1024  # bytes
 _MOST_LINES = 2_000
 _TRIED_AGAIN_AFTER = 1.0  # s
-_KEYS = " esc back · space hold · y copy "
+_KEYS = " esc back · space hold · t picture · y copy "
 
 
 class MessageText(Wording):
@@ -47,8 +47,10 @@ class MessageText(Wording):
     WAITING = "waiting for a message, {waited}"
 
 
-class MessageScreen(ModalScreen[None]):
+class MessageScreen(ModalScreen[bool]):
     """Shows the messages of one topic, each new one in place of the one before.
+
+    The result is true if they are to be shown as pictures instead.
 
     Args:
         console: the app.
@@ -59,6 +61,7 @@ class MessageScreen(ModalScreen[None]):
         Binding("escape,q,enter,v", "dismiss", show=False),
         Binding("space", "hold", show=False),
         Binding("y", "copy", show=False),
+        Binding("t", "dismiss(True)", show=False),
     ]
 
     def __init__(self, console: Console, route: RouteSnapshot) -> None:

@@ -29,8 +29,7 @@ def picture_file(content: Cells | Pixels | Series, suffix: str) -> bytes:
     """
     write = _WRITERS.get((type(content), suffix))
     if write is None:
-        known = ", ".join(suffix for kind, suffix in _WRITERS if kind is type(content))
-        raise ValueError(f"this picture can be written as {known}")
+        raise ValueError(f"this picture can be written as {', '.join(formats_of(content))}")
     return write(content)
 
 
@@ -89,5 +88,12 @@ _WRITERS: dict[tuple[type, str], Callable[..., bytes]] = {
     (Cells, ".txt"): _text,
     (Series, ".csv"): _csv,
 }
+
+
+def formats_of(content: Cells | Pixels | Series) -> list[str]:
+    """Return the suffixes of the files that a picture can be written to; the first one is usual."""
+    return [suffix for kind, suffix in _WRITERS if kind is type(content)]
+
+
 FORMATS = tuple(dict.fromkeys(suffix for _, suffix in _WRITERS))
 """Suffixes of the files."""

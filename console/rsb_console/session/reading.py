@@ -116,19 +116,22 @@ class KnownTypes:
         return description, why
 
 
-def read_message(peeked: PeekedMessage, description: str | None, why: str = "", **limits: int) -> ReadMessage:
+def read_message(
+    peeked: PeekedMessage, description: str | None, why: str = "", *, items: int = 128, steps: int = 50_000
+) -> ReadMessage:
     """Read a message.
 
     Args:
         peeked: the message.
         description: the text of its type's description, or None if unavailable.
         why: reason why `description` is None.
-        limits: limits of `rsb_bridge.cdr.decoder.decode`.
+        items: elements of an array that are kept.
+        steps: values that are read at most.
     """
     decoded = None
     if description is not None:
         try:
-            decoded = decode(read_description(description, peeked.type_hash), peeked.payload, **limits)
+            decoded = decode(read_description(description, peeked.type_hash), peeked.payload, items=items, steps=steps)
         except DescriptionError as error:
             why = str(error)
     if decoded is None:

@@ -1,0 +1,290 @@
+"""Pictures of a topic's messages, drawn by the side that publishes it."""
+
+from __future__ import annotations
+
+import asyncio
+import secrets
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING, ClassVar
+
+import msgspec
+from rich.segment import Segment
+from rich.style import Style
+from textual import work
+from textual.binding import Binding
+from textual.screen import ModalScreen
+from textual.strip import Strip
+from textual.widget import Widget
+
+from rsb_bridge.api import EngineError
+from rsb_bridge.model.pictures import MOST_COLUMNS, MOST_RATE, MOST_ROWS, Wish
+from rsb_bridge.model.text import escape_text
+from rsb_bridge.model.wording import Wording
+from rsb_bridge.view.worker import VIEWS
+from rsb_console.look import formats
+from rsb_console.look.picture_rows import UnreadableError, notes_line, picture_rows, reads_webp
+from rsb_console.session.picture_files import formats_of, picture_file
+from rsb_console.widgets.lines import LOOK_CLASSES, yield_gil
+
+if TYPE_CHECKING:
+    from textual.app import ComposeResult
+
+    from rsb_bridge.model.pictures import Viewed
+    from rsb_bridge.model.snapshot import RouteSnapshot
+    from rsb_console.console_api import Console
+    from rsb_console.look.picture_rows import Row
+
+_TRIED_AGAIN_AFTER = 1.0
+_OLD_AFTER = 2.0
+"""s after which the age of a picture is a warning."""
+_RATES = (0.2, 0.5, 1.0, 2.0, 5.0, MOST_RATE)
+_ZOOM, _PAN, _TILT = 1.5, 0.1, 15.0
+_WAYS = ("", "plot", "tree")
+_LOOKS = {
+    "dim": "dim", "strong": "strong", "axis": "dim", "ok": "ok", "warning": "stale", "error": "down",
+    "robot": "armed", "path": "key", "scan": "plot", "free": "dim", "goal": "armed",
+}  # fmt: skip
+"""The theme's look of each style of a picture."""
+_KEYS = " esc back · t text · h how · +- zoom · arrows move · [] tilt · c colour · < > rate · space hold · p file "
+
+
+class ViewText(Wording):
+    """Texts of the screen."""
+
+    WAITING = "waiting for a picture, {waited}"
+    HELD = "HELD: space goes on"
+    OLD = "{age} old"
+    RATE = "at most {rate:g} Hz"
+    SIDE = "drawn by {side}"
+    HERE = "this side"
+    SIZE = "{size} a picture"
+    WRITTEN = "written: {file}"
+    NOT_WRITTEN = "{file} cannot be written: {error}"
+    NO_PICTURE = "there is no picture yet"
+
+
+def has_picture(type_name: str) -> bool:
+    """Whether messages of a type have a picture other than their fields."""
+    return type_name in VIEWS
+
+
+class PicturePane(Widget, can_focus=True):
+    """Shows the rows of a picture."""
+
+    def __init__(self) -> None:
+        super().__init__(id="picture", classes="dialog")
+        self._rows: list[Row] = []
+        self._styles: dict[tuple[str, str], Style] = {}
+
+    def show(self, rows: list[Row]) -> None:
+        yield_gil()
+        self._rows = rows
+        self.refresh()
+
+    def notify_style_update(self) -> None:
+        self._styles.clear()
+        super().notify_style_update()
+
+    def render_line(self, y: int) -> Strip:
+        """Draw screen row `y` (Textual's line API)."""
+        row = self._rows[y] if y < len(self._rows) else ()
+        strip = Strip([Segment(part.text, self._style(part.style, part.background)) for part in row])
+        return strip.adjust_cell_length(self.size.width, self.visual_style.rich_style)
+
+    def _style(self, name: str, background: str) -> Style:
+        style = self._styles.get((name, background))
+        if style is None:
+            if len(self._styles) > 20_000:  # each pixel of an image may have colours of its own
+                self._styles.clear()
+            style = self.visual_style.rich_style
+            if name.startswith("#"):
+                style += Style(color=name, bgcolor=background or None)
+            elif (look := _LOOKS.get(name)) is not None:
+                style += self.app.get_component_styles(LOOK_CLASSES[look]).partial_rich_style
+            self._styles[name, background] = style
+        return style
+
+
+class ViewScreen(ModalScreen[bool]):
+    """Shows pictures of one topic until it is closed. The result is true if they are to be shown as text instead.
+
+    Args:
+        console: the app.
+        route: the topic's, as it was when this was opened.
+    """
+
+    BINDINGS: ClassVar = [
+        Binding("escape,q,v", "dismiss", show=False),
+        Binding("t", "dismiss(True)", show=False),
+        Binding("h", "way", show=False),
+        Binding("plus,equals_sign", f"zoom({_ZOOM})", show=False),
+        Binding("minus", f"zoom({1 / _ZOOM})", show=False),
+        Binding("left", f"move({-_PAN}, 0)", show=False),
+        Binding("right", f"move({_PAN}, 0)", show=False),
+        Binding("up", f"move(0, {_PAN})", show=False),
+        Binding("down", f"move(0, {-_PAN})", show=False),
+        Binding("left_square_bracket", f"tilt({-_TILT})", show=False),
+        Binding("right_square_bracket", f"tilt({_TILT})", show=False),
+        Binding("c", "colour", show=False),
+        Binding("0", "reset", show=False),
+        Binding("less_than_sign", "rate(-1)", show=False),
+        Binding("greater_than_sign", "rate(1)", show=False),
+        Binding("space", "hold", show=False),
+        Binding("p", "write", show=False),
+    ]
+
+    def __init__(self, console: Console, route: RouteSnapshot) -> None:
+        super().__init__()
+        self.console = console
+        self._route = route
+        self._viewer = secrets.token_hex(8)
+        self._wish = Wish(webp=reads_webp())
+        self._viewed: Viewed | None = None
+        self._came = time.monotonic()
+        self._goes_on = asyncio.Event()
+        self._goes_on.set()
+        self._problem = ""
+
+    def compose(self) -> ComposeResult:
+        self.pane = PicturePane()
+        self.pane.border_title = f" {escape_text(self._route.topic)} "
+        self.pane.border_subtitle = _KEYS
+        yield self.pane
+
+    def on_mount(self) -> None:
+        self.set_interval(1.0, self._entitle)
+        self.call_after_refresh(self._begin)
+
+    def on_resize(self) -> None:
+        self.call_after_refresh(self._fit)
+
+    def _begin(self) -> None:
+        self._fit()
+        self._look()
+
+    def _fit(self) -> None:
+        size = self.pane.scrollable_content_region.size
+        width, height = max(1, min(MOST_COLUMNS, size.width)), max(1, min(MOST_ROWS, size.height))
+        self._wish = msgspec.structs.replace(self._wish, width=width, height=height)
+        self._draw()
+
+    # -- pictures -----------------------------------------------------------------------------------------------------
+
+    @work
+    async def _look(self) -> None:
+        """Take pictures until the screen is closed."""
+        while True:
+            await self._goes_on.wait()
+            try:
+                viewed = await self._next()
+                self._problem = ""
+            except EngineError as error:
+                self._problem = str(error)
+                self._entitle()
+                await asyncio.sleep(_TRIED_AGAIN_AFTER)
+                continue
+            if viewed is not None and self._goes_on.is_set():
+                if viewed.picture.content is None and self._viewed is not None:  # keep the last good one in sight
+                    self._problem = viewed.picture.problem
+                else:
+                    self._viewed, self._came = viewed, time.monotonic()
+                self._draw()
+
+    async def _next(self) -> Viewed | None:
+        engine = self.console.engine
+        if engine is None:
+            raise EngineError("no session runs")
+        return await asyncio.wrap_future(engine.look(self._viewer, (self._route.topic,), self._wish))
+
+    def _draw(self) -> None:
+        if not self.pane.is_attached:
+            return
+        content = None if self._viewed is None else self._viewed.picture.content
+        rows: list[Row] = []
+        if content is not None:
+            try:
+                colours = self.app.console.color_system is not None and not self.app.ansi_color
+                rows = picture_rows(content, self._wish.width, self._wish.height, colours=colours)
+            except UnreadableError as error:
+                self._problem = str(error)
+        self.pane.show(rows)
+        self._entitle()
+
+    def _entitle(self) -> None:
+        """Show what the picture is of, and how old it is."""
+        self.pane.border_title = f" {escape_text(self._route.topic)} · {self._status()} "
+
+    def _status(self) -> str:
+        if not self._goes_on.is_set():
+            return ViewText.HELD()
+        if self._viewed is None:
+            waited = time.monotonic() - self._came
+            return escape_text(self._problem) or ViewText.WAITING(waited=formats.age(waited))
+        picture, parts = self._viewed.picture, [self._viewed.picture.type_name]
+        if self._viewed.age is not None:
+            age = self._viewed.age + time.monotonic() - self._came
+            parts.append(ViewText.OLD(age=formats.age(age)))
+        parts += [
+            notes_line(picture),
+            ViewText.SIDE(side=self._viewed.where or ViewText.HERE()),
+            ViewText.SIZE(size=formats.byte_count(self._viewed.encoded)),
+            ViewText.RATE(rate=self._wish.rate),
+            self._problem or picture.problem,
+        ]
+        return escape_text(" · ".join(part for part in parts if part))
+
+    # -- keys ---------------------------------------------------------------------------------------------------------
+
+    def _change(self, **changes: object) -> None:
+        self._wish = msgspec.structs.replace(self._wish, **changes)
+        self._entitle()
+
+    def action_way(self) -> None:
+        """Draw another kind of picture."""
+        self._viewed = None
+        self._change(how=_WAYS[(_WAYS.index(self._wish.how) + 1) % len(_WAYS)])
+
+    def action_zoom(self, factor: float) -> None:
+        self._change(zoom=max(0.05, min(200.0, self._wish.zoom * factor)))
+
+    def action_move(self, right: float, up: float) -> None:
+        self._change(x=self._wish.x + right, y=self._wish.y + up)
+
+    def action_tilt(self, degrees: float) -> None:
+        self._change(tilt=max(0.0, min(90.0, self._wish.tilt + degrees)))
+
+    def action_colour(self) -> None:
+        self._change(colour="intensity" if self._wish.colour == "height" else "height")
+
+    def action_reset(self) -> None:
+        """Show the whole picture from above."""
+        self._change(zoom=1.0, x=0.0, y=0.0, tilt=0.0)
+
+    def action_rate(self, step: int) -> None:
+        at = _RATES.index(self._wish.rate) + step
+        self._change(rate=_RATES[max(0, min(len(_RATES) - 1, at))])
+
+    def action_hold(self) -> None:
+        """Hold the picture, or go on."""
+        if self._goes_on.is_set():
+            self._goes_on.clear()
+        else:
+            self._goes_on.set()
+        self._entitle()
+
+    def action_write(self) -> None:
+        """Write the picture to a file in the present folder."""
+        content = None if self._viewed is None else self._viewed.picture.content
+        if content is None:
+            self.notify(ViewText.NO_PICTURE(), markup=False)
+            return
+        suffix = formats_of(content)[0]
+        name = self._route.topic.strip("/").replace("/", "_")
+        file = Path(f"{name}-{time.strftime('%Y%m%d-%H%M%S')}{suffix}").absolute()
+        try:
+            file.write_bytes(picture_file(content, suffix))
+        except OSError as error:
+            self.notify(ViewText.NOT_WRITTEN(file=file, error=error.strerror), severity="error", markup=False)
+        else:
+            self.notify(ViewText.WRITTEN(file=file), markup=False)
