@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING
 
 from rsb_bridge.model.pictures import Cells
 from rsb_bridge.model.text import sanitize_text
 
 if TYPE_CHECKING:
+    from collections.abc import Iterable
+
     from rsb_bridge.model.pictures import Scale
 
 DOTS_ACROSS, DOTS_DOWN = 2, 4
@@ -52,6 +55,22 @@ class Canvas:
             self.dots[cell] |= DOT_BITS[down][across]
             self.styles[cell] = self.style(style)
 
+    def dots_at(self, x: Iterable[int], y: Iterable[int], style: str) -> None:
+        """Set many dots that are on the canvas, all in one style."""
+        index = self.style(style)
+        for at_x, at_y in zip(x, y, strict=True):
+            cell = at_y // DOTS_DOWN * self.width + at_x // DOTS_ACROSS
+            self.dots[cell] |= DOT_BITS[at_y % DOTS_DOWN][at_x % DOTS_ACROSS]
+            self.styles[cell] = index
+
+    def is_free(self, x: int, y: int) -> bool:
+        """Whether the cell of a dot is on the canvas and empty, or has only dim dots."""
+        column, row = x // DOTS_ACROSS, y // DOTS_DOWN
+        if not (0 <= column < self.width and 0 <= row < self.height):
+            return False
+        cell = row * self.width + column
+        return not self.dots[cell] or self.styles[cell] == self._palette.get("dim")
+
     def line(self, x0: int, y0: int, x1: int, y1: int, style: str = "") -> None:
         """Set the dots between two points, both included; points far outside are cut off."""
         limit = 4 * max(self.width * DOTS_ACROSS, self.height * DOTS_DOWN)
@@ -69,6 +88,13 @@ class Canvas:
                 cell = row * self.width + at
                 self._characters[cell] = character
                 self.styles[cell] = self.style(style)
+
+    def scale_bar(self, column: float) -> None:
+        """Draw a bar with its length at the lower left, for so many metres a column."""
+        rough = column * self.width / 5
+        power = 10 ** math.floor(math.log10(rough))
+        length = next(each * power for each in (1, 2, 5, 10) if each * power >= rough)
+        self.write(1, self.height - 1, f"├{'─' * max(0, round(length / column) - 1)}┤ {length:g} m", "axis")
 
     def cells(self, scale: Scale | None = None) -> Cells:
         """Return the picture."""

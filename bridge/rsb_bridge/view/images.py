@@ -207,8 +207,10 @@ def _reduced(pixels: Array, wish: Wish) -> Array:
         return samples
     blocks = samples.reshape(new_height, down, new_width, across, -1)
     if pixels.dtype.kind == "f" or pixels.dtype.itemsize > 1:
-        return blocks[:, 0, :, 0]  # an average over the edge of a depth would be where nothing is
-    return blocks.mean(axis=(1, 3)).astype(pixels.dtype)
+        nearest: Array = blocks[:, 0, :, 0]
+        return nearest  # an average over the edge of a depth would be where nothing is
+    means: Array = blocks.mean(axis=(1, 3)).astype(pixels.dtype)
+    return means
 
 
 def _places(length: int, count: int) -> Array:

@@ -38,8 +38,37 @@ _ELEMENTS, _STEPS = 100_000, 500_000
 _NICE = 10
 _LENGTH_BYTES = 4
 
+_PLOTTED = {
+    "sensor_msgs": (
+        "JointState", "Imu", "BatteryState", "Range", "Temperature", "FluidPressure", "MagneticField",
+        "RelativeHumidity", "Illuminance",
+    ),
+    "geometry_msgs": (
+        "Twist", "TwistStamped", "Vector3", "Vector3Stamped", "Wrench", "WrenchStamped", "Accel", "AccelStamped",
+    ),
+    "std_msgs": (
+        "Float32", "Float64", "Int8", "Int16", "Int32", "Int64", "UInt8", "UInt16", "UInt32", "UInt64",
+        "Float32MultiArray", "Float64MultiArray",
+    ),
+}  # fmt: skip
+_MAPPED = (
+    "nav_msgs/msg/OccupancyGrid", "nav2_msgs/msg/Costmap", "nav_msgs/msg/Path", "nav_msgs/msg/Odometry",
+    "geometry_msgs/msg/PoseStamped", "geometry_msgs/msg/PoseWithCovarianceStamped", "geometry_msgs/msg/PoseArray",
+    "geometry_msgs/msg/PolygonStamped",
+)  # fmt: skip
 VIEWS: dict[str, str] = {
+    **{f"{package}/msg/{name}": "plots:PlotView" for package, names in _PLOTTED.items() for name in names},
+    "plot": "plots:PlotView",
     "tree": "fields:FieldsView",
+    **dict.fromkeys(_MAPPED, "map_view:MapView"),
+    "map": "map_view:MapView",
+    "tf2_msgs/msg/TFMessage": "tf_tree:TfTree",
+    "diagnostic_msgs/msg/DiagnosticArray": "diagnostics_view:DiagnosticsView",
+    "diagnostic_msgs/msg/DiagnosticStatus": "diagnostics_view:DiagnosticsView",
+    "rcl_interfaces/msg/Log": "log_lines:LogView",
+    "sensor_msgs/msg/NavSatFix": "track:TrackView",
+    "sensor_msgs/msg/LaserScan": "points:PointsView",
+    "sensor_msgs/msg/PointCloud2": "points:PointsView",
     "sensor_msgs/msg/Image": "images:ImageView",
     "sensor_msgs/msg/CompressedImage": "images:ImageView",
 }

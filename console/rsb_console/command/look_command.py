@@ -35,6 +35,7 @@ if TYPE_CHECKING:
 _FAILURE = 1
 _ANSWERED_WITHIN = 60.0
 _TRIED_AGAIN_AFTER = 1.0
+_SETTLE_SECONDS = 2.0
 _STYLES = {
     "dim": "bright_black", "strong": "bold", "axis": "bright_black", "ok": "green", "warning": "yellow",
     "error": "bold red", "robot": "bold bright_cyan", "path": "cyan", "scan": "magenta", "occupied": "",
@@ -52,6 +53,7 @@ class LookText(Wording):
     NO_TERMINAL = "standard output is no terminal: give --once, or a file with --output"
     UNKNOWN_FORMAT = "{file}: write a picture to one of {known}"
     WRITTEN = "written: {file}"
+    NOT_WRITTEN = "{file} cannot be written: {error}"
     AGE = "{age} old"
     NO_MESSAGE = "no message yet"
 
@@ -74,29 +76,40 @@ def _look(arguments: Namespace) -> int:
 
 def _one(engine: RemoteEngine, arguments: Namespace) -> int:
     """Print one picture, or write it to a file."""
+    wish = _wish(arguments)
     seconds = _ANSWERED_WITHIN if arguments.timeout is None else arguments.timeout
+    viewed = _first(engine, arguments, wish, seconds)
+    if viewed is None or viewed.picture.content is None:
+        problem = viewed.picture.problem if viewed is not None else ""
+        text = problem or LookText.NOTHING_CAME(topic=arguments.topics[0], seconds=seconds)
+        return failed(arguments, escape_text(text), _FAILURE)
+    if arguments.output is None:
+        _print(viewed, wish, arguments)
+        return OK
+    try:
+        arguments.output.write_bytes(picture_file(viewed.picture.content, arguments.output.suffix))
+    except (OSError, ValueError) as error:
+        return failed(arguments, LookText.NOT_WRITTEN(file=arguments.output, error=error), _FAILURE)
+    print_line(LookText.WRITTEN(file=arguments.output))
+    return OK
+
+
+def _first(engine: RemoteEngine, arguments: Namespace, wish: Wish, seconds: float) -> Viewed | None:
+    """Return the first picture; of several topics the last one of some time, since they come one after another."""
+    viewer, newest = secrets.token_hex(8), None
     deadline = time.monotonic() + seconds
-    viewer, problem = secrets.token_hex(8), ""
     while (left := deadline - time.monotonic()) > 0:
-        wish = _wish(arguments)
         try:
             viewed = engine.look(viewer, tuple(arguments.topics), wish, arguments.link).result(left)
         except TimeoutError:
             break
-        if viewed is None:
+        if viewed is None or (viewed.picture.content is None and not viewed.picture.problem):
             continue
-        if viewed.picture.content is not None:
-            if arguments.output is not None:
-                arguments.output.write_bytes(picture_file(viewed.picture.content, arguments.output.suffix))
-                print_line(LookText.WRITTEN(file=arguments.output))
-                return OK
-            _print(viewed, wish, arguments)
-            return OK
-        problem = viewed.picture.problem
-        if problem:
-            break
-    text = problem or LookText.NOTHING_CAME(topic=arguments.topics[0], seconds=seconds)
-    return failed(arguments, escape_text(text), _FAILURE)
+        if newest is None:
+            settles = _SETTLE_SECONDS if len(arguments.topics) > 1 else 0.0
+            deadline = min(deadline, time.monotonic() + settles)
+        newest = viewed
+    return newest
 
 
 def _print(viewed: Viewed, wish: Wish, arguments: Namespace) -> None:
