@@ -12,7 +12,7 @@ def test_fields_and_values_are_shown() -> None:
     message = PoseStamped()
     message.header.frame_id = "map"
     message.pose.position.x = 1.5
-    content = drawn(Wish(width=40, height=20), message).content
+    content = drawn(Wish(width=40, height=20, how="tree"), message).content
     assert isinstance(content, Cells)
     text = "\n".join(content.rows)
     assert "frame_id: map" in text
@@ -36,6 +36,6 @@ def test_changed_values_are_marked() -> None:
 
 
 def test_long_arrays_are_cut() -> None:
-    content = drawn(Wish(width=100, height=20), LaserScan(ranges=[1.0] * 720)).content
+    content = drawn(Wish(width=100, height=20, how="tree"), LaserScan(ranges=[1.0] * 720)).content
     assert isinstance(content, Cells)
     assert any("720 × float32" in row for row in content.rows)

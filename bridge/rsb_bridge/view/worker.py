@@ -176,7 +176,12 @@ class Artist:
                 self._view(task).take(Received(sample.topic, sample.type_name, decoded.message, sample.stamp / 1e9))
             except UndrawableError as error:
                 problem = str(error)
-        drawn = self._view(task).draw(task.wish)
+        try:
+            drawn = self._view(task).draw(task.wish)
+        except UndrawableError:
+            if problem:  # why nothing could be taken says more than that nothing is there
+                raise UndrawableError(problem) from None
+            raise
         return msgspec.structs.replace(
             about,
             content=drawn.content,

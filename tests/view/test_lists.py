@@ -1,0 +1,107 @@
+"""Frames, diagnostics, logs and tracks."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from rcl_interfaces.msg import Log
+from sensor_msgs.msg import NavSatFix
+from tests.support.wording import has_text
+from tests.view.samples import drawn
+
+from rsb_bridge.cdr.decoder import Items
+from rsb_bridge.model.pictures import Cells, Picture, Wish
+from rsb_bridge.view.drawing import Received
+from rsb_bridge.view.tf_tree import TfTree, TreeProblem
+from rsb_bridge.view.track import TrackProblem
+
+WISH = Wish(width=80, height=20)
+
+
+def rows(picture: Picture) -> list[str]:
+    assert isinstance(picture.content, Cells), picture.problem
+    return [row.rstrip() for row in picture.content.rows]
+
+
+def transforms(*pairs: tuple[str, str], at: float = 0.0, topic: str = "/tf") -> Received:
+    """Return a TFMessage as it is decoded; its package is not among the test's."""
+    shown: list[Any] = [
+        {"header": {"frame_id": parent}, "child_frame_id": child, "transform": {}} for parent, child in pairs
+    ]
+    items = Items("geometry_msgs/msg/TransformStamped", len(shown), shown)
+    return Received(topic, "tf2_msgs/msg/TFMessage", {"transforms": items}, at)
+
+
+def tree(*received: Received) -> tuple[list[str], str]:
+    view = TfTree()
+    for each in received:
+        view.take(each)
+    result = view.draw(WISH)
+    assert isinstance(result.content, Cells)
+    return [row.rstrip() for row in result.content.rows], result.problem
+
+
+def test_frames_are_below_their_parents() -> None:
+    lines, problem = tree(transforms(("map", "odom"), ("odom", "base")))
+    assert [line.split()[0] for line in lines] == ["map", "odom", "base"]
+    assert [len(line) - len(line.lstrip()) for line in lines] == [0, 2, 4]
+    assert problem == ""
+
+
+def test_ages_rates_and_static_frames() -> None:
+    moving = [transforms(("map", "odom"), at=at / 10) for at in range(11)]
+    lines, _ = tree(transforms(("odom", "laser"), topic="/tf_static"), *moving, transforms(("odom", "wheel"), at=5.0))
+    assert any("odom" in line and "10 Hz" in line and "4.0 s" in line for line in lines)
+    assert any("laser" in line and "static" in line for line in lines)
+
+
+def test_what_is_wrong_with_frames() -> None:
+    lines, problem = tree(transforms(("map", "base"), ("odom", "base"), ("x", "y"), ("y", "x")))
+    assert has_text(problem, TreeProblem.ROOTS)
+    assert any(has_text(line, TreeProblem.TWO_PARENTS) for line in lines)
+    assert sum(has_text(line, TreeProblem.CIRCLE) for line in lines) == 2
+
+
+def test_the_worst_diagnostics_come_first_with_their_values() -> None:
+    fine = DiagnosticStatus(level=b"\x00", name="fine", values=[KeyValue(key="k", value="hidden")])
+    bad = DiagnosticStatus(level=b"\x02", name="bad", message="hot", values=[KeyValue(key="temperature", value="99")])
+    lines = rows(drawn(WISH, DiagnosticArray(status=[fine, bad])))
+    assert "bad" in lines[0]
+    assert "99" in lines[1]
+    assert "fine" in lines[2]
+    assert not any("hidden" in line for line in lines)
+
+
+def test_stale_diagnostics() -> None:
+    from tests.view.samples import task
+
+    from rsb_bridge.view.worker import Artist
+
+    old, new = (DiagnosticArray(status=[DiagnosticStatus(name=name)]) for name in ("old", "new"))
+    picture = Artist().do(task(WISH, old, new, every=60.0))
+    assert picture is not None
+    assert "old" in rows(picture)[0]
+    assert "STALE" in rows(picture)[0]
+
+
+def test_log_lines_by_level_and_text_and_repeated_ones_counted() -> None:
+    lines = [Log(level=20, name="a", msg="started"), *[Log(level=40, name="b", msg="broken\nagain")] * 3]
+    shown = rows(drawn(WISH, *lines))
+    assert len(shown) == 2
+    assert "×3" in shown[1]
+    assert len(rows(drawn(Wish(level=30), *lines))) == 1
+    assert "started" in rows(drawn(Wish(match="start"), *lines))[0]
+
+
+def test_a_track() -> None:
+    fixes = [NavSatFix(latitude=48.0 + at * 1e-5, longitude=11.0) for at in range(20)]
+    lines = rows(drawn(WISH, *fixes))
+    assert any("◆" in line for line in lines)
+    assert any("m" in line for line in lines)
+
+
+def test_no_fix() -> None:
+    message = NavSatFix()
+    message.status.status = -1
+    assert has_text(drawn(WISH, message).problem, TrackProblem.NO_FIX)

@@ -1,0 +1,148 @@
+"""Layers of a map, each in its own frame."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import msgspec
+import pytest
+from geometry_msgs.msg import PoseStamped
+from nav_msgs.msg import OccupancyGrid, Odometry, Path
+from sensor_msgs.msg import LaserScan
+from tests.support.wording import has_text
+from tests.view.samples import task
+
+from rsb_bridge.model.pictures import Cells, Picture, Wish
+from rsb_bridge.view.map_view import MapProblem, Transform
+from rsb_bridge.view.worker import Artist
+
+WISH = Wish(width=40, height=20)
+
+
+def picture(*messages: Any, wish: Wish = WISH) -> Picture:
+    """Return the picture of messages, each on a topic of its own."""
+    artist, result = Artist(), None
+    first = task(wish, messages[0])
+    for at, message in enumerate(messages):
+        wanted = task(wish, message, topic=f"/topic{at}")
+        result = artist.do(msgspec.structs.replace(wanted, type_name=first.type_name))
+    assert result is not None
+    return result
+
+
+def grid(side: int = 100, resolution: float = 0.1) -> OccupancyGrid:
+    """Return a free square around the origin with one occupied row at its upper edge."""
+    message = OccupancyGrid()
+    message.header.frame_id = "map"
+    message.info.width = message.info.height = side
+    message.info.resolution = resolution
+    message.info.origin.position.x = message.info.origin.position.y = -side * resolution / 2
+    message.data = [0] * (side * (side - 1)) + [100] * side
+    return message
+
+
+def pose(x: float, y: float, yaw: float, kind: type = PoseStamped, frame: str = "map") -> Any:
+    message = kind()
+    message.header.frame_id = frame
+    at = message.pose.pose if kind is Odometry else message.pose
+    at.position.x, at.position.y = x, y
+    at.orientation.z, at.orientation.w = math.sin(yaw / 2), math.cos(yaw / 2)
+    return message
+
+
+def content(of: Picture) -> Cells:
+    assert isinstance(of.content, Cells), of.problem
+    return of.content
+
+
+def place(of: Picture, mark: str) -> tuple[float, float]:
+    """Return the map's coordinates of a character."""
+    cells = content(of)
+    assert cells.scale is not None
+    row = next(at for at, text in enumerate(cells.rows) if mark in text)
+    column = cells.rows[row].index(mark)
+    scale = cells.scale
+    return scale.left + (column + 0.5) * scale.column, scale.top - (row + 0.5) * scale.row
+
+
+def styles(of: Picture) -> dict[str, list[int]]:
+    """Return the rows in which each style is."""
+    cells, at = content(of), 0
+    found: dict[str, list[int]] = {}
+    for row, text in enumerate(cells.rows):
+        for character, style in zip(text, cells.styles[at : at + len(text)], strict=True):
+            if character != " ":
+                found.setdefault(cells.palette[style], []).append(row)
+        at += len(text)
+    return found
+
+
+def test_an_occupied_row_is_drawn_once_and_at_the_top() -> None:
+    found = styles(picture(grid()))
+    assert len(set(found["occupied"])) <= 2
+    assert max(found["occupied"]) < min(found["free"]) + 2
+
+
+def test_a_thin_wall_of_a_large_grid_is_seen() -> None:
+    assert "occupied" in styles(picture(grid(2000, 0.05)))
+
+
+@pytest.mark.parametrize(("yaw", "mark"), [(0.0, "▶"), (math.pi / 2, "▲"), (math.pi, "◀"), (-math.pi / 2, "▼")])
+def test_the_robot_shows_its_heading(yaw: float, mark: str) -> None:
+    x, y = place(picture(grid(), pose(2.0, -1.0, yaw, Odometry)), mark)
+    assert abs(x - 2.0) < 0.5
+    assert abs(y - -1.0) < 0.5
+
+
+def test_a_goal_is_at_its_place() -> None:
+    x, y = place(picture(grid(), pose(-3.0, 2.0, 0.0)), "◆")
+    assert abs(x - -3.0) < 0.5
+    assert abs(y - 2.0) < 0.5
+
+
+def test_a_scan_goes_along_with_the_robot() -> None:
+    odometry = pose(2.0, 0.0, math.pi / 2, Odometry)
+    odometry.child_frame_id = "base_link"
+    scan = LaserScan(angle_min=0.0, angle_increment=0.01, range_min=0.1, range_max=9.0, ranges=[2.0] * 3)
+    scan.header.frame_id = "base_link"
+    result = picture(grid(), odometry, scan)
+    assert result.problem == ""
+    cells = content(result)
+    assert cells.scale is not None
+    row = styles(result)["scan"][0]
+    assert abs(cells.scale.top - (row + 0.5) * cells.scale.row - 2.0) < 1.0
+
+
+def test_a_layer_without_a_transform_is_named() -> None:
+    scan = LaserScan(angle_increment=0.1, range_max=9.0, ranges=[2.0] * 9)
+    scan.header.frame_id = "laser"
+    result = picture(grid(), scan)
+    assert result.content is not None
+    assert has_text(result.problem, MapProblem.NO_TRANSFORM)
+
+
+def test_a_path_is_a_line() -> None:
+    path = Path(poses=[pose(0.0, 0.0, 0.0), pose(4.0, 0.0, 0.0)])
+    path.header.frame_id = "map"
+    assert len(styles(picture(grid(), path))["path"]) >= 10
+
+
+def test_a_grid_whose_size_is_a_lie() -> None:
+    message = grid()
+    message.info.width = 2**31
+    assert has_text(picture(message).problem, MapProblem.BAD_GRID)
+
+
+def test_zoom_shows_less() -> None:
+    wide, narrow = (content(picture(grid(), wish=Wish(width=40, height=20, zoom=zoom))).scale for zoom in (1.0, 4.0))
+    assert wide is not None
+    assert narrow is not None
+    assert wide.column == pytest.approx(4 * narrow.column)
+
+
+def test_transforms() -> None:
+    there = Transform(1.0, 2.0, math.pi / 2)
+    assert there.apply(1.0, 0.0) == pytest.approx((1.0, 3.0))
+    assert there.inverse().after(there) == pytest.approx(Transform())
+    assert there.after(Transform(1.0, 0.0, 0.0)) == pytest.approx(Transform(1.0, 3.0, math.pi / 2))
