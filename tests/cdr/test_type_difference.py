@@ -57,6 +57,15 @@ def test_the_field_is_named(
     assert difference_of_texts(text_of(here), text_of(there)) == difference(here, there)
 
 
+@pytest.mark.parametrize(("end", "half"), [("_Request", "IN_REQUEST"), ("_Response", "IN_RESPONSE")])
+def test_the_half_of_a_service_is_named(end: str, half: str) -> None:
+    def version(kind: FieldType) -> TypeDescription:
+        return TypeDescription(MessageType(f"a_msgs/srv/A{end}", (Field("x", kind),)), ())
+
+    found = TypeDifference.OTHER_TYPE(field="x", there="int32", here="float32")
+    assert difference(version(FLOAT), version(INT)) == TypeDifference[half](difference=found)
+
+
 def test_many_differences_are_counted_and_a_peers_names_are_harmless() -> None:
     there = described(*((f"f{number}\x1b[31m" + "x" * 200, FLOAT) for number in range(50)))
     text = difference(described(("x", FLOAT)), there)

@@ -5,30 +5,45 @@ from __future__ import annotations
 import errno
 import os
 import socket
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import pytest
+from rclpy.action import ActionServer
 from rclpy.qos import QoSDurabilityPolicy, QoSProfile, QoSReliabilityPolicy
 from rclpy.serialization import serialize_message
 from sensor_msgs.msg import LaserScan
 from std_msgs.msg import Int32, String
-from tests.support.bridge import carries, happened, heard, link, now, route, says, stage
+from std_srvs.srv import SetBool
+from tests.support.bridge import carries, find, happened, heard, link, now, route, says, stage
 from tests.support.domain import BEST_EFFORT, LATCHED, text
-from tests.support.long import long
+from tests.support.long import long, long_cases
 from tests.support.participants import KnownNode
 from tests.support.ports import free_port
 from tests.support.waiting import eventually, holds
 from tests.support.wording import pattern
 
 from rsb_bridge.api import EngineError
-from rsb_bridge.cdr.description import Field, FieldType, MessageType, TypeDescription, hash_of_text, text_of
+from rsb_bridge.cdr.description import (
+    HASH_PREFIX,
+    Field,
+    FieldType,
+    MessageType,
+    TypeDescription,
+    hash_of_text,
+    text_of,
+)
 from rsb_bridge.cdr.type_difference import TypeDifference
 from rsb_bridge.config.keys import fingerprint, read_key, write_key
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.qos import PROFILES, Qos, parse_qos
 from rsb_bridge.model.session import Client, Topic
 from rsb_bridge.model.snapshot import State
+from rsb_bridge.model.text import join_first
 from rsb_bridge.model.verdict import Cause
+from rsb_bridge.ros.native.typesupport import hash_of
+from rsb_bridge.route.calls.providing import ProvidingRoute
+from rsb_bridge.route.route import Route
+from rsb_bridge.route.type_versions import TypeClash
 from rsb_bridge.transport.listening import ListenProblem
 from rsb_bridge.transport.streams import StreamProblem
 
@@ -134,6 +149,117 @@ def test_versions_of_a_type_that_differ(direction: Any, bridge: Bridge, robot: D
     holds(lambda: [each[:2] for each in shown()] == [each[:2] for each in before], 12.0)
     assert [each[2] for each in shown()] == pytest.approx([each[2] for each in before], abs=0.5)
     assert events() == said
+
+
+SET = "std_srvs/srv/SetBool"
+_Versions: TypeAlias = "dict[str, tuple[str, str]]"
+NUMBER, UNIT = Field("data", FieldType(6, 0, 0, "")), Field("unit", FieldType(17, 0, 0, ""))
+
+
+class OtherServices(KnownNode):
+    """A stand-in with another version of each service in `others`: the texts of its request's and response's types."""
+
+    others: _Versions
+
+    def installed_service_hash(self, type_name: str) -> str | None:
+        installed = super().installed_service_hash(type_name)
+        if installed is None or type_name not in self.others:
+            return installed
+        texts = zip(installed.split("+"), self.others[type_name], strict=True)
+        return "+".join(hash_of_text(text) if text else type_hash for type_hash, text in texts)
+
+    def installed_description(self, type_name: str) -> str | None:
+        service, _, half = type_name.rpartition("_")
+        other = self.others[service][half == "Response"] if service in self.others else ""
+        return other or super().installed_description(type_name)
+
+
+def half_of(type_name: str, *fields: Field) -> str:
+    """The description of a request or a response."""
+    return text_of(TypeDescription(MessageType(type_name, fields), ()))
+
+
+REQUEST = half_of(f"{SET}_Request", NUMBER)
+RESPONSE = half_of(f"{SET}_Response", UNIT)
+IN_REQUEST = TypeDifference.IN_REQUEST(
+    difference=TypeDifference.OTHER_TYPE(field="data", there="bool", here="int32"),
+)
+IN_RESPONSE = TypeDifference.IN_RESPONSE(
+    difference=join_first(
+        [
+            TypeDifference.ONLY_THERE(field="success", type="bool"),
+            TypeDifference.ONLY_THERE(field="message", type="string"),
+            TypeDifference.ONLY_HERE(field="unit", type="string"),
+        ],
+        3,
+    )
+)
+
+
+def with_other_services(bridge: Bridge, topic: Topic, caller: Domain, others: _Versions) -> list[Engine]:
+    """Start both sides, of which that with the callers has other versions of some services."""
+    node = OtherServices(caller.id, "other")
+    node.others = others
+    callers = 1 if topic.direction == "transmit" else 0
+    nodes = [None, node] if callers else [node, None]
+    sessions = [bridge.server_session(), bridge.client_session(topic)]
+    return [bridge.start(session, ros) for session, ros in zip(sessions, nodes, strict=True)]
+
+
+def clashes(engine: Engine, name: str, type_name: str, *words: str) -> bool:
+    found = find(engine, name)
+    conflict = found is not None and (found.state, found.cause) == (State.DOWN, Cause.TYPE_CONFLICT)
+    return conflict and says(engine, name, type_name, *words)
+
+
+@pytest.mark.parametrize(
+    ("direction", "halves", "named", "unnamed"),
+    [
+        ("transmit", (REQUEST, ""), IN_REQUEST, "response"),
+        *long_cases(
+            ("receive", ("", RESPONSE), IN_RESPONSE, "request"),
+            ("transmit", (REQUEST, RESPONSE), f"{IN_REQUEST}; {IN_RESPONSE}", HASH_PREFIX),
+        ),
+    ],
+)
+def test_versions_of_a_service_that_differ(
+    direction: Any, halves: tuple[str, str], named: str, unnamed: str, bridge: Bridge, robot: Domain, pc: Domain
+) -> None:
+    caller, provider = (robot, pc) if direction == "transmit" else (pc, robot)
+    provider.serve("/set", SetBool)
+    engines = with_other_services(bridge, Topic("/set", direction, kind="service"), caller, {SET: halves})
+    for engine in engines:
+        eventually(lambda engine=engine: clashes(engine, "/set", SET, named))
+        assert unnamed not in route(engine, "/set").reason
+        assert not says(engine, "/set", HASH_PREFIX)
+
+
+def test_an_older_peer_describes_no_service(
+    bridge: Bridge, robot: Domain, pc: Domain, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The hashes tell which half differs."""
+    monkeypatch.setattr(ProvidingRoute, "message_types", Route.message_types)
+    pc.serve("/set", SetBool)
+    engines = with_other_services(bridge, Topic("/set", "transmit", kind="service"), robot, {SET: (REQUEST, "")})
+    hashes = TypeClash.HASHES(there=hash_of(SetBool.Request), here=hash_of_text(REQUEST))
+    for engine in engines:
+        eventually(lambda engine=engine: clashes(engine, "/set", SET, TypeDifference.IN_REQUEST(difference=hashes)))
+
+
+def test_versions_of_an_action_that_differ(bridge: Bridge, robot: Domain, pc: Domain) -> None:
+    test_msgs = pytest.importorskip("test_msgs.action", reason="no package with an action is installed")
+    server = ActionServer(pc.node, test_msgs.Fibonacci, "/count_up", lambda goal: test_msgs.Fibonacci.Result())
+    result = "test_msgs/action/Fibonacci_GetResult"
+    other = half_of(f"{result}_Response", Field("status", FieldType(6, 0, 0, "")))
+    status = TypeDifference.OTHER_TYPE(field="status", there="int8", here="int32")
+    only_there = TypeDifference.ONLY_THERE(field="result", type="test_msgs/action/Fibonacci_Result")
+    difference = TypeDifference.IN_RESPONSE(difference=join_first([status, only_there], 3))
+    topic = Topic("/count_up", "transmit", kind="action")
+    try:
+        for engine in with_other_services(bridge, topic, robot, {result: ("", other)}):
+            eventually(lambda engine=engine: clashes(engine, "/count_up", result, difference))
+    finally:
+        server.destroy()
 
 
 def test_two_sides_in_one_domain_would_loop(bridge: Bridge, robot: Domain) -> None:

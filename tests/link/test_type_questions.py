@@ -10,13 +10,24 @@ import zstandard
 from tests.support.slices import take
 from tests.support.wording import pattern
 
-from rsb_bridge.cdr.description import DESCRIPTION_LIMIT, Field, FieldType, MessageType, TypeDescription, hash_of_text
+from rsb_bridge.cdr.description import (
+    DESCRIPTION_LIMIT,
+    Field,
+    FieldType,
+    MessageType,
+    TypeDescription,
+    hash_of_text,
+    read_description,
+)
 from rsb_bridge.cdr.description import text_of as text_of_description
+from rsb_bridge.cdr.type_difference import difference_of_texts
+from rsb_bridge.link import questions
 from rsb_bridge.link.errors import Denied, LinkError
-from rsb_bridge.link.questions import TypeQuestions
+from rsb_bridge.link.questions import TypeQuestions, description_in
 from rsb_bridge.ros import type_descriptions
 from rsb_bridge.ros.ros_interface import RosError
 from rsb_bridge.ros.type_descriptions import TypeDescriptions
+from rsb_bridge.route.type_versions import MessageType as MessageVersion
 from rsb_bridge.wire.messages import AskType, TypeText
 
 if TYPE_CHECKING:
@@ -54,6 +65,7 @@ class Ros:
 class Route:
     id = 3
     type_name, type_hash, local_topic = "a_msgs/msg/B", HASH, "/b"
+    message_types = (MessageVersion("a_msgs/msg/B", HASH),)
 
 
 class Side:
@@ -157,3 +169,63 @@ def test_what_is_kept_is_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
     assert known.add(texts[3], hashes[3])
     assert [known.known(each) is not None for each in hashes] == [True, False, True, True, False]
     assert not known.add(texts[4], hashes[0])
+
+
+def described(name: str, field: str) -> str:
+    """A request, response or message of one field."""
+    return text_of_description(TypeDescription(MessageType(name, (Field(field, FieldType(6, 0, 0, "")),)), ()))
+
+
+class Installed(Ros):
+    """A side on which types are installed."""
+
+    def __init__(self, *texts: str) -> None:
+        super().__init__()
+        self.texts = {name_in(text): text for text in texts}
+
+    def installed_hash(self, type_name: str) -> str | None:
+        text = self.installed_description(type_name)
+        return None if text is None else hash_of_text(text)
+
+    def installed_description(self, type_name: str) -> str | None:
+        return self.texts.get(type_name)
+
+
+def name_in(text: str) -> str:
+    return read_description(text, hash_of_text(text)).type_description.type_name
+
+
+def versions(*texts: str) -> tuple[MessageVersion, ...]:
+    return tuple(MessageVersion(name_in(text), hash_of_text(text)) for text in texts)
+
+
+REQUEST, RESPONSE = described("a_msgs/srv/A_Request", "x"), described("a_msgs/srv/A_Response", "y")
+HERE = described("a_msgs/srv/A_Request", "z"), described("a_msgs/srv/A_Response", "z")
+
+
+async def asked_by_a_caller(answering: Side) -> tuple[str, str]:
+    """Have a side with other versions ask: the texts of the answer, and the difference that it tells."""
+    asking, told = Side(), asyncio.get_running_loop().create_future()
+    asking.ros = Installed(*HERE)
+    asking.known = TypeDescriptions(asking.ros, lambda: 0.0)  # type: ignore[arg-type]
+    asking.questions._known = asking.known
+    asking.questions.compare(3, versions(REQUEST, RESPONSE), told.set_result)
+    await asking.has_sent.wait()
+    take(answering.questions, *asking.sent)
+    await asyncio.gather(*answering.tasks)
+    take(asking.questions, *answering.sent)
+    return description_in(answering.sent[0].text) or "", await told
+
+
+@pytest.mark.parametrize("most", [DESCRIPTION_LIMIT, len(REQUEST), 0])
+def test_one_answer_has_all_types_of_a_service_that_fit(most: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(questions, "DESCRIPTION_LIMIT", max(most, 1))
+    monkeypatch.setattr(Route, "message_types", versions(REQUEST, RESPONSE, REQUEST))
+    answering = Side()
+    answering.known._ros = Installed(REQUEST, RESPONSE)  # type: ignore[assignment]
+    texts, difference = asyncio.run(asked_by_a_caller(answering))
+    fit = [text for text, size in ((REQUEST, len(REQUEST)), (RESPONSE, DESCRIPTION_LIMIT)) if size <= most]
+    assert texts == "\n".join(fit)
+    assert difference == "; ".join(
+        difference_of_texts(here, text) for here, text in zip(HERE, (REQUEST, RESPONSE), strict=True) if text in fit
+    )

@@ -19,6 +19,7 @@ from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.commands import ArmTopic, DisarmTopic, Pause
 from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.verdict import Cause
+from rsb_bridge.route.calls.calling import CallingRoute
 from rsb_bridge.route.lease import Lease
 from rsb_bridge.transport.tcp import Tcp
 
@@ -394,6 +395,33 @@ def test_types_that_differ_are_refused_on_both_sides(differ: Callable[[Booth], N
         assert not booth.offered
         assert say(booth) == ((State.DOWN, Cause.TYPE_CONFLICT), (State.DOWN, Cause.TYPE_CONFLICT))
         assert TYPE.rpartition("/")[2] in booth.shown()[0].reason
+
+    lived(play, booth, live())
+
+
+def test_the_other_side_is_asked_about_one_version_at_a_time(play: Play) -> None:
+    booth = Booth()
+
+    async def live() -> None:
+        asked: list[tuple[str, Callable[[str], None]]] = []
+        near = booth.halves()[0]
+        assert isinstance(near, CallingRoute)
+        near.compare_types = lambda _, types, tell: asked.append((types[0].type_hash, tell))
+        booth.near.domain.installed[TYPE] = hash_of(TYPE, 9)
+        for version in range(4):
+            teller = booth.teller(type_hash=hash_of(TYPE, version))
+            await asyncio.sleep(SETTLED)
+            assert hash_of(TYPE, version) in booth.shown()[0].reason
+            if version < 3:
+                teller.server.close()
+                await asyncio.sleep(SETTLED)
+        assert [each for each, _ in asked] == [hash_of(TYPE, 0)]
+        asked[0][1]("the old difference")
+        assert "the old difference" not in booth.shown()[0].reason
+        assert [each for each, _ in asked] == [hash_of(TYPE, 0), hash_of(TYPE, 3)]
+        asked[1][1]("the new difference")
+        await asyncio.sleep(SETTLED)
+        assert all("the new difference" in shown.reason for shown in booth.shown())
 
     lived(play, booth, live())
 

@@ -35,6 +35,12 @@ class TypeDifference(Wording):
     OTHER_TYPE = "{field} is {there} there, {here} here"
     ORDER = "the order of the fields of {type}"
     NO_FIELD = "the same fields under another name of a type"
+    IN_REQUEST = "request: {difference}"
+    IN_RESPONSE = "response: {difference}"
+
+
+_HALVES = {"_Request": TypeDifference.IN_REQUEST, "_Response": TypeDifference.IN_RESPONSE}
+"""By the end of the type's name. A name of a message has no underscore."""
 
 
 def difference_of_texts(here: str, there: str) -> str:
@@ -48,7 +54,15 @@ def difference_of_texts(here: str, there: str) -> str:
 def difference(here: TypeDescription, there: TypeDescription) -> str:
     """Return the first differences between a type here and on the other side."""
     found = list(dict.fromkeys(_differences(here, there))) or [TypeDifference.NO_FIELD()]
-    return join_first(found, _NAMED)
+    return in_half(here.type_description.type_name, join_first(found, _NAMED))
+
+
+def in_half(type_name: str, difference: str) -> str:
+    """Return a difference with the half of a service that has it, if the type is a request or a response."""
+    for half, text in _HALVES.items():
+        if type_name.endswith(half):
+            return text(difference=difference)
+    return difference
 
 
 def _differences(here: TypeDescription, there: TypeDescription) -> Iterator[str]:

@@ -13,12 +13,13 @@ from typing import TYPE_CHECKING, Generic, TypeVar
 import msgspec
 import zstandard
 
-from rsb_bridge.cdr.description import DESCRIPTION_LIMIT
+from rsb_bridge.cdr.description import DESCRIPTION_LIMIT, hash_of_text
 from rsb_bridge.cdr.type_difference import difference_of_texts
 from rsb_bridge.link.control_channel import in_slices
 from rsb_bridge.link.errors import Denied, LinkError
 from rsb_bridge.link.extension import Extension
 from rsb_bridge.link.proposals import KINDS
+from rsb_bridge.model.calls import MOST_LANES
 from rsb_bridge.model.limits import TEXT_LENGTH
 from rsb_bridge.model.snapshot import TopicInfo
 from rsb_bridge.ros.ros_graph import CALLED, graph_of
@@ -28,19 +29,22 @@ from rsb_bridge.wire.messages import AskType, ListTopics, TopicList, TypeText
 from rsb_bridge.wire.records import TopicEntry
 
 if TYPE_CHECKING:
-    from collections.abc import Awaitable, Callable, Coroutine, Iterator, Sequence
+    from collections.abc import Awaitable, Callable, Collection, Coroutine, Iterator, Sequence
 
     from rsb_bridge.link.control_channel import Slices
     from rsb_bridge.model.session import Kind
     from rsb_bridge.ros.ros_interface import RosInterface
     from rsb_bridge.ros.type_descriptions import TypeDescriptions
     from rsb_bridge.route.route import Route
+    from rsb_bridge.route.type_versions import MessageType
     from rsb_bridge.wire.messages import ControlMessage
 
 T = TypeVar("T")
 
 QUESTIONS_KEPT = 8
 """Unanswered questions of the peer of one kind; further ones are ignored."""
+_MOST_TYPES = 2 * MOST_LANES
+"""Types of one route, each with a line of an answer."""
 _ANSWERED_WITHIN = 10.0
 """s: the other side may have to ask several nodes."""
 
@@ -187,11 +191,14 @@ class TypeQuestions(Extension):
         self._questions.answered(answer.route, answer.text)
 
     async def _find(self, route_id: int) -> TypeText:
-        text = None
+        texts: list[str] = []
         route = self._open_route(route_id)
-        if route is not None and route.type_hash:
-            text = await self._known.find(route.type_name, route.type_hash, route.local_topic)
-        return TypeText(route=route_id, text=zstandard.compress(text.encode()) if text else b"")
+        types, topic = ((), "") if route is None else (dict.fromkeys(route.message_types), route.local_topic)
+        for each in types:
+            text = await self._known.find(each.name, each.type_hash, topic) if each.type_hash else None
+            if text is not None and sum(map(len, texts)) + len(texts) + len(text) <= DESCRIPTION_LIMIT:
+                texts.append(text)
+        return TypeText(route=route_id, text=zstandard.compress("\n".join(texts).encode()) if texts else b"")
 
     async def describe(self, route: Route, *, linked: bool) -> str:
         """Return the description of a route's type.
@@ -207,21 +214,25 @@ class TypeQuestions(Extension):
             raise LinkError("its type is not known yet" if not route.type_name else "its type's version is not known")
         text = await self._known.find(route.type_name, route.type_hash, route.local_topic)
         if text is None and linked and route.id:
-            text = self._checked(await self._ask(route.id), route.type_hash)
+            self._keep(await self._ask(route.id), {route.type_hash})
+            text = self._known.known(route.type_hash)
         if text is None:
             raise LinkError(Denied.TYPE_NOT_INSTALLED(type_name=route.type_name))
         return text
 
-    def compare(self, route_id: int, type_name: str, type_hash: str, tell: Callable[[str], None]) -> None:
-        """Implement `rsb_bridge.route.incoming.CompareTypes`."""
-        here = self._known.installed(type_name)
-        if here is None:
+    def compare(self, route_id: int, types: Sequence[MessageType], tell: Callable[[str], None]) -> None:
+        """Implement `rsb_bridge.route.type_versions.CompareTypes`."""
+        installed = {each.type_hash: self._known.installed(each.name) for each in types}
+        here = {type_hash: text for type_hash, text in installed.items() if text is not None}
+        if not here:
             tell("")
             return
 
         async def compare() -> None:
-            there = self._known.known(type_hash) or self._checked(await self._ask(route_id), type_hash)
-            tell("" if there is None else difference_of_texts(here, there))
+            if None in map(self._known.known, here):
+                self._keep(await self._ask(route_id), here)
+            there = {type_hash: self._known.known(type_hash) for type_hash in here}
+            tell("; ".join(filter(None, (difference_of_texts(here[key], text) for key, text in there.items() if text))))
 
         self._spawn(compare())
 
@@ -232,14 +243,15 @@ class TypeQuestions(Extension):
         except LinkError:
             return b""
 
-    def _checked(self, compressed: bytes, type_hash: str) -> str | None:
-        """Return the text in an answer if it describes that type, or None."""
-        text = description_in(compressed)
-        return text if text is not None and self._known.add(text, type_hash) else None
+    def _keep(self, compressed: bytes, type_hashes: Collection[str]) -> None:
+        """Keep the texts in an answer that describe these types."""
+        for text in (description_in(compressed) or "").split("\n", _MOST_TYPES):
+            if (type_hash := hash_of_text(text)) in type_hashes:
+                self._known.add(text, type_hash)
 
 
 def description_in(compressed: bytes) -> str | None:
-    """Return the text in an answer, without a check of its type, or None if the answer is empty or invalid."""
+    """Return an answer's texts, one a line, without a check of their types, or None if it is empty or invalid."""
     try:
         size = zstandard.frame_content_size(compressed) if compressed else 0
         if not 0 < size <= DESCRIPTION_LIMIT:

@@ -32,9 +32,10 @@ from rsb_bridge.model.text import sanitize_text
 from rsb_bridge.route.arming import Disarmed
 from rsb_bridge.route.calls.calling import CallingRoute
 from rsb_bridge.route.calls.providing import ProvidingRoute
-from rsb_bridge.route.incoming import CompareTypes, IncomingRoute, unknown_difference
+from rsb_bridge.route.incoming import IncomingRoute
 from rsb_bridge.route.outgoing import OutgoingRoute
 from rsb_bridge.route.route import route_key
+from rsb_bridge.route.type_versions import CompareTypes, unknown_difference
 from rsb_bridge.tasks import in_slices
 from rsb_bridge.transport.transport import ListenError
 from rsb_bridge.wire.messages import (
@@ -208,7 +209,7 @@ class RouteTable(Extension):
         half = _half_of(proposal, is_client=self._link.is_client)
         route = self._link.routes[key] = half(self._context, self._link, spec, proposal, proposed_here=proposed_here)
         allow_rate(route, self._link)
-        if isinstance(route, IncomingRoute):
+        if isinstance(route, IncomingRoute | CallingRoute):
             route.compare_types = self.compare_types
         if proposed_here:
             self.listed.add(spec.identity)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter, deque
 from functools import partial
-from typing import TYPE_CHECKING, ClassVar, TypeAlias
+from typing import TYPE_CHECKING, ClassVar
 
 import msgspec
 import zstandard
@@ -17,7 +17,6 @@ from rsb_bridge.model.qos import incompatible, match_subscriptions
 from rsb_bridge.model.snapshot import Ledger, Level, State
 from rsb_bridge.model.text import sanitize_text
 from rsb_bridge.model.verdict import Cause
-from rsb_bridge.model.wording import Wording
 from rsb_bridge.ros.ros_graph import type_hint
 from rsb_bridge.ros.ros_interface import RosError
 from rsb_bridge.route.age import EXPIRED
@@ -37,6 +36,7 @@ from rsb_bridge.route.source_publishers import (
 )
 from rsb_bridge.route.topic_route import TopicRoute
 from rsb_bridge.route.topic_verdict import TopicProgress
+from rsb_bridge.route.type_versions import CompareTypes, MessageType, TypeClash, unknown_difference
 from rsb_bridge.wire.framing import HISTORY, LEASED, SOURCE_SHIFT, ZSTD, Message
 from rsb_bridge.wire.headers import PUBLISHER_ID_LENGTH, HistoryHeader, split_history
 from rsb_bridge.wire.messages import Describe, Propose, Ready, Refuse
@@ -76,14 +76,6 @@ def _with_latencies(
     return msgspec.structs.replace(before, **{name: getattr(report, name) for name in _LATENCIES})
 
 
-class TypeClash(Wording):
-    """The reasons why the type that the other side sends can't be published here."""
-
-    NOT_AGREED = "the other side sends {there}, though {agreed} was agreed on: correct the type"
-    VERSIONS = "{type} differs between the two sides ({difference}): install the same version on both"
-    HASHES = "{there} there, {here} here"
-
-
 class _NotPublishedError(Exception):
     """A message that arrived is not published, and operators need not know. Its text is the cause in the ledger."""
 
@@ -100,16 +92,6 @@ _FAILURES: dict[type[Exception], tuple[str, EventCode]] = {
 }
 """Errors that prevent a publication, each with the cause in the ledger and the event's code."""
 _CAUGHT: tuple[type[Exception], ...] = (_NotPublishedError, *_FAILURES)
-
-
-CompareTypes: TypeAlias = "Callable[[int, str, str, Callable[[str], None]], None]"
-"""Tells how the other side's version of a type differs from the installed one, now or in some seconds: takes the id of
-the route, the type's name, its hash there, and a function to be called with the difference, or with an empty string."""
-
-
-def unknown_difference(_route_id: int, _type_name: str, _type_hash: str, tell: Callable[[str], None]) -> None:
-    """Tell at once that nobody can be asked."""
-    tell("")
 
 
 class IncomingRoute(TopicRoute[ReceivingChannel]):
@@ -216,7 +198,7 @@ class IncomingRoute(TopicRoute[ReceivingChannel]):
                 hashes = TypeClash.HASHES(there=description.type_hash, here=installed)
                 self._refuse_type(TypeClash.VERSIONS(type=description.type, difference=difference or hashes))
 
-        self.compare_types(opening, description.type, description.type_hash, refuse)
+        self.compare_types(opening, (MessageType(description.type, description.type_hash),), refuse)
         return False
 
     def _refuse_type(self, reason: str) -> None:

@@ -23,11 +23,12 @@ from rsb_bridge.route.ledger import RouteLedger, reported_drops
 from rsb_bridge.route.lifecycle import Event
 from rsb_bridge.route.loop_filter import LoopFilter
 from rsb_bridge.route.peer import TypeUse
-from rsb_bridge.route.resolving import MessageType, Resolver
+from rsb_bridge.route.resolving import Resolver
 from rsb_bridge.route.sending import OutgoingPath
 from rsb_bridge.route.topic_route import MEASURED_FOR, TopicRoute
 from rsb_bridge.route.topic_subscription import SubscriptionSpec, TopicSubscription
 from rsb_bridge.route.topic_verdict import LATELY, TopicProgress
+from rsb_bridge.route.type_versions import MessageType
 from rsb_bridge.telemetry.watches import LossWatch, SlowWatch, StopWatch
 from rsb_bridge.transport.transport import DatagramTransport
 from rsb_bridge.wire.fields import MOST_PUBLISHERS

@@ -15,6 +15,7 @@ from rsb_bridge.model.qos import match_publishers
 from rsb_bridge.model.text import join_first
 from rsb_bridge.model.verdict import Cause
 from rsb_bridge.route.topic_verdict import no_publisher
+from rsb_bridge.route.type_versions import MessageType
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Sequence
@@ -26,18 +27,6 @@ if TYPE_CHECKING:
     from rsb_bridge.wire.messages import Propose
 _MOST_NODES = 3  # named of each type
 _MOST_TYPES = 4  # named in one sentence
-
-
-class MessageType(NamedTuple):
-    """A message type and its version.
-
-    Attributes:
-        name: ``pkg/msg/Name``, or empty if unknown.
-        type_hash: ``RIHS01_...``, or empty if unknown.
-    """
-
-    name: str = ""
-    type_hash: str = ""
 
 
 class Resolved(NamedTuple):

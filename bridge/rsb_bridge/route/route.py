@@ -28,6 +28,7 @@ from rsb_bridge.route.lifecycle import Event, Lifecycle, PauseState
 from rsb_bridge.route.notices import ChannelLosses, Notices, timed_out
 from rsb_bridge.route.peer import Peer
 from rsb_bridge.route.rate_limit import RateLimit, limits_changed
+from rsb_bridge.route.type_versions import MessageType
 from rsb_bridge.telemetry.meters import RateMeter
 from rsb_bridge.wire.headers import LEASE_FEATURE
 from rsb_bridge.wire.messages import Close, Propose
@@ -221,6 +222,11 @@ class Route:
     @property
     def local_topic(self) -> str:
         return self.topic if self.outgoing else self.remote_topic
+
+    @property
+    def message_types(self) -> tuple[MessageType, ...]:
+        """The types of its messages; of calls, those of their requests and responses, too."""
+        return (MessageType(self.type_name, self.type_hash),)
 
     @property
     def far_topic(self) -> str:

@@ -391,7 +391,7 @@ class TopicList(ControlMessageBase, frozen=True):
 
 
 class AskType(ControlMessageBase, frozen=True):
-    """Either side asks for the description of a route's type. Answered by a `TypeText`.
+    """Either side asks for the descriptions of a route's types. Answered by a `TypeText`.
 
     Attributes:
         route: route id.
@@ -405,7 +405,7 @@ class TypeText(ControlMessageBase, frozen=True):
 
     Attributes:
         route: route id.
-        text: the description, zstd-compressed (`rsb_bridge.cdr.description`), or empty if this side has none.
+        text: the descriptions (`rsb_bridge.cdr.description`), one a line, zstd-compressed, or empty if none is known.
     """
 
     route: RouteId

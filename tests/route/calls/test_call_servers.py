@@ -137,7 +137,8 @@ def test_why_none_may_be_called_is_said_by_whoever_knows(graph: Graph) -> None:
 
 
 def clash(graph: Graph) -> str:
-    trouble = types_clash(graph, LANES["service"], (LaneEntry(SET, ONE, 1),), ["/go"], graph.calls)
+    entries = (LaneEntry(SET, ONE, 1),)
+    trouble = types_clash(graph, LANES["service"], entries, ["/go"], graph.calls, lambda _, installed: installed)
     assert trouble is None or trouble.cause is Cause.TYPE_CONFLICT
     return trouble.text if trouble else ""
 

@@ -18,6 +18,7 @@ from rsb_bridge.model.verdict import Cause
 from rsb_bridge.route.calls.call_endpoints import name_of, route_type_of, type_of
 from rsb_bridge.route.calls.calls_verdict import Trouble
 from rsb_bridge.route.topic_verdict import named
+from rsb_bridge.route.type_versions import TypeClash, hashes_text
 from rsb_bridge.wire.records import LaneEntry
 
 if TYPE_CHECKING:
@@ -156,6 +157,7 @@ def types_clash(
     entries: Sequence[LaneEntry],
     names: Sequence[str],
     callers: Mapping[str, Sequence[Endpoint]],
+    difference_from: Callable[[LaneEntry, str], str],
 ) -> Trouble | None:
     """Return the trouble if the two sides, or a caller, have other versions of a type, or None.
 
@@ -165,15 +167,13 @@ def types_clash(
         entries: the other side's types, by lane.
         names: of the lanes on this side.
         callers: of the services on this side, by name.
+        difference_from: returns how the other side's type differs from the installed one, whose hash it takes.
     """
     for member, entry, name in zip(members, entries, names, strict=True):
         installed = (ros.installed_hash if member.is_topic else ros.installed_service_hash)(entry.type)
         if installed and entry.type_hash and installed != entry.type_hash:
-            text = (
-                f"{entry.type} differs between the two sides ({entry.type_hash} on the providing side, {installed} on "
-                "the callers'): install the same version on both"
-            )
-            return Trouble(Cause.TYPE_CONFLICT, text)
+            difference = difference_from(entry, installed)
+            return Trouble(Cause.TYPE_CONFLICT, TypeClash.VERSIONS(type=entry.type, difference=difference))
         if member.is_topic:
             continue
         others = _called_as_another_type(callers[name], name, entry)
@@ -181,9 +181,10 @@ def types_clash(
             return others
         for caller in callers[name]:
             if caller.type_name == entry.type and caller.type_hash and caller.type_hash != entry.type_hash:
+                hashes = hashes_text(entry.type, entry.type_hash, caller.type_hash)
                 text = (
-                    f"{named([caller.node])} has another version of {entry.type} ({caller.type_hash}) than the "
-                    f"providing side ({entry.type_hash}): install the same version on both"
+                    f"{named([caller.node])} has another version of {entry.type} than the providing side ({hashes}): "
+                    "install the same version on both"
                 )
                 return Trouble(Cause.TYPE_CONFLICT, text)
     return None

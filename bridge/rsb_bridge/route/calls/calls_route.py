@@ -28,6 +28,7 @@ from rsb_bridge.route.calls.calls_verdict import CallsFacts, Trouble, calls_stag
 from rsb_bridge.route.combined_verdict import lasting, node_names, record_of
 from rsb_bridge.route.message_check import ExpandsTooMuchError, MessageCheck, Unpacker, malformed_text
 from rsb_bridge.route.route import Route
+from rsb_bridge.route.type_versions import messages_of
 from rsb_bridge.wire.framing import LEASED, ZSTD, Message
 from rsb_bridge.wire.headers import CALL_HEADER_LENGTH, CallFrame, What, split_number, unpack_call
 from rsb_bridge.wire.protocol_error import ProtocolError
@@ -45,6 +46,7 @@ if TYPE_CHECKING:
     from rsb_bridge.route.arming import Disarmed
     from rsb_bridge.route.calls.calls_verdict import CallsProgress
     from rsb_bridge.route.route import Owner
+    from rsb_bridge.route.type_versions import MessageType
     from rsb_bridge.wire.messages import Propose
     from rsb_bridge.wire.records import LaneEntry
 
@@ -74,6 +76,7 @@ class CallsRoute(Route):
         self._unpacker = Unpacker(peer.budget.expansion, context)
         self._checks = [MessageCheck(context, peer.budget.checks) for _ in self.members]
         self._types: tuple[str, ...] = ()  # by lane, as last known
+        self._message_types: tuple[MessageType, ...] = ()  # likewise
         self._loaded: tuple[str, ...] = ()  # types by lane, once loading them was tried
         self._loading: tuple[str, ...] = ()
         self._later: deque[Message] = deque()
@@ -181,9 +184,14 @@ class CallsRoute(Route):
     def _know_type(self, entries: Sequence[LaneEntry]) -> None:
         """Derive the route's type from its lanes' types. An action and parameters have no hash as a whole."""
         self._types = tuple(entry.type for entry in entries)
+        self._message_types = tuple(each for entry in entries for each in messages_of(entry.type, entry.type_hash))
         types = [route_type_of(member, entry.type) for member, entry in zip(self.members, entries, strict=True)]
         self.type_name = next(filter(None, types), "")
         self.type_hash = entries[0].type_hash if len(entries) == 1 else ""
+
+    @property
+    def message_types(self) -> tuple[MessageType, ...]:
+        return self._message_types
 
     def _load(self, entries: Sequence[LaneEntry]) -> bool:
         """Return whether the lanes' types are loaded; if not, load them on another thread, and advance then.
