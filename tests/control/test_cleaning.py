@@ -55,12 +55,12 @@ def nasty(kind: msgspec.inspect.Type, text: str, figure: float) -> Any:
             return next(iter(cls)).value
         case inspect.LiteralType(values=values):
             return values[0]
-        case inspect.StrType():
-            return text
+        case inspect.StrType(pattern=pattern):
+            return text if pattern is None else ""  # the decoder refuses the text
         case inspect.FloatType():
             return figure
-        case inspect.IntType():
-            return -(10**9)
+        case inspect.IntType(ge=least):
+            return -(10**9) if least is None else least
         case inspect.BytesType():
             return b""
         case inspect.BoolType():

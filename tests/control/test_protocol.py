@@ -19,6 +19,8 @@ from tests.support.wording import says
 from rsb_bridge.control import protocol
 from rsb_bridge.control.protocol import ProtocolError, State, ToBridge, ToConsole
 from rsb_bridge.control.states import EncodedRoutes, Receiver, Sender
+from rsb_bridge.model.commands import Look
+from rsb_bridge.model.pictures import Cells, Picture, Pixels, Viewed, Wish
 from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import RouteSnapshot, Snapshot
 
@@ -26,8 +28,34 @@ INTEGERS = st.integers(-(2**63), 2**63 - 1)
 TEXTS = st.text(max_size=20)
 
 
+VIEWED = st.builds(
+    Viewed,
+    picture=st.builds(
+        Picture,
+        content=st.none()
+        | st.builds(Pixels, width=st.integers(1, 400), height=st.integers(1, 300), data=st.binary(max_size=50))
+        | st.builds(Cells, rows=st.lists(TEXTS, max_size=3).map(tuple), styles=st.binary(max_size=9)),
+        taken=INTEGERS,
+    ),
+    where=TEXTS,
+    age=st.none() | st.floats(allow_nan=False),
+)
+
+
+LOOKS = st.builds(
+    Look,
+    viewer=st.text(min_size=1, max_size=20),
+    topics=st.just(("/a", "/b")),
+    wish=st.builds(Wish, width=st.integers(1, 400)),
+)
+LIMITED: dict[Any, st.SearchStrategy[Any]] = {Viewed: VIEWED, Look: LOOKS}
+"""Types whose parts have limits."""
+
+
 def made(kind: Any) -> st.SearchStrategy[Any]:
     """Any value of a type, by its hints."""
+    if kind in LIMITED:
+        return LIMITED[kind]
     if kind is Any:
         return st.one_of(TEXTS, INTEGERS, st.booleans(), st.none())
     if kind is msgspec.Raw:

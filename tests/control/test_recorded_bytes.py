@@ -11,6 +11,7 @@ from rsb_bridge.control import protocol
 from rsb_bridge.control.protocol import Request
 from rsb_bridge.model import commands as c
 from rsb_bridge.model.benchmark import BenchmarkStep
+from rsb_bridge.model.pictures import Wish
 from rsb_bridge.model.session import Client, Topic
 
 SCAN = Topic("/scan", "transmit")
@@ -52,6 +53,10 @@ RECORDED: tuple[tuple[c.AnyCommand, bytes], ...] = (
     (c.Topics("robot1"), b"\x82\xa2is\xa6topics\xa4link\xa6robot1"),
     (c.Peek("k"), b"\x82\xa2is\xa4peek\xa3key\xa1k"),
     (c.Peek("k", True), b"\x83\xa2is\xa4peek\xa3key\xa1k\xa4kept\xc3"),
+    (
+        c.Look("v", ("/map", "/tf"), Wish(width=100, how="map"), "r1"),
+        b"\x85\xa2is\xa4look\xa6viewer\xa1v\xa6topics\x92\xa4/map\xa3/tf\xa4wish\x82\xa5widthd\xa3how\xa3map\xa4link\xa2r1",
+    ),
     (c.Describe("k"), b"\x82\xa2is\xa8describe\xa3key\xa1k"),
     (c.Template("k"), b"\x82\xa2is\xa8template\xa3key\xa1k"),
     (c.Template("k", "send_goal"), b"\x83\xa2is\xa8template\xa3key\xa1k\xa4lane\xa9send_goal"),

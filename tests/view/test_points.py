@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
@@ -13,6 +14,9 @@ from tests.view.samples import drawn
 from rsb_bridge.model.pictures import Cells, Picture, Wish
 from rsb_bridge.view.points import PointsProblem
 
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
 WISH = Wish(width=41, height=21)
 
 
@@ -21,7 +25,7 @@ def scan(ranges: list[float], **more: float) -> LaserScan:
     return LaserScan(angle_min=0.0, angle_increment=step, range_min=0.1, range_max=30.0, ranges=ranges, **more)
 
 
-def cloud(points: list[tuple[float, ...]], names: str = "xyz", **changes: int) -> PointCloud2:
+def cloud(points: Sequence[tuple[float, ...]], names: str = "xyz", **changes: int) -> PointCloud2:
     array = np.array(points, "<f4").reshape(-1, len(names))
     fields = [PointField(name=name, offset=4 * at, datatype=7, count=1) for at, name in enumerate(names)]
     about = {"width": len(array), "height": 1, "point_step": 4 * len(names), "row_step": array.nbytes, **changes}
@@ -56,15 +60,6 @@ def test_ahead_is_up_and_left_is_left() -> None:
 def test_invalid_ranges_are_left_out() -> None:
     picture = drawn(WISH, scan([math.nan, -1.0, 0.0, 99.0]))
     assert has_text(picture.problem, PointsProblem.NO_POINTS)
-
-
-def test_the_scale_gives_the_place_of_a_point() -> None:
-    content = cells(picture := drawn(WISH, cloud([(4.0, -2.0, 0.0), (-4.0, 2.0, 0.0), (0.0, 4.0, 0.0)])))
-    scale = content.scale
-    assert scale is not None
-    column, row = next((column, row) for column, row in marked(picture) if row < 8)
-    assert abs(scale.top - (row + 0.5) * scale.row - 4.0) <= scale.row
-    assert abs(-(scale.left - (column + 0.5) * scale.column) - -2.0) <= 2 * scale.column or scale.column > 0
 
 
 def test_heights_have_colours() -> None:

@@ -8,6 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from tests.support.wording import pattern
 
+from rsb_bridge.model.pictures import Wish
 from rsb_bridge.model.qos import PROFILES, Qos
 from rsb_bridge.model.text import sanitize_text
 from rsb_bridge.wire.codec import decode, decode_hello, decode_welcome, encode
@@ -32,6 +33,8 @@ from rsb_bridge.wire.messages import (
     Lease,
     Limit,
     ListTopics,
+    Look,
+    LookAnswer,
     NamePattern,
     Neighbours,
     Pause,
@@ -163,6 +166,8 @@ EXAMPLES = [
     AskType(route=1),
     TypeText(route=1, text=b"\x28\xb5\x2f\xfd"),
     BenchAsk(request=1, route=3, reset=True, size=2500, rate=100.0, count=50),
+    Look(request=2, route=3, topics=("/camera", "/tf"), wish=Wish(width=120, how="map", fields=("a.b[0]",), zoom=2.0)),
+    LookAnswer(request=2, problem="no"),
     BenchAnswer(request=1, problem="no", sent=5, rate=9.5, received=4, p50=-0.001, cpu=1.5, memory=7, max_rate=10.0),
     Lease(number=7, echo=2**32 - 1),
     Settled(route=3),

@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from rsb_bridge.model.pictures import Scale
 from rsb_bridge.model.wording import Wording
 from rsb_bridge.view.canvas import DOT_BITS, DOTS_ACROSS, DOTS_DOWN, Canvas
 from rsb_bridge.view.drawing import Drawn, UndrawableError, View, elements, nested, number, raw, text
@@ -169,9 +168,7 @@ class PointsView(View):
             f"frame {points.frame}" if points.frame else "",
             kind and f"{kind} {low:.3g} to {high:.3g}",
         ]
-        column, row = metres * DOTS_ACROSS, metres * DOTS_DOWN
-        scale = None if tilt else Scale(points.frame[:255], middle_row * row, middle_column * column, column, row)
-        return Drawn(canvas.cells(scale), tuple(note for note in notes if note))
+        return Drawn(canvas.cells(), tuple(note for note in notes if note))
 
     def _metres(self, points: Points, wish: Wish) -> float:
         """Return the metres of a dot. They change only if the surroundings do, so that the picture stands still."""

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import argparse
-from typing import get_args
+from typing import TYPE_CHECKING, get_args
 
 from rsb_bridge.model.session import Protocol
 from rsb_bridge.model.wording import Wording
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
 
 _REMEMBERED = 120  # seconds
 TRANSPORTS = get_args(Protocol)
@@ -20,6 +23,7 @@ class ValueProblem(Wording):
     """Reasons why an option's value is refused."""
 
     NOT_ABOVE_0 = "{text!r} is not a {noun} above 0"
+    NOT_WITHIN = "{text!r} is not a number from {least} to {most}"
     NOT_A_TIMEOUT = "{text!r} is not a number of seconds, 0 or more"
     NOT_A_COUNT = "{text!r} is not a whole number above 0"
     NOT_A_WINDOW = "{text!r} is not a whole number of seconds from 1 to {limit}"
@@ -48,6 +52,18 @@ def above_0(text: str) -> float:
         argparse.ArgumentTypeError: it is not a number above 0.
     """
     return _above_0(text, "number")
+
+
+def within(least: float, most: float) -> Callable[[str], float]:
+    """Return a parser of numbers in a range, ends included."""
+
+    def parse(text: str) -> float:
+        parsed = _number(text)
+        if not least <= parsed <= most:
+            raise argparse.ArgumentTypeError(ValueProblem.NOT_WITHIN(text=text, least=f"{least:g}", most=f"{most:g}"))
+        return parsed
+
+    return parse
 
 
 def timeout(text: str) -> float:

@@ -14,6 +14,7 @@ from rich.console import Console
 from rich.style import Style
 
 from rsb_bridge.api import EngineError
+from rsb_bridge.config.files import replace_file
 from rsb_bridge.model.pictures import MOST_COLUMNS, MOST_ROWS, Wish
 from rsb_bridge.model.text import escape_text
 from rsb_bridge.model.wording import Wording
@@ -87,7 +88,7 @@ def _one(engine: RemoteEngine, arguments: Namespace) -> int:
         _print(viewed, wish, arguments)
         return OK
     try:
-        arguments.output.write_bytes(picture_file(viewed.picture.content, arguments.output.suffix))
+        replace_file(arguments.output, picture_file(viewed.picture.content, arguments.output.suffix))
     except (OSError, ValueError) as error:
         return failed(arguments, LookText.NOT_WRITTEN(file=arguments.output, error=error), _FAILURE)
     print_line(LookText.WRITTEN(file=arguments.output))

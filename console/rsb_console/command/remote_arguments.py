@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Protocol, TypeAlias
 
 from rsb_bridge.config.file_form import key_of
 from rsb_bridge.model.topic_keys import TOPIC_KEYS
-from rsb_console.command.argument_values import above_0, count, seconds, timeout, window_seconds
+from rsb_console.command.argument_values import above_0, count, seconds, timeout, window_seconds, within
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -267,21 +267,27 @@ def _look_arguments(look: argparse.ArgumentParser, complete: Complete) -> None:
     look.add_argument("--once", action="store_true", help="print one picture")
     look.add_argument("--timeout", type=timeout, metavar="N", help="with --once: give up after N s; default: 60")
     look.add_argument("--output", type=Path, metavar="FILE", help="write one picture to FILE: .png, .svg, .txt or .csv")
-    look.add_argument("--as", dest="how", default="", metavar="VIEW", help="plot, tree or map; default: by the type")
+    look.add_argument("--as", dest="how", choices=("plot", "tree", "map"), default="", help="default: by the type")
     look.add_argument("--field", action="append", default=[], metavar="PATH", help="number to plot: pose.position.x")
-    look.add_argument("--seconds", type=above_0, default=30.0, metavar="N", help="length of a plot (%(default)g)")
     look.add_argument(
-        "--rate", type=above_0, default=2.0, metavar="HZ", help="pictures a second, at most 10 (%(default)g)"
+        "--seconds", type=within(1, 3600), default=30.0, metavar="N", help="length of a plot (%(default)g)"
     )
-    look.add_argument("--zoom", type=above_0, default=1.0, metavar="N", help="show less, larger (%(default)g)")
-    look.add_argument("--tilt", type=float, default=0.0, metavar="DEGREES", help="see points from the side, up to 90")
+    look.add_argument(
+        "--rate", type=within(0.05, 10), default=2.0, metavar="HZ", help="pictures a second, at most 10 (%(default)g)"
+    )
+    look.add_argument(
+        "--zoom", type=within(0.01, 1000), default=1.0, metavar="N", help="show less, larger (%(default)g)"
+    )
+    look.add_argument(
+        "--tilt", type=within(0, 90), default=0.0, metavar="DEGREES", help="see points from the side, up to 90"
+    )
     look.add_argument("--colour", choices=("height", "intensity"), default="height", help="colour of points")
     look.add_argument("--frame", default="", metavar="FRAME", help="frame of a map")
     look.add_argument("--match", default="", metavar="TEXT", help="show only lines that contain TEXT")
     look.add_argument("--width", type=count, metavar="N", help="cells; default: the terminal's")
     look.add_argument("--height", type=count, metavar="N", help="cells; default: the terminal's")
     look.add_argument("--ascii", action="store_true", help="use neither colours nor block characters")
-    look.set_defaults(command=lazily("look", "look_command"))
+    look.set_defaults(command=lazily("look", "look_command"), kind="topic")
 
 
 def _figures_arguments(parser: argparse.ArgumentParser, complete: Complete) -> None:

@@ -18,6 +18,7 @@ from textual.strip import Strip
 from textual.widget import Widget
 
 from rsb_bridge.api import EngineError
+from rsb_bridge.config.files import replace_file
 from rsb_bridge.model.pictures import MOST_COLUMNS, MOST_RATE, MOST_ROWS, Wish
 from rsb_bridge.model.text import escape_text
 from rsb_bridge.model.wording import Wording
@@ -283,8 +284,8 @@ class ViewScreen(ModalScreen[bool]):
         name = self._route.topic.strip("/").replace("/", "_")
         file = Path(f"{name}-{time.strftime('%Y%m%d-%H%M%S')}{suffix}").absolute()
         try:
-            file.write_bytes(picture_file(content, suffix))
-        except OSError as error:
-            self.notify(ViewText.NOT_WRITTEN(file=file, error=error.strerror), severity="error", markup=False)
+            replace_file(file, picture_file(content, suffix))
+        except (OSError, UnreadableError) as error:
+            self.notify(ViewText.NOT_WRITTEN(file=file, error=error), severity="error", markup=False)
         else:
             self.notify(ViewText.WRITTEN(file=file), markup=False)
