@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import hashlib
+import io
 import json
 import os
+import platform
 import shutil
 import subprocess
 import sys
+import tarfile
 import zipfile
 from pathlib import Path
 
@@ -104,6 +107,89 @@ def test_it_runs_in_a_bare_environment(version: str, python: str, wheel: Path, t
     assert ran.returncode == 1
     assert "rsb-console[ros]" in ran.stderr
     assert "Traceback" not in ran.stderr
+
+
+@pytest.fixture(scope="module")
+def deb(built: Path) -> Path:
+    """The Debian package for the Python of this machine's distribution."""
+    if shutil.which("dpkg-deb") is None or not Path("/usr/bin/python3").exists():
+        pytest.skip("not a Debian or Ubuntu with Python")
+    _run("make", "deb", f"DEB_PYTHON={_debians_python()}", cwd=built)
+    (found,) = (built / "build/deb").glob("*.deb")
+    return found
+
+
+def _debians_python() -> str:
+    return _run("/usr/bin/python3", "-c", "import sys; print('%d.%d' % sys.version_info[:2])").stdout.strip()
+
+
+def test_the_debian_package_puts_files_where_debian_looks(deb: Path, built: Path) -> None:
+    shown = _run("dpkg-deb", "--field", deb, "Package", "Architecture", "Depends").stdout
+    assert "Package: rsb-console\n" in shown
+    assert f"python3 (>= {_debians_python()}~)" in shown
+    content = subprocess.run(("dpkg-deb", "--fsys-tarfile", deb), check=True, capture_output=True, timeout=60).stdout
+    with tarfile.open(fileobj=io.BytesIO(content)) as archive:
+        files = {each.name.removeprefix("./"): each for each in archive}
+        for name in (
+            "usr/lib/systemd/system/rsb-console@.service",
+            "usr/share/man/man1/rsb-console.1.gz",
+            "usr/share/bash-completion/completions/rsb-console",
+            "usr/share/zsh/vendor-completions/_rsb-console",
+            "usr/share/fish/vendor_completions.d/rsb-console.fish",
+            "usr/share/doc/rsb-console/copyright",
+            "usr/lib/rsb-console/lib/rsb_console/rsb-console",
+            "usr/lib/rsb-console/share/rsb_console/launch/bridge.launch.py",
+        ):
+            assert files[name].isfile(), name
+        assert {(each.uid, each.gid) for each in files.values()} == {(0, 0)}
+        assert not [name for name, each in files.items() if each.mode & 0o022 and not each.issym()]
+        assert not [name for name in files if name.endswith((".pyc", "/RECORD", "/direct_url.json"))]
+    assert str(built).encode() not in content
+
+
+def test_two_builds_of_the_debian_package_are_the_same(deb: Path, wheel: Path, tmp_path: Path) -> None:
+    built = deb.parents[2]
+    when = _run("git", "log", "-1", "--format=%ct", cwd=built).stdout.strip()
+    command = (built / "build/release/bin/python", "deb/build.py", wheel, "--python", _debians_python())
+    environ = {**os.environ, "SOURCE_DATE_EPOCH": when}
+    _run(*command, "--folder", tmp_path, cwd=built, env=environ, preexec_fn=lambda: os.umask(0o077))
+    (again,) = tmp_path.glob("*.deb")
+    assert again.name == deb.name
+    assert hashlib.sha256(again.read_bytes()).digest() == hashlib.sha256(deb.read_bytes()).digest()
+
+
+@pytest.fixture
+def bare_system(tmp_path: Path) -> Path:
+    """A minimal system of this machine's distribution, with Python."""
+    if os.geteuid() != 0 or shutil.which("debootstrap") is None:
+        pytest.skip("it needs root and debootstrap")
+    suite = platform.freedesktop_os_release()["VERSION_CODENAME"]
+    ran = _run("debootstrap", "--variant=minbase", "--include=python3", suite, tmp_path / "system", check=False)
+    if ran.returncode:
+        pytest.skip(f"debootstrap of {suite} fails: {ran.stdout[-200:]}{ran.stderr[-200:]}")
+    return tmp_path / "system"
+
+
+def test_dpkg_installs_it_in_a_bare_system(deb: Path, bare_system: Path) -> None:
+    environ = {"PATH": "/usr/sbin:/usr/bin:/sbin:/bin", "HOME": "/root", "LANG": "C.UTF-8"}
+
+    def inside(*command: str, check: bool = True) -> subprocess.CompletedProcess[str]:
+        return _run("chroot", bare_system, *command, check=check, env=environ)
+
+    shutil.copy(deb, bare_system / "tmp")
+    shutil.copy(ROOT / "configs/robot1.yaml", bare_system / "etc")
+    inside("dpkg", "-i", f"/tmp/{deb.name}")
+    assert inside("rsb-console", "--version").stdout.startswith("rsb-console ")
+    inside("rsb-console", "keygen", "/etc/robot1.key")
+    inside("rsb-console", "check", "/etc/robot1.yaml")
+    ran = inside("rsb-console", "doctor", "--json", check=False)
+    assert (ran.returncode, ran.stderr) == (1, "")
+    findings = {each["code"]: each for each in json.loads(ran.stdout)["findings"]}
+    assert findings["program"]["facts"]["executable"] == "/usr/lib/rsb-console/bin/python"
+    assert (findings["extras"]["grade"], findings["ros"]["grade"]) == ("ok", "error")
+    assert list((bare_system / "usr/lib/rsb-console/lib").rglob("rsb_console/__pycache__/cli.*.pyc"))
+    inside("dpkg", "--purge", "rsb-console")
+    assert not [each for each in bare_system.rglob("*rsb*console*") if "tmp" not in each.parts]
 
 
 @pytest.mark.parametrize(
