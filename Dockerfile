@@ -7,7 +7,8 @@ RUN apt-get update \
   && install -d -m 1777 /home/rsb/.local/state
 WORKDIR /opt/rsb-console
 COPY . source
-RUN python3 -m venv . \
+# ROS takes numpy and lark from the system.
+RUN python3 -m venv --system-site-packages . \
   && bin/pip install --no-cache-dir --require-hashes -r source/locks/fleet.txt \
   && bin/pip install --no-cache-dir --no-deps --no-build-isolation ./source \
   && rm -rf source

@@ -29,7 +29,7 @@ demo-fleet: $(STAMP)
 #   make test        lint and all tests but those that make test-all adds
 #   make test-all    these, tests that are marked as long, simulated networks (tests/network), and a machine with the real
 #                    kernel's Bluetooth (tests/bluetooth, tests/README.md)
-#   make test-release wheel and source distribution, installed with hashes into bare environments (part of test-all)
+#   make test-release wheel, source distribution and Debian package, installed into bare environments (part of test-all)
 #   make test-kilted what touches ROS, on ROS 2 Kilted, and bridges between Kilted and Jazzy
 #   make test-quick  lint without mypy, and what is tested without ROS, processes and screens
 #   make test-link   one folder, long tests included
@@ -149,7 +149,7 @@ system:
 $(STAMP): pyproject.toml
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { echo "Python >= 3.11 is needed; say which with PYTHON=..."; exit 1; }
 	@[ -x $(BIN)/python ] || $(PYTHON) -m venv $(VENV)
-	$(BIN)/pip install --quiet --disable-pip-version-check --editable '.[$(EXTRAS)]'
+	@$(PYTHON) .ci/install.py $(BIN)/python '.[$(EXTRAS)]'
 	@touch $@
 
 # The pictures of the documentation, from the running demos.

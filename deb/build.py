@@ -147,6 +147,7 @@ def build(wheel: Path, folder: Path, python: str, architecture: str) -> Path:
     stage.chmod(0o755)
     package = folder / f"rsb-console_{version}_{architecture}.deb"
     subprocess.run(["dpkg-deb", "--build", "--root-owner-group", "-Zxz", stage, package], check=True)
+    shutil.rmtree(stage)  # colcon would take its package.xml for another package of a workspace
     return package
 
 
