@@ -57,7 +57,7 @@ def test_the_versions_are_one() -> None:
 
 
 def test_rosdep_knows_all_that_the_package_needs() -> None:
-    """The keys are packages of ROS itself, in each supported distribution's list at github.com/ros/rosdistro."""
+    """The keys are packages of ROS itself, which jazzy/distribution.yaml of ros/rosdistro lists."""
     package = ET.parse(_PACKAGE / "package.xml").getroot()
     needed = {each.text for each in package if each.tag.endswith("depend")}
     launch_file = (_PACKAGE / "launch" / "bridge.launch.py").read_text()
