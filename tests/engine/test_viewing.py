@@ -7,6 +7,7 @@ import signal
 import time
 from typing import TYPE_CHECKING
 
+import msgspec
 import pytest
 from geometry_msgs.msg import PoseStamped
 from tests.support.bridge import carries, linked, now
@@ -159,6 +160,28 @@ def test_looking_is_less_than_reading(bridge: Bridge, robot: Domain) -> None:
     key = server.add_topic(Topic("/pose", "transmit"), "robot1").result(10)
     refused = eventually(lambda: next((r.reason for r in now(server).routes if r.key == key and r.reason), None), 30)
     assert has_text(refused, DeniedText.NOT_ALLOWED)
+
+
+def test_a_right_that_is_taken_away_ends_the_view(bridge: Bridge, robot: Domain) -> None:
+    talker = Talker(robot, "/pose")
+    server, client = bridge.server(), bridge.client()
+    eventually(lambda: linked(client) and linked(server))
+    looked_while(talker, server, "/pose")
+    assert client._bridge is not None
+    (link,), context = client._bridge.links(), client._bridge.context
+    assert link.views._drawing
+    denied = msgspec.structs.replace(context.session, deny=(Grant("/pose", may="look"),))
+    context.call(lambda: setattr(context, "session", denied))
+    eventually(lambda: not link.views._drawing, 30)
+
+    def refused() -> bool:
+        try:
+            server.look("me", ("/pose",), WISH).result(30)
+        except EngineError as error:
+            return has_text(str(error), DeniedText.DENIED)
+        return False
+
+    eventually(refused, 30)
 
 
 def test_nobody_publishes_it(bridge: Bridge) -> None:

@@ -11,6 +11,8 @@ import asyncio
 from functools import partial
 from typing import TYPE_CHECKING
 
+import msgspec
+
 from rsb_bridge.config.rights import Use
 from rsb_bridge.link.errors import LinkError
 from rsb_bridge.link.extension import Extension
@@ -134,22 +136,32 @@ class LinkViews(Extension):
         route = self._link.ids.open_route(look.route)
         if route is None or route.proposed_here or not route.outgoing or not is_view_topic(route.local_topic):
             raise LinkError(ViewRefused.NO_VIEW())
-        for topic in look.topics:
-            if refusal := self._link.rights.refusal(Use(topic, "look", route.proposal.transport)):
-                raise LinkError(str(refusal))
+        if refusal := self._refusal(look.topics, route):
+            raise LinkError(refusal)
+        wish = self._limited(look.topics, look.wish)
         if (drawing := self._drawing.get(look.route)) is not None:
-            drawing[0].change(look.topics, look.wish)
+            drawing[0].change(look.topics, wish)
             return
         context = self._context
         source = None if self._synthetic is None else self._source(route)
         if source is None:
             raise LinkError(ViewRefused.NO_VIEW())
         view = TopicView(
-            context, context.renderer, context.renderer.next_view(), look.topics, look.wish, partial(_send, source)
+            context, context.renderer, context.renderer.next_view(), look.topics, wish, partial(_send, source)
         )
         await view.check()
         self._drawing[look.route] = view, self._link.spawn(view.run())
         self._log(look.topics[0], begins=True)
+
+    def _refusal(self, topics: tuple[str, ...], route: Route) -> str:
+        """Return why the peer may not look at topics, or an empty string."""
+        uses = (Use(topic, "look", route.proposal.transport) for topic in topics)
+        return next((str(refusal) for use in uses if (refusal := self._link.rights.refusal(use))), "")
+
+    def _limited(self, topics: tuple[str, ...], wish: Wish) -> Wish:
+        """Return a wish with the highest rate that the peer may have."""
+        limits = [limit for topic in topics if (limit := self._link.rights.max_rate(Use(topic, "look")))]
+        return msgspec.structs.replace(wish, rate=min(wish.rate, *limits)) if limits else wish
 
     def _log(self, topic: str, *, begins: bool) -> None:
         text = f"{topic}: {self._link.name} {'looks at pictures of it' if begins else 'stopped looking'}"
@@ -161,9 +173,13 @@ class LinkViews(Extension):
         return self._synthetic.picture_sources.get((route.local_topic, self._link.name))
 
     def tick(self) -> None:
-        """End views whose routes are closed."""
+        """End views whose routes are closed, or whose topics the peer may no longer look at."""
         for opening, (view, task) in list(self._drawing.items()):
-            if self._link.ids.open_route(opening) is None or task.done():
+            route = self._link.ids.open_route(opening)
+            if route is not None and (refusal := self._refusal(view.topics, route)):
+                self._table.deny(route, refusal)
+                route = None
+            if route is None or task.done():
                 del self._drawing[opening]
                 task.cancel()
                 self._log(view.topics[0], begins=False)
