@@ -133,15 +133,20 @@ class Artist:
     def __init__(self) -> None:
         self._types: dict[tuple[str, str], TypeDescription] = {}
         self._views: dict[int, tuple[str, View]] = {}
+        self._newest: dict[int, tuple[int, int]] = {}
+        """When the newest message of each view came, and its own stamp, in ns since the epoch."""
 
     def do(self, task: Task) -> Picture | None:
         """Draw a picture, or return None if the task only ends a view."""
         if task.ended:
             self._views.pop(task.view, None)
+            self._newest.pop(task.view, None)
             return None
-        newest = task.samples[-1] if task.samples else None
+        if task.samples:
+            self._newest[task.view] = max(sample.stamp for sample in task.samples), 0
+        taken, _ = self._newest.get(task.view, (0, 0))
         about = Picture(
-            taken=newest.stamp if newest is not None else 0,
+            taken=taken,
             messages=task.seen,
             size=task.size,
             type_name=sanitize_text(task.type_name, 255),
@@ -165,13 +170,13 @@ class Artist:
 
     def _draw(self, task: Task, about: Picture) -> Picture:
         types = {name: self._type(name, text, type_hash) for name, text, type_hash in task.descriptions}
-        problem, stamp = "", 0
+        problem = ""
         for sample in task.samples:
             decoded = decode(types[sample.type_name], sample.payload, items=_ELEMENTS, steps=_STEPS, raw=True)
             if decoded.problem:
                 problem = Undrawable.NOT_READ(type_name=sample.type_name, problem=decoded.problem)
                 continue
-            stamp = _stamp_of(decoded.message)
+            self._newest[task.view] = about.taken, _stamp_of(decoded.message)
             try:
                 self._view(task).take(Received(sample.topic, sample.type_name, decoded.message, sample.stamp / 1e9))
             except UndrawableError as error:
@@ -185,7 +190,7 @@ class Artist:
         return msgspec.structs.replace(
             about,
             content=drawn.content,
-            stamp=stamp,
+            stamp=self._newest.get(task.view, (0, 0))[1],
             notes=tuple(sanitize_text(each, 255) for each in drawn.notes[:16]),
             problem=sanitize_text(problem or drawn.problem),
         )

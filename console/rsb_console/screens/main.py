@@ -365,14 +365,32 @@ class MainScreen(Screen[None]):
 
     def _show_messages(self, route: RouteSnapshot, *, as_picture: bool) -> None:
         """Show a topic's messages as pictures or as text, until the screen is closed."""
-        from rsb_console.screens.message_screen import MessageScreen  # noqa: PLC0415 -- keeps the start short
+        from rsb_console.screens.look_screen import Subject, is_layer  # noqa: PLC0415 -- keeps the start short
+        from rsb_console.screens.message_screen import MessageScreen  # noqa: PLC0415
         from rsb_console.screens.view_screen import ViewScreen  # noqa: PLC0415
 
         def closed(other: bool | None) -> None:
             if other:
                 self._show_messages(route, as_picture=not as_picture)
 
-        self.app.push_screen((ViewScreen if as_picture else MessageScreen)(self.console, route), closed)
+        if as_picture:
+            routes = self.console.snapshot().routes
+            layers = tuple(each.topic for each in routes if is_layer(each.type_name) and each.topic != route.topic)
+            self.app.push_screen(ViewScreen(self.console, Subject((route.topic,), "", route.type_name, layers)), closed)
+        else:
+            self.app.push_screen(MessageScreen(self.console, route), closed)
+
+    def action_look(self) -> None:
+        """Look at a topic of either side, bridged or not."""
+        from rsb_console.screens.look_screen import LookScreen, Subject  # noqa: PLC0415
+        from rsb_console.screens.view_screen import ViewScreen  # noqa: PLC0415
+
+        def chosen(subject: Subject | None) -> None:
+            if subject is not None:
+                self.app.push_screen(ViewScreen(self.console, subject))
+
+        if self.console.engine is not None:
+            self.app.push_screen(LookScreen(self.console), chosen)
 
     def action_zoom(self) -> None:
         """Maximize the focused pane, or restore the layout."""

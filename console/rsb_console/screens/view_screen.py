@@ -19,12 +19,13 @@ from textual.widget import Widget
 
 from rsb_bridge.api import EngineError
 from rsb_bridge.config.files import replace_file
-from rsb_bridge.model.pictures import MOST_COLUMNS, MOST_RATE, MOST_ROWS, Wish
+from rsb_bridge.model.pictures import MOST_COLUMNS, MOST_RATE, MOST_ROWS, TOPICS_AT_ONCE, Wish
 from rsb_bridge.model.text import escape_text
 from rsb_bridge.model.wording import Wording
 from rsb_bridge.view.worker import VIEWS
 from rsb_console.look import formats
 from rsb_console.look.picture_rows import UnreadableError, notes_line, picture_rows, reads_webp
+from rsb_console.screens.look_screen import is_map
 from rsb_console.session.picture_files import formats_of, picture_file
 from rsb_console.widgets.lines import LOOK_CLASSES, yield_gil
 
@@ -32,9 +33,9 @@ if TYPE_CHECKING:
     from textual.app import ComposeResult
 
     from rsb_bridge.model.pictures import Viewed
-    from rsb_bridge.model.snapshot import RouteSnapshot
     from rsb_console.console_api import Console
     from rsb_console.look.picture_rows import Row
+    from rsb_console.screens.look_screen import Subject
 
 _TRIED_AGAIN_AFTER = 1.0
 _OLD_AFTER = 2.0
@@ -47,6 +48,7 @@ _LOOKS = {
     "robot": "armed", "path": "key", "scan": "plot", "free": "dim", "goal": "armed",
 }  # fmt: skip
 """The theme's look of each style of a picture."""
+_MAP_KEYS = "· l layers "
 _KEYS = " esc back · t text · h how · +- zoom · arrows move · [] tilt · c colour · < > rate · space hold · p file "
 
 
@@ -108,11 +110,11 @@ class PicturePane(Widget, can_focus=True):
 
 
 class ViewScreen(ModalScreen[bool]):
-    """Shows pictures of one topic until it is closed. The result is true if they are to be shown as text instead.
+    """Shows pictures of topics until it is closed. The result is true if they are to be shown as text instead.
 
     Args:
         console: the app.
-        route: the topic's, as it was when this was opened.
+        subject: what the pictures are of.
     """
 
     BINDINGS: ClassVar = [
@@ -129,16 +131,19 @@ class ViewScreen(ModalScreen[bool]):
         Binding("right_square_bracket", f"tilt({_TILT})", show=False),
         Binding("c", "colour", show=False),
         Binding("0", "reset", show=False),
+        Binding("l", "layers", show=False),
         Binding("less_than_sign", "rate(-1)", show=False),
         Binding("greater_than_sign", "rate(1)", show=False),
         Binding("space", "hold", show=False),
         Binding("p", "write", show=False),
     ]
 
-    def __init__(self, console: Console, route: RouteSnapshot) -> None:
+    def __init__(self, console: Console, subject: Subject) -> None:
         super().__init__()
         self.console = console
-        self._route = route
+        self._subject = subject
+        self._layers = subject.layers[: TOPICS_AT_ONCE - 1] if is_map(subject.type_name) else ()
+        self._shows_layers = bool(self._layers)
         self._viewer = secrets.token_hex(8)
         self._wish = Wish(webp=reads_webp())
         self._viewed: Viewed | None = None
@@ -149,8 +154,8 @@ class ViewScreen(ModalScreen[bool]):
 
     def compose(self) -> ComposeResult:
         self.pane = PicturePane()
-        self.pane.border_title = f" {escape_text(self._route.topic)} "
-        self.pane.border_subtitle = _KEYS
+        self.pane.border_subtitle = _KEYS + (_MAP_KEYS if self._layers else "")
+        self._entitle()
         yield self.pane
 
     def on_mount(self) -> None:
@@ -196,7 +201,12 @@ class ViewScreen(ModalScreen[bool]):
         engine = self.console.engine
         if engine is None:
             raise EngineError("no session runs")
-        return await asyncio.wrap_future(engine.look(self._viewer, (self._route.topic,), self._wish))
+        return await asyncio.wrap_future(engine.look(self._viewer, self._topics, self._wish, self._subject.link))
+
+    @property
+    def _topics(self) -> tuple[str, ...]:
+        is_usual = not self._wish.how
+        return self._subject.topics + (self._layers if self._shows_layers and is_usual else ())
 
     def _draw(self) -> None:
         if not self.pane.is_attached:
@@ -214,7 +224,8 @@ class ViewScreen(ModalScreen[bool]):
 
     def _entitle(self) -> None:
         """Show what the picture is of, and how old it is."""
-        self.pane.border_title = f" {escape_text(self._route.topic)} · {self._status()} "
+        topics = escape_text(", ".join(self._topics))
+        self.pane.border_title = f" {topics} · {self._status()} "
 
     def _status(self) -> str:
         if not self._goes_on.is_set():
@@ -262,6 +273,11 @@ class ViewScreen(ModalScreen[bool]):
         """Show the whole picture from above."""
         self._change(zoom=1.0, x=0.0, y=0.0, tilt=0.0)
 
+    def action_layers(self) -> None:
+        """Lay the other topics over the map, or show the map alone."""
+        self._shows_layers = not self._shows_layers
+        self._entitle()
+
     def action_rate(self, step: int) -> None:
         at = _RATES.index(self._wish.rate) + step
         self._change(rate=_RATES[max(0, min(len(_RATES) - 1, at))])
@@ -281,7 +297,7 @@ class ViewScreen(ModalScreen[bool]):
             self.notify(ViewText.NO_PICTURE(), markup=False)
             return
         suffix = formats_of(content)[0]
-        name = self._route.topic.strip("/").replace("/", "_")
+        name = self._subject.topics[0].strip("/").replace("/", "_")
         file = Path(f"{name}-{time.strftime('%Y%m%d-%H%M%S')}{suffix}").absolute()
         try:
             replace_file(file, picture_file(content, suffix))

@@ -1,0 +1,151 @@
+"""Chooses a topic of either side to look at; it need not be bridged."""
+
+from __future__ import annotations
+
+import asyncio
+from typing import TYPE_CHECKING, ClassVar, NamedTuple
+
+from textual import on, work
+from textual.binding import Binding
+from textual.screen import ModalScreen
+from textual.widgets import Input
+
+from rsb_bridge.api import EngineError
+from rsb_bridge.model.snapshot import State
+from rsb_bridge.model.text import escape_text
+from rsb_bridge.model.wording import Wording
+from rsb_bridge.view.worker import VIEWS
+from rsb_console.screens.dialog import Dialog
+from rsb_console.widgets.filter import Pattern
+from rsb_console.widgets.picker import Suggestion, SuggestionList
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from textual.app import ComposeResult
+
+    from rsb_bridge.model.snapshot import TopicInfo
+    from rsb_console.console_api import Console
+    from rsb_console.widgets.lines import Line
+
+_KEYS = " type to search · ↑↓ choose · ⏎ look · esc close"
+_SIDE, _TOPIC = 14, 34
+_LAYERS = {"sensor_msgs/msg/LaserScan", "tf2_msgs/msg/TFMessage"}
+
+
+class LookText(Wording):
+    """Texts of the screen."""
+
+    ASKING = "asking both sides …"
+    NOTHING = "no topic that matches has a publisher{problems}"
+    HERE = "here"
+
+
+class Subject(NamedTuple):
+    """What a view is of.
+
+    Attributes:
+        topics: the topics; the first one gives the kind of picture.
+        link: the link to the side that publishes them, or an empty string for this side, or for whichever does.
+        type_name: of the first topic.
+        layers: further topics of that side that can be laid over a map.
+    """
+
+    topics: tuple[str, ...]
+    link: str = ""
+    type_name: str = ""
+    layers: tuple[str, ...] = ()
+
+
+def is_map(type_name: str) -> bool:
+    """Whether messages of a type are drawn as a map."""
+    return VIEWS.get(type_name) == VIEWS["map"]
+
+
+def is_layer(type_name: str) -> bool:
+    """Whether messages of a type can be laid over a map."""
+    return is_map(type_name) or type_name in _LAYERS
+
+
+class LookScreen(ModalScreen[Subject]):
+    """Lists the topics of all sides; those with a picture of their own come first."""
+
+    BINDINGS: ClassVar = [
+        Binding("escape", "dismiss", show=False),
+        Binding("up", "move(-1)", show=False, priority=True),
+        Binding("down", "move(1)", show=False, priority=True),
+        Binding("pageup", "page(-1)", show=False, priority=True),
+        Binding("pagedown", "page(1)", show=False, priority=True),
+    ]
+    AUTO_FOCUS = "Input"
+
+    def __init__(self, console: Console) -> None:
+        super().__init__()
+        self.console = console
+        self._found: dict[str, tuple[TopicInfo, ...]] = {}
+        self._subjects: dict[str, Subject] = {}
+        self._problems: list[str] = []
+        self._asking = True
+
+    def compose(self) -> ComposeResult:
+        self.text, self.list = Input(id="look-search"), SuggestionList()
+        yield Dialog("Look at a topic", self.text, self.list, keys=_KEYS, shape="-history")
+
+    def on_mount(self) -> None:
+        self._list()
+        self._ask()
+
+    @work
+    async def _ask(self) -> None:
+        """Ask all sides for their topics."""
+        engine = self.console.engine
+        assert engine is not None
+        sides = ["", *(link.name for link in self.console.snapshot().links if link.state is State.OK)]
+        for side in sides:
+            try:
+                self._found[side] = await asyncio.wrap_future(engine.topics(side or None))
+            except EngineError as error:
+                self._problems.append(str(error))
+            self._list()
+        self._asking = False
+        self._list()
+
+    @on(Input.Changed)
+    def _list(self) -> None:
+        problems = "".join(f"; {problem}" for problem in self._problems)
+        empty = LookText.ASKING() if self._asking else LookText.NOTHING(problems=problems)
+        self.list.show(list(self._suggestions()), Pattern.or_plain(self.text.value), escape_text(empty))
+
+    def _suggestions(self) -> Iterator[Suggestion]:
+        found = [
+            (side, info)
+            for side, infos in self._found.items()
+            for info in infos
+            if info.kind == "topic" and info.publishers
+        ]
+        for side, info in sorted(found, key=lambda each: (each[1].type_name not in VIEWS, each[1].topic, each[0])):
+            key = f"{side}\n{info.topic}"
+            layers = (each.topic for each in self._found[side] if is_layer(each.type_name) and each.publishers)
+            others = tuple(topic for topic in layers if topic != info.topic)
+            self._subjects[key] = Subject((info.topic,), side, info.type_name, others)
+            shown = escape_text(side or LookText.HERE())[: _SIDE - 1]
+            line: Line = (
+                (f"{escape_text(info.topic):<{_TOPIC}} ", ""),
+                (f"{shown:<{_SIDE}}", "dim"),
+                (escape_text(info.type_name), "strong" if info.type_name in VIEWS else "dim"),
+            )
+            yield Suggestion(key, info.topic, lambda _width, line=line: line)  # type: ignore[misc]
+
+    @on(Input.Submitted)
+    def _choose(self) -> None:
+        if (current := self.list.current) is not None:
+            self.dismiss(self._subjects[current.key])
+
+    def on_selectable_list_chosen(self) -> None:
+        self._choose()
+
+    def action_move(self, step: int) -> None:
+        self.list.move_to(self.list.position + step)
+
+    def action_page(self, step: int) -> None:
+        self.list.move_to(self.list.position + step * self.list.page)
