@@ -132,8 +132,8 @@ lock:
 	$(PYTHON) -c 'import tomllib; print(*tomllib.load(open("pyproject.toml", "rb"))["build-system"]["requires"], sep="\n")' > $(LOCK)/build.in
 	$(LOCKED) --output-file locks/run.txt
 	$(LOCKED) --extra zenoh --extra metrics --output-file locks/fleet.txt
-	$(LOCKED) --extra ros --extra zenoh --extra metrics --output-file locks/ros.txt
-	$(LOCKED) --extra ros --extra ros-test --extra zenoh --extra metrics --extra dev --output-file locks/dev.txt
+	$(LOCKED) --extra ros --extra zenoh --extra metrics --extra look --output-file locks/ros.txt
+	$(LOCKED) --extra ros --extra ros-test --extra zenoh --extra metrics --extra look --extra dev --output-file locks/dev.txt
 
 PACKAGES := tmux qemu-system-x86 iproute2 nftables systemd debootstrap
 

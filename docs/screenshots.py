@@ -15,6 +15,7 @@ from rsb_bridge.model.robot_summary import RobotState
 from rsb_console.app import ConsoleApp
 from rsb_console.command.demo import seen, simulated, trouble
 from rsb_console.fleet_app import FleetApp
+from rsb_console.screens.view_screen import ViewScreen
 from rsb_console.session.demo_session import running_demo
 from rsb_console.widgets.fleet_table import FleetView
 
@@ -83,6 +84,31 @@ async def of_a_robot() -> None:
             await asyncio.to_thread(app.stop)
 
 
+async def of_pictures() -> None:
+    """Those of the robot's camera and map."""
+    with running_demo() as demo:
+        app = ConsoleApp(demo.session, demo.path, theme="dark", config=PICTURES)
+        try:
+            async with app.run_test(size=NARROW) as pilot:
+                await until(lambda: states(app).count("ok") == FLOWING, pilot)
+                await pilot.press("V")
+                await pilot.pause(2.0)
+                await pilot.press(*"camera", "enter")
+                await until(lambda: drawn(app), pilot)
+                await take(pilot, "look-camera", "greater_than_sign")
+                await pilot.press("escape", "slash", *"map", "enter", "v")
+                await until(lambda: drawn(app), pilot)
+                await pilot.pause(3.0)
+                await take(pilot, "look-map")
+        finally:
+            await asyncio.to_thread(app.stop)
+
+
+def drawn(app: ConsoleApp) -> bool:
+    """Whether a picture of a message is on the screen."""
+    return isinstance(app.screen, ViewScreen) and app.screen.has_content
+
+
 async def of_a_fleet() -> None:
     """The one of the demo of a fleet, when a robot is away, and another one has lost a topic."""
     over = threading.Event()
@@ -118,7 +144,7 @@ def states_of(fleet: Fleet) -> set[RobotState]:
     return {robot.summary.state for robot in robots(fleet)}
 
 
-PARTS = {"robot": of_a_robot, "fleet": of_a_fleet}
+PARTS = {"robot": of_a_robot, "look": of_pictures, "fleet": of_a_fleet}
 
 if __name__ == "__main__":
     PICTURES.mkdir(exist_ok=True)

@@ -38,7 +38,7 @@ TOPIC_USES: Final[tuple[May, May]] = ("publish", "read")
 CALL_USES: Final[tuple[May, May]] = ("call", "serve")
 """The two rights of a peer: to send messages or requests here, and to take them."""
 _TOPIC_ENTRIES: Final[tuple[May, ...]] = (*TOPIC_USES, "look")
-"""The rights that an entry about topics may name. Whoever may read a topic may look at pictures of it."""
+"""The rights that an entry about topics may name. The right to read includes the right to look."""
 _MOST_BENCHMARKED = 1e6
 _ENTRY = re.compile(r"\{[^{}]*\}?|[^\s,{]+")
 """A mapping, or a word: entries have blanks or commas between them."""

@@ -69,6 +69,6 @@ class DiagnosticsView(View):
 
 
 def _level(status: Message) -> int:
-    """Return a status's level; whatever is none counts as an error."""
+    """Return a status's level; unknown levels count as errors."""
     value = number(status, "level")
     return int(value) if value in _LEVELS else 2

@@ -34,7 +34,7 @@ class Drawn:
     """A picture of a view's messages.
 
     Attributes:
-        content: the picture, or None if there is nothing to draw yet, or with a problem.
+        content: the picture, or None before the first message, or with a problem.
         notes: lines about it.
         problem: the reason why it is missing or incomplete, and what to do.
     """
@@ -68,12 +68,12 @@ class View(ABC):
         """Draw what has been taken so far.
 
         Raises:
-            UndrawableError: there is no picture.
+            UndrawableError: nothing can be drawn.
         """
 
 
 def nested(message: Message, path: str) -> Value | None:
-    """Return a field of a message by its path (``header.frame_id``), or None if there is none."""
+    """Return a field of a message by its path (``header.frame_id``), or None if it is missing."""
     value: Value | None = message
     for name in path.split("."):
         value = value.get(name) if isinstance(value, dict) else None
@@ -81,19 +81,19 @@ def nested(message: Message, path: str) -> Value | None:
 
 
 def number(message: Message, path: str) -> float:
-    """Return a number by its path, or NaN if there is none."""
+    """Return a number by its path, or NaN if it is missing."""
     value = nested(message, path)
     return float(value) if isinstance(value, int | float) else float("nan")
 
 
 def text(message: Message, path: str) -> str:
-    """Return a string by its path, or an empty string if there is none."""
+    """Return a string by its path, or an empty string if it is missing."""
     value = nested(message, path)
     return value if isinstance(value, str) else ""
 
 
 def elements(message: Message, path: str) -> list[Message]:
-    """Return the messages in an array by its path, or an empty list if there is none."""
+    """Return the messages in an array by its path, or an empty list if it is missing."""
     value = nested(message, path)
     return [each for each in value.shown if isinstance(each, dict)] if isinstance(value, Items) else []
 
@@ -102,7 +102,7 @@ def raw(message: Message, path: str) -> tuple[memoryview, str]:
     """Return the bytes of an array of primitive elements by its path, and the code of one for `struct` and numpy.
 
     Raises:
-        UndrawableError: there is none.
+        UndrawableError: the message has no such array.
     """
     value = nested(message, path)
     if not isinstance(value, Items) or value.raw is None:

@@ -1,4 +1,4 @@
-"""Every message: its fields as a tree, with those that changed since the last picture marked."""
+"""The fields of any message as a tree, in which the values that changed since the last picture are marked."""
 
 from __future__ import annotations
 

@@ -28,7 +28,7 @@ MOST_PIXELS = 64 << 20
 """Pixels of an image that is drawn at most."""
 _SAMPLES = 4
 """Pixels of the image, in each direction, that are averaged to one of the picture at most."""
-_QUALITY = 80
+_QUALITY = 90
 """Of WebP: a picture of 80×48 pixels takes some 500 bytes."""
 _LOW, _HIGH = 2.0, 98.0
 """Percentiles of the valid depths at the ends of the colours."""

@@ -49,7 +49,7 @@ _NAMED = 12
 class MapProblem(Wording):
     """The reason why a map, or a layer of it, cannot be drawn."""
 
-    NOTHING = "there is nothing to draw in frame {frame!r} yet"
+    NOTHING = "nothing to draw in frame {frame!r} so far"
     BAD_GRID = "the grid of {width:,}×{height:,} cells has {got:,} values"
     NO_TRANSFORM = "{topic}: no transform from {frame!r} to {target!r} yet: add the topic /tf"
     NO_LAYER = "{topic}: {type_name} has no place on a map"
@@ -101,7 +101,7 @@ class _Grid(NamedTuple):
 
 
 class _Layer(NamedTuple):
-    """What one topic adds to the map, in its own frame.
+    """The part of the map that one topic adds, in its own frame.
 
     Attributes:
         frame: its frame.

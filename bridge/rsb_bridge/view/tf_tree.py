@@ -27,7 +27,7 @@ Line = list[tuple[str, str]]
 
 
 class TreeProblem(Wording):
-    """What is wrong with frames."""
+    """Faults of frames."""
 
     TOO_MANY = "more than {limit} frames: only the first ones are shown"
     TWO_PARENTS = "two parents: {parents}"

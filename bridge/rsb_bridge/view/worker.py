@@ -162,7 +162,7 @@ class Artist:
             return _failed(about, problem)
         except UndrawableError as error:
             return _failed(about, str(error))
-        except Exception as error:  # noqa: BLE001 -- whatever a stranger's message does to a view, the next one is drawn
+        except Exception as error:  # noqa: BLE001 -- a message that breaks one picture must not break the next
             return _failed(about, Undrawable.FAILED(error=f"{type(error).__name__}: {error}"))
         if (size := len(msgspec.msgpack.encode(picture))) > PICTURE_LIMIT:
             return _failed(about, Undrawable.TOO_LARGE(size=size, limit=PICTURE_LIMIT))

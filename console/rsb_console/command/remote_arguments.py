@@ -76,7 +76,7 @@ exit codes:
 {NO_BRIDGE}"""
 _LOOK = f"""\
 The side that publishes the topic draws it, so that only the picture crosses the
-link. The topic need not be bridged. Ctrl-C ends.
+link, also of a topic that is not bridged. Ctrl-C ends.
 
 for example:
   rsb-console look /camera/image_raw

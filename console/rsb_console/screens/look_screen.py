@@ -1,4 +1,4 @@
-"""Chooses a topic of either side to look at; it need not be bridged."""
+"""Chooses a topic of either side, bridged or not, to look at."""
 
 from __future__ import annotations
 
@@ -42,11 +42,11 @@ class LookText(Wording):
 
 
 class Subject(NamedTuple):
-    """What a view is of.
+    """The topics of a view.
 
     Attributes:
         topics: the topics; the first one gives the kind of picture.
-        link: the link to the side that publishes them, or an empty string for this side, or for whichever does.
+        link: the link to the side that publishes them, or an empty string if the engine is to find the side.
         type_name: of the first topic.
         layers: further topics of that side that can be laid over a map.
     """

@@ -45,7 +45,7 @@ _ZOOM, _PAN, _TILT = 1.5, 0.1, 15.0
 _WAYS = ("", "plot", "tree")
 _LOOKS = {
     "dim": "dim", "strong": "strong", "axis": "dim", "ok": "ok", "warning": "stale", "error": "down",
-    "robot": "armed", "path": "key", "scan": "plot", "free": "dim", "goal": "armed",
+    "robot": "ok", "path": "key", "scan": "plot", "free": "dim", "goal": "stale",
 }  # fmt: skip
 """The theme's look of each style of a picture."""
 _MAP_KEYS = "· l layers "
@@ -152,6 +152,11 @@ class ViewScreen(ModalScreen[bool]):
         self._goes_on.set()
         self._problem = ""
 
+    @property
+    def has_content(self) -> bool:
+        """Whether a picture has come."""
+        return self._viewed is not None and self._viewed.picture.content is not None
+
     def compose(self) -> ComposeResult:
         self.pane = PicturePane()
         self.pane.border_subtitle = _KEYS + (_MAP_KEYS if self._layers else "")
@@ -233,7 +238,7 @@ class ViewScreen(ModalScreen[bool]):
         if self._viewed is None:
             waited = time.monotonic() - self._came
             return escape_text(self._problem) or ViewText.WAITING(waited=formats.age(waited))
-        picture, parts = self._viewed.picture, [self._viewed.picture.type_name]
+        picture, parts = self._viewed.picture, [self._problem or self._viewed.picture.problem]
         if self._viewed.age is not None:
             age = self._viewed.age + time.monotonic() - self._came
             parts.append(ViewText.OLD(age=formats.age(age)))
@@ -242,7 +247,7 @@ class ViewScreen(ModalScreen[bool]):
             ViewText.SIDE(side=self._viewed.where or ViewText.HERE()),
             ViewText.SIZE(size=formats.byte_count(self._viewed.encoded)),
             ViewText.RATE(rate=self._wish.rate),
-            self._problem or picture.problem,
+            picture.type_name,
         ]
         return escape_text(" · ".join(part for part in parts if part))
 
