@@ -23,7 +23,8 @@ from tests.support.running import Running
 
 from rsb_bridge.config.keys import write_key
 from rsb_bridge.config.session_file import save
-from rsb_bridge.model.commands import Call
+from rsb_bridge.model.commands import Call, Look
+from rsb_bridge.model.pictures import Cells, Curve, Picture, Pixels, Series, Viewed
 from rsb_bridge.model.session import Client, Topic
 from rsb_bridge.model.snapshot import PatternSnapshot, PeekedMessage, State
 from rsb_console.command import bench_command, console_command, figures, local_commands, service, shell
@@ -174,6 +175,8 @@ _ANSWERS = {
 }
 """Responses, by the service of an action or a node."""
 _MESSAGE = PeekedMessage(b"\0\1\0\0\7\0\0\0", 8, "std_msgs/msg/Int32", "", NOW, outgoing=False)
+_IMAGE, _MAP = Pixels(1, 2, b"\xff\0\0\0\xff\0"), Cells(("▲",))
+_CURVES = Series(NOW, 0.1, (Curve("x", (1.0, None), (2.0, None), 2.0, 1.5),))
 _TOPICS = ("/scan", "/camera", "/rsb_bench/tcp/transmit", "/cmd_vel", "/map", "/odom")
 
 
@@ -195,6 +198,10 @@ class Robot(Running):
         self.peeked = [_MESSAGE] * 20
 
     def _execute(self, command: Command[Any], step: Callable[[str], None] | None) -> Future[Any]:
+        if isinstance(command, Look):
+            content: Pixels | Cells | Series = _CURVES if "plot" in command.wish.how or command.wish.fields else _MAP
+            content = _IMAGE if "image" in command.topics[0] else content
+            return self._done(Viewed(Picture(content=content)), "look", *command.topics)
         if isinstance(command, Call):
             return self._done(_ANSWERS[command.lane], "call", command.key)
         return super()._execute(command, step)

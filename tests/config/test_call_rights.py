@@ -242,7 +242,7 @@ def test_grants_are_read_typed_and_written() -> None:
             "allow: [{topics: /a, may: serve}]",
             "allow[0].may",
             RightsMistake.OTHER_USE,
-            {"may": "serve", "others": "services", "noun": "topic", "uses": "publish or read"},
+            {"may": "serve", "others": "services", "noun": "topic", "uses": "publish or read or look"},
         ),
         ("allow: [{services: /a, protocol: udp}]", "allow[0].protocol", RightsMistake.UNRELIABLE, {"protocol": "udp"}),
         (

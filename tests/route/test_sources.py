@@ -256,6 +256,7 @@ class World:
             [(len(route.waiting), len(route.wire), route.loop_filter.holds) for route in self.routes],
             [(each.own.copy(), each.heard.copy(), each.bridges) for each in self.bridges],
             [link.bridges for link in self.links.values()],
+            self.copies.total(),  # one message may have taken another one's place
         )
 
     def settle(self) -> None:
@@ -355,8 +356,16 @@ _TURNS_OUT = [
 ]
 
 
+_TAKES_A_PLACE = [
+    ((0, 0), (0, 0), "/a", "/a"), ((2, 0), (1, 1), "/a", "/a"), ((1, 1), (3, 1), "/a", "/a"),
+    ((2, 1), (3, 0), "/a", "/a"), ((3, 0), (1, 0), "/a", "/a"), ((0, 0), (2, 0), "/b", "/a"),
+    ((3, 0), (2, 0), "/a", "/a"),
+]  # fmt: skip
+
+
 @settings(max_examples=300, deadline=None)
 @given(ROUTES, USERS, st.integers(0, 2**32))
+@example(_TAKES_A_PLACE, {Place(0, "/b"), Place(1, "/b"), Place(2, "/a")}, 17930)
 @example(_TURNS_OUT, {Place(0, "/a"), Place(1, "/b"), Place(2, "/a")}, 793)
 def test_no_message_goes_round_and_whatever_can_arrive_does(routes: list[Any], users: set[Place], seed: int) -> None:
     """Not while bridges learn of each other, nor after a route is removed; then what was refused is so no longer."""

@@ -51,7 +51,6 @@ class LookText(Wording):
     """Texts of the command."""
 
     NOTHING_CAME = "no picture of {topic} within {seconds:g} s"
-    NO_TERMINAL = "standard output is no terminal: give --once, or a file with --output"
     UNKNOWN_FORMAT = "{file}: write a picture to one of {known}"
     WRITTEN = "written: {file}"
     NOT_WRITTEN = "{file} cannot be written: {error}"
@@ -68,9 +67,7 @@ def _look(arguments: Namespace) -> int:
     file = arguments.output
     if file is not None and file.suffix not in FORMATS:
         raise UsageError(LookText.UNKNOWN_FORMAT(file=file, known=", ".join(FORMATS)))
-    once = arguments.once or file is not None
-    if not once and not sys.stdout.isatty():
-        raise UsageError(LookText.NO_TERMINAL())
+    once = arguments.once or file is not None or not sys.stdout.isatty()
     with attached(arguments, read_only=True) as engine:
         return _one(engine, arguments) if once else _many(engine, arguments)
 

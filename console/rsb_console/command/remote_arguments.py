@@ -264,7 +264,7 @@ def _look_arguments(look: argparse.ArgumentParser, complete: Complete) -> None:
     complete(look.add_argument("topics", nargs="+", metavar="TOPIC", help=topics), "available")
     link = "the link to the side that publishes it, if several do"
     complete(look.add_argument("--link", default="", metavar="CLIENT", help=link), "links")
-    look.add_argument("--once", action="store_true", help="print one picture")
+    look.add_argument("--once", action="store_true", help="print one picture, as without a terminal")
     look.add_argument("--timeout", type=timeout, metavar="N", help="with --once: give up after N s; default: 60")
     look.add_argument("--output", type=Path, metavar="FILE", help="write one picture to FILE: .png, .svg, .txt or .csv")
     look.add_argument("--as", dest="how", choices=("plot", "tree", "map"), default="", help="default: by the type")
