@@ -15,7 +15,7 @@ unexport PYTHONDONTWRITEBYTECODE
 export ROS_AUTOMATIC_DISCOVERY_RANGE := LOCALHOST
 export OTHER_PYTHON
 
-.PHONY: dist demo demo-fleet test test-all test-kilted on-kilted test-quick test-wire test-pure test-simulation quick-lint lint bench soak fuzz lock screenshots man texts clean system
+.PHONY: dist deb demo demo-fleet test test-all test-kilted on-kilted test-quick test-wire test-pure test-simulation quick-lint lint bench soak fuzz lock screenshots man texts clean system
 
 demo: $(STAMP)
 	$(BIN)/rsb-console demo
@@ -29,7 +29,7 @@ demo-fleet: $(STAMP)
 #   make test        lint and all tests but those that make test-all adds
 #   make test-all    these, tests that are marked as long, simulated networks (tests/network), and a machine with the real
 #                    kernel's Bluetooth (tests/bluetooth, tests/README.md)
-#   make test-release wheel and source distribution, installed with hashes into bare environments (part of test-all)
+#   make test-release wheel, source distribution and Debian package, installed into bare environments (part of test-all)
 #   make test-kilted what touches ROS, on ROS 2 Kilted, and bridges between Kilted and Jazzy
 #   make test-quick  lint without mypy, and what is tested without ROS, processes and screens
 #   make test-link   one folder, long tests included
@@ -114,6 +114,14 @@ dist:
 	rm -rf dist
 	SOURCE_DATE_EPOCH=$$(git log -1 --format=%ct) $(RELEASE)/bin/hatchling build -d dist
 
+# A Debian package of that wheel and its locked dependencies, for the machines whose Python is DEB_PYTHON: 3.12 on Ubuntu
+# 24.04 (ROS 2 Jazzy, Kilted), 3.11 on Debian 12, 3.13 on Debian 13.
+DEB_PYTHON := 3.12
+DEB_ARCHITECTURE := $(if $(filter aarch64,$(shell uname -m)),arm64,amd64)
+deb: dist
+	SOURCE_DATE_EPOCH=$$(git log -1 --format=%ct) $(RELEASE)/bin/python deb/build.py --python $(DEB_PYTHON) \
+	  --architecture $(DEB_ARCHITECTURE) dist/*.whl
+
 # The versions and hashes of all that is installed, for every Python and machine at once (docs/install.md).
 LOCK := build/lock
 LOCKED := $(LOCK)/bin/uv pip compile --quiet --universal --python-version 3.11 --upgrade --generate-hashes --no-annotate \
@@ -127,12 +135,13 @@ lock:
 	$(LOCKED) --extra ros --extra zenoh --extra metrics --output-file locks/ros.txt
 	$(LOCKED) --extra ros --extra ros-test --extra zenoh --extra metrics --extra dev --output-file locks/dev.txt
 
-PACKAGES := tmux qemu-system-x86 iproute2 nftables systemd
+PACKAGES := tmux qemu-system-x86 iproute2 nftables systemd debootstrap
 
-# The tests drive a real terminal, real network namespaces and a machine with Bluetooth, and systemd checks the units.
+# The tests drive a real terminal, real network namespaces and a machine with Bluetooth, systemd checks the units, and
+# dpkg installs the Debian package in a bare system.
 system:
 	@{ command -v tmux && command -v qemu-system-x86_64 && command -v tc && command -v nft \
-	  && command -v systemd-analyze; } >/dev/null \
+	  && command -v systemd-analyze && command -v debootstrap; } >/dev/null \
 	  || { [ "$$(id -u)" = 0 ] && command -v apt-get >/dev/null && apt-get update -qq \
 	  && DEBIAN_FRONTEND=noninteractive apt-get install -y -qq --no-install-recommends $(PACKAGES) >/dev/null; } \
 	  || echo "some tests will be skipped, for want of tools (apt install $(PACKAGES))"
@@ -140,7 +149,7 @@ system:
 $(STAMP): pyproject.toml
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { echo "Python >= 3.11 is needed; say which with PYTHON=..."; exit 1; }
 	@[ -x $(BIN)/python ] || $(PYTHON) -m venv $(VENV)
-	$(BIN)/pip install --quiet --disable-pip-version-check --editable '.[$(EXTRAS)]'
+	@$(PYTHON) .ci/install.py $(BIN)/python '.[$(EXTRAS)]'
 	@touch $@
 
 # The pictures of the documentation, from the running demos.

@@ -63,7 +63,8 @@ async def of_a_robot() -> None:
                 await until(lambda: len(app.snapshot().routes[0].history) > HISTORY, pilot)
                 demo.desk.stop()
                 await pilot.press("j", "j", "p")
-                await until(lambda: "stale" in states(app), pilot)
+                await until(lambda: "stopped" in states(app), pilot)
+                await pilot.pause(1.0)  # the table puts the fault on top, and the cursor stays on its topic
                 await take(pilot, "main", "g")
                 await take(pilot, "add-topic", "a")
                 await take(pilot, "help", "escape", "question_mark")
@@ -94,7 +95,8 @@ async def of_a_fleet() -> None:
             troubling.start()
             try:
                 await until(lambda: {RobotState.MISSING, RobotState.FAULT} <= states_of(fleet), pilot)
-                await take(pilot, "fleet", "j", "j")  # on the robot with the fault
+                await pilot.pause(1.0)
+                await take(pilot, "fleet", "g", "j")  # on the robot with the fault
             finally:
                 over.set()
                 await asyncio.to_thread(troubling.join)

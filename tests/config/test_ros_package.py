@@ -56,6 +56,16 @@ def test_the_versions_are_one() -> None:
     assert f'version="{_PROJECT["project"]["version"]}"' in (_PACKAGE / "setup.py").read_text()
 
 
+def test_rosdep_knows_all_that_the_package_needs() -> None:
+    """The keys are packages of ROS itself, which jazzy/distribution.yaml of ros/rosdistro lists."""
+    package = ET.parse(_PACKAGE / "package.xml").getroot()
+    needed = {each.text for each in package if each.tag.endswith("depend")}
+    launch_file = (_PACKAGE / "launch" / "bridge.launch.py").read_text()
+    imported = set(re.findall(r"^(?:from|import) (\w+)", launch_file, re.MULTILINE)) - {"__future__", "pathlib"}
+    assert needed == imported | {"rclpy", "ros2launch", "ros2run"}
+    assert imported == {"ament_index_python", "launch"}
+
+
 @pytest.mark.parametrize(("own", "expected"), [(True, "own"), (False, "on PATH")])
 def test_ros2_run_starts_the_prefixs_own_command_else_the_one_on_path(
     own: bool, expected: str, prefix: Path, tmp_path: Path
