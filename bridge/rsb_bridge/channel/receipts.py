@@ -148,7 +148,7 @@ class WindowedSender:
     def check_window(self) -> None:
         """Close the window while the path is stalled. Called once a second."""
         window, book = self._window, self._book
-        if window is not None and book is not None:
+        if window is not None and window.awaits_receipts and book is not None:
             window.back = book.way_back()
             window.check(self.sent, book.now())
 

@@ -167,6 +167,11 @@ class Window:
         """The s that receipts take to come back, as far as they are trusted."""
         return min(self.back, _LONGEST_BACK)
 
+    @property
+    def awaits_receipts(self) -> bool:
+        """Whether bytes are unacknowledged."""
+        return bool(self._marks)
+
     def check(self, sent: int, now: float) -> None:
         """Close the window while the path is stalled. Called once a second."""
         if self._waits(now) > _SILENT:

@@ -294,10 +294,9 @@ class Contention:
         crossed = self._crossed = self.sending.look(arrived, now, at, full=full)
         busy = [(route, traffic.bytes_per_second) for route, traffic in asking if traffic.bytes_per_second > 0.0]
         wanted = [Asked(route.topic, route.remote_topic, rate) for route, rate in busy]
-        starts = all(route.starts for route, _ in busy)
-        measured = any(is_bench_topic(route.local_topic) for route in self._routes())
+        overloaded = full and not all(route.starts for route, _ in busy) and not self._is_measured()
         before = self._fullness.out
-        self._fullness.tick(wanted, arrived + parts, full=full and not starts and not measured, peer=peer)
+        self._fullness.tick(wanted, arrived + parts, full=overloaded, peer=peer)
         received = sum(each.received_bytes for each in self._carriers())
         self.receiving.look(received - self._received, now, at, full=False)
         self._received = received
@@ -357,6 +356,10 @@ class Contention:
     def _delayed(self, asking: Collection[_Asking], asked: float) -> bool:
         """Whether messages wait on the way, for example in a tunnel that accepts more than it carries."""
         return asked > _MORE * self._crossed and any(each.route.delay >= _DELAYED for each in asking)
+
+    def _is_measured(self) -> bool:
+        """Whether a benchmark is open, which fills the link on purpose."""
+        return any(is_bench_topic(route.local_topic) for route in self._routes())
 
     def _calls(self) -> float:
         """Return the bytes/s of calls, which go ahead of all topics."""

@@ -133,6 +133,7 @@ class Link(BaseLink):
         now = self.context.now()
         keepalive, keys, peer = self.keepalive, self.keys, self.peer
         clock = keepalive.clock if self.linked else ClockOffset()  # figures of a dead connection are out of date
+        current_key, next_key = self.fingerprints
         return LinkSnapshot(
             name=self.name,
             peer=self.address,
@@ -143,8 +144,8 @@ class Link(BaseLink):
             attempts=self.status.attempts,
             encrypted=self.encrypted,
             cipher=keys.suite.name if keys and self.encrypted else "",
-            fingerprint=self.fingerprints[0],
-            next_fingerprint=self.fingerprints[1],
+            fingerprint=current_key,
+            next_fingerprint=next_key,
             rtt=clock.rtt,
             clock_offset=clock.offset,
             clock_uncertainty=clock.uncertainty,

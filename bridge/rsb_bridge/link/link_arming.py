@@ -311,6 +311,8 @@ class LinkArming:
         now = self._context.now()
         for route in self._routes():
             arming = route.arming
+            if not arming.held:
+                continue
             if (why := arming.overdue(now)) is not None:
                 self.disarm(route, why)
             elif arming.take_press():

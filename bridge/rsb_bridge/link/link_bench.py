@@ -211,7 +211,7 @@ class LinkBench(Extension):
         """Begin to send for the peer; return why this is not possible, or an empty string."""
         if source is None or route.proposed_here:  # whose topic it is orders the runs
             return "the side that asks sends on this route itself"
-        if any(self._sends_for_peer(each) for each in self._routes()):
+        if any(self._sends_for_peer(each) for each in self._routes(proposed_here=False)):
             return "messages of the previous run are still being sent"
         size, seconds = max(ask.size, LEAST_SIZE), ask.count / max(ask.rate, 1e-3)
         if seconds > MOST_SECONDS:
@@ -244,9 +244,8 @@ class LinkBench(Extension):
     def _end_refused(self, rate: float = 0.0) -> None:
         self._ends_soon = False
         if refused := self._budget.refusal(self._link.rights.bench, rate=rate):
-            for route in self._routes():
-                if not route.proposed_here:
-                    self._table.deny(route, refused)
+            for route in self._routes(proposed_here=False):
+                self._table.deny(route, refused)
 
     def tick(self) -> None:
         """Count the peer's messages, and remove the topics of a benchmark that orders nothing more."""
@@ -257,8 +256,8 @@ class LinkBench(Extension):
             self._budget.spend(1.0, 0.0)  # its bytes are counted as they come
         rate = max(0.0, count - _MORE_AT_ONCE) / _MORE
         self._end_refused(rate)
-        for route in self._routes():
-            if route.proposed_here and not self._busy and self._now() - self._used_at > _IDLE_FOR:
+        if not self._busy and self._now() - self._used_at > _IDLE_FOR:
+            for route in self._routes(proposed_here=True):
                 self._table.remove(route, _ENDED)
 
     def _come(self) -> int:
@@ -278,7 +277,7 @@ class LinkBench(Extension):
 
     def _sends_for_peer(self, route: Route) -> bool:
         source, _ = self._ends(route)
-        return source is not None and source.busy and not route.proposed_here
+        return source is not None and source.busy
 
     # --- for this side's operator
 
@@ -300,9 +299,8 @@ class LinkBench(Extension):
 
     def end(self) -> None:
         """Remove the topics."""
-        for route in self._routes():
-            if route.proposed_here:
-                self._table.remove(route, _ENDED)
+        for route in self._routes(proposed_here=True):
+            self._table.remove(route, _ENDED)
 
     def disconnected(self) -> None:
         self._questions.disconnected()
@@ -383,9 +381,9 @@ class LinkBench(Extension):
         link_transport = self._context.transports.of_link(self._context.session.server_ip)
         transport = order.transport or link_transport.name
         name = bench_topic(transport, order.direction)
-        route = next((each for each in self._routes() if each.proposed_here and each.spec.topic == name), None)
+        route = next((each for each in self._routes(proposed_here=True) if each.spec.topic == name), None)
         if route is None:
-            if any(not each.proposed_here for each in self._routes()):
+            if self._routes(proposed_here=False):
                 raise LinkError("the other side is measuring the link: try again later")
             protocol: Any = order.transport or None
             topic = Topic(
@@ -450,8 +448,12 @@ class LinkBench(Extension):
 
     # --- both
 
-    def _routes(self) -> list[Route]:
-        return [each for each in self._link.routes.values() if is_bench_topic(each.local_topic)]
+    def _routes(self, *, proposed_here: bool) -> list[Route]:
+        return [
+            each
+            for each in self._link.routes.values()
+            if each.proposed_here == proposed_here and is_bench_topic(each.local_topic)
+        ]
 
     def _ends(self, route: Route) -> tuple[Source | None, Drain | None]:
         if self._synthetic is None:

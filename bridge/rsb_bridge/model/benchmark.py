@@ -113,5 +113,7 @@ def bench_topic(transport: str, direction: str) -> str:
 
 def is_bench_topic(topic: str) -> bool:
     """Whether `bench_topic` made the name, with or without a client's name as a prefix."""
+    if _PART not in topic:
+        return False
     parts = topic.split("/")
     return len(parts) > 3 and _PART in parts[1:3]

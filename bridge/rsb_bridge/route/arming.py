@@ -93,6 +93,9 @@ class _Phase(Enum):
     """It was armed in this opening, and needs a new one."""
 
 
+_HELD = (_Phase.ASKED, _Phase.ARMED)
+
+
 class Arming:
     """The armed state of a route on one side.
 
@@ -155,7 +158,7 @@ class Arming:
     @property
     def held(self) -> bool:
         """Whether an operator has armed it, even if the other side has not agreed yet."""
-        return self._phase in (_Phase.ASKED, _Phase.ARMED)
+        return self._phase in _HELD
 
     @property
     def armed(self) -> bool:

@@ -60,11 +60,15 @@ class Lifecycle:
 
     Attributes:
         phase: the present phase.
+        accepted: whether both sides want the route.
+        described: whether the sender has described its messages.
+        ready: whether both sides agree that messages may be sent.
         refusal: reason of the last refusal, for an operator, or an empty string if it opened again since.
     """
 
     def __init__(self) -> None:
         self.phase = Phase.CLOSED
+        self.accepted = self.described = self.ready = False
         self.refusal = ""
 
     def take(self, event: Event, reason: str = "") -> bool:
@@ -82,26 +86,14 @@ class Lifecycle:
         if new is None:
             return False
         self.phase = new
+        self.ready = new is Phase.READY
+        self.described = self.ready or new is Phase.DESCRIBED
+        self.accepted = self.described or new is Phase.ACCEPTED
         if event is Event.REFUSE:
             self.refusal = reason
         elif event is Event.OPEN:
             self.refusal = ""
         return True
-
-    @property
-    def accepted(self) -> bool:
-        """Whether both sides want the route."""
-        return self.phase in (Phase.ACCEPTED, Phase.DESCRIBED, Phase.READY)
-
-    @property
-    def described(self) -> bool:
-        """Whether the sender has described its messages."""
-        return self.phase in (Phase.DESCRIBED, Phase.READY)
-
-    @property
-    def ready(self) -> bool:
-        """Whether both sides agree that messages may be sent."""
-        return self.phase is Phase.READY
 
 
 _LAST = 2**53

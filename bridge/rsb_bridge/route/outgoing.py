@@ -339,10 +339,10 @@ class OutgoingRoute(TopicRoute[SendingChannel]):
     # --- messages
 
     def _signs(self) -> Signs:
-        lost = 0 if self._subscription is None else self._subscription.lost
+        subscription, notices = self._subscription, self.notices
+        lost, failure = (0, "") if subscription is None else (subscription.lost, subscription.failure)
         return (
-            *super()._signs(), self._report, self._resolver.unresolved, self._failure, lost, self.notices.warning,
-            self.notices.loop,
+            *super()._signs(), self._report, self._resolver.unresolved, failure, lost, notices.warning, notices.loop,
         )  # fmt: skip
 
     def _changes_at(self, shown: Verdict, now: float) -> float:

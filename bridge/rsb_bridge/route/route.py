@@ -178,11 +178,6 @@ class Route:
         """The reason why its channel breaks before anything arrives, or an empty string."""
         return ""
 
-    @property
-    def crowded_out(self) -> str:
-        """The reason why it yields to other routes of its link, or an empty string."""
-        return ""
-
     def _judge(self) -> Verdict:
         raise NotImplementedError
 
@@ -485,7 +480,6 @@ class Route:
             or (self.outgoing and self.arming.armed and overdue is not None and not stands),
             can_be_armed=why_not is None,
             breaking=self.breaking,
-            crowded_out=self.crowded_out,
             awaits_full_link=self.link_full is not None and self.transport.reliable,
             flowing=self.flowing,
             came=self.came,

@@ -317,21 +317,19 @@ class TopicRoute(Route, Generic[ChannelT]):
 
     def facts(self) -> Facts:
         """Return the facts that both halves know; each half adds its own."""
+        status, thinned = self.status(), self.thinning.shown()
+        if thinned is not None:
+            status = status._replace(crowded_out=why(thinned))
         return Facts(
-            self.status(),
+            status,
             self.progress(),
             stale_since=self._stale_since(),
-            thinned=self.thinning.shown(),
+            thinned=thinned,
             late=self.late(),
             expired=self.age.late() if self.flowing else None,
             full=self.link_full,
             shown_cause=self.judged.shown_cause,
         )
-
-    @property
-    def crowded_out(self) -> str:
-        thinned = self.thinning.shown()
-        return "" if thinned is None else why(thinned)
 
     def _stale_since(self) -> float | None:
         if not self.flowing or not self.silence_counts:
