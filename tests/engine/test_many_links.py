@@ -67,6 +67,7 @@ class Route:
     def __init__(self, turns: Turns) -> None:
         self.snapshot = turns.called
         self.rests = False
+        self.shown = True
 
 
 class Many:
