@@ -97,7 +97,7 @@ def running(folder: Path, bytes_per_second: float = 0.0) -> Iterator[Bridge]:
     with relay:
         _write_sessions(folder, port, relay.port)
         with (
-            bed.Process("-m", "bench.look_robot", log=folder / "robot.log") as robot,
+            bed.Process("-m", "bench.look_robot") as robot,
             bed.headless(folder / "server.yaml", folder / "server.log"),
             bed.headless(folder / "client.yaml", folder / "client.log") as client,
         ):

@@ -9,8 +9,6 @@ from rsb_bridge.model.pictures import Cells
 from rsb_bridge.model.text import sanitize_text
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
-
     from rsb_bridge.model.pictures import Scale
 
 DOTS_ACROSS, DOTS_DOWN = 2, 4
@@ -54,14 +52,6 @@ class Canvas:
             cell = row * self.width + column
             self.dots[cell] |= DOT_BITS[down][across]
             self.styles[cell] = self.style(style)
-
-    def dots_at(self, x: Iterable[int], y: Iterable[int], style: str) -> None:
-        """Set many dots that are on the canvas, all in one style."""
-        index = self.style(style)
-        for at_x, at_y in zip(x, y, strict=True):
-            cell = at_y // DOTS_DOWN * self.width + at_x // DOTS_ACROSS
-            self.dots[cell] |= DOT_BITS[at_y % DOTS_DOWN][at_x % DOTS_ACROSS]
-            self.styles[cell] = index
 
     def is_free(self, x: int, y: int) -> bool:
         """Whether the cell of a dot is on the canvas and empty, or has only dim dots."""

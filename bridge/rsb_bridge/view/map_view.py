@@ -12,7 +12,7 @@ from rsb_bridge.model.pictures import Scale
 from rsb_bridge.model.wording import Wording
 from rsb_bridge.view.canvas import DOTS_ACROSS, DOTS_DOWN, Canvas
 from rsb_bridge.view.drawing import Drawn, UndrawableError, View, elements, nested, number, raw, text
-from rsb_bridge.view.points import cloud_points, scan_points
+from rsb_bridge.view.points import cloud_points, put_dots, scan_points
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -376,7 +376,7 @@ def _draw_layer(canvas: Canvas, paper: _Paper, layer: _Layer, place: Transform) 
         for start, end in itertools.pairwise(ends):
             canvas.line(*start, *end, layer.style)
     else:
-        canvas.dots_at(*paper.dots(x, y), layer.style)
+        put_dots(canvas, *paper.dots(x, y), layer.style)
     if layer.pose is not None:
         pose = place.after(layer.pose)
         across, down = paper.dot(pose.x, pose.y)
@@ -410,11 +410,11 @@ def _draw_grid(canvas: Canvas, paper: _Paper, grid: _Grid, place: Transform) -> 
 
     across, down, values = sampled(DOTS_ACROSS, DOTS_DOWN)
     free = (values >= 0) & (values < grid.occupied)
-    canvas.dots_at(across[free], down[free], "free")
+    put_dots(canvas, across[free], down[free], "free")
     across, down, values = sampled(1, 1)
     occupied = values >= grid.occupied
-    canvas.dots_at(across[occupied], down[occupied], "occupied")
+    put_dots(canvas, across[occupied], down[occupied], "occupied")
     if paper.metres > grid.resolution:  # thin walls between the sampled places
         rows, columns = np.nonzero(grid.cells >= grid.occupied)
         x, y = place.apply((columns + 0.5) * grid.resolution, (rows + 0.5) * grid.resolution)
-        canvas.dots_at(*paper.dots(x, y), "occupied")
+        put_dots(canvas, *paper.dots(x, y), "occupied")

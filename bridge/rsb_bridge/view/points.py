@@ -156,7 +156,7 @@ class PointsView(View):
         inside = (across >= 0) & (across < wish.width * DOTS_ACROSS) & (down >= 0) & (down < wish.height * DOTS_DOWN)
         values, kind = _values(points, wish)
         order = np.argsort(depth[inside], kind="stable")  # the highest is drawn last
-        put_dots(canvas, across[inside][order], down[inside][order], values[inside][order])
+        put_values(canvas, across[inside][order], down[inside][order], values[inside][order])
         middle_column = round(wish.width / 2 - wish.x * wish.width)
         middle_row = round(wish.height / 2 + wish.y * wish.height)
         if not tilt:
@@ -188,12 +188,18 @@ def _values(points: Points, wish: Wish) -> tuple[Floats, str]:
     return np.hypot(points.x, points.y), "distance"
 
 
-def put_dots(canvas: Canvas, across: NDArray[Any], down: NDArray[Any], values: NDArray[Any]) -> None:
+def put_dots(canvas: Canvas, across: NDArray[Any], down: NDArray[Any], style: str = "") -> NDArray[Any]:
+    """Set dots that are on the canvas, all in one style; return their cells."""
+    cells: NDArray[Any] = down // DOTS_DOWN * canvas.width + across // DOTS_ACROSS
+    np.bitwise_or.at(np.frombuffer(canvas.dots, np.uint8), cells, _BITS[down % DOTS_DOWN, across % DOTS_ACROSS])
+    np.frombuffer(canvas.styles, np.uint8)[cells] = canvas.style(style)
+    return cells
+
+
+def put_values(canvas: Canvas, across: NDArray[Any], down: NDArray[Any], values: NDArray[Any]) -> None:
     """Set dots, coloured by values; of those in one cell, the last one gives the colour."""
     styles = np.array([canvas.style(colour) for colour in _COLOURS], dtype=np.uint8)
-    cells = down // DOTS_DOWN * canvas.width + across // DOTS_ACROSS
-    dots = np.frombuffer(canvas.dots, np.uint8)
-    np.bitwise_or.at(dots, cells, _BITS[down % DOTS_DOWN, across % DOTS_ACROSS])
+    cells = put_dots(canvas, across, down)
     if len(values):
         low, high = np.percentile(values, (2, 98))
         part = np.clip((values - low) / max(float(high - low), 1e-9), 0, 1)
