@@ -208,6 +208,8 @@ def _print_slow_link(bridge: Bridge, rounds: int) -> None:
     print(f"{'':<10}{'received':>10}{'p50, ms':>10}{'p99, ms':>10}{'pictures/s':>12}{'bytes':>8}{'age, s':>8}")
     for number in range(rounds):
         for with_view in (False, True):
+            if with_view:  # opening a view costs once, and does not count here
+                bridge.look("/camera", _VIEW_RATE, 3.0, f"slow{number}")
             bridge.robot.ask("steady")
             if with_view:
                 seen = bridge.look("/camera", _VIEW_RATE, _TURN, f"slow{number}")

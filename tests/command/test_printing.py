@@ -35,6 +35,7 @@ PRINTS = {
     "command/shell.py": "print_line, print_lines, print_error and CleanErrors",
     "command/headless.py": "lines of the log, each cleaned by `LogWriter.write`",
     "command/bench_command.py": "one line of progress, cleaned",
+    "command/look_command.py": "rows of pictures, cleaned by `decode_picture` and `clean`",
     "terminal/driver.py": "the app's own terminal",
     "terminal/clipboard.py": "an escape sequence of the app's own",
     "bench/router.py": "a child's pipe",

@@ -76,7 +76,15 @@ def test_little_shared_memory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -
     ("rules", "code", "euid", "grade"),
     [
         ("table inet a { chain b { policy accept; } }", 0, 0, Grade.OK),
-        ("table inet a { chain b { policy drop; } }", 0, 0, Grade.NOTE),
+        ("table inet a { chain b { type filter hook input priority 0; policy drop; } }", 0, 0, Grade.NOTE),
+        ("table ip a { chain b { type filter hook forward priority 0; policy drop; } }", 0, 0, Grade.OK),
+        (
+            "table ip a {\nchain b {\nhook input;\njump c\n}\nchain c { drop\n}\n}",
+            0,
+            0,
+            Grade.NOTE,
+        ),
+        ("table ip a { chain b { hook input; goto c } }\ntable ip d { chain c { drop } }", 0, 0, Grade.OK),
         ("", 1, 0, Grade.UNKNOWN),
         ("", 0, 1000, Grade.UNKNOWN),
     ],
@@ -168,6 +176,14 @@ def test_the_clock_is_asked(tmp_path: Path) -> None:
     (finding,) = found("clock", tmp_path)
     assert finding.grade == (Grade.OK if finding.facts["synchronized"] else Grade.WARNING)
     assert finding.facts["max_error"] >= 0
+
+
+def test_a_mistake_in_a_check_is_a_finding_and_the_next_one_runs() -> None:
+    def broken() -> Any:
+        raise KeyError("x")
+
+    first, second = examine([Check("it", "it", broken), Check("b", "b", lambda: [Finding("b", Grade.OK, "b", "")])])
+    assert (first.grade, bool(first.remedy), second.code) == (Grade.UNKNOWN, True, "b")
 
 
 def test_a_check_that_fails_is_a_finding() -> None:

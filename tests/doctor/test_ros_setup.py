@@ -55,6 +55,25 @@ def test_what_is_lost_is_listed() -> None:
     assert (finding.code, finding.grade, finding.text) == ("ros_limited", Grade.WARNING, "no calls")
 
 
+def test_ros_that_is_installed_and_not_sourced(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(importlib.util, "find_spec", lambda _: None)
+    folder = tmp_path / "opt/ros/jazzy"
+    (folder / "lib/python3.12/site-packages/rclpy").mkdir(parents=True)
+    (folder / "setup.bash").touch()
+    (finding,) = (each for each in examine(ros_setup.checks({}, root=tmp_path)) if each.code == "ros")
+    assert finding.grade == Grade.ERROR
+    assert str(folder / "setup.bash") in finding.remedy
+    assert "3.12" in finding.remedy
+
+
+def test_ros_without_numpy(monkeypatch: pytest.MonkeyPatch) -> None:
+    found_spec = importlib.util.find_spec
+    monkeypatch.setattr(importlib.util, "find_spec", lambda name: None if name == "numpy" else found_spec(name))
+    assert [each.grade for each in found("ros_numpy")] == []
+    (works, lacks) = found("ros")
+    assert (works.grade, lacks.code, lacks.grade) == (Grade.OK, "ros_numpy", Grade.WARNING)
+
+
 def test_without_ros(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(importlib.util, "find_spec", lambda _: None)
     (finding,) = found("ros", program="raise SystemExit('not run')")

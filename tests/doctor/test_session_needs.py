@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.util
 import os
 import socket
 from typing import TYPE_CHECKING, Any
@@ -14,7 +15,7 @@ from tests.support.wording import says
 from rsb_bridge.config.keys import write_key
 from rsb_bridge.doctor import session_needs
 from rsb_bridge.doctor.finding import Finding, Grade, examine
-from rsb_bridge.model.session import Operator, Session, Topic
+from rsb_bridge.model.session import Operator, Session, Topic, ZenohSettings
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -33,6 +34,16 @@ def found(code: str, of: Session, folder: Path, environ: Mapping[str, str] | Non
     """The findings of one check."""
     checks = session_needs.checks(of, folder / "session.yaml", environ or {"RSB_CONSOLE_ISOLATED": "1"})
     return list(examine(check for check in checks if check.code == code))
+
+
+def test_transports_that_this_python_lacks(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delattr(socket, "AF_BLUETOOTH", raising=False)
+    monkeypatch.setattr(importlib.util, "find_spec", lambda _: None)
+    bluetooth = session(topics=(Topic("/a", "transmit", protocol="bluetooth"),))
+    for each in (bluetooth, session(zenoh=ZenohSettings())):
+        (finding,) = found("packages", each, tmp_path)
+        assert (finding.grade, bool(finding.remedy)) == (Grade.ERROR, True)
+    assert found("packages", session(), tmp_path) == []
 
 
 @pytest.mark.parametrize("kind", [socket.SOCK_STREAM, socket.SOCK_DGRAM])

@@ -6,6 +6,7 @@ from enum import StrEnum
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from rsb_bridge.model.text import sanitize_text
+from rsb_bridge.model.wording import Wording
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Mapping
@@ -63,13 +64,23 @@ class Check(NamedTuple):
     run: Callable[[], Iterable[Finding]]
 
 
+class CheckText(Wording):
+    """Findings about a check itself, and their remedy."""
+
+    FAILED = "the check failed: {error}"
+    FAILED_REMEDY = "this is a mistake in rsb-console: please report it with the output of rsb-console --debug doctor"
+
+
 def examine(checks: Iterable[Check]) -> Iterator[Finding]:
-    """Run checks. One that cannot find out is a finding, too."""
+    """Run checks. One that cannot find out, or fails, is a finding, too."""
     for check in checks:
         try:
             yield from check.run()
         except (OSError, ValueError) as error:
             yield Finding(check.code, Grade.UNKNOWN, check.subject, sanitize_text(str(error)))
+        except Exception as error:  # noqa: BLE001 -- the other checks still help
+            text = sanitize_text(CheckText.FAILED(error=f"{type(error).__name__}: {error}"))
+            yield Finding(check.code, Grade.UNKNOWN, check.subject, text, CheckText.FAILED_REMEDY())
 
 
 def worst(findings: Iterable[Finding]) -> Grade:

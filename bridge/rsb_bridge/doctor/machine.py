@@ -9,8 +9,10 @@ from __future__ import annotations
 import ctypes
 import fcntl
 import importlib.util
+import itertools
 import os
 import platform
+import re
 import resource
 import shutil
 import socket
@@ -46,6 +48,7 @@ _SIOCGIFFLAGS = 0x8913
 _ANSWERS_WITHIN = 2.0  # s
 _LOCKED_WITHIN = 5.0
 """s until Fast DDS has locked a new file."""
+_NFT_WORDS = re.compile(r"\s*[{};\n]\s*")
 _EXTRAS = {"zenoh": "zenoh", "metrics": "prometheus_client"}
 
 
@@ -273,10 +276,41 @@ def _firewall() -> Iterator[Finding]:
         ).stdout
     except subprocess.SubprocessError as error:
         raise OSError(str(error)) from error
-    drops = any(word in {"drop", "reject"} for word in listed.replace(";", " ").split())
+    drops = drops_input(listed)
     text = MachineText.FIREWALL() if drops else MachineText.NO_FIREWALL()
     remedy = MachineText.FIREWALL_REMEDY() if drops else ""
     yield Finding("firewall", Grade.NOTE if drops else Grade.OK, "firewall", text, remedy, {"drops": drops})
+
+
+def drops_input(listed: str) -> bool:
+    """Whether rules drop packets for this machine.
+
+    Only chains of the hook ``input`` and the chains to which they lead count: containers' rules drop what is forwarded.
+
+    Args:
+        listed: output of ``nft list ruleset``.
+    """
+    chains: dict[tuple[str, str], list[str]] = {}
+    table = chain = ""
+    for word in _NFT_WORDS.split(listed):
+        if word.startswith("table "):
+            table, chain = word, ""
+        elif word.startswith("chain "):
+            chain = word.split()[1]
+        elif chain:
+            chains.setdefault((table, chain), []).append(word)
+    waiting = [key for key, rules in chains.items() if any("hook input" in rule for rule in rules)]
+    seen = set(waiting)
+    while waiting:
+        key = waiting.pop()
+        words = " ".join(chains[key]).split()
+        if {"drop", "reject"} & set(words):
+            return True
+        for verdict, name in itertools.pairwise(words):
+            if verdict in {"jump", "goto"} and (next_key := (key[0], name)) in chains and next_key not in seen:
+                seen.add(next_key)
+                waiting.append(next_key)
+    return False
 
 
 def _descriptors() -> Iterator[Finding]:

@@ -46,6 +46,10 @@ class RosText(Wording):
     FAILED_REMEDY = "try without the bridge: python3 -c 'import rclpy; rclpy.init()'"
     CRASHED = "{ros} ends the process with {signal}"
     HANGS = "{ros} does not answer within {seconds:g} s"
+    NO_NUMPY = "numpy is not installed for this Python: ROS's messages with arrays need it, and so pictures"
+    NO_NUMPY_REMEDY = "install rsb-console with the distribution's packages: pipx install --system-site-packages …"
+    NOT_SOURCED = "ROS 2 is installed in {folders}, but its setup file was not sourced for this Python ({executable})"
+    NOT_SOURCED_REMEDY = "source {setup}, with Python {versions}"
     LIMITED_REMEDY = "docs/support.md lists what is tested"
     DOMAIN = "domain {domain}, discovers {range}"
     DOMAIN_INVALID = "ROS_DOMAIN_ID is {value!r}: it has to be a number, {range}"
@@ -64,7 +68,10 @@ class RosText(Wording):
 
 
 def checks(
-    environ: Mapping[str, str], self_test: Sequence[str] = _SELF_TEST, own_domain: int | None = None
+    environ: Mapping[str, str],
+    self_test: Sequence[str] = _SELF_TEST,
+    own_domain: int | None = None,
+    root: Path = Path("/"),
 ) -> tuple[Check, ...]:
     """Return the checks of ROS.
 
@@ -72,16 +79,24 @@ def checks(
         environ: the environment.
         self_test: command that prints what `rsb_bridge.ros.self_test.main` prints.
         own_domain: the session's `domain_id`, which counts more than ``$ROS_DOMAIN_ID``, or None.
+        root: of the file system.
     """
     return (
-        Check("ros", "ROS", partial(_ros, environ, self_test)),
+        Check("ros", "ROS", partial(_ros, environ, self_test, root)),
         Check("ros_domain", "ROS domain", partial(_environment, environ, own_domain)),
     )
 
 
-def _ros(environ: Mapping[str, str], self_test: Sequence[str]) -> Iterator[Finding]:
+def _ros(environ: Mapping[str, str], self_test: Sequence[str], root: Path) -> Iterator[Finding]:
     facts = {"distribution": distribution(), "rclpy": rclpy_version()}
     finding = partial(Finding, "ros", subject="ROS", facts=facts)
+    if importlib.util.find_spec("rclpy") is None and (installed := _installed(root)):
+        folders = ", ".join(str(each) for each in installed)
+        versions = ", ".join(sorted({each.name.removeprefix("python") for at in installed for each in _pythons(at)}))
+        text = RosText.NOT_SOURCED(folders=folders, executable=sys.executable)
+        remedy = RosText.NOT_SOURCED_REMEDY(setup=installed[-1] / "setup.bash", versions=versions)
+        yield finding(grade=Grade.ERROR, text=text, remedy=remedy)
+        return
     if importlib.util.find_spec("rclpy") is None:
         text = RosText.NOT_INSTALLED(executable=sys.executable)
         yield finding(grade=Grade.ERROR, text=text, remedy=RosText.NOT_INSTALLED_REMEDY())
@@ -112,8 +127,20 @@ def _ros(environ: Mapping[str, str], self_test: Sequence[str]) -> Iterator[Findi
         yield finding(grade=Grade.ERROR, text=text, remedy=RosText.FAILED_REMEDY())
     elif not result["shortfalls"]:
         yield finding(grade=Grade.OK, text=RosText.WORKS(ros=described(), middleware=result["middleware"]))
+    if importlib.util.find_spec("numpy") is None:
+        yield Finding("ros_numpy", Grade.WARNING, "ROS", RosText.NO_NUMPY(), RosText.NO_NUMPY_REMEDY(), facts)
     for shortfall in result.get("shortfalls", ()):
         yield Finding("ros_limited", Grade.WARNING, "ROS", shortfall, RosText.LIMITED_REMEDY(), facts)
+
+
+def _installed(root: Path) -> list[Path]:
+    """Return the folders of distributions that a setup file would bring."""
+    return sorted(each.parent for each in (root / "opt/ros").glob("*/setup.bash") if any(_pythons(each.parent)))
+
+
+def _pythons(folder: Path) -> list[Path]:
+    """Return the folders of the Pythons for which a distribution has rclpy."""
+    return [each.parents[1] for each in folder.glob("lib/python3*/site-packages/rclpy")]
 
 
 def _environment(environ: Mapping[str, str], own_domain: int | None) -> Iterator[Finding]:

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import errno
+import importlib.util
 import os
 import socket
+import sys
 import time
 from functools import partial
 from ipaddress import ip_address
@@ -37,6 +39,10 @@ class NeedText(Wording):
     NAME = "port {port} was not tried: {address} is a name, and to look it up could ask the network"
     ADDRESS_MISSING = "this machine has no address {address}: correct server_ip, or use 0.0.0.0"
     KEYS = "{files} have safe modes"
+    NO_BLUETOOTH = "the session uses Bluetooth, and this Python has no Bluetooth sockets ({executable})"
+    BLUETOOTH_REMEDY = "use the distribution's own Python: rsb-console installed with /usr/bin/python3"
+    NO_ZENOH = "the session uses Zenoh, and eclipse-zenoh is not installed"
+    ZENOH_REMEDY = "pip install 'rsb-console[zenoh]'"
     NO_KEYS = "the session uses no key"
 
 
@@ -51,6 +57,7 @@ def checks(session: Session, path: Path, environ: Mapping[str, str]) -> tuple[Ch
     return (
         Check("ports", "ports", partial(_ports, session, path, environ)),
         Check("keys", "keys", partial(_keys, session, path)),
+        Check("packages", "packages", partial(_packages, session)),
         Check("session", "session", partial(_advice, session, environ)),
     )
 
@@ -126,6 +133,17 @@ def _keys(session: Session, path: Path) -> Iterator[Finding]:
         yield finding(grade=Grade.WARNING, text=warning)
     if read and not warnings:
         yield finding(grade=Grade.OK, text=NeedText.KEYS(files=", ".join(read)))
+
+
+def _packages(session: Session) -> Iterator[Finding]:
+    """Find what the session's transports need and this Python lacks."""
+    topics = (*session.topics, *(topic for client in session.clients for topic in client.topics))
+    uses_bluetooth = session.is_bluetooth or any(topic.protocol == "bluetooth" for topic in topics)
+    finding = partial(Finding, "packages", Grade.ERROR, "packages")
+    if uses_bluetooth and not hasattr(socket, "AF_BLUETOOTH"):
+        yield finding(text=NeedText.NO_BLUETOOTH(executable=sys.executable), remedy=NeedText.BLUETOOTH_REMEDY())
+    if session.zenoh is not None and importlib.util.find_spec("zenoh") is None:
+        yield finding(text=NeedText.NO_ZENOH(), remedy=NeedText.ZENOH_REMEDY())
 
 
 def _advice(session: Session, environ: Mapping[str, str]) -> Iterator[Finding]:
