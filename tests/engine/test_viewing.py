@@ -2,23 +2,31 @@
 
 from __future__ import annotations
 
+import asyncio
 import os
 import signal
 import time
+from functools import partial
 from typing import TYPE_CHECKING
 
 import msgspec
 import pytest
 from geometry_msgs.msg import PoseStamped
+from rclpy.qos import QoSProfile, ReliabilityPolicy
+from std_msgs.msg import String
 from tests.support.bridge import carries, linked, now
+from tests.support.domain import LATCHED
 from tests.support.waiting import eventually
 from tests.support.wording import has_text, pattern
 
 from rsb_bridge.api import EngineError
 from rsb_bridge.config.rights import DeniedText
+from rsb_bridge.config.topic_rules import TopicMistake
 from rsb_bridge.engine.viewing import LookProblem
+from rsb_bridge.link.link_views import VIEWS_OF_PEER, ViewRefused
+from rsb_bridge.link.topic_view import TopicView, ViewProblem
 from rsb_bridge.model.codes import EventCode
-from rsb_bridge.model.pictures import Cells, Wish
+from rsb_bridge.model.pictures import Cells, Picture, Wish
 from rsb_bridge.model.session import Grant, Topic
 
 if TYPE_CHECKING:
@@ -210,3 +218,197 @@ def test_carrying_goes_on_beside_a_view(bridge: Bridge, robot: Domain, pc: Domai
     looked_while(talker, server, "/pose")
     carries([publisher], server, ["/text"])
     assert listener.matched
+
+
+NO_NAMES = ["pose", "/pose/", "//pose", "~/pose", "/bad name", "{node}/pose"]
+
+
+@pytest.mark.parametrize("name", NO_NAMES)
+def test_a_peer_names_topics_as_rights_do(
+    bridge: Bridge, robot: Domain, monkeypatch: pytest.MonkeyPatch, name: str
+) -> None:
+    Talker(robot, "/pose")()
+    server, client = bridge.server(), bridge.client(deny=("/pose",))
+    eventually(lambda: linked(client) and linked(server))
+    monkeypatch.setattr("rsb_bridge.engine.viewing.check_names", lambda _: None)
+    with pytest.raises(EngineError, match=pattern(TopicMistake.NOT_ABSOLUTE)):
+        server.look("me", (name,), WISH, "robot1").result(30)
+    assert client._bridge is not None
+    (link,) = client._bridge.links()
+    assert not link.views._drawing
+
+
+@pytest.mark.parametrize("name", NO_NAMES)
+def test_an_operator_names_topics_in_full(bridge: Bridge, name: str) -> None:
+    server, _ = bridge.both()
+    with pytest.raises(EngineError, match=pattern(TopicMistake.NOT_ABSOLUTE)):
+        server.look("me", (name,), WISH).result(30)
+
+
+def test_a_view_that_cannot_be_opened_leaves_no_route(
+    bridge: Bridge, robot: Domain, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    talker = Talker(robot, "/pose")
+    server, _ = bridge.both()
+    with monkeypatch.context() as patch:
+        patch.setattr("rsb_bridge.link.link_views.OPENED_WITHIN", -1.0)
+        for _ in range(VIEWS_OF_PEER + 1):
+            with pytest.raises(EngineError, match=pattern(ViewRefused.NOT_OPENED)):
+                server.look("me", ("/pose",), WISH, "robot1").result(30)
+    assert views(server) == []
+    looked_while(talker, server, "/pose")
+
+
+def test_one_viewer_that_asks_for_two_topics_at_once_leaves_nothing(bridge: Bridge, robot: Domain) -> None:
+    talkers = [Talker(robot, topic) for topic in ("/pose", "/other")]
+    server, client = bridge.both()
+    futures = [server.look("me", (topic,), WISH, "robot1") for topic in ("/pose", "/other")]
+    deadline = time.monotonic() + 60
+    while not all(future.done() for future in futures):
+        assert time.monotonic() < deadline
+        for talker in talkers:
+            talker()
+        time.sleep(0.02)
+    assert len(views(server)) == 1
+    eventually(lambda: not views(server) and not views(client), 30)
+
+
+def test_a_picture_is_of_the_topic_that_was_asked_for_last(bridge: Bridge, pc: Domain) -> None:
+    talker, publisher = Talker(pc, "/pose"), pc.publisher("/text")
+    server, _ = bridge.both()
+    looked_while(talker, server, "/pose")
+    for _ in range(20):  # another picture waits for the viewer
+        talker()
+        time.sleep(0.02)
+    assert server._bridge is not None
+    own = server._bridge._viewing._views["me"]
+    eventually(own.news.is_set)
+
+    def text() -> Viewed | None:
+        publisher.publish(String(data="x"))
+        return server.look("me", ("/text",), WISH).result(30)
+
+    assert eventually(text, 30).picture.type_name == "std_msgs/msg/String"
+
+
+def test_a_view_goes_on_over_a_new_connection(bridge: Bridge, robot: Domain) -> None:
+    talker = Talker(robot, "/pose")
+    server, client = bridge.both()
+    looked_while(talker, server, "/pose")
+    assert client._bridge is not None
+    (link,), context = client._bridge.links(), client._bridge.context
+    before = {view for view, _ in link.views._drawing.values()}
+    assert before
+    context.call(link.fail)
+    eventually(lambda: before.isdisjoint(view for view, _ in link.views._drawing.values()), 30)
+    eventually(lambda: linked(client) and linked(server), 30)
+
+    def looked_again() -> bool:
+        try:
+            looked_while(talker, server, "/pose")
+        except EngineError:
+            return False
+        return True
+
+    eventually(looked_again, 60)
+    assert len(views(server)) == len(views(client)) == len(link.views._drawing) == 1
+    assert all(not view._feeds and view._is_closed for view in before)
+
+
+def test_kept_messages_come_again_for_a_new_process_and_for_another_kind_of_picture(
+    bridge: Bridge, robot: Domain
+) -> None:
+    robot.publisher("/latched", qos=LATCHED).publish(String(data="kept"))
+    server, client = bridge.both()
+    assert "kept" in rows(looked(server, "/latched"))
+    assert "kept" in rows(looked(server, "/latched", msgspec.structs.replace(WISH, how="")))
+    assert client._bridge is not None
+    renderer = client._bridge.context.renderer
+    assert renderer.pid is not None
+    os.kill(renderer.pid, signal.SIGKILL)
+    assert "kept" in rows(looked(server, "/latched", msgspec.structs.replace(WISH, how="")))
+
+
+def test_messages_are_counted_from_the_beginning_of_the_view(bridge: Bridge, pc: Domain) -> None:
+    talker = Talker(pc, "/pose")
+    server, _ = bridge.both()
+    looked_while(talker, server, "/pose")
+    before = looked_while(talker, server, "/pose").picture.messages
+    unreliable = pc.publisher("/pose", PoseStamped, qos=QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT))
+    assert server._bridge is not None
+    view = server._bridge._viewing._views["me"].own
+    assert view is not None
+    first = view._feeds["/pose"]
+
+    def resubscribed() -> bool:
+        looked_while(talker, server, "/pose")
+        return view._feeds.get("/pose", first) is not first
+
+    eventually(resubscribed, 30)
+    assert looked_while(talker, server, "/pose").picture.messages > before
+    assert unreliable.topic_name == "/pose"
+
+
+def test_a_view_that_ends_before_it_begins_leaves_no_subscription(bridge: Bridge, pc: Domain) -> None:
+    Talker(pc, "/pose")()
+    server, _ = bridge.both()
+    assert server._bridge is not None
+    context = server._bridge.context
+
+    async def deliver(_: Picture) -> None: ...
+
+    async def run() -> TopicView:
+        view = TopicView(context, context.renderer, context.renderer.next_view(), ("/pose",), WISH, deliver)
+        await view.check()
+        assert view._feeds
+        task = view.start(asyncio.get_running_loop().create_task)
+        task.cancel()
+        await asyncio.wait([task])
+        await asyncio.sleep(0)
+        return view
+
+    eventually(partial(context.ros.publishers, "/pose"), 30)
+    view = asyncio.run_coroutine_threadsafe(run(), context.loop).result(30)
+    assert not view._feeds
+
+
+def test_topics_that_change_while_a_view_looks_them_up(bridge: Bridge, pc: Domain) -> None:
+    for topic in ("/pose", "/other"):
+        Talker(pc, topic)()
+    server, _ = bridge.both()
+    assert server._bridge is not None
+    context = server._bridge.context
+    pictures: list[Picture] = []
+
+    async def deliver(picture: Picture) -> None:
+        pictures.append(picture)
+
+    async def run() -> bool:
+        view = TopicView(context, context.renderer, context.renderer.next_view(), ("/pose",), WISH, deliver)
+        task = view.start(asyncio.get_running_loop().create_task)
+        await asyncio.sleep(0)  # it looks for the publishers of the first topic
+        view.change(("/other",), WISH)
+        await asyncio.wait([task], timeout=1.0)
+        ended = task.done()
+        task.cancel()
+        return ended
+
+    for topic in ("/pose", "/other"):
+        eventually(partial(context.ros.publishers, topic), 30)
+    assert not asyncio.run_coroutine_threadsafe(run(), context.loop).result(30)
+
+
+def test_a_message_that_is_too_large_is_reported(bridge: Bridge, pc: Domain, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("rsb_bridge.link.topic_view.MESSAGE_LIMIT", 100)
+    publisher = pc.publisher("/text")
+    server, _ = bridge.both()
+
+    def problem() -> str:
+        publisher.publish(String(data="x" * 200))
+        try:
+            viewed = server.look("me", ("/text",), WISH).result(30)
+        except EngineError:
+            return ""
+        return "" if viewed is None else viewed.picture.problem
+
+    assert has_text(eventually(problem, 30), ViewProblem.MESSAGE_TOO_LARGE)

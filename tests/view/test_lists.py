@@ -2,19 +2,22 @@
 
 from __future__ import annotations
 
+import itertools
 from typing import Any
 
+import msgspec
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rcl_interfaces.msg import Log
 from sensor_msgs.msg import NavSatFix
 from tests.support.wording import has_text
-from tests.view.samples import drawn
+from tests.view.samples import drawn, task
 
 from rsb_bridge.cdr.decoder import Items
 from rsb_bridge.model.pictures import Cells, Picture, Wish
 from rsb_bridge.view.drawing import Received
 from rsb_bridge.view.tf_tree import TfTree, TreeProblem
 from rsb_bridge.view.track import TrackProblem
+from rsb_bridge.view.worker import Artist
 
 WISH = Wish(width=80, height=20)
 
@@ -105,3 +108,38 @@ def test_no_fix() -> None:
     message = NavSatFix()
     message.status.status = -1
     assert has_text(drawn(WISH, message).problem, TrackProblem.NO_FIX)
+
+
+def test_frames_with_many_parents_are_drawn_once_below_one_of_them() -> None:
+    layers = [[f"f{depth}_{at}" for at in range(8)] for depth in range(20)]
+    pairs = [(one, other) for above, below in itertools.pairwise(layers) for one in above for other in below]
+    view = TfTree()
+    view.take(transforms(*pairs))
+    picture = view.draw(Wish(width=80, height=100))
+    assert picture.notes == ("160 frames",)
+    assert isinstance(picture.content, Cells)
+    assert len(picture.content.rows) == 100
+
+
+def test_ages_of_frames_go_on_without_messages() -> None:
+    view = TfTree()
+    view.take(transforms(("odom", "base"), at=1.0))
+    fresh = view.draw(WISH)
+    view.now = 4.5
+    old = view.draw(WISH)
+    assert isinstance(fresh.content, Cells)
+    assert isinstance(old.content, Cells)
+    assert "0.0 s" in fresh.content.rows[1]
+    assert "3.5 s" in old.content.rows[1]
+    assert "warning" in {old.content.palette[style] for style in old.content.styles}
+
+
+def test_statuses_become_stale_without_messages() -> None:
+    message = DiagnosticArray(status=[DiagnosticStatus(level=b"\0", name="motor")])
+    artist, first = Artist(), task(WISH, message, at=1000.0)
+    before = artist.do(msgspec.structs.replace(first, now=1001 * 10**9))
+    after = artist.do(msgspec.structs.replace(first, samples=(), now=1009 * 10**9))
+    assert before is not None
+    assert after is not None
+    assert before.notes != after.notes
+    assert rows(after)[0].startswith("STALE")

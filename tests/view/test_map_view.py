@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import msgspec
 import pytest
@@ -13,9 +13,15 @@ from sensor_msgs.msg import LaserScan
 from tests.support.wording import has_text
 from tests.view.samples import task
 
+from rsb_bridge.cdr.decoder import Items
 from rsb_bridge.model.pictures import Cells, Picture, Wish
-from rsb_bridge.view.map_view import MapProblem, Transform
+from rsb_bridge.view.canvas import Canvas
+from rsb_bridge.view.drawing import Received
+from rsb_bridge.view.map_view import MapProblem, MapView, Transform
 from rsb_bridge.view.worker import Artist
+
+if TYPE_CHECKING:
+    from rsb_bridge.cdr.decoder import Message
 
 WISH = Wish(width=40, height=20)
 
@@ -146,3 +152,22 @@ def test_transforms() -> None:
     assert there.apply(1.0, 0.0) == pytest.approx((1.0, 3.0))
     assert there.inverse().after(there) == pytest.approx(Transform())
     assert there.after(Transform(1.0, 0.0, 0.0)) == pytest.approx(Transform(1.0, 3.0, math.pi / 2))
+
+
+def test_unknown_cells_of_a_costmap_are_not_occupied() -> None:
+    cells = Items("uint8", 4, raw=memoryview(bytes([255, 255, 0, 254])), code="<B")
+    view = MapView()
+    message: Message = {"metadata": {"size_x": 2, "size_y": 2, "resolution": 1.0}, "data": cells}
+    view.take(Received("/c", "nav2_msgs/msg/Costmap", message, 1.0))
+    drawn_grid = view._layers["/c"].grid
+    assert drawn_grid is not None
+    assert (drawn_grid.cells >= drawn_grid.occupied).tolist() == [[False, False], [False, True]]
+
+
+def test_a_path_to_and_fro_is_drawn_in_bounded_time() -> None:
+    canvas = Canvas(400, 150)
+    for _ in range(5000):
+        canvas.line(0, 0, 799, 599, "path")
+    assert canvas._line_dots < 0
+    assert canvas.dots[0]
+    assert canvas.dots[-1]

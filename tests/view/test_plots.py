@@ -11,7 +11,7 @@ from std_msgs.msg import Float64, String
 from tests.support.wording import has_text
 from tests.view.samples import drawn, task
 
-from rsb_bridge.model.pictures import Curve, Picture, Series, Wish
+from rsb_bridge.model.pictures import Curve, Picture, Series, Wish, decode_picture, encode_picture
 from rsb_bridge.view.plots import VALUES, PlotProblem, PlotView
 from rsb_bridge.view.worker import Artist
 from rsb_console.look.plot_lines import plot_rows
@@ -99,3 +99,14 @@ def test_the_cursor_shows_values() -> None:
     rows = plot_rows(Series(0.0, 0.25, CURVES), 80, 24, cursor=10)
     without = plot_rows(Series(0.0, 0.25, CURVES), 80, 24)
     assert rows[-2] != without[-2]
+
+
+@pytest.mark.parametrize("value", [1.7e308, -1.7e308, math.inf, math.nan, 5e-324])
+def test_extreme_values_are_drawn_or_left_out(value: float) -> None:
+    content = series(decode_picture(encode_picture(drawn(WISH, Float64(data=value), Float64(data=1.0)))))
+    assert len(plot_rows(content, 40, 10)) == 10
+
+
+def test_names_of_joints_are_fit_for_terminals() -> None:
+    picture = drawn(WISH, JointState(name=["\x1b[2J", "x" * 300], position=[1.0, 2.0]))
+    assert len(series(decode_picture(encode_picture(picture))).curves) == 1

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 from typing import TYPE_CHECKING
 
 from rsb_bridge.link.errors import LinkError
-from rsb_bridge.link.topic_view import TopicView, Viewable
+from rsb_bridge.link.topic_view import TopicView, Viewable, check_names
 from rsb_bridge.model.pictures import Picture, Viewed, encode_picture
 from rsb_bridge.model.wording import Wording
 from rsb_bridge.ros.ros_interface import RosError
@@ -39,6 +40,7 @@ class _View:
     """A console's view, wherever its topic is."""
 
     def __init__(self) -> None:
+        self.turn = asyncio.Lock()
         self.asking = 0
         self.used_at = 0.0
         self.place: tuple[str, tuple[str, ...]] | None = None
@@ -58,7 +60,10 @@ class _View:
             self.task.cancel()
         if self.link is not None and self.peer_view is not None:
             self.link.views.close_view(self.peer_view)
-        self.task = self.link = self.peer_view = self.own = None
+        if self.own is not None:
+            self.own.close()
+        self.task = self.link = self.peer_view = self.own = self.newest = None
+        self.news.clear()
 
 
 class Viewing:
@@ -91,7 +96,8 @@ class Viewing:
             view = self._views[command.viewer] = _View()
         view.asking += 1
         try:
-            return await self._next(view, command)
+            async with view.turn:  # a console that gave up may ask again at once
+                return await self._next(view, command)
         except LinkError:
             view.place = None  # the next question looks for the topic again
             raise
@@ -124,16 +130,17 @@ class Viewing:
         return Viewed(picture, "", age, len(encode_picture(picture)))
 
     async def _open(self, view: _View, command: Look) -> None:
+        check_names(command.topics)
         link = await self._place(command.topics[0], command.link)
         if link is not None:
             view.link, view.peer_view = link, await link.views.open()
             return
         renderer = self._context.renderer
-        view.own = TopicView(
+        own = view.own = TopicView(
             self._context, renderer, renderer.next_view(), command.topics, command.wish, view.deliver, self._bridged
         )
-        await view.own.check()
-        view.task = self._spawn(view.own.run())
+        await own.check()
+        view.task = own.start(self._spawn)
 
     async def _place(self, topic: str, link_name: str) -> Link | None:
         """Return the link to the side that publishes a topic, or None if this side does.
@@ -157,8 +164,9 @@ class Viewing:
         for link in links:
             if not link.linked:
                 continue
-            if any(each.topic == _there(link, topic) and each.publishers for each in await link.topic_lists.ask()):
-                return link
+            with contextlib.suppress(LinkError):  # one side that does not answer hides no other
+                if any(each.topic == _there(link, topic) and each.publishers for each in await link.topic_lists.ask()):
+                    return link
         others = "any side that is linked" if links else "another side"
         raise LinkError(LookProblem.NOWHERE(topic=topic, others=others))
 

@@ -17,7 +17,7 @@ from rsb_bridge.config.rights import Use
 from rsb_bridge.link.errors import LinkError
 from rsb_bridge.link.extension import Extension
 from rsb_bridge.link.questions import Questions
-from rsb_bridge.link.topic_view import TopicView
+from rsb_bridge.link.topic_view import TopicView, check_names
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.pictures import (
     FEATURE,
@@ -136,6 +136,7 @@ class LinkViews(Extension):
         route = self._link.ids.open_route(look.route)
         if route is None or route.proposed_here or not route.outgoing or not is_view_topic(route.local_topic):
             raise LinkError(ViewRefused.NO_VIEW())
+        check_names(look.topics)
         if refusal := self._refusal(look.topics, route):
             raise LinkError(refusal)
         wish = self._limited(look.topics, look.wish)
@@ -150,7 +151,10 @@ class LinkViews(Extension):
             context, context.renderer, context.renderer.next_view(), look.topics, wish, partial(_send, source)
         )
         await view.check()
-        self._drawing[look.route] = view, self._link.spawn(view.run())
+        if self._link.ids.open_route(look.route) is not route:
+            view.close()
+            raise LinkError(ViewRefused.NO_VIEW())
+        self._drawing[look.route] = view, view.start(self._link.spawn)
         self._log(look.topics[0], begins=True)
 
     def _refusal(self, topics: tuple[str, ...], route: Route) -> str:
@@ -180,13 +184,17 @@ class LinkViews(Extension):
                 self._table.deny(route, refusal)
                 route = None
             if route is None or task.done():
-                del self._drawing[opening]
-                task.cancel()
-                self._log(view.topics[0], begins=False)
+                self._end(opening)
+
+    def _end(self, opening: int) -> None:
+        view, task = self._drawing.pop(opening)
+        task.cancel()
+        self._log(view.topics[0], begins=False)
 
     def disconnected(self) -> None:
         self._questions.disconnected()
-        self.tick()
+        for opening in [*self._drawing]:  # the next connection may use the same ids
+            self._end(opening)
 
     # --- for this side's viewers
 
@@ -218,7 +226,11 @@ class LinkViews(Extension):
             priority="low",
         )  # fmt: skip
         view = PeerView(self._proposed.add(topic))
-        await self._opened(view)
+        try:
+            await self._opened(view)
+        except BaseException:  # the asker may be cancelled
+            self.close_view(view)
+            raise
         return view
 
     async def look(self, view: PeerView, topics: tuple[str, ...], wish: Wish, seconds: float) -> Viewed | None:
@@ -263,7 +275,7 @@ class LinkViews(Extension):
 
     def close_view(self, view: PeerView) -> None:
         """End a view."""
-        if view.route.key in self._link.routes:
+        if self._link.routes.get(view.route.key) is view.route:
             self._table.remove(view.route, _ENDED)
 
     async def _opened(self, view: PeerView) -> None:

@@ -4,20 +4,25 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import math
 import threading
 from collections import deque
 from typing import TYPE_CHECKING, NamedTuple
 
+import msgspec
+
+from rsb_bridge.config.topic_rules import name_problems
 from rsb_bridge.link.errors import LinkError
 from rsb_bridge.model.pictures import MOST_RATE, Picture, Wish
 from rsb_bridge.model.qos import Qos
+from rsb_bridge.model.text import sanitize_text
 from rsb_bridge.model.wording import Wording
 from rsb_bridge.ros.ros_graph import agreed_type
 from rsb_bridge.ros.ros_interface import RosError
 from rsb_bridge.view.worker import Sample, Task
 
 if TYPE_CHECKING:
-    from collections.abc import Awaitable, Callable, Hashable, Sequence
+    from collections.abc import Awaitable, Callable, Coroutine, Hashable, Iterable, Sequence
 
     from rsb_bridge.context import Context
     from rsb_bridge.ros.ros_interface import RawMessage, Subscription
@@ -28,7 +33,9 @@ KEPT_BYTES, KEPT_MESSAGES = 256 << 10, 2000
 MESSAGE_LIMIT = 64 << 20
 """Bytes of a message that is drawn at most."""
 _RESOLVE_EVERY = 2.0
-"""s without a message after which publishers and their QoS are looked up again."""
+"""s after which publishers and their QoS are looked up again."""
+_LATCHED_AGAIN_AFTER = 10.0
+"""s after which kept messages may be asked for once more: one of them may be what ends the process that draws."""
 _DEPTH = 10
 _SLOWEST = 0.05
 """Hz of pictures at the least, whatever is wished."""
@@ -38,8 +45,21 @@ class ViewProblem(Wording):
     """The reason why a topic cannot be viewed."""
 
     NO_PUBLISHER = "{topic} has no publisher here"
+    ENDED = "the view is closed"
+    MESSAGE_TOO_LARGE = "{topic}: a message of {size:,} bytes is not drawn; the limit is {limit:,} bytes"
     TYPES_DIFFER = "{topic} has publishers of several types"
     TYPE_UNKNOWN = "{topic}: the type {type_name} is not installed there, and no node of the topic describes it"
+
+
+def check_names(topics: Iterable[str]) -> None:
+    """Check that names are absolute: rights and the graph know a topic by one name only, which ROS would expand.
+
+    Raises:
+        LinkError: one is no topic's.
+    """
+    for topic in topics:
+        for problem in name_problems(topic, "topic"):
+            raise LinkError(str(problem))
 
 
 class Viewable(NamedTuple):
@@ -59,9 +79,11 @@ class Viewable(NamedTuple):
 class _Feed:
     """The messages of one topic between two pictures. The ROS thread adds, the I/O thread takes."""
 
-    def __init__(self, topic: str, viewable: Viewable) -> None:
+    def __init__(self, topic: str, viewable: Viewable, description: str) -> None:
         self.topic = topic
         self.viewable = viewable
+        self.description = viewable.type_name, description, viewable.type_hash
+        self.resolved_at = 0.0
         self.subscription: Subscription | None = None
         self.seen = 0
         self.size = 0
@@ -75,8 +97,9 @@ class _Feed:
             self.seen += len(batch)
             self.size = len(batch[-1].payload)
             for message in batch:
-                self._kept.append(message)
-                self._bytes += len(message.payload)
+                if len(message.payload) <= MESSAGE_LIMIT:
+                    self._kept.append(message)
+                    self._bytes += len(message.payload)
             while len(self._kept) > 1 and (self._bytes > KEPT_BYTES or len(self._kept) > KEPT_MESSAGES):
                 self._bytes -= len(self._kept.popleft().payload)
 
@@ -85,9 +108,7 @@ class _Feed:
         with self._lock:
             kept, self._kept, self._bytes = self._kept, deque(), 0
         name = self.viewable.type_name
-        return [
-            Sample(self.topic, name, each.payload, each.stamp) for each in kept if len(each.payload) <= MESSAGE_LIMIT
-        ]
+        return [Sample(self.topic, name, each.payload, each.stamp) for each in kept]
 
     def close(self) -> None:
         if self.subscription is not None:
@@ -129,13 +150,21 @@ class TopicView:
         self.topics = topics
         self.wish = wish
         self._feeds: dict[str, _Feed] = {}
-        self._descriptions: dict[str, tuple[str, str, str]] = {}
         self._news = asyncio.Event()
         self._has_news = False
+        self._is_closed = False
+        self._seen_before = 0
+        """Messages of feeds that are closed."""
+        self._starts = 0
+        """Of the renderer, with the last picture."""
+        self._lacks_latched = False
+        """Whether a view that is drawn anew lacks the messages that publishers keep, since they come only once."""
+        self._latched_at = -math.inf
 
     def change(self, topics: tuple[str, ...], wish: Wish) -> None:
         """Draw other topics, or in another way."""
         if (topics, wish) != (self.topics, self.wish):
+            self._lacks_latched |= wish.how != self.wish.how
             self.topics, self.wish = topics, wish
             self._news.set()
 
@@ -147,26 +176,33 @@ class TopicView:
         """
         await self._feed(self.topics[0])
 
-    async def run(self) -> None:
-        """Draw until this is cancelled."""
+    def start(self, spawn: Callable[[Coroutine[None, None, None]], asyncio.Task[None]]) -> asyncio.Task[None]:
+        """Draw in a task. When that ends, even if it never began to run, the view is closed."""
+        task = spawn(self._run())
+        task.add_done_callback(lambda _: self.close())
+        return task
+
+    def close(self) -> None:
+        """End the subscriptions, for good."""
+        if not self._is_closed:
+            self._is_closed = True
+            for topic in [*self._feeds]:
+                self._close_feed(topic)
+            self._renderer.forget(self._number)
+
+    async def _run(self) -> None:
         now = self._context.now
-        try:
-            while True:
-                began = now()
-                try:
-                    await self._open_feeds()
-                    picture = await self._draw()
-                except LinkError as error:
-                    picture = Picture(problem=str(error))
-                if picture.content is not None or picture.problem or picture.messages:
-                    await self._deliver(picture)
-                await asyncio.sleep(began + 1 / max(_SLOWEST, min(MOST_RATE, self.wish.rate)) - now())
-                await self._until_news()
-        finally:
-            for feed in self._feeds.values():
-                feed.close()
-            with contextlib.suppress(asyncio.CancelledError):
-                await asyncio.shield(self._renderer.forget(self._number))
+        while True:
+            began, topics = now(), self.topics  # which may change meanwhile
+            try:
+                await self._open_feeds(topics)
+                picture = await self._draw(topics)
+            except LinkError as error:
+                picture = Picture(problem=sanitize_text(str(error)))
+            if picture.content is not None or picture.problem or picture.messages:
+                await self._deliver(picture)
+            await asyncio.sleep(began + 1 / max(_SLOWEST, min(MOST_RATE, self.wish.rate)) - now())
+            await self._until_news()
 
     async def _until_news(self) -> None:
         """Wait for a message or a changed wish, or for the time to look publishers up again."""
@@ -176,27 +212,43 @@ class TopicView:
         self._news.clear()
         self._has_news = False
 
-    async def _draw(self) -> Picture:
+    async def _draw(self, topics: tuple[str, ...]) -> Picture:
         samples: list[Sample] = []
-        seen = size = 0
-        for topic in self.topics:
-            if (feed := self._feeds.get(topic)) is not None:
-                samples += feed.take()
-                seen += feed.seen
-                size = size or feed.size
-        first = self._feeds[self.topics[0]].viewable.type_name
-        task = Task(self._number, first, self.wish, tuple(samples), seen, size, tuple(self._descriptions.values()))
-        return await self._renderer.draw(task)
+        seen, size, problem = self._seen_before, 0, ""
+        feeds = [feed for topic in topics if (feed := self._feeds.get(topic)) is not None]
+        for feed in feeds:
+            samples += feed.take()
+            seen += feed.seen
+            size = size or feed.size
+            if feed.size > MESSAGE_LIMIT:
+                problem = ViewProblem.MESSAGE_TOO_LARGE(topic=feed.topic, size=feed.size, limit=MESSAGE_LIMIT)
+        descriptions = tuple({feed.viewable.type_name: feed.description for feed in feeds}.values())
+        now = int(self._context.wall() * 1e9)
+        task = Task(self._number, feeds[0].viewable.type_name, self.wish, tuple(samples), seen, size, descriptions, now)
+        picture = await self._renderer.draw(task)
+        self._lacks_latched |= self._starts not in (0, self._renderer.starts)
+        self._starts = self._renderer.starts
+        return msgspec.structs.replace(picture, problem=picture.problem or sanitize_text(problem))
 
-    async def _open_feeds(self) -> None:
-        for topic in [topic for topic in self._feeds if topic not in self.topics]:
-            self._feeds.pop(topic).close()
-        for topic in self.topics:
+    async def _open_feeds(self, topics: tuple[str, ...]) -> None:
+        now = self._context.now()
+        again = self._lacks_latched and now - self._latched_at > _LATCHED_AGAIN_AFTER
+        if again:
+            self._lacks_latched, self._latched_at = False, now
+        for topic, feed in [*self._feeds.items()]:
+            if topic not in topics or (again and feed.viewable.qos.latched):
+                self._close_feed(topic)
+        for topic in topics:
             try:
                 await self._feed(topic)
             except LinkError:
-                if topic == self.topics[0]:
+                if topic == topics[0]:
                     raise
+
+    def _close_feed(self, topic: str) -> None:
+        feed = self._feeds.pop(topic)
+        self._seen_before += feed.seen
+        feed.close()
 
     async def _feed(self, topic: str) -> None:
         """Subscribe to a topic, or again if its publishers have changed."""
@@ -204,13 +256,15 @@ class TopicView:
         feed = self._feeds.get(topic)
         if feed is not None and feed.viewable == viewable:
             return
-        if feed is not None:
-            feed.close()
         text = await self._context.descriptions.find(viewable.type_name, viewable.type_hash, topic)
         if text is None:
             raise LinkError(ViewProblem.TYPE_UNKNOWN(topic=topic, type_name=viewable.type_name))
-        self._descriptions[viewable.type_name] = viewable.type_name, text, viewable.type_hash
-        feed = self._feeds[topic] = _Feed(topic, viewable)
+        if self._is_closed:
+            raise LinkError(ViewProblem.ENDED())
+        if feed is not None:
+            self._close_feed(topic)
+        feed = self._feeds[topic] = _Feed(topic, viewable, text)
+        feed.resolved_at = self._context.now()
         try:
             feed.subscription = self._context.ros.subscribe(
                 topic, viewable.type_name, viewable.type_hash, viewable.qos, self._sink(feed), self._origin
@@ -230,8 +284,10 @@ class TopicView:
 
     async def _resolve(self, topic: str) -> Viewable:
         feed = self._feeds.get(topic)
-        if feed is not None and self._has_news:
+        if feed is not None and self._context.now() - feed.resolved_at < _RESOLVE_EVERY:
             return feed.viewable
+        if feed is not None:
+            feed.resolved_at = self._context.now()
         if (viewable := self._bridged(topic)) is not None:
             return viewable
         try:

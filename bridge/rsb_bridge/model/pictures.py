@@ -11,7 +11,7 @@ from typing import Annotated, Literal, TypeAlias
 import msgspec
 from msgspec import Meta
 
-from rsb_bridge.model.text import UNPRINTABLE, sanitize_text
+from rsb_bridge.model.text import UNPRINTABLE, sanitize_text, single_cells
 
 FEATURE = "look"
 """Feature that a side announces if it renders pictures for its peer."""
@@ -30,6 +30,10 @@ PICTURE_LIMIT = 1 << 20
 _TEXT = 255
 _Text: TypeAlias = Annotated[str, Meta(max_length=_TEXT, pattern=rf"\A[^{UNPRINTABLE}]*\Z")]
 _Number: TypeAlias = Annotated[float, Meta(ge=-1e9, le=1e9)]
+MOST_VALUE = 1e300
+"""Largest value of a plot: differences and sums stay finite."""
+_Value: TypeAlias = Annotated[float, Meta(ge=-MOST_VALUE, le=MOST_VALUE)]
+_Style: TypeAlias = Annotated[str, Meta(max_length=16, pattern=r"\A(|[a-z]+|#[0-9a-fA-F]{6})\Z")]
 
 
 class Wish(msgspec.Struct, frozen=True, omit_defaults=True):
@@ -99,10 +103,10 @@ class Scale(msgspec.Struct, frozen=True):
     """
 
     frame: _Text
-    left: float
-    top: float
-    column: float
-    row: float
+    left: _Value
+    top: _Value
+    column: _Value
+    row: _Value
 
 
 class Cells(msgspec.Struct, frozen=True, omit_defaults=True, tag="cells"):
@@ -117,7 +121,7 @@ class Cells(msgspec.Struct, frozen=True, omit_defaults=True, tag="cells"):
 
     rows: Annotated[tuple[Annotated[str, Meta(max_length=MOST_COLUMNS)], ...], Meta(max_length=MOST_ROWS)]
     styles: bytes = b""
-    palette: Annotated[tuple[Annotated[str, Meta(max_length=16)], ...], Meta(max_length=256)] = ()
+    palette: Annotated[tuple[_Style, ...], Meta(max_length=256)] = ()
     scale: Scale | None = None
 
 
@@ -134,8 +138,8 @@ class Series(msgspec.Struct, frozen=True, omit_defaults=True, tag="series"):
         curves: the plotted numbers.
     """
 
-    start: float
-    step: float
+    start: Annotated[float, Meta(ge=-1e12, le=1e12)]
+    step: Annotated[float, Meta(ge=1e-6, le=1e9)]
     curves: Annotated[tuple[Curve, ...], Meta(max_length=8)]
 
 
@@ -151,10 +155,10 @@ class Curve(msgspec.Struct, frozen=True, omit_defaults=True):
     """
 
     name: _Text
-    lows: Annotated[tuple[float | None, ...], Meta(max_length=2 * MOST_COLUMNS)] = ()
-    highs: Annotated[tuple[float | None, ...], Meta(max_length=2 * MOST_COLUMNS)] = ()
-    last: float | None = None
-    mean: float | None = None
+    lows: Annotated[tuple[_Value | None, ...], Meta(max_length=2 * MOST_COLUMNS)] = ()
+    highs: Annotated[tuple[_Value | None, ...], Meta(max_length=2 * MOST_COLUMNS)] = ()
+    last: _Value | None = None
+    mean: _Value | None = None
 
 
 class Picture(msgspec.Struct, frozen=True, omit_defaults=True):
@@ -231,8 +235,13 @@ def decode_picture(encoded: bytes) -> Picture:
             raise PictureError("not each character has a style")
         if max(content.styles, default=0) >= max(1, len(content.palette)):
             raise PictureError("a character has a style that is not in the palette")
-        content = msgspec.structs.replace(content, rows=tuple(map(sanitize_text, content.rows)))
+        if not all(style in STYLES or style.startswith("#") for style in content.palette):
+            raise PictureError("the palette has a style that is none")
+        rows = tuple(single_cells(sanitize_text(row)) for row in content.rows)
+        content = msgspec.structs.replace(content, rows=rows)
         picture = msgspec.structs.replace(picture, content=content)
+    elif isinstance(content, Series) and len({len(each) for c in content.curves for each in (c.lows, c.highs)}) > 1:
+        raise PictureError("a plot's curves have different lengths")
     return picture
 
 

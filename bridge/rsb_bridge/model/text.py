@@ -6,6 +6,7 @@ import contextlib
 import os
 import re
 import sys
+import unicodedata
 from typing import TYPE_CHECKING
 
 from rsb_bridge.model.limits import REASON_LENGTH
@@ -32,6 +33,20 @@ _escaped = re.compile(f'[{UNPRINTABLE}\\\\"]')
 def sanitize_text(text: str, limit: int = REASON_LENGTH) -> str:
     """Replace each unprintable character by U+FFFD, and cut what is longer than `limit` characters."""
     return _unprintable.sub("\N{REPLACEMENT CHARACTER}", text[:limit])
+
+
+def single_cells(text: str) -> str:
+    """Replace each character that takes no cell of a terminal, or two, by U+FFFD."""
+    if text.isascii():
+        return text
+    others = {ord(each): "\N{REPLACEMENT CHARACTER}" for each in set(text) if not _takes_one_cell(each)}
+    return text.translate(others) if others else text
+
+
+def _takes_one_cell(character: str) -> bool:
+    if unicodedata.east_asian_width(character) in "WF" or unicodedata.category(character) in ("Mn", "Me", "Cf"):
+        return False
+    return not "\u1160" <= character <= "\u11ff"  # vowels and final consonants that join a Hangul syllable
 
 
 def is_clean(text: str) -> bool:

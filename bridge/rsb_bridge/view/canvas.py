@@ -6,7 +6,7 @@ import math
 from typing import TYPE_CHECKING
 
 from rsb_bridge.model.pictures import Cells
-from rsb_bridge.model.text import sanitize_text
+from rsb_bridge.model.text import sanitize_text, single_cells
 
 if TYPE_CHECKING:
     from rsb_bridge.model.pictures import Scale
@@ -17,6 +17,8 @@ DOT_BITS = ((0x01, 0x08), (0x02, 0x10), (0x04, 0x20), (0x40, 0x80))
 """Bit of each dot in a braille pattern, by row and column."""
 _BRAILLE = 0x2800
 _STYLES = 256
+LINE_DOTS = 500_000
+"""Dots of all lines; of further lines, only the ends are drawn."""
 
 
 class Canvas:
@@ -37,6 +39,7 @@ class Canvas:
         self.width, self.height = width, height
         self.dots = bytearray(width * height)
         self.styles = bytearray(width * height)
+        self._line_dots = LINE_DOTS
         self._characters: dict[int, str] = {}
         self._palette: dict[str, int] = {"": 0}
 
@@ -66,14 +69,17 @@ class Canvas:
         limit = 4 * max(self.width * DOTS_ACROSS, self.height * DOTS_DOWN)
         x0, y0, x1, y1 = (max(-limit, min(limit, each)) for each in (x0, y0, x1, y1))
         steps = max(abs(x1 - x0), abs(y1 - y0), 1)
+        self._line_dots -= steps
+        if self._line_dots < 0:
+            steps = 1
         for step in range(steps + 1):
             self.dot(round(x0 + (x1 - x0) * step / steps), round(y0 + (y1 - y0) * step / steps), style)
 
     def write(self, column: int, row: int, text: str, style: str = "") -> None:
-        """Write text over the dots, as much as fits. Each character has to take one cell."""
+        """Write text over the dots, as much as fits. Characters that do not take one cell become U+FFFD."""
         if not 0 <= row < self.height:
             return
-        for at, character in enumerate(sanitize_text(text), column):
+        for at, character in enumerate(single_cells(sanitize_text(text)), column):
             if 0 <= at < self.width:
                 cell = row * self.width + at
                 self._characters[cell] = character

@@ -65,7 +65,7 @@ class DiagnosticsView(View):
         return Drawn(cells, notes)
 
     def _aged(self, status: _Status) -> _Status:
-        return status._replace(level=3) if self._newest - status.time > _OLD else status
+        return status._replace(level=3) if max(self.now, self._newest) - status.time > _OLD else status
 
 
 def _level(status: Message) -> int:

@@ -53,7 +53,12 @@ class View(ABC):
 
     It runs in a process of its own, which is killed if it takes too long or too much memory. Messages are not trusted:
     they may have any values that their types allow, NaN, wrong lengths and huge sizes included.
+
+    Attributes:
+        now: s since the epoch on the clock of `Received.time` when the picture is wanted, or 0.
     """
+
+    now = 0.0
 
     @abstractmethod
     def take(self, received: Received) -> None:

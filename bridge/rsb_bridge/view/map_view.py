@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from rsb_bridge.model.pictures import Scale
+from rsb_bridge.model.text import sanitize_text
 from rsb_bridge.model.wording import Wording
 from rsb_bridge.view.canvas import DOTS_ACROSS, DOTS_DOWN, Canvas
 from rsb_bridge.view.drawing import Drawn, UndrawableError, View, elements, nested, number, raw, text
@@ -34,6 +35,7 @@ _OCCUPIED = 65
 """Lowest value of an occupied cell (nav2_map_server's default, as a percentage)."""
 _LETHAL = 253
 """The same of a nav2_msgs/msg/Costmap."""
+_UNKNOWN_COST = 255
 _DEPTH = 64
 """Transforms from a frame to another at most."""
 _MARGIN = 1.1
@@ -236,7 +238,7 @@ class _Paper:
         return math.floor((x - self.left) / self.metres), math.floor((self.top - y) / self.metres)
 
     def scale(self, frame: str) -> Scale:
-        return Scale(frame[:255], self.left, self.top, self.metres * DOTS_ACROSS, self.metres * DOTS_DOWN)
+        return Scale(sanitize_text(frame, 255), self.left, self.top, self.metres * DOTS_ACROSS, self.metres * DOTS_DOWN)
 
 
 def _yaw(message: Message, path: str) -> float:
@@ -275,7 +277,9 @@ def _grid(message: Message) -> _Layer:
     content, code = raw(message, "data")
     if width * height > min(MOST_CELLS, len(content)) or not width * height:
         raise UndrawableError(MapProblem.BAD_GRID(width=width, height=height, got=len(content)))
-    cells = np.frombuffer(content, code, width * height).reshape(height, width)
+    cells: NDArray[Any] = np.frombuffer(content, code, width * height).reshape(height, width)
+    if costs:
+        cells = np.where(cells == _UNKNOWN_COST, np.int16(-1), cells)
     resolution = number(message, f"{about}.resolution")
     if not 0 < resolution < _FAR:
         resolution = 1.0
@@ -412,9 +416,16 @@ def _draw_grid(canvas: Canvas, paper: _Paper, grid: _Grid, place: Transform) -> 
     free = (values >= 0) & (values < grid.occupied)
     put_dots(canvas, across[free], down[free], "free")
     across, down, values = sampled(1, 1)
-    occupied = values >= grid.occupied
-    put_dots(canvas, across[occupied], down[occupied], "occupied")
+    shown = np.zeros((canvas.height * DOTS_DOWN, canvas.width * DOTS_ACROSS), bool)
+    shown[down, across] = values >= grid.occupied
     if paper.metres > grid.resolution:  # thin walls between the sampled places
-        rows, columns = np.nonzero(grid.cells >= grid.occupied)
-        x, y = place.apply((columns + 0.5) * grid.resolution, (rows + 0.5) * grid.resolution)
-        put_dots(canvas, *paper.dots(x, y), "occupied")
+        block = int(paper.metres / grid.resolution)  # cells of a dot, in each direction
+        highest = np.maximum.reduceat(grid.cells, np.arange(0, height, block), axis=0)
+        highest = np.maximum.reduceat(highest, np.arange(0, width, block), axis=1)
+        rows, columns = np.nonzero(highest >= grid.occupied)
+        middle = block / 2 * grid.resolution
+        x, y = place.apply(columns * block * grid.resolution + middle, rows * block * grid.resolution + middle)
+        across, down = paper.dots(x, y)
+        shown[down, across] = True
+    down, across = np.nonzero(shown)
+    put_dots(canvas, across, down, "occupied")

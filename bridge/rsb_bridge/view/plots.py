@@ -10,7 +10,8 @@ from bisect import bisect_left
 from typing import TYPE_CHECKING
 
 from rsb_bridge.cdr.decoder import Items
-from rsb_bridge.model.pictures import Curve, Series
+from rsb_bridge.model.pictures import MOST_VALUE, Curve, Series
+from rsb_bridge.model.text import sanitize_text
 from rsb_bridge.model.wording import Wording
 from rsb_bridge.view.drawing import Drawn, UndrawableError, View
 
@@ -31,6 +32,8 @@ _ITEMS = 16
 """Elements of an array that are remembered."""
 _SECONDS = 3600.0
 """Time that is remembered."""
+_PATH = 255
+"""Characters of the path of a number that can be plotted."""
 _COLUMNS = 2
 """Columns of a cell."""
 _NOT_FIRST = re.compile(r"(^|\.)(header|stamp|covariance|seq|orientation_covariance|.*_covariance)(\.|\[|$)")
@@ -82,10 +85,10 @@ class PlotView(View):
         for path, value in _numbers(received.message, "", _element_names(received.message)):
             track = self._tracks.get(path)
             if track is None:
-                if len(self._tracks) >= NUMBERS:
+                if len(self._tracks) >= NUMBERS or len(path) > _PATH:
                     continue
                 track = self._tracks[path] = _Track()
-            if math.isfinite(value):
+            if abs(value) <= MOST_VALUE:  # false for NaN, too
                 track.add(self._newest, value)
 
     def draw(self, wish: Wish) -> Drawn:
@@ -117,7 +120,11 @@ class PlotView(View):
 def _element_names(message: Message) -> list[str]:
     """Return the names of the elements of a message's arrays, as sensor_msgs/msg/JointState has them, or none."""
     names = message.get("name")
-    return [str(each) for each in names.shown] if isinstance(names, Items) and names.element == "string" else []
+    return (
+        [sanitize_text(str(each)) for each in names.shown]
+        if isinstance(names, Items) and names.element == "string"
+        else []
+    )
 
 
 def _numbers(value: Value, path: str, names: list[str]) -> Iterator[tuple[str, float]]:

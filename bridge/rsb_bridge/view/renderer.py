@@ -9,9 +9,11 @@ import select
 import subprocess
 import sys
 import time
+from concurrent.futures import ThreadPoolExecutor
 from typing import IO, TYPE_CHECKING
 
 from rsb_bridge.model.pictures import PICTURE_LIMIT, Picture, PictureError, Wish, decode_picture
+from rsb_bridge.model.text import sanitize_text
 from rsb_bridge.model.wording import Wording
 from rsb_bridge.view.worker import Task, frame
 
@@ -35,6 +37,7 @@ class NoPicture(Wording):
     ENDED = "the drawing process ended (exit code {code})"
     NOT_STARTED = "the drawing process cannot be started: {error}"
     INVALID = "the drawing process answered nonsense: {error}"
+    CLOSED = "the session ends"
 
 
 class _StoppedError(Exception):
@@ -44,17 +47,26 @@ class _StoppedError(Exception):
 class Renderer:
     """Draws pictures in a process of its own, one after the other.
 
+    One thread handles the process, so a picture that nobody waits for any more is still read to its end, and the next
+    view gets its own.
+
     Args:
         now: s on a monotonic clock.
+
+    Attributes:
+        starts: number of processes so far. A new process knows nothing of earlier messages.
     """
 
     def __init__(self, now: Callable[[], float] = time.monotonic) -> None:
         self._now = now
+        self._thread: ThreadPoolExecutor | None = None
         self._process: subprocess.Popen[bytes] | None = None
-        self._turn = asyncio.Lock()
+        self._drawing = 0
         self._used_at = 0.0
         self._is_new = True
+        self._is_closed = False
         self._views = 0
+        self.starts = 0
 
     def next_view(self) -> int:
         """Return a number for a new view."""
@@ -63,52 +75,70 @@ class Renderer:
 
     async def draw(self, task: Task) -> Picture:
         """Draw a picture. If that fails, the picture has the problem."""
-        async with self._turn:
-            picture = await asyncio.to_thread(self._draw, task)
+        if self._is_closed:
+            return _problem_of(task, NoPicture.CLOSED())
+        if self._thread is None:
+            self._thread = ThreadPoolExecutor(1, "rsb-draw")
+        self._drawing += 1
+        try:
+            return await asyncio.get_running_loop().run_in_executor(self._thread, self._draw, task)
+        finally:
+            self._drawing -= 1
             self._used_at = self._now()
-        return picture
 
-    async def forget(self, view: int) -> None:
+    def forget(self, view: int) -> None:
         """Have the process forget a view."""
-        async with self._turn:
-            if self._process is not None:
-                await asyncio.to_thread(self._forget, self._process, view)
+        if self._thread is not None and not self._is_closed:
+            self._thread.submit(self._forget, view)
 
     def end_if_idle(self) -> None:
         """End the process if it has drawn nothing for a while. Call it once a second."""
-        if self._process is not None and not self._turn.locked() and self._now() - self._used_at > IDLE_SECONDS:
-            self._end()
+        if self._thread is None or self._process is None or self._drawing or self._is_closed:
+            return
+        if self._now() - self._used_at > IDLE_SECONDS:
+            self._thread.submit(self._end)
 
     def close(self) -> None:
-        """End the process."""
-        self._end()
+        """End the process for good, without waiting for it."""
+        self._is_closed = True
+        if self._thread is not None:
+            if (process := self._process) is not None:
+                process.kill()  # the thread may wait for its answer
+            self._thread.submit(self._end)
+            self._thread.shutdown(wait=False)
+            self._thread = None
 
     @property
     def pid(self) -> int | None:
         """The process's id, or None if there is no process."""
-        return None if self._process is None else self._process.pid
+        return None if (process := self._process) is None else process.pid
+
+    # --- on the thread
 
     def _draw(self, task: Task) -> Picture:
         try:
             return self._answer(task)
         except _StoppedError as error:
             self._end()
-            return Picture(type_name=task.type_name, messages=task.seen, size=task.size, problem=str(error))
+            return _problem_of(task, str(error))
 
-    def _forget(self, process: subprocess.Popen[bytes], view: int) -> None:
-        with contextlib.suppress(_StoppedError):
-            self._write(process, frame(Task(view, "", Wish(), ended=True)), time.monotonic() + SECONDS)
+    def _forget(self, view: int) -> None:
+        if self._process is None:
+            return
+        try:
+            self._write(self._process, frame(Task(view, "", Wish(), ended=True)), time.monotonic() + SECONDS)
+        except _StoppedError:  # half a task may be written
+            self._end()
 
     def _answer(self, task: Task) -> Picture:
         process = self._process or self._start()
         deadline = time.monotonic() + (START_SECONDS if self._is_new else SECONDS)
-        assert process.stdout is not None
         self._write(process, frame(task), deadline)
-        length = int.from_bytes(self._read(process.stdout, _LENGTH_BYTES, deadline), "big")
+        length = int.from_bytes(self._read(process, _LENGTH_BYTES, deadline), "big")
         if length > PICTURE_LIMIT:
             raise _StoppedError(NoPicture.INVALID(error=f"{length:,} bytes"))
         try:
-            picture = decode_picture(self._read(process.stdout, length, deadline))
+            picture = decode_picture(self._read(process, length, deadline))
         except PictureError as error:
             raise _StoppedError(NoPicture.INVALID(error=error)) from None
         self._is_new = False
@@ -116,6 +146,8 @@ class Renderer:
 
     def _start(self) -> subprocess.Popen[bytes]:
         command = [sys.executable, "-m", "rsb_bridge.view.worker"]
+        if self._is_closed:
+            raise _StoppedError(NoPicture.CLOSED())
         try:
             process = subprocess.Popen(  # noqa: S603 -- this program's own module
                 command,
@@ -128,7 +160,10 @@ class Renderer:
             raise _StoppedError(NoPicture.NOT_STARTED(error=error)) from None
         assert process.stdin is not None
         os.set_blocking(process.stdin.fileno(), False)
+        self.starts += 1
         self._process, self._is_new = process, True
+        if self._is_closed:  # `close` came before there was a process to kill
+            raise _StoppedError(NoPicture.CLOSED())
         return process
 
     def _write(self, process: subprocess.Popen[bytes], message: bytes, deadline: float) -> None:
@@ -141,16 +176,16 @@ class Renderer:
             except BlockingIOError:
                 continue
             except OSError:
-                raise _StoppedError(NoPicture.ENDED(code=process.wait())) from None
+                raise _ended(process) from None
 
-    def _read(self, stream: IO[bytes], length: int, deadline: float) -> bytes:
+    def _read(self, process: subprocess.Popen[bytes], length: int, deadline: float) -> bytes:
+        assert process.stdout is not None
         parts: list[bytes] = []
         while length:
-            self._wait(stream, select.POLLIN, deadline)
-            part = os.read(stream.fileno(), min(length, _AT_ONCE))
+            self._wait(process.stdout, select.POLLIN, deadline)
+            part = os.read(process.stdout.fileno(), min(length, _AT_ONCE))
             if not part:
-                assert self._process is not None
-                raise _StoppedError(NoPicture.ENDED(code=self._process.wait()))
+                raise _ended(process)
             parts.append(part)
             length -= len(part)
         return b"".join(parts)
@@ -162,8 +197,7 @@ class Renderer:
             raise _StoppedError(NoPicture.TOO_SLOW(seconds=SECONDS))
 
     def _end(self) -> None:
-        process, self._process = self._process, None
-        if process is None:
+        if (process := self._process) is None:
             return
         process.kill()
         process.wait()
@@ -171,3 +205,16 @@ class Renderer:
             if stream is not None:
                 with contextlib.suppress(OSError):  # unwritten bytes of a killed process's input
                     stream.close()
+        self._process = None
+
+
+def _problem_of(task: Task, problem: str) -> Picture:
+    name = sanitize_text(task.type_name, 255)
+    return Picture(type_name=name, messages=task.seen, size=task.size, problem=sanitize_text(problem))
+
+
+def _ended(process: subprocess.Popen[bytes]) -> _StoppedError:
+    """Return the error of a process that has closed its input or output."""
+    with contextlib.suppress(subprocess.TimeoutExpired):  # it is about to end, or hangs and is killed
+        process.wait(1.0)
+    return _StoppedError(NoPicture.ENDED(code=process.returncode))

@@ -78,7 +78,8 @@ class TfTree(View):
             for parent in frame.parents:
                 children.setdefault(parent, []).append(name)
         roots = [parent for parent in children if parent not in self._frames]
-        lines = [line for root in sorted(roots) for line in self._lines(root, children, 0, set())]
+        drawn: set[str] = set()
+        lines = [line for root in sorted(roots) for line in self._lines(root, children, 0, drawn)]
         shown = {line[0][0].strip() for line in lines}
         circles = sorted(self._frames.keys() - shown)  # frames that are below no root
         lines += [[(name, "error"), (f"  {TreeProblem.CIRCLE()}", "error")] for name in circles]
@@ -92,23 +93,25 @@ class TfTree(View):
         cells = lines_to_cells(matching[first : first + wish.height], wish.width, wish.height)
         return Drawn(cells, (f"{len(self._frames) + len(roots)} frames",), problem)
 
-    def _lines(self, name: str, children: dict[str, list[str]], depth: int, above: set[str]) -> Iterator[Line]:
-        """Yield the lines of a frame and of the frames below it."""
+    def _lines(self, name: str, children: dict[str, list[str]], depth: int, drawn: set[str]) -> Iterator[Line]:
+        """Yield the lines of a frame and of the frames below it, which are drawn below one of their parents only."""
         yield [(f"{'  ' * depth}{name}", ""), *self._state(name)]
-        if depth < _DEPTH and name not in above:
+        if depth < _DEPTH and name not in drawn:
+            drawn.add(name)
             for child in sorted(children.get(name, ())):
-                yield from self._lines(child, children, depth + 1, above | {name})
+                yield from self._lines(child, children, depth + 1, drawn)
 
     def _state(self, name: str) -> Line:
+        now = max(self.now, self._newest)
         frame = self._frames.get(name)
         if frame is None:
             return []
-        alive = [parent for parent, time in frame.parents.items() if frame.is_static or self._newest - time < _OLD]
+        alive = [parent for parent, time in frame.parents.items() if frame.is_static or now - time < _OLD]
         if len(alive) > 1:
             return [(f"  {TreeProblem.TWO_PARENTS(parents=', '.join(alive))}", "error")]
         if frame.is_static:
             return [("  static", "dim")]
-        age = self._newest - frame.times[-1]
+        age = now - frame.times[-1]
         span = frame.times[-1] - frame.times[0]
         rate = f"  {(len(frame.times) - 1) / span:.3g} Hz" if span > 0 else ""
         return [(rate, "dim"), (f"  {age:.1f} s old", "warning" if age > _OLD else "dim")]

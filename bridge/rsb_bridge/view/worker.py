@@ -10,6 +10,7 @@ from __future__ import annotations
 import importlib
 import os
 import resource
+import signal
 import sys
 from typing import TYPE_CHECKING, BinaryIO
 
@@ -36,6 +37,8 @@ TYPES_AT_MOST = 64
 _ELEMENTS, _STEPS = 100_000, 500_000
 """Messages in an array, and values, that are read from one message at most."""
 _NICE = 10
+_SECONDS = 60
+"""Longest time for one picture: the process ends, even if the process that started it is gone."""
 _LENGTH_BYTES = 4
 
 _PLOTTED = {
@@ -114,6 +117,7 @@ class Task(msgspec.Struct, frozen=True, array_like=True):
         seen: messages that the view's topics had so far, including the ones left out.
         size: bytes of the newest message.
         descriptions: texts that describe the types (`rsb_bridge.cdr.description`), with their names and hashes.
+        now: ns since the epoch, on the clock of the samples' stamps, or 0.
         ended: whether the view is over: forget it, and answer nothing.
     """
 
@@ -124,6 +128,7 @@ class Task(msgspec.Struct, frozen=True, array_like=True):
     seen: int = 0
     size: int = 0
     descriptions: tuple[tuple[str, str, str], ...] = ()
+    now: int = 0
     ended: bool = False
 
 
@@ -182,7 +187,9 @@ class Artist:
             except UndrawableError as error:
                 problem = str(error)
         try:
-            drawn = self._view(task).draw(task.wish)
+            view = self._view(task)
+            view.now = task.now / 1e9
+            drawn = view.draw(task.wish)
         except UndrawableError:
             if problem:  # why nothing could be taken says more than that nothing is there
                 raise UndrawableError(problem) from None
@@ -264,7 +271,10 @@ def main() -> None:
     _limit_memory()
     artist, tasks = Artist(), msgspec.msgpack.Decoder(Task)
     while (body := read_frame(sys.stdin.buffer)) is not None:
-        if (picture := artist.do(tasks.decode(body))) is not None:
+        signal.alarm(_SECONDS)
+        picture = artist.do(tasks.decode(body))
+        signal.alarm(0)
+        if picture is not None:
             sys.stdout.buffer.write(frame(picture))
             sys.stdout.buffer.flush()
 

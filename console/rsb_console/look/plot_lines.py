@@ -66,9 +66,8 @@ def number(value: float) -> str:
 
 def _range(series: Series) -> tuple[float, float]:
     """Return the lowest and the highest value, some way apart."""
-    lows = [value for curve in series.curves for value in curve.lows if value is not None]
-    highs = [value for curve in series.curves for value in curve.highs if value is not None]
-    low, high = min(lows, default=0.0), max(highs, default=1.0)
+    values = [value for curve in series.curves for value in (*curve.lows, *curve.highs) if value is not None]
+    low, high = min(values, default=0.0), max(values, default=1.0)
     if high - low < 1e-9 * max(1.0, abs(high)):
         margin = max(abs(high) * 0.1, 1e-3)
         return low - margin, high + margin
@@ -112,7 +111,7 @@ def _ticks(low: float, high: float, most: int) -> list[float]:
 
 def _time_axis(series: Series, across: int) -> list[Parts]:
     """Return the line of the time axis, and its labels in seconds before the newest message."""
-    columns = max((len(curve.lows) for curve in series.curves), default=1)
+    columns = max((len(curve.lows) for curve in series.curves), default=0) or 1
     seconds = series.step * columns
     line, labels = ["─"] * across, [" "] * across
     for tick in _ticks(-seconds, 0.0, max(1, across // _TICK_COLUMNS)):

@@ -1,0 +1,71 @@
+"""The process that draws gives each view its own pictures, whatever becomes of the others."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import signal
+from typing import TYPE_CHECKING
+
+import pytest
+from geometry_msgs.msg import Vector3
+from tests.support.waiting import eventually
+from tests.view.samples import task
+
+from rsb_bridge.model.pictures import Wish
+from rsb_bridge.view.renderer import Renderer
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from rsb_bridge.view.worker import Task
+
+
+@pytest.fixture
+def renderer() -> Iterator[Renderer]:
+    renderer = Renderer()
+    yield renderer
+    renderer.close()
+    eventually(lambda: renderer.pid is None)
+
+
+def tree(view: int, x: float = 0.0) -> Task:
+    """Return a view's task; the number of its messages is the view's."""
+    return task(Wish(how="tree"), *[Vector3(x=x)] * view, view=view)
+
+
+def test_a_view_never_gets_the_picture_of_one_that_ended_while_it_was_drawn(renderer: Renderer) -> None:
+    async def run() -> tuple[int, int]:
+        ended = asyncio.create_task(renderer.draw(tree(1)))
+        await asyncio.to_thread(eventually, lambda: renderer.pid)
+        ended.cancel()
+        await asyncio.wait([ended])
+        return (await renderer.draw(tree(2))).messages, (await renderer.draw(tree(3))).messages
+
+    assert asyncio.run(run()) == (2, 3)
+
+
+def test_a_hung_process_is_replaced(renderer: Renderer, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("rsb_bridge.view.renderer.SECONDS", 0.2)
+
+    async def run() -> tuple[str, str]:
+        await renderer.draw(tree(1))
+        assert renderer.pid is not None
+        os.kill(renderer.pid, signal.SIGSTOP)
+        return (await renderer.draw(tree(1))).problem, (await renderer.draw(tree(1))).problem
+
+    first, second = asyncio.run(run())
+    assert first
+    assert not second
+
+
+def test_a_closed_renderer_starts_no_process(renderer: Renderer) -> None:
+    async def run() -> str:
+        drawing = asyncio.create_task(renderer.draw(tree(1)))
+        await asyncio.to_thread(eventually, lambda: renderer.pid)
+        renderer.close()
+        await drawing
+        return (await renderer.draw(tree(1))).problem
+
+    assert asyncio.run(run())
+    eventually(lambda: renderer.pid is None)
