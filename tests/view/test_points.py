@@ -9,10 +9,11 @@ import numpy as np
 import pytest
 from sensor_msgs.msg import LaserScan, PointCloud2, PointField
 from tests.support.wording import has_text
-from tests.view.samples import drawn
+from tests.view.samples import drawn, task
 
 from rsb_bridge.model.pictures import Cells, Picture, Wish
 from rsb_bridge.view.points import PointsProblem
+from rsb_bridge.view.worker import Artist
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -92,3 +93,14 @@ def test_rows_with_padding() -> None:
     message = cloud([(0, 0, 0)])
     message.width, message.height, message.row_step, message.data = 1, 2, 16, list(rows)
     assert len(marked(drawn(WISH, message))) == 2
+
+
+def test_the_age_is_of_the_points_that_are_drawn() -> None:
+    artist = Artist()
+    good, bad = task(WISH, cloud([(1.0, 0.0, 0.0)]), at=1000.0), task(WISH, cloud([], "xy"), at=1001.0)
+    first, second = artist.do(good), artist.do(bad)
+    assert first is not None
+    assert second is not None
+    assert has_text(second.problem, PointsProblem.NO_FIELD)
+    assert marked(second) == marked(first)
+    assert second.taken == first.taken == 1000 * 10**9

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
 MEMORY_LIMIT = 1 << 30
 """Bytes of address space that drawing may add to that of the started process."""
-VIEWS_AT_MOST = 16
+VIEWS_AT_MOST = 64
 """Views whose messages are remembered."""
 TYPES_AT_MOST = 64
 """Descriptions that are remembered."""
@@ -139,7 +139,7 @@ class Artist:
         self._types: dict[tuple[str, str], TypeDescription] = {}
         self._views: dict[int, tuple[str, View]] = {}
         self._newest: dict[int, tuple[int, int]] = {}
-        """When the newest message of each view came, and its own stamp, in ns since the epoch."""
+        """When the newest message that each view took came, and its own stamp, in ns since the epoch."""
 
     def do(self, task: Task) -> Picture | None:
         """Draw a picture, or return None if the task only ends a view."""
@@ -147,11 +147,10 @@ class Artist:
             self._views.pop(task.view, None)
             self._newest.pop(task.view, None)
             return None
-        if task.samples:
-            self._newest[task.view] = max(sample.stamp for sample in task.samples), 0
-        taken, _ = self._newest.get(task.view, (0, 0))
+        taken, stamp = self._newest.get(task.view, (0, 0))
         about = Picture(
             taken=taken,
+            stamp=stamp,
             messages=task.seen,
             size=task.size,
             type_name=sanitize_text(task.type_name, 255),
@@ -181,9 +180,10 @@ class Artist:
             if decoded.problem:
                 problem = Undrawable.NOT_READ(type_name=sample.type_name, problem=decoded.problem)
                 continue
-            self._newest[task.view] = about.taken, _stamp_of(decoded.message)
             try:
                 self._view(task).take(Received(sample.topic, sample.type_name, decoded.message, sample.stamp / 1e9))
+                taken, _ = self._newest.get(task.view, (0, 0))
+                self._newest[task.view] = max(taken, sample.stamp), _stamp_of(decoded.message)
             except UndrawableError as error:
                 problem = str(error)
         try:
@@ -194,10 +194,12 @@ class Artist:
             if problem:  # why nothing could be taken says more than that nothing is there
                 raise UndrawableError(problem) from None
             raise
+        taken, stamp = self._newest.get(task.view, (0, 0))
         return msgspec.structs.replace(
             about,
             content=drawn.content,
-            stamp=self._newest.get(task.view, (0, 0))[1],
+            taken=taken,
+            stamp=stamp,
             notes=tuple(sanitize_text(each, 255) for each in drawn.notes[:16]),
             problem=sanitize_text(problem or drawn.problem),
         )
@@ -219,13 +221,16 @@ class Artist:
         how = task.wish.how or task.type_name
         known = self._views.get(task.view)
         if known is not None and how == known[0]:
+            self._views[task.view] = self._views.pop(task.view)  # the one unused for longest is forgotten first
             return known[1]
         if task.wish.how and task.wish.how not in VIEWS:
             raise UndrawableError(Undrawable.UNKNOWN_HOW(how=how, known=", ".join(k for k in VIEWS if "/" not in k)))
         module, _, name = VIEWS.get(how, VIEWS["tree"]).partition(":")
         view: View = getattr(importlib.import_module(f"rsb_bridge.view.{module}"), name)()
         while len(self._views) >= VIEWS_AT_MOST:
-            del self._views[next(iter(self._views))]
+            oldest = next(iter(self._views))
+            del self._views[oldest]
+            self._newest.pop(oldest, None)
         self._views[task.view] = how, view
         return view
 

@@ -7,8 +7,10 @@ import secrets
 import shutil
 import sys
 import time
+from concurrent.futures import wait
 from typing import TYPE_CHECKING
 
+import msgspec
 from rich.color import ColorSystem
 from rich.console import Console
 from rich.style import Style
@@ -16,7 +18,7 @@ from rich.style import Style
 from rsb_bridge.api import EngineError
 from rsb_bridge.config.files import replace_file
 from rsb_bridge.model.pictures import MOST_COLUMNS, MOST_ROWS, Wish
-from rsb_bridge.model.text import escape_text
+from rsb_bridge.model.text import escape_text, single_cells
 from rsb_bridge.model.wording import Wording
 from rsb_console.command.formatting import json_line
 from rsb_console.command.shell import OK, print_line
@@ -36,6 +38,7 @@ if TYPE_CHECKING:
 _FAILURE = 1
 _ANSWERED_WITHIN = 60.0
 _TRIED_AGAIN_AFTER = 1.0
+_REDRAWN_AFTER = 1.0
 _SETTLE_SECONDS = 2.0
 _STYLES = {
     "dim": "bright_black", "strong": "bold", "axis": "bright_black", "ok": "green", "warning": "yellow",
@@ -94,7 +97,7 @@ def _one(engine: RemoteEngine, arguments: Namespace) -> int:
 
 def _first(engine: RemoteEngine, arguments: Namespace, wish: Wish, seconds: float) -> Viewed | None:
     """Return the first picture; of several topics the last one of some time, since they come one after another."""
-    viewer, newest = secrets.token_hex(8), None
+    viewer, newest, came = secrets.token_hex(8), None, 0.0
     deadline = time.monotonic() + seconds
     while (left := deadline - time.monotonic()) > 0:
         try:
@@ -106,8 +109,15 @@ def _first(engine: RemoteEngine, arguments: Namespace, wish: Wish, seconds: floa
         if newest is None:
             settles = _SETTLE_SECONDS if len(arguments.topics) > 1 else 0.0
             deadline = min(deadline, time.monotonic() + settles)
-        newest = viewed
-    return newest
+        newest, came = viewed, time.monotonic()
+    return None if newest is None else _aged(newest, came)
+
+
+def _aged(viewed: Viewed, came: float) -> Viewed:
+    """Return a picture that came at a time on the monotonic clock, with its age now."""
+    if viewed.age is None:
+        return viewed
+    return msgspec.structs.replace(viewed, age=viewed.age + time.monotonic() - came)
 
 
 def _print(viewed: Viewed, wish: Wish, arguments: Namespace) -> None:
@@ -142,17 +152,28 @@ def _many(engine: RemoteEngine, arguments: Namespace) -> int:
     sys.stdout.write(_ENTER)
     try:
         viewed: Viewed | None = None
+        came, asked = 0.0, None
         while True:
-            problem = ""
+            problem, lines = "", []
             wish = _wish(arguments)
+            if asked is None:
+                asked = engine.look(viewer, tuple(arguments.topics), wish, arguments.link)
+            wait((asked,), _REDRAWN_AFTER)  # without a new picture, the age of the last one goes on
             try:
-                newer = engine.look(viewer, tuple(arguments.topics), wish, arguments.link).result(_ANSWERED_WITHIN)
-                viewed = newer or viewed
+                if asked.done():
+                    answer, asked = asked, None
+                    if (newer := answer.result()) is not None:
+                        viewed, came = newer, time.monotonic()
             except EngineError as error:
                 problem = str(error)
-            lines = [] if viewed is None else [_encoded(console, row) for row in _rows(viewed, wish, arguments)]
-            status = problem or (LookText.NO_MESSAGE() if viewed is None else _status(viewed))
-            lines = [*lines[: wish.height], escape_text(status)[: wish.width]]
+            try:
+                if viewed is not None:
+                    lines = [_encoded(console, row) for row in _rows(viewed, wish, arguments)]
+            except EngineError as error:  # the picture is damaged
+                problem = problem or str(error)
+            shown = None if viewed is None else _aged(viewed, came)
+            status = problem or (LookText.NO_MESSAGE() if shown is None else _status(shown))
+            lines = [*lines[: wish.height], single_cells(escape_text(status))[: wish.width]]
             sys.stdout.write(_HOME + "".join(f"{line}{_CLEAR_LINE}\r\n" for line in lines[:-1]))
             sys.stdout.write(f"{lines[-1]}{_CLEAR_LINE}{_CLEAR_REST}")
             sys.stdout.flush()
