@@ -39,6 +39,7 @@ from rsb_bridge.ros.synthetic import synthetic_of
 from rsb_bridge.wire.messages import Look, LookAnswer
 
 if TYPE_CHECKING:
+    from rsb_bridge.context import Context
     from rsb_bridge.link.base_link import BaseLink
     from rsb_bridge.link.proposed_topics import ProposedTopics
     from rsb_bridge.link.route_table import RouteTable
@@ -148,7 +149,7 @@ class LinkViews(Extension):
         if source is None:
             raise LinkError(ViewRefused.NO_VIEW())
         view = TopicView(
-            context, context.renderer, context.renderer.next_view(), look.topics, wish, partial(_send, source)
+            context, context.renderer, context.renderer.next_view(), look.topics, wish, partial(_send, context, source)
         )
         await view.check()
         if self._link.ids.open_route(look.route) is not route:
@@ -301,8 +302,11 @@ class LinkViews(Extension):
         return [each for each in self._link.routes.values() if is_view_topic(each.local_topic)]
 
 
-async def _send(source: PictureSource, picture: Picture) -> None:
-    """Send a picture, on a thread that may wait for the link's queue."""
+async def _send(context: Context, source: PictureSource, picture: Picture) -> None:
+    """Send a picture, on a thread that may wait for the link's queue.
+
+    The link counts from now: the time before, in which the picture was drawn, is no sign that the link is full.
+    """
     encoded = encode_picture(picture)
     assert len(encoded) <= PICTURE_LIMIT
-    await asyncio.to_thread(source.send, encoded, picture.taken)
+    await asyncio.to_thread(source.send, encoded, context.wall_ns())

@@ -187,7 +187,7 @@ class PictureSource:
 
         Args:
             encoded: the picture.
-            stamp: ns since the epoch, when its newest message was received.
+            stamp: ns since the epoch, from which its way over the link counts.
         """
         if not self.closed:
             self._number += 1
