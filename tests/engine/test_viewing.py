@@ -6,6 +6,7 @@ import asyncio
 import os
 import signal
 import time
+from collections import Counter
 from functools import partial
 from typing import TYPE_CHECKING
 
@@ -35,6 +36,7 @@ if TYPE_CHECKING:
 
     from rsb_bridge.engine import Engine
     from rsb_bridge.model.pictures import Viewed
+    from rsb_bridge.ros.ros_interface import Endpoint
 
 WISH = Wish(width=60, height=30, rate=10.0, how="tree")
 
@@ -412,3 +414,30 @@ def test_a_message_that_is_too_large_is_reported(bridge: Bridge, pc: Domain, mon
         return "" if viewed is None else viewed.picture.problem
 
     assert has_text(eventually(problem, 30), ViewProblem.MESSAGE_TOO_LARGE)
+
+
+def test_publishers_are_not_looked_up_for_each_picture(
+    bridge: Bridge, pc: Domain, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    talker = Talker(pc, "/pose")
+    server, _ = bridge.both()
+    assert server._bridge is not None
+    ros, asked = server._bridge.context.ros, Counter[str]()
+    find = ros.publishers
+
+    def counted(topic: str) -> list[Endpoint]:
+        asked[topic] += 1
+        return find(topic)
+
+    topics = ("/pose", "/absent")
+    eventually(partial(ros.publishers, "/pose"), 30)
+    future = server.look("me", topics, WISH)
+    monkeypatch.setattr(ros, "publishers", counted)
+    pictures = 0
+    while pictures < 20:
+        talker()
+        time.sleep(0.02)
+        if future.done():
+            pictures += future.result() is not None
+            future = server.look("me", topics, WISH)
+    assert max(asked.values()) < pictures

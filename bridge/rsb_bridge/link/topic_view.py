@@ -153,6 +153,8 @@ class TopicView:
         self._news = asyncio.Event()
         self._has_news = False
         self._is_closed = False
+        self._absent: dict[str, float] = {}
+        """Layers that could not be subscribed to lately, and when."""
         self._seen_before = 0
         """Messages of feeds that are closed."""
         self._starts = 0
@@ -238,12 +240,18 @@ class TopicView:
         for topic, feed in [*self._feeds.items()]:
             if topic not in topics or (again and feed.viewable.qos.latched):
                 self._close_feed(topic)
+        self._absent = {
+            topic: at for topic, at in self._absent.items() if topic in topics and now - at < _RESOLVE_EVERY
+        }
         for topic in topics:
+            if topic in self._absent:
+                continue
             try:
                 await self._feed(topic)
             except LinkError:
                 if topic == topics[0]:
                     raise
+                self._absent[topic] = now
 
     def _close_feed(self, topic: str) -> None:
         feed = self._feeds.pop(topic)
