@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import warnings
 from importlib.util import find_spec
 from itertools import groupby
 from typing import TYPE_CHECKING, NamedTuple
@@ -77,12 +78,14 @@ def rgb_of(pixels: Pixels) -> bytes:
     from PIL import Image  # noqa: PLC0415 -- optional, and needed only for images
 
     try:
-        image = Image.open(io.BytesIO(pixels.data), formats=["WEBP"])
-        if image.size != (pixels.width, pixels.height):
-            raise UnreadableError("an image has another size than it says")
-        return image.convert("RGB").tobytes()
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", Image.DecompressionBombWarning)  # the size is checked before it is read
+            image = Image.open(io.BytesIO(pixels.data), formats=["WEBP"])
+        if image.size == (pixels.width, pixels.height):
+            return image.convert("RGB").tobytes()
     except (OSError, SyntaxError, ValueError, Image.DecompressionBombError) as error:
         raise UnreadableError(f"an image cannot be read: {error}") from None
+    raise UnreadableError("an image has another size than it says")
 
 
 def _half_blocks(pixels: Pixels) -> list[Row]:

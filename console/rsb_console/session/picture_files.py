@@ -2,19 +2,27 @@
 
 from __future__ import annotations
 
+import csv
+import io
 import struct
 import zlib
 from html import escape
 from typing import TYPE_CHECKING
 
 from rsb_bridge.model.pictures import Cells, Pixels, Series
-from rsb_console.look.picture_rows import rgb_of
+from rsb_console.look.picture_rows import picture_rows, rgb_of
+from rsb_console.session.history_report import cell
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
 _CELL_WIDTH, _CELL_HEIGHT = 9, 18
 _RGB, _DEPTH = 2, 8
+_COLOURS = {
+    "dim": "#808080", "strong": "#ffffff", "axis": "#808080", "ok": "#50c850", "warning": "#e0c040", "error": "#ff6060",
+    "robot": "#60ffff", "path": "#40b0c0", "scan": "#d070d0", "free": "#606060", "goal": "#ffff60",
+}  # fmt: skip
+"""The styles of pictures in SVG."""
 
 
 def picture_file(content: Cells | Pixels | Series, suffix: str) -> bytes:
@@ -47,35 +55,38 @@ def _png(pixels: Pixels) -> bytes:
 
 def _svg(cells: Cells) -> bytes:
     """Return characters as SVG."""
+    rows = picture_rows(cells, 0, 0)
     width = max(map(len, cells.rows), default=1) * _CELL_WIDTH
-    height = len(cells.rows) * _CELL_HEIGHT
-    lines, at = [], 0
-    for row, text in enumerate(cells.rows):
-        spans = []
-        for character in text:
-            style = cells.palette[cells.styles[at]] if cells.styles else ""
-            at += 1
-            colour = style if style.startswith("#") else "#d0d0d0"
-            spans.append((character, colour))
-        shown = "".join(f'<tspan fill="{colour}">{escape(character)}</tspan>' for character, colour in spans)
-        lines.append(f'<text x="0" y="{(row + 1) * _CELL_HEIGHT - 4}" xml:space="preserve">{shown}</text>')
+    lines = []
+    for number, row in enumerate(rows, 1):
+        shown = "".join(f'<tspan fill="{_colour(part.style)}">{_escaped(part.text)}</tspan>' for part in row)
+        lines.append(f'<text x="0" y="{number * _CELL_HEIGHT - 4}" xml:space="preserve">{shown}</text>')
     return (
-        f'<svg xmlns="http://www.w3.org/2000/svg" width="{width}" height="{height}" font-family="monospace" '
-        f'font-size="15"><rect width="100%" height="100%" fill="#101010"/>{"".join(lines)}</svg>\n'
+        f'<svg xmlns="http://www.w3.org/2000/svg" width="{width}" height="{len(rows) * _CELL_HEIGHT}" '
+        'font-family="monospace" font-size="15">'
+        f'<rect width="100%" height="100%" fill="#101010"/>{"".join(lines)}</svg>\n'
     ).encode()
+
+
+def _colour(style: str) -> str:
+    return style if style.startswith("#") else _COLOURS.get(style, "#d0d0d0")
+
+
+def _escaped(text: str) -> str:
+    """Return text for XML, which has no U+FFFE and U+FFFF."""
+    return escape(text.translate({0xFFFE: 0xFFFD, 0xFFFF: 0xFFFD}))
 
 
 def _csv(series: Series) -> bytes:
     """Return numbers over time as CSV: the lowest and the highest value of each column of the plot."""
-    head = ["time"] + [f"{curve.name}.{which}" for curve in series.curves for which in ("low", "high")]
-    lines = [",".join(f'"{each}"' for each in head)]
-    columns = max((len(curve.lows) for curve in series.curves), default=0)
-    for column in range(columns):
-        values = [value for curve in series.curves for value in (curve.lows[column], curve.highs[column])]
-        texts = ["" if value is None else repr(value) for value in values]
-        if any(texts):
-            lines.append(",".join([f"{series.start + column * series.step:.6f}", *texts]))
-    return ("\n".join(lines) + "\n").encode()
+    made = io.StringIO()
+    table = csv.writer(made, lineterminator="\n")
+    table.writerow(["time", *(cell(f"{curve.name}.{which}") for curve in series.curves for which in ("low", "high"))])
+    columns = zip(*(each for curve in series.curves for each in (curve.lows, curve.highs)), strict=True)
+    for number, values in enumerate(columns):
+        if any(value is not None for value in values):
+            table.writerow([f"{series.start + number * series.step:.6f}", *values])
+    return made.getvalue().encode()
 
 
 def _text(cells: Cells) -> bytes:
