@@ -4,7 +4,7 @@ from setuptools import setup
 
 setup(
     name="rsb_console",
-    version="0.1.0",
+    version="1.0.0",
     packages=[],
     py_modules=[],
     data_files=[
