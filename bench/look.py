@@ -57,7 +57,7 @@ def main() -> None:
 
 
 def report(rounds: int) -> None:
-    """Print everything; with Fast DDS's defaults, a subscriber of a camera delays the small topic by 0.5 s by itself."""
+    """Print everything. By itself, a camera delays small topics by 0.5 s with the defaults of Fast DDS."""
     for variable in ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE"):
         os.environ.setdefault(variable, str(bed.ROOT / "configs" / "fastdds-large-messages.xml"))
     with tempfile.TemporaryDirectory() as name:
