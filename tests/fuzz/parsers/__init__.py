@@ -20,6 +20,7 @@ FAMILIES = (
     "control_socket",
     "operators",
     "announcements",
+    "pictures",
     "bluetooth",
 )
 
