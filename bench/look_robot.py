@@ -1,6 +1,8 @@
 """The robot of `bench.look`: publishes in one domain, listens in the other, and obeys lines on its standard input.
 
-A line names what to publish, or ``none``. ``steady`` prints the figures of the steady topic since the last time.
+``publish steady camera`` publishes these topics, and no others. ``figures`` prints the figures of the steady topic
+since the last time. With an argument it is another node on the robot's computer: ``subscribe`` takes the camera's
+images and drops them, ``listen`` takes the steady topic and prints its figures.
 """
 
 from __future__ import annotations
@@ -40,35 +42,49 @@ class Robot:
         }
         self._steady = near.create_publisher(String, "/steady", 10)
         self._sent = 0
-        self._latencies: list[float] = []
-        self._chosen = "none"
+        self._chosen = ["steady"]
+        self.listener = Listener(far)
         near.create_timer(1 / RATE, self._tick)
         near.create_timer(1 / _PICTURE_RATE, self._picture)
-        far.create_subscription(String, "/steady", self._heard, 10)
 
     def _tick(self) -> None:
+        if "steady" not in self._chosen:
+            return
         self._steady.publish(String(data=f"{time.time():.6f} ".ljust(SIZE, "x")))
         self._sent += 1
 
     def _picture(self) -> None:
-        if self._chosen in self._publishers:
-            self._publishers[self._chosen].publish(self._messages[self._chosen])
+        for name in self._chosen:
+            if name in self._publishers:
+                self._publishers[name].publish(self._messages[name])
+
+    def obey(self, line: str) -> None:
+        """Publish something else, or print the figures of the steady topic."""
+        if line.startswith("publish"):
+            self._chosen = line.split()[1:]
+            return
+        self.listener.report(self._sent)
+        self._sent = 0
+
+
+class Listener:
+    """Hears the steady topic."""
+
+    def __init__(self, node: Any) -> None:
+        self._latencies: list[float] = []
+        node.create_subscription(String, "/steady", self._heard, 10)
 
     def _heard(self, message: String) -> None:
         self._latencies.append(time.time() - float(message.data.partition(" ")[0]))
 
-    def obey(self, line: str) -> None:
-        """Publish something else, or print the figures of the steady topic."""
-        if line != "steady":
-            self._chosen = line
-            return
+    def report(self, sent: int = 0) -> None:
+        """Print the figures since the last time."""
         ordered = sorted(self._latencies) or [0.0]
         answer = {
-            "received": len(self._latencies) / max(1, self._sent),
+            "received": len(self._latencies) / max(1, sent),
             "p50": ordered[len(ordered) // 2] * 1e3,
             "p99": ordered[min(len(ordered) - 1, len(ordered) * 99 // 100)] * 1e3,
         }
-        self._sent = 0
         self._latencies.clear()
         print(json.dumps(answer), flush=True)
 
@@ -105,22 +121,32 @@ def _messages() -> dict[str, Any]:
 
 
 def main() -> None:
-    """Publish until the standard input ends."""
-    contexts = [rclpy.Context(), rclpy.Context()]
-    for context, domain in zip(contexts, (NEAR, FAR), strict=True):
-        rclpy.init(context=context, domain_id=domain)
-    near, far = (rclpy.create_node(f"look{at}", context=each) for at, each in enumerate(contexts))
-    robot = Robot(near, far)
+    """Publish and listen until the standard input ends."""
+    match sys.argv[1:]:
+        case ["subscribe"]:
+            near = _node("subscriber", NEAR)
+            near.create_subscription(Image, "/camera", lambda _: None, qos_profile_sensor_data, raw=True)
+            print("there", flush=True)
+            sys.stdin.read()
+        case ["listen"]:
+            listener = Listener(_node("listener", NEAR))
+            for _ in sys.stdin:
+                listener.report()
+        case _:
+            robot = Robot(_node("robot", NEAR), _node("far", FAR))
+            for line in sys.stdin:
+                robot.obey(line.strip())
 
-    def spin(node: Any, context: Any) -> None:
-        executor = SingleThreadedExecutor(context=context)
-        executor.add_node(node)
-        executor.spin()
 
-    for node, context in zip((near, far), contexts, strict=True):
-        threading.Thread(target=spin, args=(node, context), daemon=True).start()
-    for line in sys.stdin:
-        robot.obey(line.strip())
+def _node(name: str, domain: int) -> Any:
+    """Return a node in a domain, whose callbacks run on a thread of its own."""
+    context = rclpy.Context()
+    rclpy.init(context=context, domain_id=domain)
+    node = rclpy.create_node(f"look_{name}", context=context)
+    executor = SingleThreadedExecutor(context=context)
+    executor.add_node(node)
+    threading.Thread(target=executor.spin, daemon=True).start()
+    return node
 
 
 if __name__ == "__main__":
