@@ -135,3 +135,10 @@ def test_a_python_without_bluetooth_is_named(changes: dict[str, Any], monkeypatc
     monkeypatch.delattr(socket, "AF_BLUETOOTH")
     (problem,) = advise(session, None)
     assert says(problem.message, Advice.NO_BLUETOOTH)
+
+
+def test_another_middleware() -> None:
+    session = Session(name="robot1", role="server", server_ip="127.0.0.1", server_port=7060, domain_id=1)
+    assert list(advise(session, None, "rmw_fastrtps_cpp")) == list(advise(session, None))
+    (problem,) = set(map(str, advise(session, None, "rmw_zenoh_cpp"))) - set(map(str, advise(session, None)))
+    assert "rmw_zenoh_cpp" in problem

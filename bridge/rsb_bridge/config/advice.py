@@ -57,9 +57,16 @@ _MOVING_NAMES = (
 """Last parts of names."""
 
 
+_MIDDLEWARE = "rmw_fastrtps_cpp"
+
+
 class Advice(Wording):
     """Facts that an operator should know before a session runs."""
 
+    OTHER_MIDDLEWARE = (
+        "RMW_IMPLEMENTATION is {middleware}: only types that are installed here cross (docs/support.md); with {tested} "
+        "all do"
+    )
     NO_ENCRYPTION = "off: all data crosses unencrypted, and anyone may connect"
     NO_CHECKS = "off: a peer's malformed message can make a node here allocate gigabytes"
     LOW_PORT = "ports below {limit} need root, or CAP_NET_BIND_SERVICE"
@@ -86,13 +93,16 @@ class Advice(Wording):
     DEPTH_OF_LATCHED = "depth {depth}: the receiving side keeps {limit} messages for late joiners"
 
 
-def advise(session: Session, domain_variable: str | None) -> Iterator[Problem]:
+def advise(session: Session, domain_variable: str | None, middleware: str = "") -> Iterator[Problem]:
     """Everything in a valid session that its operator should know before it runs.
 
     Args:
         session: without mistakes.
         domain_variable: what ``$ROS_DOMAIN_ID`` says.
+        middleware: what ``$RMW_IMPLEMENTATION`` says.
     """
+    if middleware not in ("", _MIDDLEWARE):
+        yield Problem("domain_id", Advice.OTHER_MIDDLEWARE(middleware=middleware, tested=_MIDDLEWARE))
     if not session.use_encryption:
         yield Problem("use_encryption", Advice.NO_ENCRYPTION())
     if not session.check_messages:

@@ -267,7 +267,7 @@ def _warnings(session: Session, keys: Mapping[str, Key | KeyFileError]) -> Itera
         f"operator {each.name}": (key,) for each in session.operators if isinstance(key := keys.get(each.key_file), Key)
     }
     yield from key_warnings(valid | operators, time.time())
-    yield from map(str, advise(session, os.environ.get("ROS_DOMAIN_ID")))
+    yield from map(str, advise(session, os.environ.get("ROS_DOMAIN_ID"), os.environ.get("RMW_IMPLEMENTATION", "")))
     yield from map(str, uninstalled_types(session))
 
 
