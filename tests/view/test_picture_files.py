@@ -21,8 +21,6 @@ CELLS = Cells(("a<b", "&  "), bytes((0, 1, 1, 2, 2, 2)), ("", "robot", "#12ab34"
 SERIES = Series(
     100.0, 0.5, (Curve("x", (1.0, None, -2.5), (1.5, None, 3e20), 3.0), Curve("y[1]", (None,) * 3, (None,) * 3))
 )
-    100.0, 0.5, (Curve("x", (1.0, None, -2.5), (1.5, None, 3e20), 3.0), Curve("y[1]", (None,) * 3, (None,) * 3))
-)
 
 
 def spans(content: Cells) -> list[list[tuple[str, str]]]:
