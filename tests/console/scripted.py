@@ -28,6 +28,7 @@ from rsb_bridge.model.snapshot import (
 )
 
 if TYPE_CHECKING:
+    from rsb_bridge.model.pictures import Viewed
     from rsb_bridge.model.snapshot import PeekedMessage
 
 T = TypeVar("T")
@@ -243,6 +244,9 @@ class ScriptedEngine(EngineApi):
         self.reloads = Reloaded(("/scan (transmit): max_rate none → 5.0",))
         self.looking: Future[PeekedMessage | None] = Future()
         self.looking.cancel()  # nobody looks yet
+        self.viewed: list[Viewed] = []
+        self.viewing: Future[Viewed | None] = Future()
+        self.viewing.cancel()
 
     def start(self) -> None:
         self.running = True
@@ -299,6 +303,12 @@ class ScriptedEngine(EngineApi):
                     return self._done(self.peeked.pop(0), "peek", key, kept)
                 self.looking = Future()  # until a message comes
                 return self.looking
+            case commands.Look(_, topics, wish, link):
+                self.commands.append(("look", topics, wish, link))
+                self.viewing = Future()  # until a picture comes
+                if self.viewed:
+                    self.viewing.set_result(self.viewed.pop(0))
+                return self.viewing
             case commands.Template(key, lane):
                 if lane in self.templates:
                     return self._done(self.templates[lane], "template", key, lane)

@@ -21,7 +21,7 @@ from tests.console.driving import (
     until,
 )
 from tests.console.live import COMMAND, Pair, running, talker
-from tests.console.scripted import NOW, route
+from tests.console.scripted import NOW, ScriptedEngine, route
 from tests.console.tmux import Tmux
 from tests.support.control import Machine
 from tests.support.wording import says
@@ -54,7 +54,19 @@ from rsb_bridge.ros.native.rosidl_descriptions import installed_description
 from rsb_bridge.ros.native.typesupport import hash_of
 
 CHATTER = f"/console_{os.getpid()}/message"
-SCAN = route("/robot2/scan")
+TEXT = "std_msgs/msg/String"
+
+
+class TextEngine(ScriptedEngine):
+    """Its topics have a type that is shown as text, since it has no picture."""
+
+    def __init__(self, *session: Any) -> None:
+        super().__init__(*session)
+        self.now = replace(self.now, routes=tuple(replace(each, type_name=TEXT) for each in self.now.routes))
+
+
+def text_app(**options: Any) -> ConsoleApp:
+    return scripted_app(make_engine=TextEngine, **options)
 
 
 def peeked(message: Any, **changes: Any) -> PeekedMessage:
@@ -80,7 +92,7 @@ async def answered(pilot: Pilot[None], message: PeekedMessage | None) -> None:
 
 @pytest.mark.parametrize("keys", [["v"], ["enter", "enter"]])
 def test_a_topic_shows_its_latest_message_and_goes_on_with_what_comes(keys: list[str]) -> None:
-    app = scripted_app()
+    app = text_app()
 
     async def steps(pilot: Pilot[None]) -> None:
         await shown(pilot, "/robot2/scan")
@@ -108,7 +120,7 @@ def test_a_topic_shows_its_latest_message_and_goes_on_with_what_comes(keys: list
 
 
 def test_keys_do_something_while_a_message_is_read(monkeypatch: pytest.MonkeyPatch) -> None:
-    app = scripted_app()
+    app = text_app()
     began, may_go_on = threading.Event(), threading.Event()
 
     def slow(*arguments: Any, **limits: Any) -> ReadMessage:
@@ -133,7 +145,7 @@ def test_keys_do_something_while_a_message_is_read(monkeypatch: pytest.MonkeyPat
 
 
 def test_a_message_can_be_held() -> None:
-    app = scripted_app(readonly=True)
+    app = text_app(readonly=True)
 
     async def steps(pilot: Pilot[None]) -> None:
         await shown(pilot, "/robot2/scan")
@@ -152,11 +164,11 @@ def test_a_message_can_be_held() -> None:
 
 
 def test_why_no_message_comes_is_said() -> None:
-    app = scripted_app()
+    app = text_app()
 
     async def steps(pilot: Pilot[None]) -> None:
         await shown(pilot, "/robot2/scan")
-        put(app, route("/quiet", State.WAITING, reason="no publisher of /quiet in domain 4"))
+        put(app, route("/quiet", State.WAITING, type_name=TEXT, reason="no publisher of /quiet in domain 4"))
         await shown(pilot, "/quiet")
         await pilot.press("v")
         await shown(pilot, MessageText.WAITING)
@@ -166,7 +178,7 @@ def test_why_no_message_comes_is_said() -> None:
 
 
 def test_what_nobody_describes_is_shown_as_hex() -> None:
-    app = scripted_app()
+    app = text_app()
 
     async def steps(pilot: Pilot[None]) -> None:
         await shown(pilot, "/robot2/scan")
@@ -180,7 +192,7 @@ def test_what_nobody_describes_is_shown_as_hex() -> None:
 
 
 def test_nothing_in_a_message_is_obeyed_by_the_screen() -> None:
-    app = scripted_app()
+    app = text_app()
 
     async def steps(pilot: Pilot[None]) -> None:
         await shown(pilot, "/robot2/scan")
@@ -193,7 +205,7 @@ def test_nothing_in_a_message_is_obeyed_by_the_screen() -> None:
 
 
 def test_a_message_of_many_lines_shows_the_first() -> None:
-    app = scripted_app()
+    app = text_app()
 
     async def steps(pilot: Pilot[None]) -> None:
         await shown(pilot, "/robot2/scan")

@@ -20,7 +20,7 @@ from rsb_bridge.api import EngineError
 from rsb_bridge.model.benchmark import Outcome
 from rsb_bridge.model.commands import AnyCommand
 from rsb_bridge.model.history import HistoryReport
-from rsb_bridge.model.pictures import Viewed
+from rsb_bridge.model.pictures import PictureError, Viewed, check_picture
 from rsb_bridge.model.session import Session
 from rsb_bridge.model.snapshot import (
     Event,
@@ -83,6 +83,7 @@ class RequestProblem(Wording):
 
     TOO_LONG = "this command is too long: {length:,} bytes"
     UNEXPECTED_REPLY = "unexpected reply to this command"
+    INVALID_PICTURE = "the bridge sent no valid picture: {error}"
 
 
 class UnexpectedMessage(Wording):
@@ -359,6 +360,11 @@ def result_of(command: Command[R], reply: Reply) -> R:
     value = reply.reloaded or reply.history or reply.bench or reply.viewed or reply.value
     if not isinstance(value, get_origin(kind) if get_origin(kind) is tuple else kind):
         raise EngineError(RequestProblem.UNEXPECTED_REPLY())
+    if isinstance(value, Viewed):
+        try:
+            value = msgspec.structs.replace(value, picture=check_picture(value.picture))
+        except PictureError as error:
+            raise EngineError(RequestProblem.INVALID_PICTURE(error=error)) from None
     return cast("R", value)
 
 

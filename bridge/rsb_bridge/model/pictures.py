@@ -218,7 +218,7 @@ def decode_picture(encoded: bytes) -> Picture:
     """Return a picture of a side that is not trusted, safe for terminals.
 
     Raises:
-        PictureError: it is none, or its parts do not fit each other.
+        PictureError: the bytes are no picture, or its parts do not fit each other.
     """
     if len(encoded) > PICTURE_LIMIT:
         raise PictureError(f"a picture of {len(encoded):,} bytes; at most {PICTURE_LIMIT:,} are read")
@@ -226,6 +226,15 @@ def decode_picture(encoded: bytes) -> Picture:
         picture = _decoder.decode(encoded)
     except (msgspec.MsgspecError, ValueError) as error:
         raise PictureError(str(error)) from None
+    return check_picture(picture)
+
+
+def check_picture(picture: Picture) -> Picture:
+    """Return a decoded picture of a side that is not trusted, safe for terminals.
+
+    Raises:
+        PictureError: its parts do not fit each other.
+    """
     content = picture.content
     if isinstance(content, Pixels):
         if content.coding == "rgb" and len(content.data) != 3 * content.width * content.height:

@@ -13,6 +13,7 @@ from rich.segment import Segment
 from rich.style import Style
 from textual import work
 from textual.binding import Binding
+from textual.content import Content
 from textual.screen import ModalScreen
 from textual.strip import Strip
 from textual.widget import Widget
@@ -38,8 +39,6 @@ if TYPE_CHECKING:
     from rsb_console.screens.look_screen import Subject
 
 _TRIED_AGAIN_AFTER = 1.0
-_OLD_AFTER = 2.0
-"""s after which the age of a picture is a warning."""
 _RATES = (0.2, 0.5, 1.0, 2.0, 5.0, MOST_RATE)
 _ZOOM, _PAN, _TILT = 1.5, 0.1, 15.0
 _WAYS = ("", "plot", "tree")
@@ -159,7 +158,7 @@ class ViewScreen(ModalScreen[bool]):
 
     def compose(self) -> ComposeResult:
         self.pane = PicturePane()
-        self.pane.border_subtitle = _KEYS + (_MAP_KEYS if self._layers else "")
+        self.pane.border_subtitle = Content(_KEYS + (_MAP_KEYS if self._layers else ""))
         self._entitle()
         yield self.pane
 
@@ -230,7 +229,7 @@ class ViewScreen(ModalScreen[bool]):
     def _entitle(self) -> None:
         """Show what the picture is of, and how old it is."""
         topics = escape_text(", ".join(self._topics))
-        self.pane.border_title = f" {topics} · {self._status()} "
+        self.pane.border_title = Content(f" {topics} · {self._status()} ")  # a string would be markup
 
     def _status(self) -> str:
         if not self._goes_on.is_set():

@@ -1,0 +1,491 @@
+"""Pictures of a topic's messages in the console: their keys, their age, and what is wrong."""
+
+import asyncio
+import csv
+import re
+import time
+from collections.abc import Callable
+from concurrent.futures import Future
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+
+import msgspec
+import pytest
+from tests.console.driving import (
+    NARROW,
+    drive,
+    engine_of,
+    notified,
+    put,
+    scripted_app,
+    selected_topic,
+    shown,
+    text,
+    until,
+)
+from tests.console.scripted import SUGGESTION, ScriptedEngine, answered, route
+from tests.support.control import Machine
+from textual.pilot import Pilot
+
+from rsb_bridge.api import EngineError
+from rsb_bridge.control.protocol import RequestProblem
+from rsb_bridge.model.pictures import MOST_RATE, Cells, Curve, Picture, Pixels, Series, Viewed, Wish
+from rsb_console.app import ConsoleApp
+from rsb_console.look import formats
+from rsb_console.screens import view_screen
+from rsb_console.screens.message_screen import MessageScreen
+from rsb_console.screens.view_screen import PicturePane, ViewScreen, ViewText
+
+SCAN = "/robot2/scan"
+IMAGE = Pixels(2, 2, b"\xff\0\0\0\xff\0\0\0\xff\xff\xff\xff")
+CHARACTERS = Cells(("the picture",), bytes((1,) * 11), ("", "robot"))
+CURVES = Series(0.0, 0.5, (Curve("x", (1.0, 2.0), (1.0, 3.0), 3.0, 2.0),))
+
+
+def viewed(content: Any = CHARACTERS, *, age: float | None = 0.5, **about: Any) -> Viewed:
+    usual: dict[str, Any] = {"messages": 3, "type_name": "sensor_msgs/msg/LaserScan", "notes": ("360 points",)}
+    return Viewed(Picture(content, **(usual | about)), "robot1", age, 1234)
+
+
+def looks(engine: ScriptedEngine) -> list[tuple[Any, ...]]:
+    """Return the questions for pictures: topics, wish and link each."""
+    return [command[1:] for command in engine.commands if command[0] == "look"]
+
+
+async def comes(pilot: Pilot[None], answer: Viewed | Exception | None = None) -> Wish:
+    """Answer the screen's question once it asks, and return the wish of its next question."""
+    assert isinstance(pilot.app, ConsoleApp)
+    engine = engine_of(pilot.app)
+    await until(pilot, lambda: not engine.viewing.done(), "a question for a picture")
+    asked = engine.viewing
+    if isinstance(answer, Exception):
+        asked.set_exception(answer)
+    else:
+        asked.set_result(answer)
+    await until(pilot, lambda: engine.viewing is not asked, "the next question")
+    wish = looks(engine)[-1][1]
+    assert isinstance(wish, Wish)
+    return wish
+
+
+def looking(
+    size: tuple[int, int] = (120, 36), **options: Any
+) -> Callable[[Callable[[ConsoleApp, Pilot[None]], Any]], Callable[[], None]]:
+    """A test's steps run once the screen has asked for the first picture."""
+
+    def decorate(steps: Callable[[ConsoleApp, Pilot[None]], Any]) -> Callable[[], None]:
+        def test() -> None:
+            app = scripted_app(**options)
+
+            async def run(pilot: Pilot[None]) -> None:
+                await opened(pilot)
+                await steps(app, pilot)
+
+            drive(app, run, size)
+
+        return test
+
+    return decorate
+
+
+async def opened(pilot: Pilot[None]) -> None:
+    app = pilot.app
+    assert isinstance(app, ConsoleApp)
+    await shown(pilot, SCAN)
+    await until(pilot, lambda: selected_topic(app) == SCAN, "the topic under the cursor")
+    await pilot.press("v")
+    await until(pilot, lambda: looks(engine_of(app)), "a question for a picture")
+
+
+def screen_of(app: ConsoleApp) -> ViewScreen:
+    assert isinstance(app.screen, ViewScreen)
+    return app.screen
+
+
+def title(app: ConsoleApp) -> str:
+    pane_title = screen_of(app).pane._border_title
+    return "" if pane_title is None else pane_title.plain
+
+
+def colours(app: ConsoleApp) -> list[tuple[str, str]]:
+    """Return the colours of the first cells of the picture's first row, above and below."""
+    styles = (segment.style for segment in app.screen.query_one(PicturePane).render_line(0))
+    return [(style.color.name, style.bgcolor.name) for style in styles if style and style.color and style.bgcolor]
+
+
+# -- pictures
+
+
+@looking()
+async def test_a_picture_is_asked_for_and_shown(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    (topics, wish, link), *_ = looks(engine_of(app))
+    assert (topics, link) == ((SCAN,), "")
+    pane = screen_of(app).pane.scrollable_content_region.size
+    assert (wish.width, wish.height) == (pane.width, pane.height)
+    await shown(pilot, ViewText.WAITING)
+    await comes(pilot, viewed())
+    await shown(pilot, "the picture")
+    for part in (SCAN, "360 points", ViewText.SIDE(side="robot1"), ViewText.SIZE(size=formats.byte_count(1234))):
+        assert part in title(app)
+
+
+@looking()
+async def test_an_image_has_two_pixels_in_a_cell(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    await comes(pilot, viewed(IMAGE))
+    await shown(pilot, "▀▀")
+    assert colours(app)[:2] == [("#ff0000", "#0000ff"), ("#00ff00", "#ffffff")]
+
+
+@looking(theme="terminal")
+async def test_without_true_colour_an_image_is_ascii(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    await comes(pilot, viewed(Pixels(3, 2, bytes(9) + b"\xff" * 9)))
+    await until(pilot, lambda: screen_of(app).has_content, "the picture")
+    rows = [part.text for row in screen_of(app).pane._rows for part in row]
+    assert rows
+    assert "".join(rows).isascii() == bool(app.ansi_color)
+
+
+@looking()
+async def test_a_plot_fills_the_pane(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    wish = await comes(pilot, viewed(CURVES))
+    await until(pilot, lambda: screen_of(app).has_content, "the plot")
+    rows = screen_of(app).pane._rows
+    assert len(rows) == wish.height
+    assert max(sum(len(part.text) for part in row) for row in rows) == wish.width
+
+
+@looking()
+async def test_the_wish_follows_the_size_of_the_terminal(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    before = await comes(pilot, viewed())
+    await pilot.resize_terminal(70, 20)
+
+    async def is_smaller() -> Wish:
+        wish = before
+        while wish.width >= before.width:
+            wish = await comes(pilot, viewed())
+        return wish
+
+    after = await asyncio.wait_for(is_smaller(), 180)
+    assert after.width < 70
+    assert after.height < 20 < before.height
+
+
+@looking()
+async def test_the_screen_asks_again_after_an_answer_without_a_picture(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    for answer in (None, viewed(), None):
+        await comes(pilot, answer)
+    await shown(pilot, "the picture")  # the last one stays
+
+
+@looking()
+async def test_the_view_ends_with_the_screen(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    await comes(pilot, viewed())
+    await pilot.press("escape")
+    await until(pilot, engine_of(app).viewing.cancelled, "nobody asks any more")
+    assert app.screen is app.main
+
+
+# -- keys
+
+
+@pytest.mark.parametrize(
+    ("keys", "changes"),
+    [
+        (["plus"], {"zoom": 1.5}),
+        (["equals_sign"], {"zoom": 1.5}),
+        (["minus"], {"zoom": pytest.approx(1 / 1.5)}),
+        (["plus"] * 40, {"zoom": 200.0}),
+        (["minus"] * 40, {"zoom": 0.05}),
+        (["left"], {"x": -0.1}),
+        (["right", "right"], {"x": pytest.approx(0.2)}),
+        (["up"], {"y": 0.1}),
+        (["down"], {"y": -0.1}),
+        (["right_square_bracket"], {"tilt": 15.0}),
+        (["right_square_bracket"] * 9, {"tilt": 90.0}),
+        (["right_square_bracket", "left_square_bracket", "left_square_bracket"], {"tilt": 0.0}),
+        (["c"], {"colour": "intensity"}),
+        (["c", "c"], {"colour": "height"}),
+        (["h"], {"how": "plot"}),
+        (["h", "h"], {"how": "tree"}),
+        (["h", "h", "h"], {"how": ""}),
+        (["greater_than_sign"], {"rate": 5.0}),
+        (["greater_than_sign"] * 9, {"rate": MOST_RATE}),
+        (["less_than_sign"], {"rate": 1.0}),
+        (["less_than_sign"] * 9, {"rate": 0.2}),
+        (["plus", "up", "left", "right_square_bracket", "0"], {"zoom": 1.0, "x": 0.0, "y": 0.0, "tilt": 0.0}),
+    ],
+    ids=lambda value: "-".join(value[:3]) if isinstance(value, list) else "",
+)
+def test_a_key_changes_the_wish(keys: list[str], changes: dict[str, Any]) -> None:
+    app = scripted_app()
+
+    async def steps(pilot: Pilot[None]) -> None:
+        await opened(pilot)
+        before = looks(engine_of(app))[-1][1]
+        await pilot.press(*keys)
+        after = await comes(pilot, viewed())
+        assert {name: getattr(after, name) for name in changes} == changes
+        others = {name: getattr(before, name) for name in changes}
+        assert msgspec.structs.replace(after, **others) == before
+
+    drive(app, steps)
+
+
+@looking()
+async def test_a_held_picture_stays(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    await comes(pilot, viewed())
+    await pilot.press("space")
+    await shown(pilot, ViewText.HELD)
+    engine = engine_of(app)
+    engine.viewing.set_result(viewed(Cells(("another one",))))
+    await until(pilot, lambda: "the picture" in text(app) and "another one" not in text(app), "the held picture")
+    asked = len(looks(engine))
+    await pilot.press("space")
+    await until(pilot, lambda: len(looks(engine)) > asked, "a question")
+    await comes(pilot, viewed(Cells(("another one",))))
+    await shown(pilot, "another one")
+    assert ViewText.HELD() not in title(app)
+
+
+@looking()
+async def test_text_and_back(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    await pilot.press("t")
+    await until(pilot, lambda: isinstance(app.screen, MessageScreen), "the messages as text")
+    await until(pilot, engine_of(app).viewing.cancelled, "no question for pictures")
+    await pilot.press("t")
+    await until(pilot, lambda: isinstance(app.screen, ViewScreen), "the pictures")
+    await comes(pilot, viewed())
+    await shown(pilot, "the picture")
+
+
+def test_topics_of_the_robot_can_be_laid_over_a_map() -> None:
+    app = scripted_app()
+
+    async def steps(pilot: Pilot[None]) -> None:
+        await shown(pilot, SCAN)
+        put(
+            app,
+            route("/map", type_name="nav_msgs/msg/OccupancyGrid"),
+            route("/scan"),
+            route("/text", type_name="std_msgs/msg/String"),
+        )
+        await until(pilot, lambda: selected_topic(app) == "/map", "the map under the cursor")
+        await pilot.press("v")
+        await until(pilot, lambda: looks(engine_of(app)), "a question for a picture")
+        assert looks(engine_of(app))[-1][0] == ("/map", "/scan")
+        await pilot.press("l")
+        await comes(pilot, viewed())
+        assert looks(engine_of(app))[-1][0] == ("/map",)
+        await pilot.press("l", "h")  # a plot is of one topic
+        await comes(pilot, viewed())
+        assert looks(engine_of(app))[-1][0] == ("/map",)
+
+    drive(app, steps)
+
+
+def test_a_topic_that_is_not_bridged_can_be_chosen() -> None:
+    app = scripted_app()
+
+    async def steps(pilot: Pilot[None]) -> None:
+        await shown(pilot, SCAN)
+        await pilot.press("V")
+        await shown(pilot, SUGGESTION.topic)
+        await pilot.press("enter")
+        await until(pilot, lambda: looks(engine_of(app)), "a question for a picture")
+        ((topics, _, _), *_) = looks(engine_of(app))
+        assert topics == (SUGGESTION.topic,)
+        await comes(pilot, viewed())
+        await shown(pilot, "the picture")
+
+    drive(app, steps)
+
+
+# -- files
+
+
+@pytest.mark.parametrize(("content", "suffix"), [(IMAGE, ".png"), (CHARACTERS, ".svg"), (CURVES, ".csv")])
+def test_a_picture_is_written_to_a_file(folder: Path, content: Any, suffix: str) -> None:
+    app = scripted_app()
+
+    async def steps(pilot: Pilot[None]) -> None:
+        await opened(pilot)
+        await pilot.press("p")
+        await notified(pilot, ViewText.NO_PICTURE)
+        await comes(pilot, viewed(content))
+        await until(pilot, lambda: screen_of(app).has_content, "the picture")
+        await pilot.press("p")
+        await notified(pilot, ViewText.WRITTEN)
+
+    drive(app, steps)
+    (file,) = folder.iterdir()
+    assert re.fullmatch(rf"robot2_scan-\d{{8}}-\d{{6}}\{suffix}", file.name)
+    if suffix == ".png":
+        assert file.read_bytes().startswith(b"\x89PNG")
+    elif suffix == ".svg":
+        assert "the picture" in "".join(ElementTree.parse(file).getroot().itertext())
+    else:
+        assert len([*csv.reader(file.read_text(encoding="utf-8").splitlines())]) == 3
+
+
+def test_a_file_that_cannot_be_written_is_reported(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    app = scripted_app()
+
+    def fails(*_: object) -> None:
+        raise OSError("no space")
+
+    async def steps(pilot: Pilot[None]) -> None:
+        await opened(pilot)
+        await comes(pilot, viewed())
+        await until(pilot, lambda: screen_of(app).has_content, "the picture")
+        monkeypatch.setattr(view_screen, "replace_file", fails)
+        await pilot.press("p")
+        await notified(pilot, ViewText.NOT_WRITTEN, error="no space")
+
+    drive(app, steps)
+    assert not [*folder.iterdir()]
+
+
+# -- ages
+
+
+def test_the_age_of_an_old_picture_grows(monkeypatch: pytest.MonkeyPatch) -> None:
+    app = scripted_app()
+    late = [0.0]
+    monkeypatch.setattr(view_screen, "time", _Clock(late))
+
+    async def steps(pilot: Pilot[None]) -> None:
+        await opened(pilot)
+        await comes(pilot, viewed(age=0.5))
+        await until(pilot, lambda: screen_of(app).has_content, "the picture")
+        late[0] = 3600.0
+        await shown(pilot, ViewText.OLD, age=formats.age(3600.0))
+        await comes(pilot, viewed(age=0.5))
+        late[0] = 0.0
+        await comes(pilot, viewed(age=None))
+        assert ViewText.OLD(age="") not in title(app)
+
+    drive(app, steps)
+
+
+class _Clock:
+    """The module `time`, with a monotonic clock that can be put forward."""
+
+    def __init__(self, late: list[float]) -> None:
+        self._late = late
+
+    def monotonic(self) -> float:
+        return time.monotonic() + self._late[0]
+
+
+# -- problems
+
+
+@looking()
+async def test_a_problem_instead_of_a_picture(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    await comes(pilot, viewed(None, problem="numpy is not installed there"))
+    await shown(pilot, "numpy is not installed there")
+    assert not screen_of(app).has_content
+    await comes(pilot, viewed())
+    await shown(pilot, "the picture")
+    assert "numpy" not in title(app)
+    await comes(pilot, viewed(None, problem="numpy is not installed there"))
+    await shown(pilot, "numpy is not installed there")
+    assert "the picture" in text(app), "the last picture stays beside the problem"
+
+
+def test_a_refusal_is_shown_and_asked_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(view_screen, "_TRIED_AGAIN_AFTER", 0.0)
+    app = scripted_app()
+
+    async def steps(pilot: Pilot[None]) -> None:
+        await opened(pilot)
+        for _ in range(2):
+            await comes(pilot, EngineError("no side publishes it \x1b[2J"))
+            await shown(pilot, "no side publishes it \\x1b[2J")
+        await comes(pilot, viewed())
+        await shown(pilot, "the picture")
+        assert "no side" not in title(app)
+
+    drive(app, steps)
+
+
+@pytest.mark.parametrize(
+    "wild",
+    [
+        "[/]",
+        "[red]x[/red]",
+        "[@click=app.quit]x[/]",
+        "[",
+        "]",
+        "[link='https://x']a",
+        "\\[b]",
+        '"\\',
+        "[$error]",
+        "{x}",
+    ],
+)
+def test_no_text_of_a_picture_is_markup(wild: str) -> None:
+    app = scripted_app()
+
+    async def steps(pilot: Pilot[None]) -> None:
+        await opened(pilot)
+        await comes(pilot, viewed(None, problem=f"{wild} first"))
+        await until(pilot, lambda: " first" in title(app), "the problem")
+        await comes(pilot, viewed(Cells((f"{wild} picture",)), notes=(f"{wild} note",), type_name=f"{wild} type"))
+        await until(pilot, lambda: " note" in title(app), "the notes")
+        escaped = wild.replace("\\", "\\\\").replace('"', '\\"')
+        assert f"{escaped} note" in title(app)
+        assert f"{escaped} type" in title(app)
+        assert f"{wild} picture" in text(app)
+        spans = screen_of(app).pane._border_title
+        assert spans is not None
+        assert not spans.spans
+
+    drive(app, steps)
+
+
+@looking()
+async def test_a_damaged_image_is_refused_in_words(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    before = title(app)
+    await comes(pilot, viewed(Pixels(8, 8, b"RIFF\0\0\0\0WEBPxxxx", "webp")))
+    await until(pilot, lambda: title(app) != before and screen_of(app)._problem, "the reason")
+    assert screen_of(app).pane._rows == []
+    await pilot.press("p")
+    await notified(pilot, ViewText.NOT_WRITTEN)
+    await comes(pilot, viewed())
+    await shown(pilot, "the picture")
+    assert not screen_of(app)._problem
+
+
+def _unfit() -> list[Picture]:
+    return [
+        Picture(Cells(("ab",), b"\5\5", ("",))),
+        Picture(Cells(("ab",), b"\0", ("",))),
+        Picture(Cells(("ab",), b"\0\0", ("blink",))),
+        Picture(Pixels(40, 40, b"abc")),
+        Picture(Series(0.0, 1.0, (Curve("x", (1.0,), ()), Curve("y")))),
+    ]
+
+
+@pytest.mark.parametrize("picture", _unfit(), ids=["style", "styles", "palette", "pixels", "curves"])
+def test_a_hostile_bridge_s_picture_is_refused(machine: Machine, picture: Picture) -> None:
+    """Whoever has the bridge's socket, or a robot of a fleet, may send anything."""
+
+    class Hostile(ScriptedEngine):
+        def _execute(self, command: Any, step: Any) -> Future[Any]:
+            return answered(Viewed(picture)) if type(command).__name__ == "Look" else super()._execute(command, step)
+
+    machine.serve(Hostile())
+    with pytest.raises(EngineError, match=RequestProblem.INVALID_PICTURE(error="")):
+        machine.attach().look("me", ("/scan",), Wish()).result(30)
+
+
+@looking(NARROW)
+async def test_a_picture_larger_than_the_pane_is_cut(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    await comes(pilot, viewed(Cells(("x" * 400,) * 150)))
+    await until(pilot, lambda: screen_of(app).has_content, "the picture")
+    await shown(pilot, "xxx")
+    assert all(len(line) == NARROW[0] for line in text(app).splitlines())
+    await comes(pilot, viewed(Pixels(400, 300, bytes(360_000))))
+    await shown(pilot, "▀▀")
