@@ -190,6 +190,33 @@ async def test_the_view_ends_with_the_screen(app: ConsoleApp, pilot: Pilot[None]
 
 
 @pytest.mark.parametrize(
+    ("type_name", "keys", "others"),
+    [
+        ("sensor_msgs/msg/Image", (), ("[] tilt", "l layers")),
+        ("sensor_msgs/msg/PointCloud2", ("[] tilt",), ("l layers",)),
+        ("nav_msgs/msg/OccupancyGrid", ("l layers",), ("[] tilt",)),
+    ],
+)
+def test_the_keys_of_a_picture_have_room_on_a_narrow_screen(
+    type_name: str, keys: tuple[str, ...], others: tuple[str, ...]
+) -> None:
+    app = scripted_app()
+
+    async def steps(pilot: Pilot[None]) -> None:
+        await shown(pilot, SCAN)
+        put(app, route("/first", type_name=type_name), route("/path", type_name="nav_msgs/msg/Path"))
+        await until(pilot, lambda: selected_topic(app) == "/first", "the topic under the cursor")
+        await pilot.press("v")
+        await until(pilot, lambda: looks(engine_of(app)), "a question for a picture")
+        await shown(pilot, "space hold")
+        assert all(key in text(app) for key in (*keys, "+- zoom"))
+        assert not any(key in text(app) for key in others)
+        assert keys or "p file" in text(app)
+
+    drive(app, steps, NARROW)
+
+
+@pytest.mark.parametrize(
     ("keys", "changes"),
     [
         (["plus"], {"zoom": 1.5}),

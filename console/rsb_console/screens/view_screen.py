@@ -47,8 +47,8 @@ _LOOKS = {
     "robot": "ok", "path": "key", "scan": "plot", "free": "dim", "goal": "stale",
 }  # fmt: skip
 """The theme's look of each style of a picture."""
-_MAP_KEYS = "· l layers "
-_KEYS = " esc back · t text · h how · +- zoom · arrows move · [] tilt · c colour · < > rate · space hold · p file "
+_KEYS = ("space hold", "t text", "h how", "+- zoom", "arrows", "<> rate", "p file")
+_MAP_KEYS, _POINT_KEYS = ("l layers",), ("[] tilt", "c colour")
 
 
 class ViewText(Wording):
@@ -69,6 +69,10 @@ class ViewText(Wording):
 def has_picture(type_name: str) -> bool:
     """Whether messages of a type have a picture other than their fields."""
     return type_name in VIEWS
+
+
+def _is_points(type_name: str) -> bool:
+    return VIEWS.get(type_name) == VIEWS["sensor_msgs/msg/PointCloud2"]
 
 
 class PicturePane(Widget, can_focus=True):
@@ -158,7 +162,8 @@ class ViewScreen(ModalScreen[bool]):
 
     def compose(self) -> ComposeResult:
         self.pane = PicturePane()
-        self.pane.border_subtitle = Content(_KEYS + (_MAP_KEYS if self._layers else ""))
+        special = (_MAP_KEYS if self._layers else ()) + (_POINT_KEYS if _is_points(self._subject.type_name) else ())
+        self.pane.border_subtitle = Content(f" {' · '.join(('esc', *special, *_KEYS))} ")
         self._entitle()
         yield self.pane
 
