@@ -78,7 +78,7 @@ class Renderer:
         if self._is_closed:
             return _problem_of(task, NoPicture.CLOSED())
         if self._thread is None:
-            self._thread = ThreadPoolExecutor(1, "rsb-draw")
+            self._thread = ThreadPoolExecutor(1, thread_name_prefix="rsb-draw")
         self._drawing += 1
         try:
             return await asyncio.get_running_loop().run_in_executor(self._thread, self._draw, task)
