@@ -66,7 +66,7 @@ MAP = (
     ("├────┤ 5 m", "aaaaaaaaaa"),
 )
 """Characters, and the first letters of their styles."""
-LOOKED_AT = {
+LOOKED_AT: dict[str, tuple[str, Cells | Pixels | Series, tuple[str, ...]]] = {
     "image": (
         "sensor_msgs/msg/Image",
         Pixels(48, 40, bytes(part for y in range(40) for x in range(48) for part in (5 * x, 6 * y, 255 - 5 * x))),
