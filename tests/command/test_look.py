@@ -1,22 +1,36 @@
-"""The command ``look`` shows the age of the picture in sight, whether new ones come or not."""
+"""The command ``look``: one picture or many, on a terminal, in files and for programs."""
 
 from __future__ import annotations
 
+import sys
 from argparse import Namespace
 from concurrent.futures import Future
 from typing import TYPE_CHECKING, Any, cast
+from xml.etree import ElementTree
 
 import pytest
-from tests.support.wording import has_text
+from rich.style import Style
+from tests.console.scripted import ScriptedEngine
+from tests.support.bridge import linked
+from tests.support.commands import Ran
+from tests.support.domain import LATCHED, text
+from tests.support.waiting import eventually
+from tests.support.wording import has_text, says
 
 from rsb_bridge.api import EngineError
-from rsb_bridge.model.pictures import Cells, Picture, Pixels, Viewed
+from rsb_bridge.engine.viewing import LookProblem
+from rsb_bridge.model.pictures import Cells, Curve, Picture, Pixels, Series, Viewed, Wish
 from rsb_console.command import look_command
 from rsb_console.command.look_command import LookText
 from rsb_console.look import formats
 
 if TYPE_CHECKING:
     from collections.abc import Callable
+    from pathlib import Path
+
+    from tests.support.bridge import Bridge
+    from tests.support.control import Machine
+    from tests.support.domain import Domain
 
     from rsb_bridge.control.remote_engine import RemoteEngine
 
@@ -90,3 +104,304 @@ def test_a_damaged_picture_does_not_end_the_command(drawn: Callable[..., list[st
 def test_before_the_first_message(drawn: Callable[..., list[str]]) -> None:
     (first,) = drawn(times=1)
     assert has_text(first, LookText.NO_MESSAGE)
+
+
+# -- one picture
+
+IMAGE = Pixels(2, 2, b"\xff\0\0\0\xff\0\0\0\xff\xff\xff\xff")
+CHARACTERS = Cells(("a row", "──▶"), bytes((1,) * 8), ("", "robot"))
+CURVES = Series(0.0, 0.5, (Curve("x", (1.0, 2.0), (1.0, 3.0), 3.0, 2.0),))
+
+
+@pytest.fixture
+def engine(machine: Machine, monkeypatch: pytest.MonkeyPatch) -> ScriptedEngine:
+    monkeypatch.setenv("XDG_RUNTIME_DIR", machine.environ["XDG_RUNTIME_DIR"])
+    made = ScriptedEngine()
+    machine.serve(made)
+    return made
+
+
+@pytest.fixture
+def ran(capsys: pytest.CaptureFixture[str]) -> Any:
+    return lambda *arguments: Ran(capsys, "look", *arguments)
+
+
+def viewed(content: Cells | Pixels | Series | None = CHARACTERS, problem: str = "", note: str = "a note") -> Viewed:
+    picture = Picture(content, 1, 2, 3, 4, "sensor_msgs/msg/LaserScan", (note,), problem)
+    return Viewed(picture, "robot1", 1.5, 1234)
+
+
+def looks(engine: ScriptedEngine) -> list[tuple[Any, ...]]:
+    """Return the questions for pictures: topics, wish and link each."""
+    return [command[1:] for command in engine.commands if command[0] == "look"]
+
+
+@pytest.mark.parametrize("options", [["--once"], []], ids=["once", "no terminal"])
+def test_it_prints_a_picture_and_how_old_it_is(ran: Any, engine: ScriptedEngine, options: list[str]) -> None:
+    engine.viewed = [viewed()]
+    done = ran("/scan", *options)
+    assert done.code == 0
+    assert done.err == ""
+    first, second, status = done.out.splitlines()
+    assert (first, second) == CHARACTERS.rows
+    assert says(status, LookText.AGE)
+    assert "a note" in status
+    assert "robot1" in status
+
+
+def test_it_waits_for_a_picture(ran: Any, engine: ScriptedEngine) -> None:
+    engine.viewed = [Viewed(Picture()), Viewed(Picture(messages=1)), viewed()]
+    assert ran("/scan", "--once").out.startswith("a row\n")
+    assert len(looks(engine)) == 3
+
+
+def test_a_picture_for_programs(ran: Any, engine: ScriptedEngine) -> None:
+    engine.viewed = [viewed(problem="a layer is missing")]
+    done = ran("/scan", "--once", "--json")
+    assert done.code == 0
+    found = done.json
+    assert 1.5 <= found.pop("age") < 60
+    assert found == {
+        "ok": True,
+        "side": "robot1",
+        "type": "sensor_msgs/msg/LaserScan",
+        "messages": 3,
+        "size": 4,
+        "encoded": 1234,
+        "notes": ["a note"],
+        "problem": "a layer is missing",
+        "rows": [*CHARACTERS.rows],
+    }
+
+
+@pytest.mark.parametrize(("content", "lines"), [(IMAGE, 1), (CURVES, 12)])
+def test_rows_for_programs(ran: Any, engine: ScriptedEngine, content: Pixels | Series, lines: int) -> None:
+    engine.viewed = [viewed(content)]
+    rows = ran("/scan", "--once", "--json", "--width", "40", "--height", "12").json["rows"]
+    assert len(rows) == lines
+    assert "\x1b" not in "".join(rows)
+
+
+def test_the_options_are_the_wish(ran: Any, engine: ScriptedEngine) -> None:
+    engine.viewed = [viewed()]
+    options = (
+        "--once --link robot1 --as plot --field a.b --field c[2] --seconds 60 --rate 0.5 --zoom 2 --tilt 30 "
+        "--colour intensity --frame odom --match arm --width 50 --height 20"
+    )
+    assert ran("/map", "/scan", *options.split()).code == 0
+    topics, wish, link = looks(engine)[0]
+    assert (topics, link) == (("/map", "/scan"), "robot1")
+    assert wish == Wish(
+        width=50, height=20, rate=0.5, how="plot", fields=("a.b", "c[2]"), zoom=2.0, tilt=30.0, frame="odom",
+        colour="intensity", seconds=60.0, match="arm", webp=wish.webp,
+    )  # fmt: skip
+
+
+def test_without_options_the_picture_fits_the_terminal(
+    ran: Any, engine: ScriptedEngine, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("COLUMNS", "70")
+    monkeypatch.setenv("LINES", "20")
+    engine.viewed = [viewed()]
+    assert ran("/scan", "--once").code == 0
+    ((_, wish, _),) = looks(engine)
+    assert wish == Wish(width=70, height=19, webp=wish.webp)
+
+
+@pytest.mark.parametrize(("columns", "lines"), [("1", "1"), ("5000", "5000")])
+def test_any_terminal_has_a_picture(
+    ran: Any, engine: ScriptedEngine, monkeypatch: pytest.MonkeyPatch, columns: str, lines: str
+) -> None:
+    monkeypatch.setenv("COLUMNS", columns)
+    monkeypatch.setenv("LINES", lines)
+    engine.viewed = [viewed()]
+    assert ran("/scan", "--once").code == 0
+
+
+def test_of_several_topics_it_prints_the_last_picture(
+    ran: Any, engine: ScriptedEngine, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(look_command, "_SETTLE_SECONDS", 1.0)
+    engine.viewed = [viewed(), Viewed(Picture()), viewed(Cells(("both",)))]
+    assert ran("/map", "/scan", "--once").out.startswith("both\n")
+
+
+# -- colours
+
+
+@pytest.fixture
+def terminal(monkeypatch: pytest.MonkeyPatch) -> Callable[..., None]:
+    """Make standard output a terminal with these variables."""
+
+    def make(**variables: str) -> None:
+        for name in ("NO_COLOR", "COLORTERM"):
+            monkeypatch.delenv(name, raising=False)
+        for name, value in variables.items():
+            monkeypatch.setenv(name, value)
+        monkeypatch.setattr(sys.stdout, "isatty", lambda: True)
+        Style.parse.cache_clear()  # a parsed style keeps the codes of the first terminal
+
+    return make
+
+
+@pytest.mark.parametrize(
+    ("variables", "sequence"),
+    [
+        ({"TERM": "xterm", "COLORTERM": "truecolor"}, "\x1b[38;2;255;0;0;48;2;0;0;255m▀"),
+        ({"TERM": "xterm-256color"}, "\x1b[38;5;196;48;5;21m▀"),
+        ({"TERM": "xterm"}, "\x1b[31;44m▀"),
+    ],
+)
+def test_a_terminal_gets_the_colours_that_it_has(
+    ran: Any, engine: ScriptedEngine, terminal: Callable[..., None], variables: dict[str, str], sequence: str
+) -> None:
+    terminal(**variables)
+    engine.viewed = [viewed(IMAGE)]
+    assert sequence in ran("/camera", "--once").out
+
+
+@pytest.mark.parametrize(
+    ("options", "variables"),
+    [(["--ascii"], {}), ([], {"NO_COLOR": "1"}), ([], {"NO_COLOR": ""}), ([], {"TERM": "dumb"})],
+)
+def test_without_colours_an_image_is_ascii(
+    ran: Any, engine: ScriptedEngine, terminal: Callable[..., None], options: list[str], variables: dict[str, str]
+) -> None:
+    terminal(**({"TERM": "xterm", "COLORTERM": "truecolor"} | variables))
+    engine.viewed = [viewed(IMAGE)]
+    row = ran("/camera", "--once", *options).out.splitlines()[0]
+    assert row.isascii()
+    assert len(row) == 2
+    assert "\x1b" not in row
+
+
+def test_styles_have_colours_on_a_terminal(ran: Any, engine: ScriptedEngine, terminal: Callable[..., None]) -> None:
+    terminal(TERM="xterm", COLORTERM="truecolor")
+    engine.viewed = [viewed(Cells(("abc",), bytes((0, 1, 2)), ("", "error", "#010203")))]
+    row = ran("/scan", "--once").out.splitlines()[0]
+    assert row == "a\x1b[1;31mb\x1b[0m\x1b[38;2;1;2;3mc\x1b[0m"
+
+
+# -- files
+
+
+@pytest.mark.parametrize(
+    ("content", "suffix"), [(IMAGE, ".png"), (CHARACTERS, ".svg"), (CHARACTERS, ".txt"), (CURVES, ".csv")]
+)
+@pytest.mark.parametrize("options", [[], ["--json"]], ids=["text", "json"])
+def test_a_picture_is_written_to_a_file(
+    ran: Any, engine: ScriptedEngine, tmp_path: Path, content: Any, suffix: str, options: list[str]
+) -> None:
+    engine.viewed = [viewed(content)]
+    file = tmp_path / f"picture{suffix}"
+    done = ran("/scan", "--output", str(file), *options)
+    assert done.code == 0
+    if options:
+        assert done.json == {"ok": True, "file": str(file)}
+    else:
+        assert says(done.out, LookText.WRITTEN, file=file)
+    if suffix == ".png":
+        image = pytest.importorskip("PIL.Image", reason="needs Pillow").open(file)
+        assert (image.size, image.convert("RGB").tobytes()) == ((2, 2), IMAGE.data)
+    elif suffix == ".svg":
+        root = ElementTree.parse(file).getroot()
+        assert "".join(root.itertext()).strip() == "".join(CHARACTERS.rows)
+    elif suffix == ".txt":
+        assert tuple(file.read_text(encoding="utf-8").splitlines()) == CHARACTERS.rows
+    else:
+        assert file.read_text(encoding="utf-8").splitlines()[1:] == ["0.000000,1.0,1.0", "0.500000,2.0,3.0"]
+
+
+@pytest.mark.parametrize("name", ["picture.jpg", "picture", "picture.PNG", ".png"])
+def test_a_file_of_another_kind_is_wrong_usage(ran: Any, engine: ScriptedEngine, tmp_path: Path, name: str) -> None:
+    done = ran("/scan", "--output", str(tmp_path / name))
+    assert done.code == 2
+    assert says(done.err, LookText.UNKNOWN_FORMAT, file=tmp_path / name)
+    assert not looks(engine)
+    assert not [*tmp_path.glob("**/picture*")]
+
+
+@pytest.mark.parametrize(
+    ("content", "name"), [(IMAGE, "a.csv"), (CURVES, "a.png"), (CHARACTERS, "a.csv"), (CHARACTERS, "missing/a.svg")]
+)
+def test_a_picture_that_cannot_be_written(
+    ran: Any, engine: ScriptedEngine, tmp_path: Path, content: Any, name: str
+) -> None:
+    engine.viewed = [viewed(content)]
+    done = ran("/scan", "--output", str(tmp_path / name))
+    assert done.code == 1
+    assert says(done.err, LookText.NOT_WRITTEN, file=tmp_path / name)
+    assert not [*tmp_path.glob("**/a.*")]
+
+
+# -- no picture
+
+
+def test_a_reason_instead_of_a_picture(ran: Any, engine: ScriptedEngine) -> None:
+    engine.viewed = [viewed(None, problem="numpy is missing there"), viewed(None, problem="numpy is missing there")]
+    done = ran("/scan", "--once")
+    assert done.code == 1
+    assert "numpy is missing there" in done.err
+    done = ran("/scan", "--once", "--json")
+    assert done.code == 1
+    assert done.json == {"ok": False, "error": "numpy is missing there"}
+
+
+def test_where_nothing_comes_it_gives_up(ran: Any, engine: ScriptedEngine) -> None:
+    done = ran("/scan", "--once", "--timeout", "0.3")
+    assert done.code == 1
+    assert says(done.err, LookText.NOTHING_CAME, topic="/scan", seconds=0.3)
+    eventually(engine.viewing.cancelled)
+
+
+def test_without_a_bridge(ran: Any, engine: ScriptedEngine) -> None:
+    assert engine.commands == []
+    assert ran("/scan", "--control", "/nonexistent", "--once").code == 3
+
+
+def test_a_damaged_image_is_refused(ran: Any, engine: ScriptedEngine, tmp_path: Path) -> None:
+    damaged = Pixels(2, 2, b"RIFFxxxxWEBP", "webp")
+    engine.viewed = [viewed(damaged), viewed(damaged)]
+    assert ran("/scan", "--once").code == 1
+    assert ran("/scan", "--output", str(tmp_path / "a.png")).code == 1
+
+
+def test_nothing_in_a_picture_reaches_the_terminal_as_a_command(
+    ran: Any, engine: ScriptedEngine, terminal: Callable[..., None]
+) -> None:
+    terminal(TERM="xterm", COLORTERM="truecolor")
+    engine.viewed = [viewed(Cells(("\x1b[2J\u202e\x9b31m",)), note='"[red]')]
+    printed = ran("/scan", "--once").out
+    assert all(character.isprintable() or character == "\n" for character in printed)
+    assert '\\"[red]' in printed
+
+
+# -- a bridge that runs
+
+
+def test_at_a_bridge_that_runs(
+    bridge: Bridge, robot: Domain, machine: Machine, monkeypatch: pytest.MonkeyPatch, ran: Any, tmp_path: Path
+) -> None:
+    monkeypatch.setenv("XDG_RUNTIME_DIR", machine.environ["XDG_RUNTIME_DIR"])
+    publisher = robot.publisher("/chat", qos=LATCHED)
+    publisher.publish(text("hello"))
+    server, client = bridge.both()
+    eventually(lambda: linked(client) and linked(server))
+    machine.serve(server)
+    found = eventually(lambda: _json(ran("/chat", "--once", "--json", "--timeout", "20")), 60)
+    assert found["type"] == "std_msgs/msg/String"
+    assert found["side"]
+    assert found["messages"] == 1
+    assert any("hello" in row for row in found["rows"])
+    assert ran("/chat", "--output", str(tmp_path / "chat.txt")).code == 0
+    assert "hello" in (tmp_path / "chat.txt").read_text(encoding="utf-8")
+    nowhere = ran("/nothing", "--once")
+    assert nowhere.code == 1
+    assert says(nowhere.err, LookProblem.NOWHERE, topic="/nothing")
+    assert ran("/chat", "--link", "nobody", "--once").code != 0
+    assert publisher.topic_name == "/chat"
+
+
+def _json(done: Ran) -> Any:
+    """Return the picture, or None before the sides know each other's topics."""
+    return done.json if done.code == 0 else None

@@ -22,7 +22,7 @@ from rsb_bridge.model.text import escape_text, single_cells
 from rsb_bridge.model.wording import Wording
 from rsb_console.command.formatting import json_line
 from rsb_console.command.shell import OK, print_line
-from rsb_console.command.target import UsageError, attached, failed, reported
+from rsb_console.command.target import UsageError, attached, done, failed, reported
 from rsb_console.look import formats
 from rsb_console.look.glyphs import to_ascii
 from rsb_console.look.picture_rows import UnreadableError, notes_line, picture_rows, reads_webp
@@ -91,8 +91,9 @@ def _one(engine: RemoteEngine, arguments: Namespace) -> int:
         replace_file(arguments.output, picture_file(viewed.picture.content, arguments.output.suffix))
     except (OSError, ValueError) as error:
         return failed(arguments, LookText.NOT_WRITTEN(file=arguments.output, error=error), _FAILURE)
-    print_line(LookText.WRITTEN(file=arguments.output))
-    return OK
+    if not arguments.json:
+        print_line(LookText.WRITTEN(file=arguments.output))
+    return done(arguments, file=str(arguments.output))
 
 
 def _first(engine: RemoteEngine, arguments: Namespace, wish: Wish, seconds: float) -> Viewed | None:
