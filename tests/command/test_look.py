@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import sys
 from argparse import Namespace
 from concurrent.futures import Future
@@ -99,6 +100,14 @@ def test_a_damaged_picture_does_not_end_the_command(drawn: Callable[..., list[st
     damaged = Viewed(Picture(Pixels(2, 2, b"RIFFxxxxWEBP", "webp")))
     _, second = drawn(damaged, PICTURE, times=2)
     assert "picture" in second
+
+
+def test_a_picture_for_a_larger_terminal_is_cut(drawn: Callable[..., list[str]]) -> None:
+    (screen,) = drawn(
+        Viewed(Picture(Cells(("x" * 400,) * 150, bytes(range(2)) * 30_000, ("", "ok"))), "robot1"), times=1
+    )
+    lines = [re.sub("\x1b[^a-zA-Z]*[a-zA-Z]", "", line) for line in screen.split("\r\n")]
+    assert lines[:-1] == ["x" * ARGUMENTS.width] * ARGUMENTS.height
 
 
 def test_before_the_first_message(drawn: Callable[..., list[str]]) -> None:

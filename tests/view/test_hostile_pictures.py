@@ -53,6 +53,13 @@ def test_each_character_takes_one_cell(row: str) -> None:
     assert cell_len(picture.content.rows[0]) == len(row) == len(picture.content.rows[0])
 
 
+def test_each_character_of_a_plot_takes_one_cell() -> None:
+    picture = decode_picture(encoded(Series(0.0, 1.0, (Curve("漢字" * 20, (1.0,), (1.0,), 1.0),))))
+    assert isinstance(picture.content, Series)
+    for row in picture_rows(picture.content, 40, 12):
+        assert sum(cell_len(part.text) for part in row) <= 40
+
+
 def test_usual_characters_stay() -> None:
     row = "├──┤ 5 m ▲▶◆·… ⣿⠁ ×3 Zürich Привет"
     picture = decode_picture(encoded(Cells((row,))))

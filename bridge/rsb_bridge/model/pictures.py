@@ -249,8 +249,12 @@ def check_picture(picture: Picture) -> Picture:
         rows = tuple(single_cells(sanitize_text(row)) for row in content.rows)
         content = msgspec.structs.replace(content, rows=rows)
         picture = msgspec.structs.replace(picture, content=content)
-    elif isinstance(content, Series) and len({len(each) for c in content.curves for each in (c.lows, c.highs)}) > 1:
-        raise PictureError("a plot's curves have different lengths")
+    elif isinstance(content, Series):
+        if len({len(each) for curve in content.curves for each in (curve.lows, curve.highs)}) > 1:
+            raise PictureError("a plot's curves have different lengths")
+        curves = tuple(msgspec.structs.replace(curve, name=single_cells(curve.name)) for curve in content.curves)
+        content = msgspec.structs.replace(content, curves=curves)
+        picture = msgspec.structs.replace(picture, content=content)
     return picture
 
 

@@ -169,7 +169,7 @@ def _many(engine: RemoteEngine, arguments: Namespace) -> int:
                 problem = str(error)
             try:
                 if viewed is not None:
-                    lines = [_encoded(console, row) for row in _rows(viewed, wish, arguments)]
+                    lines = [_encoded(console, _cut(row, wish.width)) for row in _rows(viewed, wish, arguments)]
             except EngineError as error:  # the picture is damaged
                 problem = problem or str(error)
             shown = None if viewed is None else _aged(viewed, came)
@@ -211,6 +211,15 @@ def _rows(viewed: Viewed, wish: Wish, arguments: Namespace) -> list[Row]:
         return picture_rows(content, wish.width, wish.height, colours=_console(arguments).color_system is not None)
     except UnreadableError as error:
         raise EngineError(str(error)) from None
+
+
+def _cut(row: Row, width: int) -> Row:
+    """Return a row without the cells beyond a width, which a terminal would wrap."""
+    parts, left = [], width
+    for part in row:
+        parts.append(part._replace(text=part.text[:left]))
+        left = max(0, left - len(part.text))
+    return tuple(parts)
 
 
 def _console(arguments: Namespace) -> Console:
