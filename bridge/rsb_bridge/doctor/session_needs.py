@@ -35,7 +35,8 @@ class NeedText(Wording):
     PORT_REMEDY = "ss -lntup 'sport = :{port}' shows the program"
     PORT_DENIED = "port {port} is refused: {reason}"
     NAME = "port {port} was not tried: {address} is a name, and to look it up could ask the network"
-    ADDRESS_MISSING = "this machine has no address {address}: correct server_ip, or use 0.0.0.0"
+    ADDRESS_MISSING = "this machine has no address {address}"
+    ADDRESS_REMEDY = "correct server_ip, or use 0.0.0.0"
     KEYS = "{files} have safe modes"
     NO_KEYS = "the session uses no key"
 
@@ -75,7 +76,8 @@ def _ports(session: Session, path: Path, environ: Mapping[str, str]) -> Iterator
                 tried.bind((address, port))
             except OSError as error:
                 if error.errno == errno.EADDRNOTAVAIL:
-                    yield finding(grade=Grade.ERROR, text=NeedText.ADDRESS_MISSING(address=address))
+                    text = NeedText.ADDRESS_MISSING(address=address)
+                    yield finding(grade=Grade.ERROR, text=text, remedy=NeedText.ADDRESS_REMEDY())
                     return
                 if error.errno != errno.EADDRINUSE:
                     reason = os.strerror(error.errno or 0)
