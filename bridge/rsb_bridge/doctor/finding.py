@@ -6,6 +6,7 @@ from enum import StrEnum
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from rsb_bridge.model.text import sanitize_text
+from rsb_bridge.model.wording import Wording
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Mapping
@@ -55,7 +56,7 @@ class Check(NamedTuple):
     Attributes:
         code: of its findings.
         subject: of its findings.
-        run: yields them; it may raise OSError.
+        run: yields them; it raises OSError if it cannot find out.
     """
 
     code: str
@@ -63,13 +64,24 @@ class Check(NamedTuple):
     run: Callable[[], Iterable[Finding]]
 
 
+class CheckText(Wording):
+    """Findings about a check itself."""
+
+    INTERNAL_ERROR = "internal error of this check: {error}"
+    INTERNAL_ERROR_REMEDY = "report it as an issue, with this output"
+
+
 def examine(checks: Iterable[Check]) -> Iterator[Finding]:
-    """Run checks. One that cannot find out is a finding, too."""
+    """Run checks. One that cannot find out or has a defect is a finding, too, and the others still run."""
     for check in checks:
         try:
             yield from check.run()
         except (OSError, ValueError) as error:
             yield Finding(check.code, Grade.UNKNOWN, check.subject, sanitize_text(str(error)))
+        except Exception as error:  # noqa: BLE001 -- the operator needs the other findings
+            problem = sanitize_text(f"{type(error).__name__}: {error}")
+            text, remedy = CheckText.INTERNAL_ERROR(error=problem), CheckText.INTERNAL_ERROR_REMEDY()
+            yield Finding(check.code, Grade.UNKNOWN, check.subject, text, remedy, {"internal_error": True})
 
 
 def worst(findings: Iterable[Finding]) -> Grade:
