@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.util
 import os
 import socket
 from typing import TYPE_CHECKING, Any
@@ -14,7 +15,7 @@ from tests.support.wording import says
 from rsb_bridge.config.keys import write_key
 from rsb_bridge.doctor import session_needs
 from rsb_bridge.doctor.finding import Finding, Grade, examine
-from rsb_bridge.model.session import Operator, Session, Topic
+from rsb_bridge.model.session import Operator, Session, Topic, ZenohSettings
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -31,7 +32,7 @@ def session(**changes: Any) -> Session:
 
 def found(code: str, of: Session, folder: Path, environ: Mapping[str, str] | None = None) -> list[Finding]:
     """The findings of one check."""
-    checks = session_needs.checks(of, folder / "session.yaml", environ or {"RSB_CONSOLE_ISOLATED": "1"})
+    checks = session_needs.checks(of, folder / "session.yaml", environ or {"RSB_CONSOLE_ISOLATED": "1"}, folder)
     return list(examine(check for check in checks if check.code == code))
 
 
@@ -101,6 +102,33 @@ def test_key_files_of_operators(tmp_path: Path) -> None:
     assert "anna.key" in of_operator.text
     unencrypted = session(use_encryption=False, key_file=None, operators=server.operators)
     assert [each.grade for each in found("keys", unencrypted, tmp_path)] == [Grade.ERROR]
+
+
+MAC = "00:11:22:33:44:55"
+
+
+@pytest.mark.parametrize("changes", [{"server_ip": MAC, "server_port": 3}, {"bluetooth_address": MAC}])
+def test_a_session_over_bluetooth_on_a_machine_without(
+    changes: dict[str, Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    of = session(**changes)
+    monkeypatch.setattr(socket, "AF_BLUETOOTH", 31, raising=False)
+    (no_adapter,) = found("session", of, tmp_path)
+    monkeypatch.delattr(socket, "AF_BLUETOOTH")
+    (no_sockets,) = found("session", of, tmp_path)
+    assert no_adapter.text != no_sockets.text
+    for finding in (no_adapter, no_sockets):
+        assert (finding.grade, finding.facts, bool(finding.remedy)) == (Grade.ERROR, {"lacks": "bluetooth"}, True)
+    monkeypatch.setattr(socket, "AF_BLUETOOTH", 31, raising=False)
+    (tmp_path / "sys/class/bluetooth/hci0").mkdir(parents=True)
+    assert not found("session", of, tmp_path)
+
+
+def test_a_session_over_zenoh_on_a_machine_without(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    of = session(server_ip="zenoh", server_port=7060, zenoh=ZenohSettings())
+    monkeypatch.setattr(importlib.util, "find_spec", lambda _: None)
+    (finding,) = found("session", of, tmp_path)
+    assert (finding.grade, finding.facts, bool(finding.remedy)) == (Grade.ERROR, {"lacks": "zenoh"}, True)
 
 
 def test_types_that_are_not_installed(tmp_path: Path) -> None:

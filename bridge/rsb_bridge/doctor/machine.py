@@ -357,13 +357,18 @@ def _disk(folder: Path) -> Iterator[Finding]:
         yield Finding("disk", Grade.OK, "disk", MachineText.DISK(free=megabytes, folder=folder), facts=facts)
 
 
+def bluetooth_adapters(root: Path = Path("/")) -> list[str]:
+    """Return the names of this machine's Bluetooth adapters: ``hci0``."""
+    folder = root / "sys/class/bluetooth"
+    return sorted(path.name for path in folder.iterdir() if ":" not in path.name) if folder.is_dir() else []
+
+
 def _bluetooth(root: Path) -> Iterator[Finding]:
     if not hasattr(socket, "AF_BLUETOOTH"):
         text, remedy = MachineText.NO_BLUETOOTH_SOCKETS(), MachineText.BLUETOOTH_REMEDY()
         yield Finding("bluetooth", Grade.NOTE, "Bluetooth", text, remedy, {"sockets": False})
         return
-    folder = root / "sys/class/bluetooth"
-    names = sorted(path.name for path in folder.iterdir() if ":" not in path.name) if folder.is_dir() else []
+    names = bluetooth_adapters(root)
     text = MachineText.ADAPTERS(names=", ".join(names)) if names else MachineText.NO_ADAPTER()
     yield Finding(
         "bluetooth", Grade.OK if names else Grade.NOTE, "Bluetooth", text, facts={"sockets": True, "adapters": names}

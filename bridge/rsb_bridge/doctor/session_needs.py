@@ -3,23 +3,25 @@
 from __future__ import annotations
 
 import errno
+import importlib.util
 import os
 import socket
 import time
 from functools import partial
 from ipaddress import ip_address
+from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rsb_bridge.config.advice import advise, uninstalled_types
+from rsb_bridge.config.advice import advise, missing_transports, uninstalled_types
 from rsb_bridge.config.keys import KeyFileError, key_warnings, session_keys
 from rsb_bridge.control.bridges import running_bridges
 from rsb_bridge.doctor.finding import Check, Finding, Grade
+from rsb_bridge.doctor.machine import MachineText, bluetooth_adapters
 from rsb_bridge.model import transports
 from rsb_bridge.model.wording import Wording
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
-    from pathlib import Path
 
     from rsb_bridge.config.keys import Key
     from rsb_bridge.control.bridges import RunningBridge
@@ -39,19 +41,25 @@ class NeedText(Wording):
     ADDRESS_REMEDY = "correct server_ip, or use 0.0.0.0"
     KEYS = "{files} have safe modes"
     NO_KEYS = "the session uses no key"
+    NO_BLUETOOTH_SOCKETS = "the session uses Bluetooth, and this Python has no Bluetooth sockets"
+    NO_ADAPTER = "the session uses Bluetooth, and this machine has no adapter"
+    ADAPTER_REMEDY = "plug one in, or load its driver: rfkill list, and sudo dmesg | grep -i bluetooth"
+    NO_ZENOH = "the session's link is over Zenoh, and the package eclipse-zenoh is not installed"
 
 
-def checks(session: Session, path: Path, environ: Mapping[str, str]) -> tuple[Check, ...]:
+def checks(session: Session, path: Path, environ: Mapping[str, str], root: Path = Path("/")) -> tuple[Check, ...]:
     """Return the checks of what a session needs.
 
     Args:
         session: without mistakes.
         path: of its file.
         environ: the environment.
+        root: in place of ``/`` for ``/sys``.
     """
     return (
         Check("ports", "ports", partial(_ports, session, path, environ)),
         Check("keys", "keys", partial(_keys, session, path)),
+        Check("session", "session", partial(_transports, session, root)),
         Check("session", "session", partial(_advice, session, environ)),
     )
 
@@ -130,8 +138,23 @@ def _keys(session: Session, path: Path) -> Iterator[Finding]:
         yield finding(grade=Grade.OK, text=NeedText.KEYS(files=", ".join(read)))
 
 
+def _transports(session: Session, root: Path) -> Iterator[Finding]:
+    """Find what this machine lacks: without it no link comes up, or no topic over Bluetooth opens."""
+    lacks = partial(Finding, "session", Grade.ERROR, "session")
+    if session.adapter is not None:
+        facts = {"lacks": "bluetooth"}
+        if not hasattr(socket, "AF_BLUETOOTH"):
+            yield lacks(NeedText.NO_BLUETOOTH_SOCKETS(), MachineText.BLUETOOTH_REMEDY(), facts)
+        elif not bluetooth_adapters(root):
+            yield lacks(NeedText.NO_ADAPTER(), NeedText.ADAPTER_REMEDY(), facts)
+    if session.zenoh is not None and importlib.util.find_spec("zenoh") is None:
+        yield lacks(NeedText.NO_ZENOH(), MachineText.EXTRAS_REMEDY(missing="zenoh"), {"lacks": "zenoh"})
+
+
 def _advice(session: Session, environ: Mapping[str, str]) -> Iterator[Finding]:
+    errors = set(missing_transports(session))  # findings of `_transports`
     for problem in advise(session, environ.get("ROS_DOMAIN_ID")):
-        yield Finding("session", Grade.WARNING, "session", str(problem))
+        if problem not in errors:
+            yield Finding("session", Grade.WARNING, "session", str(problem))
     for problem in uninstalled_types(session):
         yield Finding("types", Grade.NOTE, "types", str(problem))
