@@ -124,11 +124,15 @@ def test_a_session_over_bluetooth_on_a_machine_without(
     assert not found("session", of, tmp_path)
 
 
-def test_a_session_over_zenoh_on_a_machine_without(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    of = session(server_ip="zenoh", server_port=7060, zenoh=ZenohSettings())
+@pytest.mark.parametrize(("server_ip", "grade"), [("zenoh", Grade.ERROR), ("127.0.0.1", Grade.WARNING)])
+def test_a_session_with_zenoh_on_a_machine_without(
+    server_ip: str, grade: Grade, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Without Zenoh, a link over IP only is not seen in its fleet."""
+    of = session(server_ip=server_ip, zenoh=ZenohSettings())
     monkeypatch.setattr(importlib.util, "find_spec", lambda _: None)
     (finding,) = found("session", of, tmp_path)
-    assert (finding.grade, finding.facts, bool(finding.remedy)) == (Grade.ERROR, {"lacks": "zenoh"}, True)
+    assert (finding.grade, finding.facts, bool(finding.remedy)) == (grade, {"lacks": "zenoh"}, True)
 
 
 def test_types_that_are_not_installed(tmp_path: Path) -> None:

@@ -9,6 +9,7 @@ import subprocess
 import sys
 from functools import partial
 from pathlib import Path
+from shlex import quote
 from typing import TYPE_CHECKING
 
 from rsb_bridge.doctor.finding import Check, Finding, Grade
@@ -41,6 +42,10 @@ class RosText(Wording):
         "source the setup file of your ROS 2 (/opt/ros/jazzy/setup.bash), or on x86-64 Linux: "
         "pip install 'rsb-console[ros]'"
     )
+    NOT_SOURCED = "ROS 2 is installed, but not sourced in this shell ({setups})"
+    NOT_SOURCED_REMEDY = "source {setup}"
+    OTHER_PYTHON = "ROS 2 in {prefix} is for Python {theirs}, and rsb-console runs with Python {ours}"
+    OTHER_PYTHON_REMEDY = "install rsb-console with that Python: pipx install --force --python python{theirs} ."
     WORKS = "{ros}, {middleware}: types that are not installed cross, too"
     FAILED = "{ros} does not start: {problem}"
     FAILED_REMEDY = "try without the bridge: python3 -c 'import rclpy; rclpy.init()'"
@@ -64,7 +69,10 @@ class RosText(Wording):
 
 
 def checks(
-    environ: Mapping[str, str], self_test: Sequence[str] = _SELF_TEST, own_domain: int | None = None
+    environ: Mapping[str, str],
+    self_test: Sequence[str] = _SELF_TEST,
+    own_domain: int | None = None,
+    root: Path = Path("/"),
 ) -> tuple[Check, ...]:
     """Return the checks of ROS.
 
@@ -72,20 +80,22 @@ def checks(
         environ: the environment.
         self_test: command that prints what `rsb_bridge.ros.self_test.main` prints.
         own_domain: the session's `domain_id`, which counts more than ``$ROS_DOMAIN_ID``, or None.
+        root: in place of ``/`` for ``/opt/ros``.
     """
     return (
-        Check("ros", "ROS", partial(_ros, environ, self_test)),
+        Check("ros", "ROS", partial(_ros, environ, self_test, root)),
         Check("ros_domain", "ROS domain", partial(_environment, environ, own_domain)),
     )
 
 
-def _ros(environ: Mapping[str, str], self_test: Sequence[str]) -> Iterator[Finding]:
+def _ros(environ: Mapping[str, str], self_test: Sequence[str], root: Path) -> Iterator[Finding]:
+    spec = importlib.util.find_spec("rclpy")
+    unusable = _unusable(spec.origin if spec is not None else None, root)
+    if unusable is not None:
+        yield unusable
+        return
     facts = {"distribution": distribution(), "rclpy": rclpy_version()}
     finding = partial(Finding, "ros", subject="ROS", facts=facts)
-    if importlib.util.find_spec("rclpy") is None:
-        text = RosText.NOT_INSTALLED(executable=sys.executable)
-        yield finding(grade=Grade.ERROR, text=text, remedy=RosText.NOT_INSTALLED_REMEDY())
-        return
     try:
         check_middleware(environ)
     except RosError as error:
@@ -114,6 +124,43 @@ def _ros(environ: Mapping[str, str], self_test: Sequence[str]) -> Iterator[Findi
         yield finding(grade=Grade.OK, text=RosText.WORKS(ros=described(), middleware=result["middleware"]))
     for shortfall in result.get("shortfalls", ()):
         yield Finding("ros_limited", Grade.WARNING, "ROS", shortfall, RosText.LIMITED_REMEDY(), facts)
+
+
+def _unusable(origin: str | None, root: Path) -> Finding | None:
+    """Say why this Python cannot use ROS, or return None if it may.
+
+    Args:
+        origin: the file of the rclpy that this Python finds. A setup file sets ``PYTHONPATH``, so that any Python finds
+            it, and only its own can load it.
+        root: in place of ``/`` for ``/opt/ros``.
+    """
+    ours = f"{sys.version_info.major}.{sys.version_info.minor}"
+    found = [Path(origin).parent] if origin else sorted((root / "opt/ros").glob("*/lib/python3.*/site-packages/rclpy"))
+    others = {place: theirs for place in found if (theirs := _python_of(place)) not in {"", ours}}
+    finding = partial(Finding, "ros", Grade.ERROR, "ROS")
+    if found and len(others) == len(found):
+        place, theirs = next(iter(others.items()))
+        text = RosText.OTHER_PYTHON(prefix=place.parents[3], theirs=theirs, ours=ours)
+        facts = {"python": theirs, "prefix": str(place.parents[3])}
+        return finding(text, RosText.OTHER_PYTHON_REMEDY(theirs=theirs), facts)
+    if origin:
+        return None
+    setups = [
+        setup
+        for setup in sorted((root / "opt/ros").glob("*/setup.bash"))
+        if not any(place.is_relative_to(setup.parent) for place in others)
+    ]
+    if setups:
+        listed = [str(setup) for setup in setups]
+        text, remedy = RosText.NOT_SOURCED(setups=", ".join(listed)), RosText.NOT_SOURCED_REMEDY(setup=quote(listed[0]))
+        return finding(text, remedy, {"setups": listed})
+    return finding(RosText.NOT_INSTALLED(executable=sys.executable), RosText.NOT_INSTALLED_REMEDY())
+
+
+def _python_of(package: Path) -> str:
+    """Return the version of the Python whose ``lib/python3.12/site-packages`` a package is in, or an empty string."""
+    folder = package.parents[1].name
+    return folder.removeprefix("python") if folder.startswith("python3.") else ""
 
 
 def _environment(environ: Mapping[str, str], own_domain: int | None) -> Iterator[Finding]:

@@ -44,7 +44,7 @@ class NeedText(Wording):
     NO_BLUETOOTH_SOCKETS = "the session uses Bluetooth, and this Python has no Bluetooth sockets"
     NO_ADAPTER = "the session uses Bluetooth, and this machine has no adapter"
     ADAPTER_REMEDY = "plug one in, or load its driver: rfkill list, and sudo dmesg | grep -i bluetooth"
-    NO_ZENOH = "the session's link is over Zenoh, and the package eclipse-zenoh is not installed"
+    NO_ZENOH = "the session uses Zenoh, and the package eclipse-zenoh is not installed"
 
 
 def checks(session: Session, path: Path, environ: Mapping[str, str], root: Path = Path("/")) -> tuple[Check, ...]:
@@ -148,7 +148,8 @@ def _transports(session: Session, root: Path) -> Iterator[Finding]:
         elif not bluetooth_adapters(root):
             yield lacks(NeedText.NO_ADAPTER(), NeedText.ADAPTER_REMEDY(), facts)
     if session.zenoh is not None and importlib.util.find_spec("zenoh") is None:
-        yield lacks(NeedText.NO_ZENOH(), MachineText.EXTRAS_REMEDY(missing="zenoh"), {"lacks": "zenoh"})
+        missing = lacks(NeedText.NO_ZENOH(), MachineText.EXTRAS_REMEDY(missing="zenoh"), {"lacks": "zenoh"})
+        yield missing if session.is_zenoh else missing._replace(grade=Grade.WARNING)  # its fleet does not see it
 
 
 def _advice(session: Session, environ: Mapping[str, str]) -> Iterator[Finding]:
