@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import platform
 import select
 import sys
 import time
@@ -535,7 +534,7 @@ def _report(arguments: Namespace) -> int:
     report = _report_of(arguments, seconds)
     if arguments.json:
         print_line(
-            json_report(report, operator_machine={"host": platform.node(), **doctor.report(doctor.this_machine())})
+            json_report(report, operator_machine={"host": os.uname().nodename, **doctor.report(doctor.this_machine())})
         )
     elif arguments.csv:
         print_lines(csv_report(report).removesuffix("\r\n"))
@@ -543,7 +542,7 @@ def _report(arguments: Namespace) -> int:
         for line in text_report(report):
             print_line(line)
         print_line("")
-        print_line(RemoteProblem.OPERATOR_MACHINE(host=platform.node()))
+        print_line(RemoteProblem.OPERATOR_MACHINE(host=os.uname().nodename))
         for line in doctor.lines(doctor.this_machine(), _REPORT_WIDTH):
             print_line(line)
     return OK
