@@ -228,6 +228,14 @@ def test_the_bases_of_these_tests_are_right(text: str) -> None:
             TopicMistake.NOT_ABSOLUTE,
             {"name": "'scan'", "noun": "topic"},
         ),
+        (topic('remote_topic: ""'), 7, "topics[0].remote_topic", TopicMistake.NO_NAME, {"noun": "topic"}),
+        (
+            CLIENT + 'topics:\n  - {topic: "", direction: transmit}\n',
+            7,
+            "topics[0].topic",
+            TopicMistake.NO_NAME,
+            {"noun": "topic"},
+        ),
         (
             topic("remote_topic: ~/scan"),
             7,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.machinery
 import importlib.util
 import sys
 from typing import TYPE_CHECKING
@@ -55,21 +56,9 @@ def test_what_is_lost_is_listed() -> None:
     assert (finding.code, finding.grade, finding.text) == ("ros_limited", Grade.WARNING, "no calls")
 
 
-def test_ros_that_is_installed_and_not_sourced(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(importlib.util, "find_spec", lambda _: None)
-    folder = tmp_path / "opt/ros/jazzy"
-    (folder / "lib/python3.12/site-packages/rclpy").mkdir(parents=True)
-    (folder / "setup.bash").touch()
-    (finding,) = (each for each in examine(ros_setup.checks({}, root=tmp_path)) if each.code == "ros")
-    assert finding.grade == Grade.ERROR
-    assert str(folder / "setup.bash") in finding.remedy
-    assert "3.12" in finding.remedy
-
-
 def test_ros_without_numpy(monkeypatch: pytest.MonkeyPatch) -> None:
     found_spec = importlib.util.find_spec
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: None if name == "numpy" else found_spec(name))
-    assert [each.grade for each in found("ros_numpy")] == []
     (works, lacks) = found("ros")
     assert (works.grade, lacks.code, lacks.grade) == (Grade.OK, "ros_numpy", Grade.WARNING)
 
@@ -79,6 +68,49 @@ def test_without_ros(monkeypatch: pytest.MonkeyPatch) -> None:
     (finding,) = found("ros", program="raise SystemExit('not run')")
     assert finding.grade == Grade.ERROR
     assert "rsb-console[ros]" in finding.remedy
+
+
+def opt_ros(root: Path, distribution: str, python: str) -> Path:
+    """Make what an installation of ROS has of setup files and rclpy. Return the folder for ``PYTHONPATH``."""
+    prefix = root / "opt/ros" / distribution
+    rclpy = prefix / "lib" / f"python{python}" / "site-packages/rclpy"
+    rclpy.mkdir(parents=True)
+    (rclpy / "__init__.py").touch()
+    (prefix / "setup.bash").touch()
+    return rclpy.parent
+
+
+OURS = f"{sys.version_info.major}.{sys.version_info.minor}"
+
+
+def found_in(root: Path) -> Finding:
+    """The finding on ROS, with a root in place of ``/``."""
+    checks = ros_setup.checks({}, (sys.executable, "-c", "raise SystemExit('not run')"), root=root)
+    (finding,) = examine(check for check in checks if check.code == "ros")
+    return finding
+
+
+def test_ros_that_is_not_sourced(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(importlib.util, "find_spec", lambda _: None)
+    opt_ros(tmp_path, "another", "3.1")
+    assert (found_in(tmp_path).grade, found_in(tmp_path).facts.get("python")) == (Grade.ERROR, "3.1")
+    opt_ros(tmp_path, "jazzy", OURS)
+    finding = found_in(tmp_path)
+    setup = str(tmp_path / "opt/ros/jazzy/setup.bash")
+    assert (finding.grade, finding.facts) == (Grade.ERROR, {"setups": [setup]})
+    assert setup in finding.remedy
+
+
+def test_ros_that_is_sourced_and_for_another_python(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its setup file adds its packages to ``PYTHONPATH``, so that this Python finds rclpy."""
+    spec = importlib.machinery.PathFinder.find_spec("rclpy", [str(opt_ros(tmp_path, "jazzy", "3.1"))])
+    monkeypatch.setattr(importlib.util, "find_spec", lambda _: spec)
+    finding = found_in(tmp_path)
+    assert (finding.grade, finding.facts) == (
+        Grade.ERROR,
+        {"python": "3.1", "prefix": str(tmp_path / "opt/ros/jazzy")},
+    )
+    assert "python3.1" in finding.remedy
 
 
 def test_a_middleware_that_is_not_installed() -> None:

@@ -32,18 +32,8 @@ def session(**changes: Any) -> Session:
 
 def found(code: str, of: Session, folder: Path, environ: Mapping[str, str] | None = None) -> list[Finding]:
     """The findings of one check."""
-    checks = session_needs.checks(of, folder / "session.yaml", environ or {"RSB_CONSOLE_ISOLATED": "1"})
+    checks = session_needs.checks(of, folder / "session.yaml", environ or {"RSB_CONSOLE_ISOLATED": "1"}, folder)
     return list(examine(check for check in checks if check.code == code))
-
-
-def test_transports_that_this_python_lacks(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.delattr(socket, "AF_BLUETOOTH", raising=False)
-    monkeypatch.setattr(importlib.util, "find_spec", lambda _: None)
-    bluetooth = session(topics=(Topic("/a", "transmit", protocol="bluetooth"),))
-    for each in (bluetooth, session(zenoh=ZenohSettings())):
-        (finding,) = found("packages", each, tmp_path)
-        assert (finding.grade, bool(finding.remedy)) == (Grade.ERROR, True)
-    assert found("packages", session(), tmp_path) == []
 
 
 @pytest.mark.parametrize("kind", [socket.SOCK_STREAM, socket.SOCK_DGRAM])
@@ -84,7 +74,8 @@ def test_a_name_is_not_looked_up(tmp_path: Path) -> None:
 
 
 def test_an_address_of_another_machine(tmp_path: Path) -> None:
-    assert [each.grade for each in found("ports", session(server_ip="192.0.2.1"), tmp_path)] == [Grade.ERROR]
+    (finding,) = found("ports", session(server_ip="192.0.2.1"), tmp_path)
+    assert (finding.grade, bool(finding.remedy)) == (Grade.ERROR, True)
 
 
 def test_a_client_binds_no_port(tmp_path: Path) -> None:
@@ -111,6 +102,37 @@ def test_key_files_of_operators(tmp_path: Path) -> None:
     assert "anna.key" in of_operator.text
     unencrypted = session(use_encryption=False, key_file=None, operators=server.operators)
     assert [each.grade for each in found("keys", unencrypted, tmp_path)] == [Grade.ERROR]
+
+
+MAC = "00:11:22:33:44:55"
+
+
+@pytest.mark.parametrize("changes", [{"server_ip": MAC, "server_port": 3}, {"bluetooth_address": MAC}])
+def test_a_session_over_bluetooth_on_a_machine_without(
+    changes: dict[str, Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    of = session(**changes)
+    monkeypatch.setattr(socket, "AF_BLUETOOTH", 31, raising=False)
+    (no_adapter,) = found("session", of, tmp_path)
+    monkeypatch.delattr(socket, "AF_BLUETOOTH")
+    (no_sockets,) = found("session", of, tmp_path)
+    assert no_adapter.text != no_sockets.text
+    for finding in (no_adapter, no_sockets):
+        assert (finding.grade, finding.facts, bool(finding.remedy)) == (Grade.ERROR, {"lacks": "bluetooth"}, True)
+    monkeypatch.setattr(socket, "AF_BLUETOOTH", 31, raising=False)
+    (tmp_path / "sys/class/bluetooth/hci0").mkdir(parents=True)
+    assert not found("session", of, tmp_path)
+
+
+@pytest.mark.parametrize(("server_ip", "grade"), [("zenoh", Grade.ERROR), ("127.0.0.1", Grade.WARNING)])
+def test_a_session_with_zenoh_on_a_machine_without(
+    server_ip: str, grade: Grade, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Without Zenoh, a link over IP only is not seen in its fleet."""
+    of = session(server_ip=server_ip, zenoh=ZenohSettings())
+    monkeypatch.setattr(importlib.util, "find_spec", lambda _: None)
+    (finding,) = found("session", of, tmp_path)
+    assert (finding.grade, finding.facts, bool(finding.remedy)) == (grade, {"lacks": "zenoh"}, True)
 
 
 def test_types_that_are_not_installed(tmp_path: Path) -> None:

@@ -110,11 +110,7 @@ def advise(session: Session, domain_variable: str | None, middleware: str = "") 
     yield from _domain(session, domain_variable)
     if _binds_port(session) and session.server_port not in TOPIC_PORT:
         yield Problem("server_port", Advice.LOW_PORT(limit=TOPIC_PORT.low))
-    if session.adapter is not None and not hasattr(socket, "AF_BLUETOOTH"):
-        location = "server_ip" if session.is_bluetooth else "bluetooth_address"
-        yield Problem(location, Advice.NO_BLUETOOTH())
-    if session.zenoh is not None and importlib.util.find_spec("zenoh") is None:
-        yield Problem("zenoh", transports.HOW_TO_INSTALL_ZENOH)
+    yield from missing_transports(session)
     yield from _metrics(session)
     yield from _topics(session.topics, "", session)
     yield from _denied(session.topics, "", dataclasses.replace(rights_of_server(session), allow=()), session)
@@ -122,6 +118,15 @@ def advise(session: Session, domain_variable: str | None, middleware: str = "") 
         where = join("clients", at)
         yield from _topics(client.topics, where, session)
         yield from _denied(client.topics, where, rights_of_client(client, session.name), session)
+
+
+def missing_transports(session: Session) -> Iterator[Problem]:
+    """Yield the transports that a session uses and this Python does not have."""
+    if session.adapter is not None and not hasattr(socket, "AF_BLUETOOTH"):
+        location = "server_ip" if session.is_bluetooth else "bluetooth_address"
+        yield Problem(location, Advice.NO_BLUETOOTH())
+    if session.zenoh is not None and importlib.util.find_spec("zenoh") is None:
+        yield Problem("zenoh", transports.HOW_TO_INSTALL_ZENOH)
 
 
 def _binds_port(session: Session) -> bool:

@@ -54,6 +54,7 @@ class TopicMistake(Wording):
     INVALID_PORT = "{port} is not a valid {kind}: {range}"
     DEADMAN_WITHOUT_ARM = "only {kind} with arm: true has a deadman: set arm: true, or leave it out"
     OUT_OF_RANGE = "{value} is out of range: {range}"
+    NO_NAME = "the {noun}'s name is empty: give an absolute one, /part/part"
     IS_A_PATTERN = "{name} is a pattern: give the name of one {noun}"
     NOT_ABSOLUTE = "{name} is not an absolute {noun} name: /part/part, of letters, digits and _, no digit first{hint}"
     ANNOUNCEMENT = "{name} carries the bridges' own announcements and is never bridged: name another topic"
@@ -171,7 +172,9 @@ def topic_problems(topic: Topic, location: str, session: Session | None, client:
 
 def name_problems(name: str, location: str, kind: Kind = "topic") -> Iterator[Problem]:
     """Whether ROS has such a name, and a bridge may carry it."""
-    if is_pattern(name):
+    if not name:
+        yield Problem(location, TopicMistake.NO_NAME(noun=_NAMED[kind]))
+    elif is_pattern(name):
         yield Problem(location, TopicMistake.IS_A_PATTERN(name=show(name), noun=_NAMED[kind]))
     elif not is_topic_name(name):
         better = well_formed(name)

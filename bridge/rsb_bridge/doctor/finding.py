@@ -56,7 +56,7 @@ class Check(NamedTuple):
     Attributes:
         code: of its findings.
         subject: of its findings.
-        run: yields them; it may raise OSError.
+        run: yields them; it raises OSError if it cannot find out.
     """
 
     code: str
@@ -65,22 +65,23 @@ class Check(NamedTuple):
 
 
 class CheckText(Wording):
-    """Findings about a check itself, and their remedy."""
+    """Findings about a check itself."""
 
-    FAILED = "the check failed: {error}"
-    FAILED_REMEDY = "this is a mistake in rsb-console: please report it with the output of rsb-console --debug doctor"
+    INTERNAL_ERROR = "internal error of this check: {error}"
+    INTERNAL_ERROR_REMEDY = "report it as an issue, with this output"
 
 
 def examine(checks: Iterable[Check]) -> Iterator[Finding]:
-    """Run checks. One that cannot find out, or fails, is a finding, too."""
+    """Run checks. One that cannot find out or has a defect is a finding, too, and the others still run."""
     for check in checks:
         try:
             yield from check.run()
         except (OSError, ValueError) as error:
             yield Finding(check.code, Grade.UNKNOWN, check.subject, sanitize_text(str(error)))
-        except Exception as error:  # noqa: BLE001 -- the other checks still help
-            text = sanitize_text(CheckText.FAILED(error=f"{type(error).__name__}: {error}"))
-            yield Finding(check.code, Grade.UNKNOWN, check.subject, text, CheckText.FAILED_REMEDY())
+        except Exception as error:  # noqa: BLE001 -- the operator needs the other findings
+            problem = sanitize_text(f"{type(error).__name__}: {error}")
+            text, remedy = CheckText.INTERNAL_ERROR(error=problem), CheckText.INTERNAL_ERROR_REMEDY()
+            yield Finding(check.code, Grade.UNKNOWN, check.subject, text, remedy, {"internal_error": True})
 
 
 def worst(findings: Iterable[Finding]) -> Grade:

@@ -9,10 +9,9 @@ from __future__ import annotations
 import ctypes
 import fcntl
 import importlib.util
-import itertools
+import json
 import os
 import platform
-import re
 import resource
 import shutil
 import socket
@@ -24,7 +23,7 @@ from functools import partial
 from importlib.metadata import version
 from pathlib import Path
 from shlex import quote
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 from rsb_bridge.doctor.finding import Check, Finding, Grade
 from rsb_bridge.history.state_folder import state_folder
@@ -48,7 +47,8 @@ _SIOCGIFFLAGS = 0x8913
 _ANSWERS_WITHIN = 2.0  # s
 _LOCKED_WITHIN = 5.0
 """s until Fast DDS has locked a new file."""
-_NFT_WORDS = re.compile(r"\s*[{};\n]\s*")
+_Chain: TypeAlias = tuple[str, str, str]
+"""Family, table and name."""
 _EXTRAS = {"zenoh": "zenoh", "metrics": "prometheus_client"}
 
 
@@ -81,11 +81,13 @@ class MachineText(Wording):
     NO_INTERFACE = "no network interface is up but loopback: only nodes of this machine discover each other"
     NO_MULTICAST = "does not work on {interfaces}: nodes of other machines do not discover this one's there"
     MULTICAST_REMEDY = "sudo ip link set {interface} multicast on; a bridge's own link needs none"
-    NO_FIREWALL = "no rule drops packets"
-    FIREWALL = (
-        "rules drop packets: open the bridge's port, and for ROS between machines UDP 7400 to 65535 or the domain's"
+    NO_FIREWALL = "no rule drops packets to this machine"
+    FIREWALL = "rules drop packets to this machine: {chains}"
+    FIREWALL_REMEDY = (
+        "open the bridge's port, and for ROS between machines the domain's UDP ports; "
+        "sudo nft list ruleset shows the rules"
     )
-    FIREWALL_REMEDY = "sudo nft list ruleset shows them"
+    RULES_REMEDY = "sudo nft list ruleset shows them"
     FIREWALL_UNREADABLE = "only root may read the rules"
     NO_NFT = "the program nft is not installed, so the rules cannot be read"
     DESCRIPTORS = "{limit:,} open files at most"
@@ -268,49 +270,64 @@ def _firewall() -> Iterator[Finding]:
     program = shutil.which("nft") or shutil.which("nft", path="/usr/sbin:/sbin")
     if program is None or os.geteuid():
         text = MachineText.NO_NFT() if program is None else MachineText.FIREWALL_UNREADABLE()
-        yield Finding("firewall", Grade.UNKNOWN, "firewall", text, MachineText.FIREWALL_REMEDY())
+        yield Finding("firewall", Grade.UNKNOWN, "firewall", text, MachineText.RULES_REMEDY())
         return
     try:
         listed = subprocess.run(  # noqa: S603 -- no shell; the program is nft
-            [program, "list", "ruleset"], capture_output=True, text=True, timeout=_ANSWERS_WITHIN, check=True
+            [program, "-j", "list", "ruleset"], capture_output=True, text=True, timeout=_ANSWERS_WITHIN, check=True
         ).stdout
     except subprocess.SubprocessError as error:
         raise OSError(str(error)) from error
-    drops = drops_input(listed)
-    text = MachineText.FIREWALL() if drops else MachineText.NO_FIREWALL()
-    remedy = MachineText.FIREWALL_REMEDY() if drops else ""
-    yield Finding("firewall", Grade.NOTE if drops else Grade.OK, "firewall", text, remedy, {"drops": drops})
+    chains = _dropping_chains(json.loads(listed).get("nftables", []))
+    facts = {"drops": bool(chains), "chains": chains}
+    if chains:
+        text, remedy = MachineText.FIREWALL(chains=", ".join(chains)), MachineText.FIREWALL_REMEDY()
+        yield Finding("firewall", Grade.NOTE, "firewall", text, remedy, facts)
+    else:
+        yield Finding("firewall", Grade.OK, "firewall", MachineText.NO_FIREWALL(), facts=facts)
 
 
-def drops_input(listed: str) -> bool:
-    """Whether rules drop packets for this machine.
+def _dropping_chains(listed: list[dict[str, Any]]) -> list[str]:
+    """Return the chains that packets to this machine come through and that drop some: ``ip filter INPUT``.
 
-    Only chains of the hook ``input`` and the chains to which they lead count: containers' rules drop what is forwarded.
-
-    Args:
-        listed: output of ``nft list ruleset``.
+    Docker's drops stand in chains of the hook ``forward``, which such packets do not come through.
     """
-    chains: dict[tuple[str, str], list[str]] = {}
-    table = chain = ""
-    for word in _NFT_WORDS.split(listed):
-        if word.startswith("table "):
-            table, chain = word, ""
-        elif word.startswith("chain "):
-            chain = word.split()[1]
-        elif chain:
-            chains.setdefault((table, chain), []).append(word)
-    waiting = [key for key, rules in chains.items() if any("hook input" in rule for rule in rules)]
-    seen = set(waiting)
-    while waiting:
-        key = waiting.pop()
-        words = " ".join(chains[key]).split()
-        if {"drop", "reject"} & set(words):
-            return True
-        for verdict, name in itertools.pairwise(words):
-            if verdict in {"jump", "goto"} and (next_key := (key[0], name)) in chains and next_key not in seen:
-                seen.add(next_key)
-                waiting.append(next_key)
-    return False
+    verdicts: dict[_Chain, set[str]] = {}
+    reached: list[_Chain] = []
+    for kind, each in (pair for entry in listed for pair in entry.items()):
+        if kind == "chain":
+            chain = (each["family"], each["table"], each["name"])
+            verdicts.setdefault(chain, set()).add(each.get("policy", ""))
+            if each.get("hook") == "input":
+                reached.append(chain)
+        elif kind == "rule":
+            verdicts.setdefault((each["family"], each["table"], each["chain"]), set()).update(_verdicts(each["expr"]))
+        elif kind == "map":  # its name stands with an @ where a rule looks a verdict up
+            chain = (each["family"], each["table"], f"@{each['name']}")
+            verdicts.setdefault(chain, set()).update(_verdicts(each.get("elem", [])))
+    for family, table, name in reached:  # it grows
+        targets = {(family, table, target) for target in verdicts[family, table, name]}
+        reached += sorted(target for target in targets if target in verdicts and target not in reached)
+    return [" ".join(chain) for chain in reached if verdicts[chain] & {"drop", "reject"}]
+
+
+def _verdicts(expression: Any) -> Iterator[str]:
+    """Yield the verdicts in an expression of nft's JSON, and the names of chains and maps that it leads to."""
+    if isinstance(expression, list):
+        for each in expression:
+            yield from _verdicts(each)
+    elif isinstance(expression, dict):
+        for key, value in expression.items():
+            if key in {"drop", "reject"}:
+                yield key
+            elif key in {"jump", "goto"}:
+                yield value["target"]
+            elif key == "xt" and isinstance(value, dict):  # of iptables
+                yield str(value.get("name", "")).lower()
+            else:
+                yield from _verdicts(value)
+    elif isinstance(expression, str) and expression.startswith("@"):
+        yield expression
 
 
 def _descriptors() -> Iterator[Finding]:
@@ -340,13 +357,18 @@ def _disk(folder: Path) -> Iterator[Finding]:
         yield Finding("disk", Grade.OK, "disk", MachineText.DISK(free=megabytes, folder=folder), facts=facts)
 
 
+def bluetooth_adapters(root: Path = Path("/")) -> list[str]:
+    """Return the names of this machine's Bluetooth adapters: ``hci0``."""
+    folder = root / "sys/class/bluetooth"
+    return sorted(path.name for path in folder.iterdir() if ":" not in path.name) if folder.is_dir() else []
+
+
 def _bluetooth(root: Path) -> Iterator[Finding]:
     if not hasattr(socket, "AF_BLUETOOTH"):
         text, remedy = MachineText.NO_BLUETOOTH_SOCKETS(), MachineText.BLUETOOTH_REMEDY()
         yield Finding("bluetooth", Grade.NOTE, "Bluetooth", text, remedy, {"sockets": False})
         return
-    folder = root / "sys/class/bluetooth"
-    names = sorted(path.name for path in folder.iterdir() if ":" not in path.name) if folder.is_dir() else []
+    names = bluetooth_adapters(root)
     text = MachineText.ADAPTERS(names=", ".join(names)) if names else MachineText.NO_ADAPTER()
     yield Finding(
         "bluetooth", Grade.OK if names else Grade.NOTE, "Bluetooth", text, facts={"sockets": True, "adapters": names}

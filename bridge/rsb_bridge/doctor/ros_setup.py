@@ -9,6 +9,7 @@ import subprocess
 import sys
 from functools import partial
 from pathlib import Path
+from shlex import quote
 from typing import TYPE_CHECKING
 
 from rsb_bridge.doctor.finding import Check, Finding, Grade
@@ -41,6 +42,12 @@ class RosText(Wording):
         "source the setup file of your ROS 2 (/opt/ros/jazzy/setup.bash), or on x86-64 Linux: "
         "pip install 'rsb-console[ros]'"
     )
+    NOT_SOURCED = "ROS 2 is installed, but not sourced in this shell ({setups})"
+    NOT_SOURCED_REMEDY = "source {setup}"
+    OTHER_PYTHON = "ROS 2 in {prefix} is for Python {theirs}, and rsb-console runs with Python {ours}"
+    OTHER_PYTHON_REMEDY = (
+        "install rsb-console with that Python: pipx install --force --system-site-packages --python python{theirs} ."
+    )
     WORKS = "{ros}, {middleware}: types that are not installed cross, too"
     FAILED = "{ros} does not start: {problem}"
     FAILED_REMEDY = "try without the bridge: python3 -c 'import rclpy; rclpy.init()'"
@@ -48,8 +55,6 @@ class RosText(Wording):
     HANGS = "{ros} does not answer within {seconds:g} s"
     NO_NUMPY = "numpy is not installed for this Python: ROS's messages with arrays need it, and so pictures"
     NO_NUMPY_REMEDY = "install rsb-console with the distribution's packages: pipx install --system-site-packages …"
-    NOT_SOURCED = "ROS 2 is installed in {folders}, but its setup file was not sourced for this Python ({executable})"
-    NOT_SOURCED_REMEDY = "source {setup}, with Python {versions}"
     LIMITED_REMEDY = "docs/support.md lists what is tested"
     DOMAIN = "domain {domain}, discovers {range}"
     DOMAIN_INVALID = "ROS_DOMAIN_ID is {value!r}: it has to be a number, {range}"
@@ -79,7 +84,7 @@ def checks(
         environ: the environment.
         self_test: command that prints what `rsb_bridge.ros.self_test.main` prints.
         own_domain: the session's `domain_id`, which counts more than ``$ROS_DOMAIN_ID``, or None.
-        root: of the file system.
+        root: in place of ``/`` for ``/opt/ros``.
     """
     return (
         Check("ros", "ROS", partial(_ros, environ, self_test, root)),
@@ -88,19 +93,13 @@ def checks(
 
 
 def _ros(environ: Mapping[str, str], self_test: Sequence[str], root: Path) -> Iterator[Finding]:
+    spec = importlib.util.find_spec("rclpy")
+    unusable = _unusable(spec.origin if spec is not None else None, root)
+    if unusable is not None:
+        yield unusable
+        return
     facts = {"distribution": distribution(), "rclpy": rclpy_version()}
     finding = partial(Finding, "ros", subject="ROS", facts=facts)
-    if importlib.util.find_spec("rclpy") is None and (installed := _installed(root)):
-        folders = ", ".join(str(each) for each in installed)
-        versions = ", ".join(sorted({each.name.removeprefix("python") for at in installed for each in _pythons(at)}))
-        text = RosText.NOT_SOURCED(folders=folders, executable=sys.executable)
-        remedy = RosText.NOT_SOURCED_REMEDY(setup=installed[-1] / "setup.bash", versions=versions)
-        yield finding(grade=Grade.ERROR, text=text, remedy=remedy)
-        return
-    if importlib.util.find_spec("rclpy") is None:
-        text = RosText.NOT_INSTALLED(executable=sys.executable)
-        yield finding(grade=Grade.ERROR, text=text, remedy=RosText.NOT_INSTALLED_REMEDY())
-        return
     try:
         check_middleware(environ)
     except RosError as error:
@@ -133,14 +132,41 @@ def _ros(environ: Mapping[str, str], self_test: Sequence[str], root: Path) -> It
         yield Finding("ros_limited", Grade.WARNING, "ROS", shortfall, RosText.LIMITED_REMEDY(), facts)
 
 
-def _installed(root: Path) -> list[Path]:
-    """Return the folders of distributions that a setup file would bring."""
-    return sorted(each.parent for each in (root / "opt/ros").glob("*/setup.bash") if any(_pythons(each.parent)))
+def _unusable(origin: str | None, root: Path) -> Finding | None:
+    """Say why this Python cannot use ROS, or return None if it may.
+
+    Args:
+        origin: the file of the rclpy that this Python finds. A setup file sets ``PYTHONPATH``, so that any Python finds
+            it, and only its own can load it.
+        root: in place of ``/`` for ``/opt/ros``.
+    """
+    ours = f"{sys.version_info.major}.{sys.version_info.minor}"
+    found = [Path(origin).parent] if origin else sorted((root / "opt/ros").glob("*/lib/python3.*/site-packages/rclpy"))
+    others = {place: theirs for place in found if (theirs := _python_of(place)) not in {"", ours}}
+    finding = partial(Finding, "ros", Grade.ERROR, "ROS")
+    if found and len(others) == len(found):
+        place, theirs = next(iter(others.items()))
+        text = RosText.OTHER_PYTHON(prefix=place.parents[3], theirs=theirs, ours=ours)
+        facts = {"python": theirs, "prefix": str(place.parents[3])}
+        return finding(text, RosText.OTHER_PYTHON_REMEDY(theirs=theirs), facts)
+    if origin:
+        return None
+    setups = [
+        setup
+        for setup in sorted((root / "opt/ros").glob("*/setup.bash"))
+        if not any(place.is_relative_to(setup.parent) for place in others)
+    ]
+    if setups:
+        listed = [str(setup) for setup in setups]
+        text, remedy = RosText.NOT_SOURCED(setups=", ".join(listed)), RosText.NOT_SOURCED_REMEDY(setup=quote(listed[0]))
+        return finding(text, remedy, {"setups": listed})
+    return finding(RosText.NOT_INSTALLED(executable=sys.executable), RosText.NOT_INSTALLED_REMEDY())
 
 
-def _pythons(folder: Path) -> list[Path]:
-    """Return the folders of the Pythons for which a distribution has rclpy."""
-    return [each.parents[1] for each in folder.glob("lib/python3*/site-packages/rclpy")]
+def _python_of(package: Path) -> str:
+    """Return the version of the Python whose ``lib/python3.12/site-packages`` a package is in, or an empty string."""
+    folder = package.parents[1].name
+    return folder.removeprefix("python") if folder.startswith("python3.") else ""
 
 
 def _environment(environ: Mapping[str, str], own_domain: int | None) -> Iterator[Finding]:

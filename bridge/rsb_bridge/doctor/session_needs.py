@@ -6,22 +6,22 @@ import errno
 import importlib.util
 import os
 import socket
-import sys
 import time
 from functools import partial
 from ipaddress import ip_address
+from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rsb_bridge.config.advice import advise, uninstalled_types
+from rsb_bridge.config.advice import advise, missing_transports, uninstalled_types
 from rsb_bridge.config.keys import KeyFileError, key_warnings, session_keys
 from rsb_bridge.control.bridges import running_bridges
 from rsb_bridge.doctor.finding import Check, Finding, Grade
+from rsb_bridge.doctor.machine import MachineText, bluetooth_adapters
 from rsb_bridge.model import transports
 from rsb_bridge.model.wording import Wording
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
-    from pathlib import Path
 
     from rsb_bridge.config.keys import Key
     from rsb_bridge.control.bridges import RunningBridge
@@ -37,27 +37,29 @@ class NeedText(Wording):
     PORT_REMEDY = "ss -lntup 'sport = :{port}' shows the program"
     PORT_DENIED = "port {port} is refused: {reason}"
     NAME = "port {port} was not tried: {address} is a name, and to look it up could ask the network"
-    ADDRESS_MISSING = "this machine has no address {address}: correct server_ip, or use 0.0.0.0"
+    ADDRESS_MISSING = "this machine has no address {address}"
+    ADDRESS_REMEDY = "correct server_ip, or use 0.0.0.0"
     KEYS = "{files} have safe modes"
-    NO_BLUETOOTH = "the session uses Bluetooth, and this Python has no Bluetooth sockets ({executable})"
-    BLUETOOTH_REMEDY = "use the distribution's own Python: rsb-console installed with /usr/bin/python3"
-    NO_ZENOH = "the session uses Zenoh, and eclipse-zenoh is not installed"
-    ZENOH_REMEDY = "pip install 'rsb-console[zenoh]'"
     NO_KEYS = "the session uses no key"
+    NO_BLUETOOTH_SOCKETS = "the session uses Bluetooth, and this Python has no Bluetooth sockets"
+    NO_ADAPTER = "the session uses Bluetooth, and this machine has no adapter"
+    ADAPTER_REMEDY = "plug one in, or load its driver: rfkill list, and sudo dmesg | grep -i bluetooth"
+    NO_ZENOH = "the session uses Zenoh, and the package eclipse-zenoh is not installed"
 
 
-def checks(session: Session, path: Path, environ: Mapping[str, str]) -> tuple[Check, ...]:
+def checks(session: Session, path: Path, environ: Mapping[str, str], root: Path = Path("/")) -> tuple[Check, ...]:
     """Return the checks of what a session needs.
 
     Args:
         session: without mistakes.
         path: of its file.
         environ: the environment.
+        root: in place of ``/`` for ``/sys``.
     """
     return (
         Check("ports", "ports", partial(_ports, session, path, environ)),
         Check("keys", "keys", partial(_keys, session, path)),
-        Check("packages", "packages", partial(_packages, session)),
+        Check("session", "session", partial(_transports, session, root)),
         Check("session", "session", partial(_advice, session, environ)),
     )
 
@@ -82,7 +84,8 @@ def _ports(session: Session, path: Path, environ: Mapping[str, str]) -> Iterator
                 tried.bind((address, port))
             except OSError as error:
                 if error.errno == errno.EADDRNOTAVAIL:
-                    yield finding(grade=Grade.ERROR, text=NeedText.ADDRESS_MISSING(address=address))
+                    text = NeedText.ADDRESS_MISSING(address=address)
+                    yield finding(grade=Grade.ERROR, text=text, remedy=NeedText.ADDRESS_REMEDY())
                     return
                 if error.errno != errno.EADDRINUSE:
                     reason = os.strerror(error.errno or 0)
@@ -135,19 +138,24 @@ def _keys(session: Session, path: Path) -> Iterator[Finding]:
         yield finding(grade=Grade.OK, text=NeedText.KEYS(files=", ".join(read)))
 
 
-def _packages(session: Session) -> Iterator[Finding]:
-    """Find what the session's transports need and this Python lacks."""
-    topics = (*session.topics, *(topic for client in session.clients for topic in client.topics))
-    uses_bluetooth = session.is_bluetooth or any(topic.protocol == "bluetooth" for topic in topics)
-    finding = partial(Finding, "packages", Grade.ERROR, "packages")
-    if uses_bluetooth and not hasattr(socket, "AF_BLUETOOTH"):
-        yield finding(text=NeedText.NO_BLUETOOTH(executable=sys.executable), remedy=NeedText.BLUETOOTH_REMEDY())
+def _transports(session: Session, root: Path) -> Iterator[Finding]:
+    """Find what this machine lacks: without it no link comes up, or no topic over Bluetooth opens."""
+    lacks = partial(Finding, "session", Grade.ERROR, "session")
+    if session.adapter is not None:
+        facts = {"lacks": "bluetooth"}
+        if not hasattr(socket, "AF_BLUETOOTH"):
+            yield lacks(NeedText.NO_BLUETOOTH_SOCKETS(), MachineText.BLUETOOTH_REMEDY(), facts)
+        elif not bluetooth_adapters(root):
+            yield lacks(NeedText.NO_ADAPTER(), NeedText.ADAPTER_REMEDY(), facts)
     if session.zenoh is not None and importlib.util.find_spec("zenoh") is None:
-        yield finding(text=NeedText.NO_ZENOH(), remedy=NeedText.ZENOH_REMEDY())
+        missing = lacks(NeedText.NO_ZENOH(), MachineText.EXTRAS_REMEDY(missing="zenoh"), {"lacks": "zenoh"})
+        yield missing if session.is_zenoh else missing._replace(grade=Grade.WARNING)  # its fleet does not see it
 
 
 def _advice(session: Session, environ: Mapping[str, str]) -> Iterator[Finding]:
+    errors = set(missing_transports(session))  # findings of `_transports`
     for problem in advise(session, environ.get("ROS_DOMAIN_ID")):
-        yield Finding("session", Grade.WARNING, "session", str(problem))
+        if problem not in errors:
+            yield Finding("session", Grade.WARNING, "session", str(problem))
     for problem in uninstalled_types(session):
         yield Finding("types", Grade.NOTE, "types", str(problem))

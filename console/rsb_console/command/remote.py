@@ -72,7 +72,7 @@ _DIRECTIONS = ("transmit", "receive")
 class RemoteProblem(Wording):
     """Reasons why a command for a running bridge is refused, or fails."""
 
-    THIS_MACHINE = "This machine now (rsb-console doctor):"
+    OPERATOR_MACHINE = "The machine of this command, {host}, now (rsb-console doctor):"
     NOT_REACHED = "not {condition} within {seconds:g} s{reason}"
     CONDITION_UNKNOWN = "--for {condition}: not one of flowing TOPIC, linked [CLIENT], stopped"
     NOT_BRIDGED = "{topic} is not bridged{hint}; `rsb-console add` adds a topic"
@@ -533,14 +533,16 @@ def _report(arguments: Namespace) -> int:
         raise UsageError(f"--last {error}") from None
     report = _report_of(arguments, seconds)
     if arguments.json:
-        print_line(json_report(report, machine=doctor.report(doctor.this_machine())))
+        print_line(
+            json_report(report, operator_machine={"host": os.uname().nodename, **doctor.report(doctor.this_machine())})
+        )
     elif arguments.csv:
         print_lines(csv_report(report).removesuffix("\r\n"))
     else:
         for line in text_report(report):
             print_line(line)
         print_line("")
-        print_line(RemoteProblem.THIS_MACHINE())
+        print_line(RemoteProblem.OPERATOR_MACHINE(host=os.uname().nodename))
         for line in doctor.lines(doctor.this_machine(), _REPORT_WIDTH):
             print_line(line)
     return OK
