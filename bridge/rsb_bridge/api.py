@@ -6,6 +6,7 @@ from abc import ABC, abstractmethod
 from typing import TYPE_CHECKING
 
 from rsb_bridge.model import commands
+from rsb_bridge.model.by_hand import REST_AFTER
 from rsb_bridge.model.wording import Wording
 
 if TYPE_CHECKING:
@@ -14,6 +15,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from rsb_bridge.model.benchmark import BenchmarkStep, Outcome
+    from rsb_bridge.model.by_hand import Draft, Published
     from rsb_bridge.model.commands import Command, R
     from rsb_bridge.model.history import HistoryReport
     from rsb_bridge.model.pictures import Viewed, Wish
@@ -165,6 +167,21 @@ class EngineApi(ABC):
 
     def look(self, viewer: str, topics: tuple[str, ...], wish: Wish, link: str = "") -> Future[Viewed | None]:
         return self.do(commands.Look(viewer, topics, wish, link))
+
+    def draft_message(self, topic: str, type_name: str = "") -> Future[Draft]:
+        return self.do(commands.DraftMessage(topic, type_name))
+
+    def publish(
+        self,
+        topic: str,
+        fields: str,
+        type_name: str = "",
+        *,
+        ticket: int = 0,
+        rest: str = "",
+        rest_after: float = REST_AFTER,
+    ) -> Future[Published]:
+        return self.do(commands.Publish(topic, fields, type_name, ticket, rest, rest_after))
 
     def describe(self, key: str) -> Future[str]:
         return self.do(commands.Describe(key))

@@ -15,7 +15,17 @@ import msgspec
 
 from rsb_bridge import __version__
 from rsb_bridge.control.protocol import VERSION, Hello
-from rsb_bridge.model.commands import Acknowledge, AnyCommand, ChangeClient, Command, EditTopic, Look, RemoveTopic
+from rsb_bridge.model.commands import (
+    Acknowledge,
+    AnyCommand,
+    ChangeClient,
+    Command,
+    DraftMessage,
+    EditTopic,
+    Look,
+    Publish,
+    RemoveTopic,
+)
 from rsb_bridge.model.session import Client, Session, Topic
 
 if TYPE_CHECKING:
@@ -29,12 +39,14 @@ ARMED = "armed"
 """The field `armed` of sessions, and `drop_arm` of commands."""
 LOOK = "look"
 """The command `Look`."""
+PUBLISH = "publish"
+"""The commands `DraftMessage` and `Publish`."""
 TOTALS = "totals"
 """The field `messages_total` of routes."""
-FEATURES: Final = (ACKNOWLEDGE, ARMED, "check_messages", "late_after", LOOK, "max_age", "on_fault", TOTALS)
+FEATURES: Final = (ACKNOWLEDGE, ARMED, "check_messages", "late_after", LOOK, "max_age", "on_fault", PUBLISH, TOTALS)
 """All features of this version. A feature with the name of a field of sessions or topics is that field."""
 
-COMMANDS: Final[dict[type, str]] = {Acknowledge: ACKNOWLEDGE, Look: LOOK}
+COMMANDS: Final[dict[type, str]] = {Acknowledge: ACKNOWLEDGE, DraftMessage: PUBLISH, Look: LOOK, Publish: PUBLISH}
 """The features of commands."""
 FIELDS: Final[dict[type, dict[str, str]]] = {
     Topic: {name: name for name in FEATURES if name in Topic.__struct_fields__},
@@ -49,6 +61,7 @@ _LACKS: Final = {
     ACKNOWLEDGE: "cannot acknowledge faults",
     ARMED: "cannot end the demand that a name be armed",
     LOOK: "cannot draw pictures of messages",
+    PUBLISH: "cannot publish messages by hand",
     TOTALS: "does not report message counts",
 }
 

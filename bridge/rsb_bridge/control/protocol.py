@@ -18,6 +18,7 @@ import msgspec
 
 from rsb_bridge.api import EngineError
 from rsb_bridge.model.benchmark import Outcome
+from rsb_bridge.model.by_hand import Draft, Published
 from rsb_bridge.model.commands import AnyCommand
 from rsb_bridge.model.history import HistoryReport
 from rsb_bridge.model.pictures import PictureError, Viewed, check_picture
@@ -292,6 +293,8 @@ class Reply(_Message, frozen=True, tag="reply"):
         history: the result of `History`.
         bench: the result of `Bench`.
         viewed: the result of `Look`.
+        draft: the result of `DraftMessage`.
+        published: the result of `Publish`.
     """
 
     id: int
@@ -300,6 +303,8 @@ class Reply(_Message, frozen=True, tag="reply"):
     history: HistoryReport | None = None
     bench: Outcome | None = None
     viewed: Viewed | None = None
+    draft: Draft | None = None
+    published: Published | None = None
 
 
 class Failed(_Message, frozen=True, tag="failed"):
@@ -340,7 +345,14 @@ def encode(message: ToBridge | ToConsole) -> bytes:
     return len(body).to_bytes(_LENGTH_BYTES, "big") + body
 
 
-_FIELD_OF: Final = {Reloaded: "reloaded", HistoryReport: "history", Outcome: "bench", Viewed: "viewed"}
+_FIELD_OF: Final = {
+    Reloaded: "reloaded",
+    HistoryReport: "history",
+    Outcome: "bench",
+    Viewed: "viewed",
+    Draft: "draft",
+    Published: "published",
+}
 
 
 def reply(request: int, result: object) -> Reply:
@@ -357,7 +369,7 @@ def result_of(command: Command[R], reply: Reply) -> R:
     kind = get_args(type(command).__orig_bases__[0])[0]  # type: ignore[attr-defined]
     if kind is type(None):
         return cast("R", None)
-    value = reply.reloaded or reply.history or reply.bench or reply.viewed or reply.value
+    value = next((each for name in _FIELD_OF.values() if (each := getattr(reply, name)) is not None), reply.value)
     if not isinstance(value, get_origin(kind) if get_origin(kind) is tuple else kind):
         raise EngineError(RequestProblem.UNEXPECTED_REPLY())
     if isinstance(value, Viewed):

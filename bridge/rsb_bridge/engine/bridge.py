@@ -22,6 +22,7 @@ from rsb_bridge.config.keys import shared_key_problem
 from rsb_bridge.config.validation import validate
 from rsb_bridge.engine.exporters import Exporters
 from rsb_bridge.engine.inspector import RouteInspector
+from rsb_bridge.engine.publishing import Publishing
 from rsb_bridge.engine.topic_commands import ArmingCommands, CommandLog, TopicCommands, undo_mark
 from rsb_bridge.engine.viewing import Viewing
 from rsb_bridge.link.errors import LinkError
@@ -145,6 +146,7 @@ class Bridge:
         inspector = RouteInspector(context, topics.find, self._log)
         self._tasks = Tasks(context.loop, lambda: None)
         self._viewing = Viewing(context, self.links, self._tasks.spawn)
+        self._publishing = Publishing(context, self.links, self._log, inspector.peeking)
         self.handlers: dict[type[Command[Any]], Handler] = {
             commands.Acknowledge: self._acknowledge,
             commands.AddTopic: topics.add,
@@ -153,11 +155,13 @@ class Bridge:
             commands.Call: inspector.call,
             commands.Describe: inspector.describe,
             commands.DisarmTopic: arming.disarm,
+            commands.DraftMessage: self._publishing.draft,
             commands.EditTopic: topics.edit,
             commands.KeepArmed: arming.keep,
             commands.Look: self._viewing.look,
             commands.Pause: topics.pause,
             commands.Peek: inspector.peek,
+            commands.Publish: self._publishing.publish,
             commands.ReleaseArmed: arming.release,
             commands.RemoveClient: self._remove_client,
             commands.RemoveTopic: topics.remove,
@@ -240,6 +244,7 @@ class Bridge:
                 link.guarded(link.tick)
                 await asyncio.sleep(0)  # no message waits until hundreds of links have had their turn
             self._viewing.tick()
+            self._publishing.tick()
             self._exporters.tick(self._snapshots.latest)
 
     def _ros_failed(self, reason: str) -> None:
@@ -252,6 +257,7 @@ class Bridge:
             self._shutdown_watch.close()
         self._exporters.close()
         self._viewing.close()
+        self._publishing.close()
         self.context.descriptions.close()
         await self._role.stop()
         self.context.announcements.stop()

@@ -45,6 +45,9 @@ class RouteInspector:
         context: the state that all parts share.
         find: gives a route and its link by the route's key.
         log: records the commands.
+
+    Attributes:
+        peeking: gives messages that pass.
     """
 
     def __init__(
@@ -56,14 +59,14 @@ class RouteInspector:
         self._context = context
         self._find = find
         self._log = log
-        self._peeking = Peeking(context)
+        self.peeking = Peeking(context)
         self._calls = 0
 
     async def peek(self, command: Peek) -> PeekedMessage | None:
         _, route = self._find(command.key)
         if not isinstance(route, TopicRoute):
             raise LinkError(f"{route.local_topic} has calls, no messages")
-        return await self._peeking.peek(route, kept=command.kept)
+        return await self.peeking.peek(route, kept=command.kept)
 
     async def describe(self, command: Describe) -> str:
         link, route = self._find(command.key)

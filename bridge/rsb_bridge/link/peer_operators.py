@@ -85,10 +85,12 @@ class PeerOperators:
         self._did(EventCode.OPERATOR_ARM_DROPPED, "the demand to be armed dropped", route, who, "", "")
 
     def called(self, route: Route, message: ByHand) -> None:
-        """Record the begin or the end of a manual call by an operator there."""
+        """Record the begin or the end of a manual call by an operator there, or a message that one publishes."""
         code = EventCode.OPERATOR_CALL_ENDED if message.outcome else EventCode.OPERATOR_CALLED
-        new = message.outcome or message.request
-        self._did(code, called(route, message.lane, message.outcome), route, message.who, "", new)
+        what, new = called(route, message.lane, message.outcome), message.outcome or message.request
+        if route.spec.kind == "topic":
+            code, what = EventCode.OPERATOR_PUBLISHED, "published by hand"
+        self._did(code, what, route, message.who, "", new)
 
     def _did(self, code: EventCode, what: str, route: Route, who: str, old: str, new: str) -> None:
         if not self._budget.take(1, self._now()):

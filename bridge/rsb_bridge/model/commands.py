@@ -13,6 +13,7 @@ import msgspec
 from msgspec import Meta
 
 from rsb_bridge.model.benchmark import BenchmarkStep, Outcome
+from rsb_bridge.model.by_hand import LONGEST_REST, REST_AFTER, Draft, Published
 from rsb_bridge.model.history import HistoryReport
 from rsb_bridge.model.pictures import TOPICS_AT_ONCE, Viewed, Wish
 from rsb_bridge.model.session import Client, Topic
@@ -248,6 +249,48 @@ class Look(Command[Viewed | None], frozen=True, tag="look"):
     link: str = ""
 
 
+class DraftMessage(Command[Draft], frozen=True, tag="draft"):
+    """Make a message for an operator to change: one that passes soon, or the type's defaults.
+
+    Attributes:
+        topic: its name on this side.
+        type_name: its type, or an empty string if the topic has one already.
+    """
+
+    right = Right.LOOK
+    refreshes = False
+    cancellable = True
+    topic: str
+    type_name: str = ""
+
+
+class Publish(Command[Published], frozen=True, tag="publish"):
+    """Publish a message in this side's domain, as a node would; routes take it to the other side.
+
+    A topic that has to be armed takes it only while it is armed, and with a ticket that is younger than
+    `rsb_bridge.model.by_hand.TICKET_LIFE`: so nothing is published that waited in a frozen process or a tunnel. Each
+    answer brings a ticket.
+
+    Attributes:
+        topic: its name on this side.
+        fields: of the message, as YAML; those that are missing have their defaults.
+        type_name: its type, or an empty string if the topic has one already.
+        ticket: from the answer before, or 0.
+        rest: fields of a message that is published unless the next one comes in time, or an empty string for none:
+            a robot that is driven stops if its operator's console is gone. Only for topics that have to be armed and
+            limit the age of messages.
+        rest_after: s in which the next message is due.
+    """
+
+    refreshes = False
+    topic: str
+    fields: str
+    type_name: str = ""
+    ticket: int = 0
+    rest: str = ""
+    rest_after: Annotated[float, Meta(gt=0, le=LONGEST_REST)] = REST_AFTER
+
+
 class Describe(Command[str], frozen=True, tag="describe"):
     """Find the description of a topic's type (`rsb_bridge.cdr.description`) on either side."""
 
@@ -329,6 +372,8 @@ AnyCommand: TypeAlias = (
     | Topics
     | Peek
     | Look
+    | DraftMessage
+    | Publish
     | Describe
     | Template
     | Call

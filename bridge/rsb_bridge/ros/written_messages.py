@@ -55,7 +55,7 @@ _SHOWN = 60
 class Misfit(Wording):
     """The reasons why a value that an operator wrote does not fit into its field."""
 
-    TYPE_MISSING = "{type_name} is not installed here, and a call by hand needs it: {remedy}"
+    TYPE_MISSING = "{type_name} is not installed here, and a message by hand needs it: {remedy}"
     ANOTHER_KIND = "{location}: {value} is not {expected}"
     NO_VALUE = "{location} has no value: give one, or leave the field out for its default"
     WRONG_LENGTH = "{location} has {length} {unit}: it takes {expected}"

@@ -481,6 +481,15 @@ class OutgoingRoute(TopicRoute[SendingChannel]):
         )
 
     @property
+    def known_type(self) -> MessageType:
+        """The type of its messages, or else of the subscriptions on the other side; without a name if it is unknown."""
+        return MessageType(self.type_name, self.type_hash) if self.type_name else self._resolver.hint
+
+    def takes(self, gid: bytes) -> bool:
+        """Whether messages of a publisher here are taken now, or held until it is known where they come from."""
+        return self._subscribed and not self._loop_filter.table.left_out(gid)
+
+    @property
     def _subscribed(self) -> bool:
         return self._subscription is not None and self._subscription.active and not self._subscription.failure
 

@@ -14,6 +14,7 @@ from rsb_bridge.route.rest import Rest
 from rsb_bridge.route.route import Route
 from rsb_bridge.route.thinning import Thinning, why
 from rsb_bridge.route.topic_verdict import LOSS_CAUSES, Facts, judge, topic_stages
+from rsb_bridge.route.type_versions import MessageType
 from rsb_bridge.telemetry.meters import LatencyMeter, StaleWatch
 
 if TYPE_CHECKING:
@@ -170,6 +171,11 @@ class TopicRoute(Route, Generic[ChannelT]):
         raise NotImplementedError
 
     # --- what is the same for both
+
+    @property
+    def known_type(self) -> MessageType:
+        """The type of its messages, without a name if it is unknown."""
+        return MessageType(self.type_name, self.type_hash)
 
     def open(self, route_id: int) -> None:
         """Begin a new opening on the present connection."""

@@ -89,6 +89,23 @@ exit codes:
   1  no picture came, or the other side refused
 {NO_BRIDGE}
   130  interrupted by Ctrl-C"""
+_PUB = f"""\
+The bridge publishes on its side, as a node would, and its routes take the message to
+the other side. The type has to be installed where this bridge runs. A topic that has
+to be armed takes messages only while it is armed. Missing fields have their defaults;
+a time may be now, a header auto.
+
+for example:
+  rsb-console pub /goal_pose --template > goal.yaml
+  rsb-console pub /goal_pose - < goal.yaml
+  rsb-console pub /cmd_vel '{{linear: {{x: 0.2}}}}' --rate 10
+  rsb-console pub /words 'data: hello' --type std_msgs/msg/String
+
+exit codes:
+  0  published, and taken by a subscription here or by a link
+  1  refused, or nobody gets it
+{NO_BRIDGE}
+  130  interrupted by Ctrl-C"""
 _EXIT_FIGURES = f"""\
 The bridge's own figures, {{where}}.
 
@@ -224,6 +241,7 @@ def _add_looking(remote: Callable[..., argparse.ArgumentParser], complete: Compl
     _look_arguments(
         remote("look", "draw a topic's messages as pictures, images included", _LOOK, about_topic=True), complete
     )
+    _pub_arguments(remote("pub", "publish messages by hand", _PUB, about_topic=True), complete)
     for name, summary, more in (
         ("hz", "print a topic's rate, once a second", _EXIT_HZ),
         ("bw", "print a topic's bandwidth and message size, once a second", _EXIT_BW),
@@ -288,6 +306,20 @@ def _look_arguments(look: argparse.ArgumentParser, complete: Complete) -> None:
     look.add_argument("--height", type=count, metavar="N", help="cells; default: the terminal's")
     look.add_argument("--ascii", action="store_true", help="use neither colours nor block characters")
     look.set_defaults(command=lazily("look", "look_command"), kind="topic")
+
+
+def _pub_arguments(pub: argparse.ArgumentParser, complete: Complete) -> None:
+    complete(pub.add_argument("topic", metavar="TOPIC", help="its name on this bridge's side"), "available")
+    pub.add_argument(
+        "message", nargs="?", metavar="YAML", help="fields of the message; - reads them from standard input"
+    )
+    pub.add_argument("--template", action="store_true", help="print a message to begin with, and publish nothing")
+    pub.add_argument("--type", default="", metavar="TYPE", help="type of a topic that nobody has yet")
+    pub.add_argument("--rate", type=within(0.01, 100), metavar="HZ", help="repeat, at most 100 times a second")
+    pub.add_argument(
+        "--count", type=count, metavar="N", help="stop after N messages; default: with --rate never, else 1"
+    )
+    pub.set_defaults(command=lazily("pub", "pub_command"), kind="topic")
 
 
 def _figures_arguments(parser: argparse.ArgumentParser, complete: Complete) -> None:
@@ -549,7 +581,7 @@ exit codes:
 {_NO_SERVER}"""
 IN_FLEET = (
     "status", "topics", "add", "edit", "remove", "pause", "resume", "ack", "disarm", "retry", "events", "echo", "hz",
-    "bw", "info", "wait", "call", "param",
+    "bw", "info", "wait", "call", "param", "pub",
 )  # fmt: skip
 """Commands that `exec` runs."""
 

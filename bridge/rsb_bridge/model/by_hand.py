@@ -1,0 +1,42 @@
+"""Messages that operators publish by hand."""
+
+from __future__ import annotations
+
+import msgspec
+
+TICKET_LIFE = 1.0
+"""s for which a ticket is valid: a command for a topic that has to be armed is not older than this."""
+REST_AFTER, LONGEST_REST = 0.5, 2.0
+"""s, as usual and at most, after which an engine publishes by itself the message that ends a motion."""
+
+
+class Draft(msgspec.Struct, frozen=True, omit_defaults=True):
+    """A message to begin with.
+
+    Attributes:
+        type_name: ``pkg/msg/Name``.
+        fields: of the message, as YAML.
+        is_last: whether they are those of a message that has just passed, and not the type's defaults.
+    """
+
+    type_name: str
+    fields: str
+    is_last: bool = False
+
+
+class Published(msgspec.Struct, frozen=True, omit_defaults=True):
+    """The result of publishing a message by hand.
+
+    Attributes:
+        is_done: whether the message was published. If not, the command had no valid ticket: repeat it with this one.
+        ticket: for the next message.
+        type_name: ``pkg/msg/Name``.
+        nodes: subscriptions of other nodes in this domain that it reached.
+        links: names of the links that take it to the other side.
+    """
+
+    is_done: bool
+    ticket: int = 0
+    type_name: str = ""
+    nodes: int = 0
+    links: tuple[str, ...] = ()

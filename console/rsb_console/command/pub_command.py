@@ -1,0 +1,138 @@
+"""The command ``pub``: publishes messages by hand through a running bridge."""
+
+from __future__ import annotations
+
+import sys
+import time
+from typing import TYPE_CHECKING
+
+from rsb_bridge.api import EngineError
+from rsb_bridge.model.calls import FIELDS_LENGTH
+from rsb_bridge.model.text import escape_text
+from rsb_bridge.model.wording import Wording
+from rsb_console.command.formatting import json_line
+from rsb_console.command.shell import FAILURE, OK, print_error, print_line, print_lines
+from rsb_console.command.target import UsageError, attached, done, reported, result
+
+if TYPE_CHECKING:
+    from argparse import Namespace
+
+    from rsb_bridge.control.remote_engine import RemoteEngine
+    from rsb_bridge.model.by_hand import Published
+    from rsb_bridge.model.snapshot import RouteSnapshot
+
+_TRIES = 3
+"""Tickets for one message: a slow way to the bridge may make one too old."""
+
+
+class PubText(Wording):
+    """Texts of the command."""
+
+    NO_MESSAGE = "pub {topic}: the message is missing; --template prints one to begin with"
+    PUBLISHED = "published {count} on {topic} ({type_name}): {subscriptions} here{links}"
+    TO_LINKS = ", and over the link to {links}"
+    NOT_OVER = "not over the link {link}: {reason}"
+    NOBODY = "nobody gets {topic}: it has no subscription here, and no link takes it"
+    TOO_SLOW = "the bridge answers too slowly to publish on {topic}, which has to be armed: nothing was published"
+
+
+def run(_: str, arguments: Namespace) -> int:
+    """Run the command. Return the exit code."""
+    return reported(_pub, arguments)
+
+
+def _pub(arguments: Namespace) -> int:
+    if arguments.template:
+        return _template(arguments)
+    if arguments.message is None:
+        raise UsageError(PubText.NO_MESSAGE(topic=arguments.topic))
+    fields = sys.stdin.read(FIELDS_LENGTH + 1) if arguments.message == "-" else arguments.message
+    with attached(arguments) as engine:
+        return _publish(engine, arguments, fields)
+
+
+def _template(arguments: Namespace) -> int:
+    with attached(arguments, read_only=True) as engine:
+        draft = result(engine.draft_message(arguments.topic, arguments.type))
+    if arguments.json:
+        return done(arguments, type=draft.type_name, message=draft.fields, is_last=draft.is_last)
+    print_lines(draft.fields.removesuffix("\n"))
+    return OK
+
+
+def _publish(engine: RemoteEngine, arguments: Namespace, fields: str) -> int:
+    """Publish once, or at a rate until the count or an interrupt."""
+    limit = arguments.count or (1 if arguments.rate is None else None)
+    pause = 1.0 if arguments.rate is None else 1 / arguments.rate
+    count, due, ticket = 0, time.monotonic(), 0
+    last: Published | None = None
+    while limit is None or count < limit:
+        last = publish(engine, arguments.topic, fields, arguments.type, ticket)
+        count, ticket = count + 1, last.ticket
+        if count == 1 and limit != 1 and not arguments.json:
+            _print(engine, arguments, last, count)
+        due = max(due + pause, time.monotonic())
+        if count != limit:
+            time.sleep(max(0.0, due - time.monotonic()))
+    assert last is not None
+    heard = bool(last.nodes or last.links)
+    if arguments.json:
+        missing = [
+            {"link": route.link, "state": route.state, "reason": route.reason}
+            for route in _not_over(engine, last, arguments.topic)
+        ]
+        print_line(
+            json_line(
+                {
+                    "ok": heard,
+                    "topic": arguments.topic,
+                    "type": last.type_name,
+                    "count": count,
+                    "subscriptions": last.nodes,
+                    "links": last.links,
+                    "not_over": missing,
+                }
+            )
+        )
+    elif limit == 1:
+        _print(engine, arguments, last, count)
+    return OK if heard else FAILURE
+
+
+def publish(engine: RemoteEngine, topic: str, fields: str, type_name: str = "", ticket: int = 0) -> Published:
+    """Publish a message, with a new ticket if the one before has become too old.
+
+    Raises:
+        EngineError: the bridge refuses it.
+        TimeoutError: the bridge does not answer.
+    """
+    for _ in range(_TRIES):
+        published = result(engine.publish(topic, fields, type_name, ticket=ticket))
+        if published.is_done:
+            return published
+        ticket = published.ticket
+    raise EngineError(PubText.TOO_SLOW(topic=topic))
+
+
+def _not_over(engine: RemoteEngine, published: Published, topic: str) -> list[RouteSnapshot]:
+    """Return the routes that do not take the message to the other side."""
+    routes = engine.snapshot().routes
+    return [each for each in routes if each.outgoing and each.topic == topic and each.link not in published.links]
+
+
+def _print(engine: RemoteEngine, arguments: Namespace, published: Published, count: int) -> None:
+    topic = escape_text(arguments.topic)
+    if published.nodes or published.links:
+        links = PubText.TO_LINKS(links=escape_text(", ".join(published.links))) if published.links else ""
+        many = f"{published.nodes} subscription{'' if published.nodes == 1 else 's'}"
+        what = "1 message" if count == 1 else f"{count:,} messages"
+        print_line(
+            PubText.PUBLISHED(
+                count=what, topic=topic, type_name=escape_text(published.type_name), subscriptions=many, links=links
+            )
+        )
+    else:
+        print_error(PubText.NOBODY(topic=topic))
+    for route in _not_over(engine, published, arguments.topic):
+        reason = escape_text(route.reason or route.state.value)
+        print_error(PubText.NOT_OVER(link=escape_text(route.link), reason=reason))

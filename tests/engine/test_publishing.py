@@ -1,0 +1,327 @@
+"""Messages that operators publish by hand: what they reach, what is refused, what is recorded."""
+
+from __future__ import annotations
+
+import time
+from typing import TYPE_CHECKING
+
+import pytest
+import yaml
+from geometry_msgs.msg import PoseStamped, Twist
+from rclpy.qos import QoSDurabilityPolicy, QoSProfile
+from rclpy.serialization import deserialize_message
+from tests.support.bridge import balance, carries, happened, now, route
+from tests.support.consoles import Consoles
+from tests.support.domain import BEST_EFFORT, LATCHED, RELIABLE, Domain, text
+from tests.support.waiting import eventually, holds
+from tests.support.wording import pattern
+
+from rsb_bridge.api import EngineError, InvalidRequestError
+from rsb_bridge.engine.publishing import ENDS_AFTER, TOPICS, PublishProblem
+from rsb_bridge.model.by_hand import TICKET_LIFE
+from rsb_bridge.model.codes import EventCode
+from rsb_bridge.model.pictures import view_topic
+from rsb_bridge.model.session import Topic
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from tests.support.bridge import Bridge
+
+    from rsb_bridge.engine import Engine
+    from rsb_bridge.model.by_hand import Published
+
+STRING, TWIST = "std_msgs/msg/String", "geometry_msgs/msg/Twist"
+DRIVEN = Topic("/cmd", "receive", arm=True, deadman=0.0)
+
+
+@pytest.fixture
+def consoles() -> Iterator[Consoles]:
+    made = Consoles()
+    yield made
+    made.close()
+
+
+def publish(engine: Engine, fields: str, topic: str = "/cmd", **more: object) -> Published:
+    """Publish a message, with a ticket where it needs one."""
+    published = engine.publish(topic, fields, **more).result(30)  # type: ignore[arg-type]
+    if not published.is_done:
+        published = engine.publish(topic, fields, **(more | {"ticket": published.ticket})).result(30)  # type: ignore[arg-type]
+    assert published.is_done
+    return published
+
+
+def armed(engine: Engine) -> bool:
+    found = route(engine, "/cmd").arming
+    return found is not None and found.armed
+
+
+def can_be_armed(*engines: Engine) -> bool:
+    return all(route(engine, "/cmd").state == "disarmed" for engine in engines)
+
+
+def of(engine: Engine, code: EventCode) -> list[tuple[str, str, str]]:
+    return [(event.topic, event.who, event.new) for event in engine.events() if event.code == code]
+
+
+# --- what it reaches
+
+
+@pytest.mark.parametrize("qos", [RELIABLE, BEST_EFFORT, LATCHED])
+def test_nodes_of_this_side_get_it(bridge: Bridge, robot: Domain, qos: object) -> None:
+    """The first message already, with any QoS that they ask for."""
+    listener = robot.listener("/text", qos=qos)  # type: ignore[arg-type]
+    client = bridge.client()
+    published = publish(client, "data: here", "/text")
+    assert (published.type_name, published.nodes, published.links) == (STRING, 1, ())
+    eventually(lambda: listener.texts(10) == ["here"])
+
+
+@pytest.mark.parametrize("protocol", ["tcp", "udp"])
+@pytest.mark.parametrize("first", [True, False])
+def test_a_route_takes_it_like_a_nodes_message(
+    bridge: Bridge, robot: Domain, pc: Domain, protocol: str, first: bool
+) -> None:
+    """The first message, too, although the route opens only when it has a publisher."""
+    listener = pc.listener("/text")
+    topic = Topic("/text", "transmit", protocol="udp" if protocol == "udp" else "tcp")
+    server, client = bridge.both(topic)
+    if not first:
+        publisher = robot.publisher("/text")
+        carries([publisher], server, ["/text"])
+        robot.node.destroy_publisher(publisher)
+    published = publish(client, "data: by hand", "/text", type_name=STRING if first else "")
+    assert published.links == ("robot1",)
+    eventually(lambda: "by hand" in listener.texts(100))
+    ledger = eventually(lambda: each if not (each := route(client, "/text").ledger).in_flight else None)
+    assert balance(ledger) == ledger.offered
+    assert server.session.clients == ()
+
+
+def test_beside_a_node_of_a_latched_topic(bridge: Bridge, robot: Domain, pc: Domain) -> None:
+    """The route stays latched."""
+    publisher = robot.publisher("/text", qos=LATCHED)
+    publisher.publish(text("kept"))
+    server, client = bridge.both(Topic("/text", "transmit"))
+    eventually(lambda: pc.listener("/text", qos=LATCHED).texts(1) == ["kept"])
+    publish(client, "data: by hand", "/text")
+    late = pc.listener("/text", qos=QoSProfile(depth=10, durability=QoSDurabilityPolicy.TRANSIENT_LOCAL))
+    eventually(lambda: {"kept", "by hand"} <= set(late.texts(10)))
+    assert (found := route(server, "/text").qos) is not None
+    assert found.latched
+
+
+def test_many_come_in_order_and_are_recorded_once(bridge: Bridge, pc: Domain) -> None:
+    listener = pc.listener("/text")
+    server, client = bridge.both(Topic("/text", "transmit"))
+    for number in range(50):
+        publish(client, f"data: '{number}'", "/text", type_name=STRING)
+    eventually(lambda: listener.texts(100) == [str(number) for number in range(50)])
+    assert of(client, EventCode.OPERATOR_PUBLISHED) == [("/text", "the bridge's own console", "data: '0'")]
+    (there,) = eventually(lambda: of(server, EventCode.OPERATOR_PUBLISHED))
+    assert there[::2] == ("/text", "data: '0'")
+    assert "robot1" in there[1]
+
+
+def test_a_publisher_that_is_not_used_is_closed(bridge: Bridge, robot: Domain, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("rsb_bridge.engine.publishing.ENDS_AFTER", ENDS_AFTER / 20)
+    listener = robot.listener("/text")
+    client = bridge.client()
+    publish(client, "data: a", "/text")
+    publish(client, "data: b", "/text")
+    eventually(lambda: listener.matched == 1)
+    eventually(lambda: listener.matched == 0)
+    assert [new for *_, new in of(client, EventCode.OPERATOR_PUBLISH_ENDED)] == ["2"]
+
+
+# --- what is refused
+
+
+@pytest.mark.parametrize(
+    ("topic", "fields", "type_name", "problem"),
+    [
+        ("/nobody", "", "", PublishProblem.NO_TYPE),
+        ("/text", "", TWIST, PublishProblem.OTHER_TYPE),
+        (view_topic(1), "", STRING, PublishProblem.NOT_BY_HAND),
+    ],
+)
+def test_refused(
+    bridge: Bridge, robot: Domain, topic: str, fields: str, type_name: str, problem: PublishProblem
+) -> None:
+    assert robot.listener("/text")
+    client = bridge.client()
+    eventually(lambda: any(each.topic == "/text" for each in client.topics(None).result(30)))
+    with pytest.raises(EngineError, match=pattern(problem)):
+        client.publish(topic, fields, type_name).result(30)
+
+
+@pytest.mark.parametrize("fields", ["dta: x", "data: [1]", "data: !x y", "- 1"])
+def test_fields_that_do_not_fit(bridge: Bridge, robot: Domain, fields: str) -> None:
+    listener = robot.listener("/text")
+    client = bridge.client()
+    with pytest.raises(InvalidRequestError):
+        client.publish("/text", fields).result(30)
+    assert not listener.matched
+
+
+def test_a_topic_of_two_types(bridge: Bridge, robot: Domain) -> None:
+    other = Domain(robot.id)  # one participant has one type a topic
+    listeners = robot.listener("/two"), other.listener("/two", Twist)
+    client = bridge.client()
+    with pytest.raises(EngineError, match=pattern(PublishProblem.TYPES_DIFFER)):
+        eventually(lambda: client.publish("/two", "").result(30) and False)
+    publish(client, "data: x", "/two", type_name=STRING)
+    eventually(lambda: listeners[0].texts(10)[-1:] == ["x"])
+    assert not listeners[1].payloads
+    other.close()
+
+
+def test_no_more_topics_than_the_limit(bridge: Bridge) -> None:
+    client = bridge.client()
+    for number in range(TOPICS):
+        publish(client, "", f"/text{number}", type_name=STRING)
+    with pytest.raises(EngineError, match=pattern(PublishProblem.TOO_MANY)):
+        client.publish("/more", "", STRING).result(30)
+
+
+# --- arming
+
+
+@pytest.mark.parametrize("side", ["client", "server"])
+def test_nothing_is_published_unless_it_is_armed(
+    bridge: Bridge, robot: Domain, pc: Domain, consoles: Consoles, side: str
+) -> None:
+    """On either side of the route, also for nodes of the operator's own side."""
+    motors, near = robot.listener("/cmd"), pc.listener("/cmd")
+    server, client = bridge.both(DRIVEN)
+    engine = client if side == "client" else server
+    with pytest.raises(EngineError):
+        engine.publish("/cmd", "data: too soon", STRING).result(30)
+    if side == "server":  # the robot's side only hears of a type that somebody publishes
+        pc.publisher("/cmd")
+    eventually(lambda: can_be_armed(server, client))
+    with pytest.raises(EngineError, match=pattern(PublishProblem.NOT_ARMED)):
+        publish(engine, "data: disarmed")
+    consoles.arm(engine)
+    publish(engine, "data: armed")
+    eventually(lambda: motors.texts(10) == ["armed"])
+    engine.disarm(route(engine, "/cmd").key).result(30)
+    with pytest.raises(EngineError, match=pattern(PublishProblem.NOT_ARMED)):
+        publish(engine, "data: disarmed again")
+    holds(lambda: {*motors.texts(10), *near.texts(10)} <= {"armed"}, 0.5)
+
+
+def test_a_demand_without_a_route(bridge: Bridge, robot: Domain) -> None:
+    """The name has it, wherever it comes from."""
+    listener = robot.listener("/cmd")
+    client = bridge.client(armed=("/cm*",))
+    with pytest.raises(EngineError, match=pattern(PublishProblem.NO_ROUTE_TO_ARM)):
+        client.publish("/cmd", "data: x").result(30)
+    assert not listener.matched
+
+
+@pytest.mark.parametrize("age", [None, TICKET_LIFE + 0.2, -60.0])
+def test_an_old_command_is_not_carried_out(
+    bridge: Bridge, robot: Domain, pc: Domain, consoles: Consoles, age: float | None
+) -> None:
+    """A command without a ticket, with an old one, or with one of another time, only gets a new one."""
+    motors = robot.listener("/cmd")
+    pc.publisher("/cmd")
+    server, client = bridge.both(DRIVEN)
+    eventually(lambda: can_be_armed(server, client))
+    consoles.arm(server)
+    ticket = publish(server, "data: first").ticket
+    old = 0 if age is None else ticket - int(age * 1000)
+    published = server.publish("/cmd", "data: old", ticket=old).result(30)
+    assert not published.is_done
+    publish(server, "data: new", ticket=published.ticket)
+    eventually(lambda: "new" in motors.texts(10))
+    assert motors.texts(10) == ["first", "new"]
+
+
+# --- driving
+
+
+def test_a_silent_console_ends_a_motion(bridge: Bridge, robot: Domain, pc: Domain, consoles: Consoles) -> None:
+    motors = robot.listener("/cmd", Twist)
+    pc.publisher("/cmd", Twist)
+    server, client = bridge.both(DRIVEN)
+    eventually(lambda: can_be_armed(server, client))
+    consoles.arm(server)
+
+    def speeds() -> list[float]:
+        return [deserialize_message(each, Twist).linear.x for each in motors.payloads]
+
+    ticket = publish(server, "linear: {x: 0.1}", rest="linear: {x: 0}", rest_after=0.3).ticket
+    for number in range(2, 6):
+        time.sleep(0.05)  # a person's keys
+        ticket = publish(
+            server, f"linear: {{x: 0.{number}}}", ticket=ticket, rest="linear: {x: 0}", rest_after=0.3
+        ).ticket
+    eventually(lambda: len(speeds()) == 6)
+    holds(lambda: speeds() == [0.1, 0.2, 0.3, 0.4, 0.5, 0.0], 0.5)
+
+
+@pytest.mark.parametrize("topic", [Topic("/cmd", "receive"), Topic("/cmd", "receive", arm=True, max_age=0.0)])
+def test_only_an_armed_topic_with_young_messages_is_driven(
+    bridge: Bridge, pc: Domain, robot: Domain, consoles: Consoles, topic: Topic
+) -> None:
+    motors = robot.listener("/cmd", Twist)
+    pc.publisher("/cmd", Twist)
+    server, client = bridge.both(topic)
+    if topic.arm:
+        eventually(lambda: can_be_armed(server, client))
+        consoles.arm(server)
+    with pytest.raises(EngineError, match=pattern(PublishProblem.NO_DEADMAN)):
+        publish(server, "", rest="linear: {x: 0}")
+    assert not motors.payloads
+
+
+# --- beginnings
+
+
+def test_a_draft_has_the_fields_of_a_message_that_passes(bridge: Bridge, robot: Domain, pc: Domain) -> None:
+    publisher = robot.publisher("/goal", PoseStamped, LATCHED)
+    message = PoseStamped()
+    message.header.frame_id, message.header.stamp.sec = "map", 7
+    message.pose.position.x = 2.5
+    publisher.publish(message)
+    server, _ = bridge.both(Topic("/goal", "transmit"))
+    pc.listener("/goal", PoseStamped)
+    eventually(lambda: now(server).routes and route(server, "/goal").messages_total)
+    draft = server.draft_message("/goal").result(30)
+    fields = yaml.safe_load(draft.fields)
+    assert (draft.is_last, draft.type_name) == (True, "geometry_msgs/msg/PoseStamped")
+    assert (fields["header"], fields["pose"]["position"]["x"]) == ({"stamp": "now", "frame_id": "map"}, 2.5)
+
+
+def test_a_draft_has_the_defaults_of_the_type(bridge: Bridge) -> None:
+    client = bridge.client()
+    draft = client.draft_message("/nobody", "geometry_msgs/msg/PoseStamped").result(30)
+    fields = yaml.safe_load(draft.fields)
+    assert not draft.is_last
+    assert (fields["header"]["stamp"], fields["pose"]["orientation"]["w"]) == ("now", 1.0)
+    published = publish(client, draft.fields, "/nobody", type_name=draft.type_name)
+    assert published.nodes == 0
+
+
+def test_the_type_of_the_other_sides_subscription_is_taken(bridge: Bridge, pc: Domain) -> None:
+    listener = pc.listener("/text")
+    _, client = bridge.both(Topic("/text", "transmit"))
+
+    def published() -> bool:
+        try:
+            return bool(publish(client, "data: x", "/text").links)
+        except EngineError:  # it is not known yet
+            return False
+
+    eventually(published)
+    eventually(lambda: "x" in listener.texts(10))
+
+
+def test_both_sides_know_who_published(bridge: Bridge, pc: Domain) -> None:
+    pc.listener("/text")
+    server, client = bridge.both(Topic("/text", "transmit"))
+    publish(client, "data: x", "/text", type_name=STRING)
+    eventually(lambda: happened(server, EventCode.OPERATOR_PUBLISHED))
+    assert not happened(server, EventCode.OPERATOR_CALLED)
