@@ -34,12 +34,14 @@ from rsb_bridge.wire.messages import ByHand
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
+    from rsb_bridge.channel.channel import DataChannel
     from rsb_bridge.context import Context
     from rsb_bridge.engine.topic_commands import CommandLog
     from rsb_bridge.link.link import Link
     from rsb_bridge.model.commands import DraftMessage, Publish
     from rsb_bridge.ros.ros_interface import Publisher
     from rsb_bridge.route.peeking import Peeking
+    from rsb_bridge.telemetry.event_log import About
 
 TOPICS = 32
 """Topics with publishers for messages by hand."""
@@ -239,7 +241,7 @@ class Publishing:
 
     # --- types
 
-    def _routes(self, topic: str) -> list[TopicRoute]:
+    def _routes(self, topic: str) -> list[TopicRoute[DataChannel]]:
         routes = [route for link in self._links() for route in link.routes.values()]
         return [route for route in routes if isinstance(route, TopicRoute) and route.local_topic == topic]
 
@@ -272,7 +274,7 @@ class Publishing:
             raise LinkError(PublishProblem.NO_TYPE(topic=topic))
         if known and name not in known:
             raise LinkError(PublishProblem.OTHER_TYPE(topic=topic, actual=", ".join(sorted(known)), wanted=name))
-        type_hash = await asyncio.to_thread(ros.installed_hash, name) or ""
+        type_hash = ros.installed_hash(name) or ""
         if type_hash and known.get(name, set()) - {"", type_hash}:
             raise LinkError(PublishProblem.OTHER_VERSION(type_name=name, topic=topic))
         return _Resolved(name, type_hash, self._qos(topic, name, publishers, subscriptions, routes))
@@ -283,7 +285,7 @@ class Publishing:
         type_name: str,
         publishers: Sequence[Endpoint],
         subscriptions: Sequence[Endpoint],
-        routes: Sequence[TopicRoute],
+        routes: Sequence[TopicRoute[DataChannel]],
     ) -> Qos:
         """Return the QoS of the other publishers, so that routes see no change, or what subscriptions ask for."""
         offered = [each.qos for each in publishers if each.type_name == type_name]
@@ -404,7 +406,7 @@ class Publishing:
             self._close(publication)
             if publication.count > 1:
                 text = f"{topic}: {publication.count:,} messages published by {publication.who}"
-                about = {"topic": topic, "who": publication.who, "new": f"{publication.count:,}"}
+                about: About = {"topic": topic, "who": publication.who, "new": f"{publication.count:,}"}
                 self._context.log(Level.INFO, EventCode.OPERATOR_PUBLISH_ENDED, text, **about)
 
     def close(self) -> None:

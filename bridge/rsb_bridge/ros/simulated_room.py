@@ -42,6 +42,14 @@ _COLOURS = np.array([_WALL] * 4 + [box[4] for box in _BOXES for _ in range(4)], 
 _SHADES = np.array([0.9, 0.75, 1.0, 0.65] * (1 + len(_BOXES)))
 
 
+def is_free(x: float, y: float, margin: float) -> bool:
+    """Whether a robot fits at a place in m: no wall and no box is nearer than `margin` m."""
+    if not (_LEFT + margin < x < _RIGHT - margin and _BOTTOM + margin < y < _TOP - margin):
+        return False
+    boxes = (box[:4] for box in _BOXES)
+    return not any(a - margin < x < c + margin and b - margin < y < d + margin for a, b, c, d in boxes)
+
+
 def _cast(x: float, y: float, directions: Floats) -> tuple[Floats, NDArray[np.intp]]:
     """Return the distance at which each ray hits, in lengths of its direction, and the segment that it hits."""
     start, across = _SEGMENTS[:, :2] - (x, y), _SEGMENTS[:, 2:] - _SEGMENTS[:, :2]

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import rclpy
-from geometry_msgs.msg import PoseStamped
+from geometry_msgs.msg import PoseStamped, Twist
 from nav_msgs.msg import OccupancyGrid, Odometry
 from rcl_interfaces.msg import FloatingPointRange, ParameterDescriptor
 from rcl_interfaces.srv import GetParameters
@@ -41,6 +41,10 @@ _MAP_SIDE, _MAP_RESOLUTION = 384, 0.05  # cells, m
 _IMAGE_WIDTH, _IMAGE_HEIGHT = 320, 240
 _CIRCLE, _TURNS = 2.0, 0.2
 """m, and rad/s: the robot's way around the middle of its room."""
+_MARGIN = 0.35
+"""m: the robot's radius."""
+_COMMAND_LASTS, _WAITS = 0.5, 10.0
+"""s for which a velocity counts, and after which the robot goes back to its way."""
 _CALL_EVERY = 2.0  # s
 _SPEED, _TOP_SPEED = 0.2, 1.0  # m/s
 _LATCHED = QoSProfile(depth=1, durability=QoSDurabilityPolicy.TRANSIENT_LOCAL)
@@ -87,11 +91,13 @@ class Simulation:
         else:
             publish()
 
-    def _counts(self, kind: type, topic: str, qos: Any) -> None:
+    def _counts(self, kind: type, topic: str, qos: Any, take: Callable[[Any], None] | None = None) -> None:
         self.received[topic] = 0
 
-        def count(_: Any) -> None:
+        def count(message: Any) -> None:
             self.received[topic] += 1
+            if take is not None:
+                take(message)
 
         self._node.create_subscription(kind, topic, count, qos)
 
@@ -111,6 +117,44 @@ class Simulation:
         return self._node.get_clock().now().to_msg()
 
 
+class Motion:
+    """The place of the robot: it drives in a circle, or as it is told."""
+
+    def __init__(self) -> None:
+        self._x, self._y, self._heading = _CIRCLE, 0.0, math.pi / 2
+        self._velocity = 0.0, 0.0
+        self._commanded = -math.inf
+        self._at = time.monotonic()
+
+    def command(self, twist: Twist) -> None:
+        """Take a velocity."""
+        self.pose()
+        self._velocity, self._commanded = (twist.linear.x, twist.angular.z), self._at
+
+    def pose(self) -> tuple[float, float, float]:
+        """Return where the robot is now: x and y in m, and its heading in rad."""
+        now = time.monotonic()
+        elapsed, self._at = min(0.2, now - self._at), now
+        forward, turn = self._wanted(now)
+        self._heading = math.remainder(self._heading + turn * elapsed, math.tau)
+        x = self._x + forward * elapsed * math.cos(self._heading)
+        y = self._y + forward * elapsed * math.sin(self._heading)
+        if simulated_room.is_free(x, y, _MARGIN):
+            self._x, self._y = x, y
+        return self._x, self._y, self._heading
+
+    def _wanted(self, now: float) -> tuple[float, float]:
+        since = now - self._commanded
+        if since < _COMMAND_LASTS:
+            return self._velocity
+        if since < _WAITS:
+            return 0.0, 0.0
+        ahead = math.atan2(self._y, self._x) + 0.4
+        target_x, target_y = _CIRCLE * math.cos(ahead), _CIRCLE * math.sin(ahead)
+        wrong = math.remainder(math.atan2(target_y - self._y, target_x - self._x) - self._heading, math.tau)
+        return _CIRCLE * _TURNS * max(0.0, math.cos(wrong)), max(-1.0, min(1.0, 2 * wrong))
+
+
 class Robot(Simulation):
     """Drives a circle in a room: scan, odometry, a latched map, the battery, a camera; takes goals.
 
@@ -124,26 +168,28 @@ class Robot(Simulation):
         self._node.declare_parameter("speed", _SPEED, about)
         self._node.create_service(SetBool, "/set_light", self._set_light)
         self._lit = False
+        self._motion = Motion()
         self._publishes(LaserScan, "/scan", qos_profile_sensor_data, SCAN_RATE, self._scan)
         self._publishes(Odometry, "/odom", 10, ODOM_RATE, self._odometry)
         self._publishes(OccupancyGrid, "/map", _LATCHED, 0, self._map)
         self._publishes(BatteryState, "/battery_state", 10, BATTERY_RATE, self._battery)
         self._publishes_images("/camera/image_raw")
         self._counts(PoseStamped, "/goal_pose", 10)
+        self._counts(Twist, "/cmd_vel", 10, self._motion.command)
 
-    def _scan(self, t: float) -> LaserScan:
+    def _scan(self, _: float) -> LaserScan:
         scan = LaserScan(angle_min=-math.pi, angle_max=math.pi, angle_increment=2 * math.pi / _BEAMS)
         scan.header.stamp, scan.header.frame_id = self._stamp(), "base_link"
         scan.time_increment, scan.scan_time, scan.range_min, scan.range_max = 0.0, 1 / SCAN_RATE, 0.1, 12.0
         angles = scan.angle_min + np.arange(_BEAMS) * scan.angle_increment
-        scan.ranges = simulated_room.ranges(*_pose(t), angles).astype(np.float32)
+        scan.ranges = simulated_room.ranges(*self._motion.pose(), angles).astype(np.float32)
         scan.intensities = [100.0] * _BEAMS
         return scan
 
-    def _odometry(self, t: float) -> Odometry:
+    def _odometry(self, _: float) -> Odometry:
         odometry = Odometry(child_frame_id="base_link")
         odometry.header.stamp, odometry.header.frame_id = self._stamp(), "map"
-        x, y, heading = _pose(t)
+        x, y, heading = self._motion.pose()
         odometry.pose.pose.position.x, odometry.pose.pose.position.y = x, y
         odometry.pose.pose.orientation.z = math.sin(heading / 2)
         odometry.pose.pose.orientation.w = math.cos(heading / 2)
@@ -171,14 +217,14 @@ class Robot(Simulation):
 
         def publish() -> None:
             if publisher.get_subscription_count():
-                publisher.publish(self._image(time.monotonic() - self._began))
+                publisher.publish(self._image())
 
         self._node.create_timer(1 / CAMERA_RATE, publish)
 
-    def _image(self, t: float) -> Image:
+    def _image(self) -> Image:
         image = Image(width=_IMAGE_WIDTH, height=_IMAGE_HEIGHT, encoding="rgb8", step=3 * _IMAGE_WIDTH)
         image.header.stamp, image.header.frame_id = self._stamp(), "camera"
-        image.data = array.array("B", simulated_room.image(*_pose(t), _IMAGE_WIDTH, _IMAGE_HEIGHT))
+        image.data = array.array("B", simulated_room.image(*self._motion.pose(), _IMAGE_WIDTH, _IMAGE_HEIGHT))
         return image
 
     def _set_light(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
@@ -186,12 +232,6 @@ class Robot(Simulation):
         response.success = True
         response.message = f"the light is {'on' if self._lit else 'off'}{' already' if was == self._lit else ''}"
         return response
-
-
-def _pose(t: float) -> tuple[float, float, float]:
-    """Return where the robot is after so many seconds: x and y in m, and its heading in rad."""
-    angle = t * _TURNS
-    return _CIRCLE * math.cos(angle), _CIRCLE * math.sin(angle), angle + math.pi / 2
 
 
 class Desk(Simulation):

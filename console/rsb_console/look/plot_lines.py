@@ -15,7 +15,7 @@ CURVE_STYLES = ("scan", "path", "goal", "ok", "warning", "error", "robot", "stro
 _DOT_BITS = ((0x01, 0x08), (0x02, 0x10), (0x04, 0x20), (0x40, 0x80))
 _BRAILLE = 0x2800
 _ACROSS, _DOWN = 2, 4
-_AXIS = 10
+AXIS = 10
 """Cells of the labels of values, with the axis."""
 _TICK_ROWS, _TICK_COLUMNS = 4, 16
 _STEPS = (1, 2, 5, 10)
@@ -33,7 +33,7 @@ def plot_rows(series: Series, width: int, height: int, *, cursor: int | None = N
     styles_of = cycle(CURVE_STYLES)
     legend = [_legend(curve, next(styles_of), width, cursor) for curve in series.curves]
     rows = max(1, height - len(legend) - 2)
-    across = max(1, width - _AXIS)
+    across = max(1, width - AXIS)
     low, high = _range(series)
     dots, styles = _dots(series, across, rows, low, high)
     ticks = _ticks(low, high, max(2, rows // _TICK_ROWS))
@@ -41,7 +41,7 @@ def plot_rows(series: Series, width: int, height: int, *, cursor: int | None = N
     lines: list[Parts] = []
     for row in range(rows):
         label = labels.get(row, "")
-        parts: Parts = [(f"{label:>{_AXIS - 1}}", "axis"), ("┤" if label else "│", "axis")]
+        parts: Parts = [(f"{label:>{AXIS - 1}}", "axis"), ("┤" if label else "│", "axis")]
         for column in range(across):
             style = styles[row][column]
             character = chr(_BRAILLE + dots[row][column]) if dots[row][column] else " "
@@ -120,13 +120,13 @@ def _time_axis(series: Series, across: int) -> list[Parts]:
         line[at] = "┴"
         begin = max(0, min(across - len(text), at - len(text) // 2))
         labels[begin : begin + len(text)] = text
-    margin = " " * (_AXIS - 1)
+    margin = " " * (AXIS - 1)
     return [[(f"{margin}└{''.join(line)}", "axis")], [(f"{margin} {''.join(labels[:across])}", "axis")]]
 
 
 def _legend(curve: Curve, style: str, width: int, cursor: int | None) -> Parts:
     if cursor is not None and curve.lows:
-        column = min(len(curve.lows) - 1, cursor * len(curve.lows) // max(1, width - _AXIS))
+        column = min(len(curve.lows) - 1, cursor * len(curve.lows) // max(1, width - AXIS))
         low, high = curve.lows[column], curve.highs[column]
         if low is not None and high is not None:
             shown = number(low) if low == high else f"{number(low)} to {number(high)}"

@@ -49,18 +49,6 @@ class OperationText(Wording):
 _RETRIED_ON_SERVER = "topics that were refused are opened again; clients whose links were shut down may come back"
 
 
-def arming_means(route: RouteSnapshot) -> str:
-    """Return the question that the operator answers before arming."""
-    deadman = route.arming.deadman if route.arming is not None else 0.0
-    keys = f", or no key is pressed here for {deadman:g} s" if deadman else ""
-    way = f"to {route.remote_topic} on the other side" if route.outgoing else f"from there to {route.topic} here"
-    what = "messages" if route.calls is None else "calls"
-    return (
-        f"From now on its {what} cross the link of {route.link}, {way}: {route.link} may move.\n"
-        f"It disarms when the link drops, this console ends{keys}."
-    )
-
-
 def _removal(route: RouteSnapshot) -> str:
     if isinstance(route, PatternRow):
         return f"All that it has brought ({route.routes}) stop crossing at once"
@@ -123,7 +111,7 @@ class BridgeOperations:
 
     async def arm(self) -> None:
         """Arm the topic under the cursor, after a question; disarm it at once, even if another operator armed it."""
-        from rsb_console.screens.dialog import ConfirmScreen  # noqa: PLC0415 -- keeps the start short
+        from rsb_console.screens.dialog import ArmScreen  # noqa: PLC0415 -- keeps the start short
 
         engine, route = self._console.engine, self._selected()
         if engine is None or route is None or route.arming is None:
@@ -133,7 +121,7 @@ class BridgeOperations:
         elif route.state is State.PAUSED:
             text = f"{route.topic} cannot be armed: it is paused; resume it first"
             self._console.notify(text, title="Not done", severity="warning", markup=False)
-        elif await self._console.ask(ConfirmScreen(f"Arm {route.topic} of {route.link}?", arming_means(route), "Arm")):
+        elif await self._console.ask(ArmScreen(route)):
             await self._console.command(engine.arm(route.key))
 
     async def _disarm(self, engine: EngineApi, route: RouteSnapshot) -> None:
@@ -158,6 +146,28 @@ class BridgeOperations:
         engine, route = self._console.engine, self._selected()
         if engine is not None and route is not None and route.lanes:
             await self._console.ask(CallScreen(self._console, route))
+
+    async def publish(self) -> None:
+        """Publish by hand, on the topic under the cursor or another one."""
+        from rsb_console.screens.publish_screen import Message, PublishScreen  # noqa: PLC0415 -- keeps the start short
+
+        if self._console.engine is not None:
+            route = self._selected()
+            is_topic = route is not None and route.calls is None and not isinstance(route, PatternRow)
+            topic = route.topic if route is not None and is_topic else ""
+            await self._console.ask(PublishScreen(self._console, Message(topic, "", "")))
+
+    async def drive(self) -> None:
+        """Drive by keys on the topic under the cursor."""
+        from rsb_console.screens.drive_screen import DriveScreen, why_not_driven  # noqa: PLC0415
+
+        route = self._selected()
+        if self._console.engine is None or route is None:
+            return
+        if problem := why_not_driven(route):
+            self._console.notify(problem, title="Not done", severity="warning", markup=False)
+        else:
+            await self._console.ask(DriveScreen(self._console, route))
 
     async def retry(self) -> None:
         engine = self._console.engine

@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from textual.widgets._button import ButtonVariant
 
     from rsb_bridge.api import EngineApi
+    from rsb_bridge.model.snapshot import RouteSnapshot
     from rsb_console.session.changes import Undo
 
 _AROUND = 8
@@ -118,6 +119,25 @@ class ConfirmScreen(ModalScreen[bool]):
 
     def action_answer(self, answer: bool) -> None:
         self.dismiss(answer)
+
+
+class ArmScreen(ConfirmScreen):
+    """Asks whether to arm a topic or a service.
+
+    Args:
+        route: its route.
+    """
+
+    def __init__(self, route: RouteSnapshot) -> None:
+        deadman = route.arming.deadman if route.arming is not None else 0.0
+        keys = f", or no key is pressed here for {deadman:g} s" if deadman else ""
+        way = f"to {route.remote_topic} on the other side" if route.outgoing else f"from there to {route.topic} here"
+        what = "messages" if route.calls is None else "calls"
+        means = (
+            f"From now on its {what} cross the link of {route.link}, {way}: {route.link} may move.\n"
+            f"It disarms when the link drops, this console ends{keys}."
+        )
+        super().__init__(f"Arm {route.topic} of {route.link}?", means, "Arm")
 
 
 class OfferScreen(ConfirmScreen):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import math
 import secrets
 import time
 from pathlib import Path
@@ -14,26 +15,32 @@ from rich.style import Style
 from textual import work
 from textual.binding import Binding
 from textual.content import Content
+from textual.message import Message as TextualMessage
 from textual.screen import ModalScreen
 from textual.strip import Strip
 from textual.widget import Widget
 
 from rsb_bridge.api import EngineError
 from rsb_bridge.config.files import replace_file
-from rsb_bridge.model.pictures import MOST_COLUMNS, MOST_RATE, MOST_ROWS, TOPICS_AT_ONCE, Wish
+from rsb_bridge.model.pictures import MOST_COLUMNS, MOST_RATE, MOST_ROWS, TOPICS_AT_ONCE, Cells, Series, Wish
 from rsb_bridge.model.text import escape_text
 from rsb_bridge.model.wording import Wording
 from rsb_bridge.view.worker import VIEWS
 from rsb_console.look import formats
-from rsb_console.look.picture_rows import UnreadableError, notes_line, picture_rows, reads_webp
+from rsb_console.look.picture_rows import UnreadableError, notes_line, picture_rows, reads_webp, with_mark
+from rsb_console.look.plot_lines import AXIS
+from rsb_console.screens.drive_screen import DriveScreen, why_not_driven
 from rsb_console.screens.look_screen import is_map
+from rsb_console.screens.publish_screen import Message, PublishScreen
+from rsb_console.session.by_hand import POSE, Goal
 from rsb_console.session.picture_files import formats_of, picture_file
 from rsb_console.widgets.lines import LOOK_CLASSES, yield_gil
 
 if TYPE_CHECKING:
     from textual.app import ComposeResult
+    from textual.events import Click
 
-    from rsb_bridge.model.pictures import Viewed
+    from rsb_bridge.model.pictures import Scale, Viewed
     from rsb_console.console_api import Console
     from rsb_console.look.picture_rows import Row
     from rsb_console.screens.look_screen import Subject
@@ -48,7 +55,10 @@ _LOOKS = {
 }  # fmt: skip
 """The theme's look of each style of a picture."""
 _KEYS = ("space hold", "t text", "h how", "+- zoom", "arrows", "<> rate", "p file")
-_MAP_KEYS, _POINT_KEYS = ("l layers",), ("[] tilt", "c colour")
+_MAP_KEYS, _POINT_KEYS, _DRIVE_KEYS = ("l layers",), ("[] tilt", "c colour"), ("g goal", "d drive")
+_TURN = 15.0
+"""Degrees by which a key turns a goal."""
+_GOAL_TOPIC = "/goal_pose"
 
 
 class ViewText(Wording):
@@ -64,6 +74,11 @@ class ViewText(Wording):
     WRITTEN = "written: {file}"
     NOT_WRITTEN = "{file} cannot be written: {error}"
     NO_PICTURE = "there is no picture yet"
+    NO_MAP = "a goal needs a map whose frame is known"
+    GOAL_PLACE = "GOAL at {x:.2f}, {y:.2f} m in {frame}: arrows move it, ⏎ turns it, esc leaves"
+    GOAL_HEADING = "GOAL at {x:.2f}, {y:.2f} m, heading {degrees:.0f}°: ←→ turn it, ⏎ publishes, esc leaves"
+    NOT_DRIVEN = "no topic can be driven: that needs a Twist that goes to the other side, with arm: true"
+    SEVERAL_DRIVEN = "several topics can be driven: choose one in the list of topics, and press its key there"
 
 
 def has_picture(type_name: str) -> bool:
@@ -87,6 +102,24 @@ class PicturePane(Widget, can_focus=True):
         yield_gil()
         self._rows = rows
         self.refresh()
+
+    class Clicked(TextualMessage):
+        """A cell was clicked.
+
+        Attributes:
+            column: of the cell.
+            row: of the cell.
+        """
+
+        def __init__(self, column: int, row: int) -> None:
+            super().__init__()
+            self.column, self.row = column, row
+
+    def on_click(self, event: Click) -> None:
+        """Tell the screen."""
+        offset = event.get_content_offset(self)
+        if offset is not None:
+            self.post_message(self.Clicked(offset.x, offset.y))
 
     def notify_style_update(self) -> None:
         self._styles.clear()
@@ -121,8 +154,12 @@ class ViewScreen(ModalScreen[bool]):
     """
 
     BINDINGS: ClassVar = [
-        Binding("escape,q,v", "dismiss", show=False),
+        Binding("escape", "leave", show=False),
+        Binding("q,v", "dismiss", show=False),
         Binding("t", "dismiss(True)", show=False),
+        Binding("g", "goal", show=False),
+        Binding("enter", "place", show=False),
+        Binding("d", "drive", show=False),
         Binding("h", "way", show=False),
         Binding("plus,equals_sign", f"zoom({_ZOOM})", show=False),
         Binding("minus", f"zoom({1 / _ZOOM})", show=False),
@@ -154,6 +191,10 @@ class ViewScreen(ModalScreen[bool]):
         self._goes_on = asyncio.Event()
         self._goes_on.set()
         self._problem = ""
+        self._cursor: int | None = None
+        """Column of a plot whose values are shown."""
+        self._goal: Goal | None = None
+        self._turns_goal = False
 
     @property
     def has_content(self) -> bool:
@@ -163,6 +204,7 @@ class ViewScreen(ModalScreen[bool]):
     def compose(self) -> ComposeResult:
         self.pane = PicturePane()
         special = (_MAP_KEYS if self._layers else ()) + (_POINT_KEYS if _is_points(self._subject.type_name) else ())
+        special += () if self.console.readonly else _DRIVE_KEYS
         self.pane.border_subtitle = Content(f" {' · '.join(('esc', *special, *_KEYS))} ")
         self._entitle()
         yield self.pane
@@ -225,7 +267,10 @@ class ViewScreen(ModalScreen[bool]):
         if content is not None:
             try:
                 colours = self.app.console.color_system is not None and not self.app.ansi_color
-                rows = picture_rows(content, self._wish.width, self._wish.height, colours=colours)
+                width, height = self._wish.width, self._wish.height
+                rows = picture_rows(content, width, height, colours=colours, cursor=self._cursor)
+                if self._goal is not None and isinstance(content, Cells) and content.scale is not None:
+                    rows = with_mark(rows, *self._goal.cell(content.scale), self._goal.arrow, "goal")
             except UnreadableError as error:
                 self._problem = str(error)
         self.pane.show(rows)
@@ -237,6 +282,10 @@ class ViewScreen(ModalScreen[bool]):
         self.pane.border_title = Content(f" {topics} · {self._status()} ")  # a string would be markup
 
     def _status(self) -> str:
+        if (goal := self._goal) is not None:
+            degrees = math.degrees(goal.heading)
+            text = ViewText.GOAL_HEADING if self._turns_goal else ViewText.GOAL_PLACE
+            return escape_text(text(x=goal.x, y=goal.y, frame=goal.frame, degrees=degrees))
         if not self._goes_on.is_set():
             return ViewText.HELD()
         if self._viewed is None:
@@ -270,7 +319,20 @@ class ViewScreen(ModalScreen[bool]):
         self._change(zoom=max(0.05, min(200.0, self._wish.zoom * factor)))
 
     def action_move(self, right: float, up: float) -> None:
-        self._change(x=self._wish.x + right, y=self._wish.y + up)
+        """Move the goal, a plot's cursor, or the view."""
+        content = None if self._viewed is None else self._viewed.picture.content
+        columns, rows = round(right / _PAN), round(-up / _PAN)
+        if self._goal is not None and (scale := self._scale) is not None:
+            turned, moved = self._goal.turned(-columns * _TURN), self._goal.moved(scale, columns, rows)
+            self._goal = turned if self._turns_goal else moved
+            self._draw()
+        elif isinstance(content, Series):
+            last = max(0, self._wish.width - AXIS - 1)
+            at = last if self._cursor is None else self._cursor + columns
+            self._cursor = max(0, min(last, at))
+            self._draw()
+        else:
+            self._change(x=self._wish.x + right, y=self._wish.y + up)
 
     def action_tilt(self, degrees: float) -> None:
         self._change(tilt=max(0.0, min(90.0, self._wish.tilt + degrees)))
@@ -279,13 +341,84 @@ class ViewScreen(ModalScreen[bool]):
         self._change(colour="intensity" if self._wish.colour == "height" else "height")
 
     def action_reset(self) -> None:
-        """Show the whole picture from above."""
+        """Show the whole picture from above, without a cursor."""
+        self._cursor = None
         self._change(zoom=1.0, x=0.0, y=0.0, tilt=0.0)
 
     def action_layers(self) -> None:
         """Lay the other topics over the map, or show the map alone."""
         self._shows_layers = not self._shows_layers
         self._entitle()
+
+    # -- goals and driving --------------------------------------------------------------------------------------------
+
+    @property
+    def _scale(self) -> Scale | None:
+        content = None if self._viewed is None else self._viewed.picture.content
+        return content.scale if isinstance(content, Cells) else None
+
+    def action_leave(self) -> None:
+        """Drop the goal, or close the view."""
+        if self._goal is None:
+            self.dismiss(None)
+        else:
+            self._goal = None
+            self._draw()
+
+    def action_goal(self) -> None:
+        """Begin to set a goal in the middle of the map."""
+        if self.console.readonly:
+            return
+        if (scale := self._scale) is None:
+            self.notify(ViewText.NO_MAP(), severity="warning", markup=False)
+            return
+        self._goal, self._turns_goal = Goal.at(scale, self._wish.width / 2, self._wish.height / 2), False
+        self._draw()
+
+    def on_picture_pane_clicked(self, event: PicturePane.Clicked) -> None:
+        """Put the goal where the operator clicks."""
+        if self._goal is not None and not self._turns_goal and (scale := self._scale) is not None:
+            self._goal = Goal.at(scale, event.column + 0.5, event.row + 0.5)
+            self._draw()
+
+    def action_place(self) -> None:
+        """Go on to the goal's heading, and then to the form that publishes it."""
+        if self._goal is None:
+            return
+        if not self._turns_goal:
+            self._turns_goal = True
+            self._draw()
+            return
+        fields, self._goal = self._goal.fields(), None
+        self._draw()
+        self.app.push_screen(PublishScreen(self.console, Message(self._goal_topic(), POSE, fields)))
+
+    def _goal_topic(self) -> str:
+        """Return a topic of poses that goes to the side of the map, or the usual name."""
+        where = self._subject.link or (self._viewed.where if self._viewed is not None else "")
+        routes = [
+            each
+            for each in self.console.snapshot().routes
+            if each.outgoing and POSE in (each.type_name, each.spec.type)
+        ]
+        chosen = [each for each in routes if each.link == where] or routes
+        return next((each.topic for each in chosen if each.topic.endswith(_GOAL_TOPIC)), _GOAL_TOPIC)
+
+    def action_drive(self) -> None:
+        """Drive the robot that the picture is of, beside the picture."""
+        if self.console.readonly:
+            return
+        where = self._subject.link or (self._viewed.where if self._viewed is not None else "")
+        driven = [each for each in self.console.snapshot().routes if not why_not_driven(each)]
+        driven = [each for each in driven if each.link == where] or driven
+        armed = [each for each in driven if each.arming is not None and each.arming.armed]
+        if len(only := armed or driven) == 1:
+            self.app.push_screen(DriveScreen(self.console, only[0]))
+        else:
+            text = ViewText.SEVERAL_DRIVEN() if only else ViewText.NOT_DRIVEN()
+            self.notify(text, severity="warning", markup=False)
+
+    # -- the rest -----------------------------------------------------------------------------------------------------
 
     def action_rate(self, step: int) -> None:
         at = _RATES.index(self._wish.rate) + step

@@ -38,6 +38,7 @@ _TOPICS = (
     Topic(topic="/odom", direction="receive", protocol="udp", expected_rate=50.0),
     Topic(topic="/map", direction="receive", protocol="tcp", compression="zstd"),
     Topic(topic="/goal_pose", direction="transmit", protocol="tcp", expected_rate=1.0),
+    Topic(topic="/cmd_vel", direction="transmit", type="geometry_msgs/msg/Twist", protocol="tcp", arm=True),
     Topic(topic="/set_light", direction="transmit", kind="service", timeout=5.0),
     Topic(topic="/simulated_robot", direction="transmit", kind="parameters", timeout=5.0),
 )

@@ -1,0 +1,252 @@
+"""Drives a robot by keys, over a topic that has to be armed and whose old messages are dropped.
+
+A key counts for `_KEY_LASTS`, and the engine ends a motion by itself if no further command comes
+(`rsb_bridge.model.commands.Publish.rest`). So the robot stops if the operator lets the key go, if the terminal or the
+console hangs, or if the way to the bridge does.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from collections import deque
+from typing import TYPE_CHECKING, ClassVar
+
+from textual import work
+from textual.binding import Binding
+from textual.content import Content
+from textual.screen import ModalScreen
+from textual.widgets import Static
+
+from rsb_bridge.api import EngineError
+from rsb_bridge.model.text import escape_text
+from rsb_bridge.model.wording import Wording
+from rsb_console.screens.dialog import ArmScreen
+from rsb_console.session.by_hand import TWIST, TWIST_STAMPED, ByHandText, velocity
+from rsb_console.terminal.input_queue import DIALOG
+
+if TYPE_CHECKING:
+    from textual.app import ComposeResult
+
+    from rsb_bridge.model.snapshot import RouteSnapshot
+    from rsb_console.console_api import Console
+
+_KEY_LASTS = 0.6
+"""s for which a key counts: a held key repeats after up to 0.5 s for the first time."""
+_RATE = 10.0
+"""Hz of commands while the robot moves."""
+_RESTS_AFTER = 0.5
+"""s without a command after which the bridge stops the robot."""
+_BURST, _BURST_SECONDS = 10, 0.1
+"""Keys in so short a time were held up on their way: people and keyboards repeat them more slowly."""
+_IGNORED_FOR = 0.3
+"""s after a burst in which keys are ignored."""
+_TICKETS = 3
+"""Tickets in a row that were too old when they came back."""
+_SPEED, _TURN = 0.2, 0.5
+_LEAST_SPEED, _MOST_SPEED = 0.02, 2.0
+_FASTER = 1.25
+_WAYS = {
+    "up": (1, 0), "down": (-1, 0), "left": (0, 1), "right": (0, -1),
+    "i": (1, 0), "comma": (-1, 0), "j": (0, 1), "l": (0, -1),
+    "u": (1, 1), "o": (1, -1), "m": (-1, -1), "full_stop": (-1, 1),
+}  # fmt: skip
+"""Forward and turn, counterclockwise, of each key; the letters are those of teleop_twist_keyboard."""
+_STOPS = {"k", "space"}
+_KEYS = "↑↓←→ or u i o j l m , . drive · space stop · +- speed · A arm · esc leave"
+
+
+class DriveText(Wording):
+    """Texts of the screen."""
+
+    MOVES = "forward {forward:+.2f} m/s  turn {turn:+.2f} rad/s"
+    STANDS = "stands"
+    SPEED = "keys: {speed:.2f} m/s, {turn:.2f} rad/s"
+    LATE = "keys came late, all at once: they are ignored"
+    DISARMED = "disarmed: press A to arm it{reason}"
+    ARMED = "armed{left}"
+    LEFT = ", for {seconds:.0f} s without a key"
+    GONE = "it is no longer bridged"
+    OTHER_TYPE = "{topic} cannot be driven: its type is {type_name}, not Twist or TwistStamped"
+    NOT_DRIVEN = "{topic} cannot be driven: set arm: true on the topic first (e), and leave max_age as it is"
+
+
+def why_not_driven(route: RouteSnapshot) -> str:
+    """Return the reason why a topic cannot be driven, or an empty string."""
+    type_name = route.type_name or route.spec.type
+    if type_name not in (TWIST, TWIST_STAMPED):
+        return DriveText.OTHER_TYPE(topic=route.topic, type_name=type_name or "unknown")
+    if route.arming is None or not route.max_age:
+        return DriveText.NOT_DRIVEN(topic=route.topic)
+    return ""
+
+
+class Steering:
+    """The velocity that the operator's keys mean.
+
+    Attributes:
+        speed: m/s of a key.
+        turn: rad/s of a key.
+    """
+
+    def __init__(self) -> None:
+        self.speed, self.turn = _SPEED, _TURN
+        self._forward = self._left = 0
+        self._forward_until = self._left_until = 0.0
+        self._times: deque[float] = deque(maxlen=_BURST)
+        self._ignored_until = 0.0
+
+    def press(self, key: str, now: float) -> None:
+        """Take a key at `now` (s)."""
+        self._times.append(now)
+        if len(self._times) == _BURST and now - self._times[0] < _BURST_SECONDS:
+            self._ignored_until = now + _IGNORED_FOR
+        if key in _STOPS or now < self._ignored_until:
+            self._forward_until = self._left_until = 0.0
+            return
+        forward, left = _WAYS[key]
+        letters = bool(forward and left)
+        if forward or letters:
+            self._forward, self._forward_until = forward, now + _KEY_LASTS
+        if left or letters:
+            self._left, self._left_until = left, now + _KEY_LASTS
+
+    def came_late(self, now: float) -> bool:
+        """Whether keys are ignored at `now` (s)."""
+        return now < self._ignored_until
+
+    def change_speed(self, factor: float) -> None:
+        speed = max(_LEAST_SPEED, min(_MOST_SPEED, self.speed * factor))
+        self.turn *= speed / self.speed
+        self.speed = speed
+
+    def at(self, now: float) -> tuple[float, float]:
+        """Return the velocity at `now` (s): forward in m/s, turn in rad/s."""
+        forward = self._forward * self.speed if now < self._forward_until else 0.0
+        return forward, self._left * self.turn if now < self._left_until else 0.0
+
+
+class DriveScreen(ModalScreen[None]):
+    """Drives until it is closed. What is below stays in sight: a camera's picture, for example.
+
+    Args:
+        console: the app.
+        route: the topic's.
+    """
+
+    BINDINGS: ClassVar = [
+        Binding("escape,q", "dismiss", show=False),
+        *(Binding(key, f"press('{key}')", show=False) for key in (*_WAYS, *_STOPS)),
+        Binding("plus,equals_sign", f"speed({_FASTER})", show=False),
+        Binding("minus", f"speed({1 / _FASTER})", show=False),
+        Binding("A", "arm", show=False),
+    ]
+
+    def __init__(self, console: Console, route: RouteSnapshot) -> None:
+        super().__init__()
+        self.console = console
+        self._route = route
+        self._steering = Steering()
+        self._problem = ""
+        self._ticket = self._refusals = 0
+        self._pane = Static(id="drive", classes="dialog", markup=False)
+
+    def compose(self) -> ComposeResult:
+        self._pane.border_title = Content(f" Drive {escape_text(self._route.topic)} ")
+        self._pane.border_subtitle = Content(f" {_KEYS} ")
+        yield self._pane
+
+    def on_mount(self) -> None:
+        self.set_interval(0.1, self._draw)
+        self._drive()
+
+    # -- commands -----------------------------------------------------------------------------------------------------
+
+    @work
+    async def _drive(self) -> None:
+        """Send what the keys mean, and for some time after the last one that the robot is to stand."""
+        sent_until = 0.0
+        while True:
+            began = time.monotonic()
+            forward, turn = self._steering.at(began)
+            if forward or turn:
+                sent_until = began + _RESTS_AFTER
+            if began < sent_until:
+                try:
+                    if not await self._send(forward, turn):
+                        continue  # the keys may mean something else by now
+                    self._problem = ""
+                except EngineError as error:
+                    self._problem, sent_until = str(error), 0.0
+            await asyncio.sleep(max(0.0, began + 1 / _RATE - time.monotonic()))
+
+    async def _send(self, forward: float, turn: float) -> bool:
+        """Send a velocity. Return whether it was published: the first one needs a ticket.
+
+        Raises:
+            EngineError: the bridge refuses it, or answers too slowly.
+        """
+        engine, type_name = self.console.engine, self._route.type_name or self._route.spec.type
+        if engine is None:
+            raise EngineError(ByHandText.NO_SESSION())
+        published = await asyncio.wrap_future(
+            engine.publish(
+                self._route.topic,
+                velocity(type_name, forward, turn),
+                type_name,
+                ticket=self._ticket,
+                rest=velocity(type_name, 0.0, 0.0),
+                rest_after=_RESTS_AFTER,
+            )
+        )
+        self._ticket = published.ticket
+        self._refusals = 0 if published.is_done else self._refusals + 1
+        if self._refusals > _TICKETS:
+            raise EngineError(ByHandText.TOO_SLOW(topic=self._route.topic))
+        return published.is_done
+
+    # -- keys ---------------------------------------------------------------------------------------------------------
+
+    def action_press(self, key: str) -> None:
+        """Take a key that drives or stops."""
+        self._steering.press(key, time.monotonic())
+        self._draw()
+
+    def action_speed(self, factor: float) -> None:
+        """Change the velocity of a key."""
+        self._steering.change_speed(factor)
+        self._draw()
+
+    @work(group=DIALOG)
+    async def action_arm(self) -> None:
+        """Arm the topic after a question, or disarm it at once."""
+        route, engine = self._current(), self.console.engine
+        if engine is None or route is None or route.arming is None:
+            return
+        if route.arming.armed:
+            await self.console.command(engine.disarm(route.key))
+        elif await self.console.ask(ArmScreen(route)):
+            await self.console.command(engine.arm(route.key))
+
+    # -- the picture --------------------------------------------------------------------------------------------------
+
+    def _current(self) -> RouteSnapshot | None:
+        return next((each for each in self.console.snapshot().routes if each.key == self._route.key), None)
+
+    def _draw(self) -> None:
+        now = time.monotonic()
+        forward, turn = self._steering.at(now)
+        moves = DriveText.MOVES(forward=forward, turn=turn) if forward or turn else DriveText.STANDS()
+        speed = DriveText.SPEED(speed=self._steering.speed, turn=self._steering.turn)
+        problem = DriveText.LATE() if self._steering.came_late(now) else self._problem
+        self._pane.update(Content(escape_text(f"{moves}   ({speed})") + f"\n{self._state()}\n{escape_text(problem)}"))
+
+    def _state(self) -> str:
+        route = self._current()
+        if route is None or route.arming is None:
+            return DriveText.GONE()
+        if not route.arming.armed:
+            reason = f" ({escape_text(route.arming.reason)})" if route.arming.reason else ""
+            return DriveText.DISARMED(reason=reason)
+        left = route.arming.left
+        return DriveText.ARMED(left="" if left is None else DriveText.LEFT(seconds=left))

@@ -1,0 +1,209 @@
+"""A form that publishes a message by hand."""
+
+from __future__ import annotations
+
+import asyncio
+from typing import TYPE_CHECKING, ClassVar, NamedTuple
+
+from textual import on, work
+from textual.binding import Binding
+from textual.containers import Horizontal, Vertical
+from textual.widgets import Button, Static
+
+from rsb_bridge.api import EngineError
+from rsb_bridge.config.fields_text import read_fields
+from rsb_bridge.model.calls import FieldError
+from rsb_bridge.model.text import escape_text
+from rsb_bridge.model.wording import Wording
+from rsb_console.look.glyphs import DONE, FAILED
+from rsb_console.screens.dialog import ConfirmScreen
+from rsb_console.screens.form_screen import FormScreen
+from rsb_console.session.by_hand import publish
+from rsb_console.terminal.input_queue import DIALOG
+from rsb_console.widgets.form import Field, Notice, Spec, TextField
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from textual.app import ComposeResult
+
+    from rsb_bridge.model.by_hand import Published
+    from rsb_console.console_api import Console
+
+_CHECKED = 4 << 10
+"""Longest message (characters) to check while it is typed; a longer one takes too long."""
+_TYPED_FOR = 0.5
+"""s without a key in the topic's name after which its fields are looked up."""
+_ASKED_CHARACTERS = 2 << 10
+_KEYS = "F9 publish   tab next   esc close"
+
+
+class PublishText(Wording):
+    """Texts of the form."""
+
+    TOPIC_MISSING = "missing: name the topic"
+    NOT_ABSOLUTE = "a name begins with /"
+    NO_MAPPING = "not a mapping of fields: write one line for each field, such as data: true"
+    LAST = "These are the fields of a message that has just passed."
+    FIELDS_UNKNOWN = "Its fields are not known: {error}"
+    QUESTION = "Publish on {topic}?"
+    MEANS = "It is published once, on this side{links}:\n{fields}"
+    OVER = ", and goes over the link to {links}"
+    ALL_DEFAULTS = "(the default of every field)"
+    PUBLISHED = "{sign} published on {topic}: {subscriptions} here{links}"
+    OVER_LINKS = ", and over the link to {links}"
+    NOBODY = "{sign} nobody gets {topic}: it has no subscription here, and no link takes it{reasons}"
+    UNDER_WAY = "the message before is not published yet"
+
+
+class Message(NamedTuple):
+    """A message that is to be published.
+
+    Attributes:
+        topic: its name on this side.
+        type_name: its type, or an empty string if the topic has one.
+        fields: as YAML.
+    """
+
+    topic: str
+    type_name: str
+    fields: str
+
+
+class PublishScreen(FormScreen[Message]):
+    """Publishes messages, each after a question; it stays open for more.
+
+    Args:
+        console: the app.
+        message: to begin with; without fields, the topic's last message or its type's defaults are offered.
+    """
+
+    AUTO_FOCUS = ".field Input"
+    BINDINGS: ClassVar = [*FormScreen.BINDINGS, Binding("f9", "submit", show=False)]
+
+    def __init__(self, console: Console, message: Message) -> None:
+        self.console = console
+        self._template = ""
+        self._is_busy = False
+        self._state = Notice("call-state")
+        fields = [
+            Field(Spec("topic", "Topic", "Its name on this side.", message.topic)),
+            Field(
+                Spec(
+                    "type", "Type", "Needed only for a topic that nobody has yet.", message.type_name, "the topic's own"
+                )
+            ),
+            TextField(
+                Spec(
+                    "message",
+                    "Message",
+                    "Its fields as YAML. Missing fields get their defaults; a time may be now.",
+                    message.fields,
+                    "empty: every field has its default",
+                )
+            ),
+        ]
+        super().__init__("Publish by hand", fields, "Publish…")
+
+    def compose(self) -> ComposeResult:
+        """Compose the form, and the result above it."""
+        with Vertical(classes="dialog -publish") as dialog:
+            dialog.border_title = self._title
+            yield self._state
+            yield self.form
+            yield self.form.problem
+            yield self.form.help
+            with Horizontal(classes="buttons -below-help"):
+                yield from self.compose_buttons()
+            yield Static(_KEYS, classes="hint keys", markup=False)
+
+    def compose_buttons(self) -> ComposeResult:
+        yield Button(self._yes, id="yes", variant="primary", compact=True)
+        yield Button("Close", id="no", compact=True)
+
+    def on_mount(self) -> None:
+        super().on_mount()
+        self._offer_template()
+
+    # -- the message --------------------------------------------------------------------------------------------------
+
+    @on(Field.Changed)
+    def _another_topic(self, event: Field.Changed) -> None:
+        if event.field.spec.key in {"topic", "type"}:
+            self._offer_template(_TYPED_FOR)
+
+    @work(group="template", exclusive=True)
+    async def _offer_template(self, after: float = 0.0) -> None:
+        """Write all fields of the message, unless the operator has written something else."""
+        await asyncio.sleep(after)
+        values, field, engine = self.form.values, self.form.fields["message"], self.console.engine
+        if not values["topic"].startswith("/") or field.value not in ("", self._template) or engine is None:
+            return
+        try:
+            draft = await asyncio.wrap_future(engine.draft_message(values["topic"], values["type"]))
+        except EngineError as error:
+            field.note.set_text(PublishText.FIELDS_UNKNOWN(error=error))
+            return
+        if field.value in ("", self._template):
+            field.note.set_text(PublishText.LAST() if draft.is_last else "")
+            self._template = draft.fields.strip()
+            field.value = self._template
+
+    def problems(self, values: Mapping[str, str]) -> dict[str, str]:
+        """Return the problems of the name and the YAML. Only the bridge can check fields against the type."""
+        found = {}
+        if not values["topic"].startswith("/"):
+            found["topic"] = PublishText.NOT_ABSOLUTE() if values["topic"] else PublishText.TOPIC_MISSING()
+        try:
+            if len(text := values["message"]) <= _CHECKED and not isinstance(read_fields(text), dict):
+                found["message"] = PublishText.NO_MAPPING()
+        except FieldError as error:
+            found["message"] = str(error)
+        return found
+
+    def result(self, values: Mapping[str, str]) -> Message:
+        return Message(values["topic"], values["type"], values["message"])
+
+    # -- publishing ---------------------------------------------------------------------------------------------------
+
+    def action_submit(self) -> None:
+        self.submit()
+
+    @work(group=DIALOG)
+    async def accept(self, result: Message) -> None:
+        if self._is_busy:
+            self.notify(PublishText.UNDER_WAY(), timeout=3)
+            return
+        routes = [each for each in self.console.snapshot().routes if each.outgoing and each.topic == result.topic]
+        peers = ", ".join(sorted({self.console.peer_of(each) for each in routes if each.state.flows}))
+        fields = result.fields[:_ASKED_CHARACTERS] or PublishText.ALL_DEFAULTS()
+        means = PublishText.MEANS(links=PublishText.OVER(links=peers) if peers else "", fields=fields)
+        if await self.console.ask(ConfirmScreen(PublishText.QUESTION(topic=result.topic), means, "Publish")):
+            self._publish(result)
+
+    @work(group="publish")
+    async def _publish(self, message: Message) -> None:
+        self._is_busy = True
+        self._state.set_text("")
+        try:
+            published = await publish(self.console.engine, message.topic, message.fields, message.type_name)
+        except EngineError as error:
+            self._show(f"{FAILED} {error}", "down")
+        else:
+            self._show_result(message.topic, published)
+        finally:
+            self._is_busy = False
+
+    def _show_result(self, topic: str, published: Published) -> None:
+        if published.nodes or published.links:
+            subscriptions = f"{published.nodes} subscription{'' if published.nodes == 1 else 's'}"
+            links = PublishText.OVER_LINKS(links=", ".join(published.links)) if published.links else ""
+            self._show(PublishText.PUBLISHED(sign=DONE, topic=topic, subscriptions=subscriptions, links=links), "ok")
+            return
+        routes = (each for each in self.console.snapshot().routes if each.outgoing and each.topic == topic)
+        reasons = "".join(f"; {each.link}: {each.reason or each.state.value}" for each in routes)
+        self._show(PublishText.NOBODY(sign=FAILED, topic=topic, reasons=reasons), "down")
+
+    def _show(self, text: str, look: str) -> None:
+        self._state.set_text(escape_text(text))
+        self._state.set_classes(f"call-state -{look}")

@@ -1,0 +1,103 @@
+"""Messages by hand for the screens: published with tickets, and the fields of goals and velocities."""
+
+from __future__ import annotations
+
+import asyncio
+import math
+from typing import TYPE_CHECKING, NamedTuple
+
+import msgspec
+
+from rsb_bridge.api import EngineError
+from rsb_bridge.model.wording import Wording
+
+if TYPE_CHECKING:
+    from rsb_bridge.api import EngineApi
+    from rsb_bridge.model.by_hand import Published
+    from rsb_bridge.model.pictures import Scale
+
+POSE, TWIST, TWIST_STAMPED = (f"geometry_msgs/msg/{name}" for name in ("PoseStamped", "Twist", "TwistStamped"))
+_TRIES = 3
+
+
+class ByHandText(Wording):
+    """Texts about messages by hand."""
+
+    NO_SESSION = "no session runs"
+    TOO_SLOW = "the bridge answers too slowly to publish on {topic}, which has to be armed: nothing was published"
+
+
+async def publish(engine: EngineApi | None, topic: str, fields: str, type_name: str = "", ticket: int = 0) -> Published:
+    """Publish a message, with a new ticket if the one before has become too old.
+
+    Raises:
+        EngineError: the engine refuses it.
+    """
+    if engine is None:
+        raise EngineError(ByHandText.NO_SESSION())
+    for _ in range(_TRIES):
+        published = await asyncio.wrap_future(engine.publish(topic, fields, type_name, ticket=ticket))
+        if published.is_done:
+            return published
+        ticket = published.ticket
+    raise EngineError(ByHandText.TOO_SLOW(topic=topic))
+
+
+class Goal(NamedTuple):
+    """A pose on a map.
+
+    Attributes:
+        frame: of the coordinates.
+        x: m.
+        y: m.
+        heading: rad, counterclockwise from the x axis.
+    """
+
+    frame: str
+    x: float
+    y: float
+    heading: float = 0.0
+
+    @classmethod
+    def at(cls, scale: Scale, column: float, row: float) -> Goal:
+        """Return the pose at a place on a map, in cells from its upper left corner."""
+        return cls(scale.frame, scale.left + column * scale.column, scale.top - row * scale.row)
+
+    def cell(self, scale: Scale) -> tuple[int, int]:
+        """Return the column and the row of its cell on a map, which may lie outside."""
+        return math.floor((self.x - scale.left) / scale.column), math.floor((scale.top - self.y) / scale.row)
+
+    def moved(self, scale: Scale, columns: int, rows: int) -> Goal:
+        """Return it some cells further to the right and down."""
+        return self._replace(x=self.x + columns * scale.column, y=self.y - rows * scale.row)
+
+    def turned(self, degrees: float) -> Goal:
+        """Return it turned counterclockwise."""
+        return self._replace(heading=math.remainder(self.heading + math.radians(degrees), math.tau))
+
+    @property
+    def arrow(self) -> str:
+        """The character that points to its heading."""
+        return "→↗↑↖←↙↓↘"[round(self.heading / math.tau * 8) % 8]
+
+    def fields(self) -> str:
+        """Return it as the fields of a ``geometry_msgs/msg/PoseStamped``, in YAML."""
+        frame = msgspec.json.encode(self.frame).decode()  # which YAML reads as the same text
+        z, w = math.sin(self.heading / 2), math.cos(self.heading / 2)
+        return (
+            f"header: {{stamp: now, frame_id: {frame}}}\n"
+            f"pose:\n  position: {{x: {self.x:.3f}, y: {self.y:.3f}}}\n"
+            f"  orientation: {{z: {z:.6f}, w: {w:.6f}}}\n"
+        )
+
+
+def velocity(type_name: str, forward: float, turn: float) -> str:
+    """Return a velocity as the fields of a Twist or a TwistStamped, in YAML.
+
+    Args:
+        type_name: ``geometry_msgs/msg/Twist`` or ``geometry_msgs/msg/TwistStamped``.
+        forward: m/s.
+        turn: rad/s, counterclockwise.
+    """
+    twist = f"linear: {{x: {forward:.3f}}}, angular: {{z: {turn:.3f}}}"
+    return f"{{header: auto, twist: {{{twist}}}}}" if type_name == TWIST_STAMPED else f"{{{twist}}}"
