@@ -29,6 +29,7 @@ from rsb_bridge.link.topic_view import TopicView, ViewProblem
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.pictures import Cells, Picture, Wish
 from rsb_bridge.model.session import Grant, Topic
+from rsb_bridge.view.renderer import Renderer
 
 if TYPE_CHECKING:
     from tests.support.bridge import Bridge
@@ -37,6 +38,7 @@ if TYPE_CHECKING:
     from rsb_bridge.engine import Engine
     from rsb_bridge.model.pictures import Viewed
     from rsb_bridge.ros.ros_interface import Endpoint
+    from rsb_bridge.view.worker import Task
 
 WISH = Wish(width=60, height=30, rate=10.0, how="tree")
 
@@ -198,6 +200,19 @@ def test_nobody_publishes_it(bridge: Bridge) -> None:
     server, _ = bridge.both()
     with pytest.raises(EngineError, match=pattern(LookProblem.NOWHERE)):
         server.look("me", ("/nothing",), WISH).result(30)
+
+
+def test_a_view_knows_who_publishes(bridge: Bridge, robot: Domain, monkeypatch: pytest.MonkeyPatch) -> None:
+    talker, authors, draw = Talker(robot, "/pose"), set[str](), Renderer.draw
+
+    async def watched(renderer: Renderer, task: Task) -> Picture:
+        authors.update(each.author for each in task.samples)
+        return await draw(renderer, task)
+
+    monkeypatch.setattr(Renderer, "draw", watched)
+    server, _ = bridge.both()
+    looked_while(talker, server, "/pose")
+    assert authors == {robot.node.get_fully_qualified_name()}
 
 
 def test_a_killed_drawing_process_is_started_again(bridge: Bridge, robot: Domain) -> None:

@@ -27,13 +27,13 @@ def rows(picture: Picture) -> list[str]:
     return [row.rstrip() for row in picture.content.rows]
 
 
-def transforms(*pairs: tuple[str, str], at: float = 0.0, topic: str = "/tf") -> Received:
+def transforms(*pairs: tuple[str, str], at: float = 0.0, topic: str = "/tf", author: str = "") -> Received:
     """Return a TFMessage as it is decoded; its package is not among the test's."""
     shown: list[Any] = [
         {"header": {"frame_id": parent}, "child_frame_id": child, "transform": {}} for parent, child in pairs
     ]
     items = Items("geometry_msgs/msg/TransformStamped", len(shown), shown)
-    return Received(topic, "tf2_msgs/msg/TFMessage", {"transforms": items}, at)
+    return Received(topic, "tf2_msgs/msg/TFMessage", {"transforms": items}, at, author)
 
 
 def tree(*received: Received) -> tuple[list[str], str]:
@@ -64,6 +64,28 @@ def test_what_is_wrong_with_frames() -> None:
     assert has_text(problem, TreeProblem.ROOTS)
     assert any(has_text(line, TreeProblem.TWO_PARENTS) for line in lines)
     assert sum(has_text(line, TreeProblem.CIRCLE) for line in lines) == 2
+
+
+def test_who_publishes_frames() -> None:
+    lines, _ = tree(
+        transforms(("map", "odom"), author="/ekf"),
+        transforms(("odom", "base"), author="/ekf"),
+        transforms(("odom", "base"), author="/wheels"),
+        transforms(("base", "laser"), author="/old"),
+        transforms(("base", "laser"), at=5.0, author="/new"),
+        transforms(("map", "odom"), at=5.0, author="/ekf"),
+        transforms(("odom", "base"), at=5.0, author="/ekf"),
+        transforms(("odom", "base"), at=5.0, author="/wheels"),
+    )
+    assert has_text(lines[1], TreeProblem.AUTHOR, author="/ekf")
+    assert has_text(lines[2], TreeProblem.TWO_AUTHORS, authors="/ekf, /wheels")
+    assert has_text(lines[3], TreeProblem.AUTHOR, author="/new")
+
+
+def test_a_long_chain_is_no_circle() -> None:
+    lines, problem = tree(transforms(*[(f"f{at}", f"f{at + 1}") for at in range(500)]))
+    assert problem == ""
+    assert not any(has_text(line, TreeProblem.CIRCLE) for line in lines)
 
 
 def test_the_worst_diagnostics_come_first_with_their_values() -> None:

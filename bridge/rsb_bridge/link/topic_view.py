@@ -77,7 +77,11 @@ class Viewable(NamedTuple):
 
 
 class _Feed:
-    """The messages of one topic between two pictures. The ROS thread adds, the I/O thread takes."""
+    """The messages of one topic between two pictures. The ROS thread adds, the I/O thread takes.
+
+    Attributes:
+        authors: names of the nodes that publish it, by their publishers' ids.
+    """
 
     def __init__(self, topic: str, viewable: Viewable, description: str) -> None:
         self.topic = topic
@@ -85,6 +89,7 @@ class _Feed:
         self.description = viewable.type_name, description, viewable.type_hash
         self.resolved_at = 0.0
         self.subscription: Subscription | None = None
+        self.authors: dict[bytes, str] = {}
         self.seen = 0
         self.size = 0
         self._lock = threading.Lock()
@@ -107,8 +112,8 @@ class _Feed:
         """Return the kept messages, and keep none."""
         with self._lock:
             kept, self._kept, self._bytes = self._kept, deque(), 0
-        name = self.viewable.type_name
-        return [Sample(self.topic, name, each.payload, each.stamp) for each in kept]
+        name, author_of = self.viewable.type_name, self.authors.get
+        return [Sample(self.topic, name, each.payload, each.stamp, author_of(each.gid, "")) for each in kept]
 
     def close(self) -> None:
         if self.subscription is not None:
@@ -260,9 +265,10 @@ class TopicView:
 
     async def _feed(self, topic: str) -> None:
         """Subscribe to a topic, or again if its publishers have changed."""
-        viewable = await self._resolve(topic)
+        viewable, authors = await self._resolve(topic)
         feed = self._feeds.get(topic)
         if feed is not None and feed.viewable == viewable:
+            feed.authors = authors
             return
         text = await self._context.descriptions.find(viewable.type_name, viewable.type_hash, topic)
         if text is None:
@@ -272,7 +278,7 @@ class TopicView:
         if feed is not None:
             self._close_feed(topic)
         feed = self._feeds[topic] = _Feed(topic, viewable, text)
-        feed.resolved_at = self._context.now()
+        feed.resolved_at, feed.authors = self._context.now(), authors
         try:
             feed.subscription = self._context.ros.subscribe(
                 topic, viewable.type_name, viewable.type_hash, viewable.qos, self._sink(feed), self._origin
@@ -290,26 +296,32 @@ class TopicView:
 
         return sink
 
-    async def _resolve(self, topic: str) -> Viewable:
+    async def _resolve(self, topic: str) -> tuple[Viewable, dict[bytes, str]]:
+        """Return a topic as it is published now, and its publishers' nodes by their ids.
+
+        Raises:
+            LinkError: it cannot be viewed.
+        """
         feed = self._feeds.get(topic)
         if feed is not None and self._context.now() - feed.resolved_at < _RESOLVE_EVERY:
-            return feed.viewable
+            return feed.viewable, feed.authors
         if feed is not None:
             feed.resolved_at = self._context.now()
         if (viewable := self._bridged(topic)) is not None:
-            return viewable
+            return viewable, {}
         try:
             publishers = await asyncio.to_thread(self._context.ros.publishers, topic)
         except RosError as error:
             raise LinkError(str(error)) from None
         if not publishers:
             if feed is not None:
-                return feed.viewable
+                return feed.viewable, feed.authors
             raise LinkError(ViewProblem.NO_PUBLISHER(topic=topic))
         type_name, type_hash = agreed_type(publishers)
         if not type_name:
             raise LinkError(ViewProblem.TYPES_DIFFER(topic=topic))
-        return Viewable(type_name, type_hash, _qos_for([each.qos for each in publishers]))
+        authors = {each.gid: each.node for each in publishers}
+        return Viewable(type_name, type_hash, _qos_for([each.qos for each in publishers])), authors
 
 
 def _qos_for(offered: Sequence[Qos]) -> Qos:

@@ -21,12 +21,14 @@ class Received(NamedTuple):
         type_name: ``pkg/msg/Name``.
         message: its values; arrays of primitive elements are raw (`rsb_bridge.cdr.decoder.Items.raw`).
         time: s since the epoch, when DDS received it.
+        author: full name of the node that published it, or empty if unknown.
     """
 
     topic: str
     type_name: str
     message: Message
     time: float
+    author: str = ""
 
 
 @dataclass(frozen=True, slots=True)

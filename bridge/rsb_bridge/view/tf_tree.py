@@ -10,7 +10,7 @@ from rsb_bridge.view.canvas import lines_to_cells
 from rsb_bridge.view.drawing import Drawn, UndrawableError, View, elements, text
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterable, Iterator
 
     from rsb_bridge.model.pictures import Wish
     from rsb_bridge.view.drawing import Received
@@ -21,7 +21,8 @@ _OLD = 1.0
 """s without a new transform after which a frame is late."""
 _TIMES = 20
 """Newest times of a frame by which its rate is taken."""
-_DEPTH = 64
+_DEEPEST = 30
+"""Steps by which a frame is indented at most."""
 
 Line = list[tuple[str, str]]
 
@@ -31,6 +32,8 @@ class TreeProblem(Wording):
 
     TOO_MANY = "more than {limit} frames: only the first ones are shown"
     TWO_PARENTS = "two parents: {parents}"
+    TWO_AUTHORS = "published by two nodes: {authors}"
+    AUTHOR = "by {author}"
     CIRCLE = "is its own ancestor"
     ROOTS = "the tree is in {count} parts, with the roots {roots}"
     NO_MATCH = "no frame contains {match!r}"
@@ -42,6 +45,8 @@ class _Frame:
     def __init__(self) -> None:
         self.parents: dict[str, float] = {}
         """Parents, with the time of their newest transform."""
+        self.authors: dict[str, float] = {}
+        """Nodes that publish it, with the time of their newest transform."""
         self.times: deque[float] = deque(maxlen=_TIMES)
         self.is_static = True
 
@@ -67,6 +72,8 @@ class TfTree(View):
                 frame = self._frames[child] = _Frame()
             if len(frame.parents) < _TIMES or parent in frame.parents:
                 frame.parents[parent] = received.time
+            if received.author and (len(frame.authors) < _TIMES or received.author in frame.authors):
+                frame.authors[received.author] = received.time
             frame.times.append(received.time)
             frame.is_static = frame.is_static and static
 
@@ -78,8 +85,7 @@ class TfTree(View):
             for parent in frame.parents:
                 children.setdefault(parent, []).append(name)
         roots = [parent for parent in children if parent not in self._frames]
-        drawn: set[str] = set()
-        lines = [line for root in sorted(roots) for line in self._lines(root, children, 0, drawn)]
+        lines = [*self._lines(roots, children)]
         shown = {line[0][0].strip() for line in lines}
         circles = sorted(self._frames.keys() - shown)  # frames that are below no root
         lines += [[(name, "error"), (f"  {TreeProblem.CIRCLE()}", "error")] for name in circles]
@@ -93,13 +99,16 @@ class TfTree(View):
         cells = lines_to_cells(matching[first : first + wish.height], wish.width, wish.height)
         return Drawn(cells, (f"{len(self._frames) + len(roots)} frames",), problem)
 
-    def _lines(self, name: str, children: dict[str, list[str]], depth: int, drawn: set[str]) -> Iterator[Line]:
-        """Yield the lines of a frame and of the frames below it, which are drawn below one of their parents only."""
-        yield [(f"{'  ' * depth}{name}", ""), *self._state(name)]
-        if depth < _DEPTH and name not in drawn:
-            drawn.add(name)
-            for child in sorted(children.get(name, ())):
-                yield from self._lines(child, children, depth + 1, drawn)
+    def _lines(self, roots: Iterable[str], children: dict[str, list[str]]) -> Iterator[Line]:
+        """Yield the lines of frames and of all below them, which are drawn below one of their parents only."""
+        drawn: set[str] = set()
+        waiting = [(root, 0) for root in sorted(roots, reverse=True)]
+        while waiting:
+            name, depth = waiting.pop()
+            yield [(f"{'  ' * min(depth, _DEEPEST)}{name}", ""), *self._state(name)]
+            if name not in drawn:
+                drawn.add(name)
+                waiting += [(child, depth + 1) for child in sorted(children.get(name, ()), reverse=True)]
 
     def _state(self, name: str) -> Line:
         now = max(self.now, self._newest)
@@ -108,10 +117,21 @@ class TfTree(View):
             return []
         alive = [parent for parent, time in frame.parents.items() if frame.is_static or now - time < _OLD]
         if len(alive) > 1:
-            return [(f"  {TreeProblem.TWO_PARENTS(parents=', '.join(alive))}", "error")]
+            return [(f"  {TreeProblem.TWO_PARENTS(parents=', '.join(alive))}", "error"), *self._author(frame, now)]
         if frame.is_static:
-            return [("  static", "dim")]
+            return [("  static", "dim"), *self._author(frame, now)]
         age = now - frame.times[-1]
         span = frame.times[-1] - frame.times[0]
         rate = f"  {(len(frame.times) - 1) / span:.3g} Hz" if span > 0 else ""
-        return [(rate, "dim"), (f"  {age:.1f} s old", "warning" if age > _OLD else "dim")]
+        late = (f"  {age:.1f} s old", "warning" if age > _OLD else "dim")
+        return [(rate, "dim"), late, *self._author(frame, now)]
+
+    def _author(self, frame: _Frame, now: float) -> Line:
+        """Return the nodes that publish a frame now, or the last one that did."""
+        if not frame.authors:
+            return []
+        alive = [author for author, time in frame.authors.items() if frame.is_static or now - time < _OLD]
+        if len(alive) > 1:
+            return [(f"  {TreeProblem.TWO_AUTHORS(authors=', '.join(sorted(alive)))}", "warning")]
+        newest = max(frame.authors, key=frame.authors.__getitem__)
+        return [(f"  {TreeProblem.AUTHOR(author=newest)}", "dim")]

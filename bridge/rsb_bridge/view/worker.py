@@ -98,12 +98,14 @@ class Sample(msgspec.Struct, frozen=True, array_like=True):
         type_name: ``pkg/msg/Name``.
         payload: serialized, with its encapsulation header.
         stamp: ns since the epoch, when DDS received it.
+        author: full name of the node that published it, or empty if unknown.
     """
 
     topic: str
     type_name: str
     payload: bytes
     stamp: int
+    author: str = ""
 
 
 class Task(msgspec.Struct, frozen=True, array_like=True):
@@ -181,7 +183,8 @@ class Artist:
                 problem = Undrawable.NOT_READ(type_name=sample.type_name, problem=decoded.problem)
                 continue
             try:
-                self._view(task).take(Received(sample.topic, sample.type_name, decoded.message, sample.stamp / 1e9))
+                time = sample.stamp / 1e9
+                self._view(task).take(Received(sample.topic, sample.type_name, decoded.message, time, sample.author))
                 taken, _ = self._newest.get(task.view, (0, 0))
                 self._newest[task.view] = max(taken, sample.stamp), _stamp_of(decoded.message)
             except UndrawableError as error:
