@@ -73,7 +73,7 @@ class PublishProblem(Wording):
 
 
 class _Resolved(NamedTuple):
-    """What a topic's publisher has to be."""
+    """The type and QoS of a topic's publisher."""
 
     type_name: str
     type_hash: str

@@ -118,7 +118,7 @@ class Simulation:
 
 
 class Motion:
-    """The place of the robot: it drives in a circle, or as it is told."""
+    """The place of the robot: it drives in a circle, or by commands."""
 
     def __init__(self) -> None:
         self._x, self._y, self._heading = _CIRCLE, 0.0, math.pi / 2

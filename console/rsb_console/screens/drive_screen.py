@@ -51,7 +51,7 @@ _WAYS = {
     "i": (1, 0), "comma": (-1, 0), "j": (0, 1), "l": (0, -1),
     "u": (1, 1), "o": (1, -1), "m": (-1, -1), "full_stop": (-1, 1),
 }  # fmt: skip
-"""Forward and turn, counterclockwise, of each key; the letters are those of teleop_twist_keyboard."""
+"""Forward and turn, counterclockwise, of each key, with the letters of teleop_twist_keyboard."""
 _STOPS = {"k", "space"}
 _KEYS = "↑↓←→ or u i o j l m , . drive · space stop · +- speed · A arm · esc leave"
 

@@ -74,7 +74,7 @@ class ViewText(Wording):
     WRITTEN = "written: {file}"
     NOT_WRITTEN = "{file} cannot be written: {error}"
     NO_PICTURE = "there is no picture yet"
-    NO_MAP = "a goal needs a map whose frame is known"
+    NO_MAP = "a goal needs a map with a frame"
     GOAL_PLACE = "GOAL at {x:.2f}, {y:.2f} m in {frame}: arrows move it, ⏎ turns it, esc leaves"
     GOAL_HEADING = "GOAL at {x:.2f}, {y:.2f} m, heading {degrees:.0f}°: ←→ turn it, ⏎ publishes, esc leaves"
     NOT_DRIVEN = "no topic can be driven: that needs a Twist that goes to the other side, with arm: true"
@@ -405,7 +405,7 @@ class ViewScreen(ModalScreen[bool]):
         return next((each.topic for each in chosen if each.topic.endswith(_GOAL_TOPIC)), _GOAL_TOPIC)
 
     def action_drive(self) -> None:
-        """Drive the robot that the picture is of, beside the picture."""
+        """Drive the robot of the picture, which stays in sight."""
         if self.console.readonly:
             return
         where = self._subject.link or (self._viewed.where if self._viewed is not None else "")
