@@ -36,6 +36,8 @@ if TYPE_CHECKING:
     from rsb_bridge.control.remote_engine import RemoteEngine
 
 ARGUMENTS = Namespace(
+    graphics="blocks",
+    detail=None,
     topics=["/t"], link="", width=40, height=5, rate=2.0, how="", field=[], zoom=1.0, tilt=0.0, frame="",
     colour="height", seconds=30.0, match="", ascii=True, json=False, timeout=None, output=None,
 )  # fmt: skip

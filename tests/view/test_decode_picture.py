@@ -10,6 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rsb_bridge.model.pictures import (
+    LONGEST_SIDE,
     MOST_COLUMNS,
     MOST_ROWS,
     MOST_VALUE,
@@ -29,7 +30,7 @@ WHOLE = [
     Picture(),
     Picture(None, 1, 2, 3, 4, "std_msgs/msg/String", ("a", "b"), "no message"),
     Picture(Pixels(2, 2, bytes(12))),
-    Picture(Pixels(MOST_COLUMNS, 2 * MOST_ROWS, b"any bytes", "webp")),
+    Picture(Pixels(LONGEST_SIDE, LONGEST_SIDE, b"any bytes", "webp")),
     Picture(Cells(("ab", "", "é"), b"\0\1\0", ("", "#00ff00"), Scale("map", -1.0, 1.0, 0.5, 1.0))),
     Picture(Cells(("x" * MOST_COLUMNS,) * MOST_ROWS)),
     Picture(Series(0.0, 0.1, (Curve("x", (1.0, None), (2.0, None), 1.0, 1.5), Curve("y", (None,) * 2, (None,) * 2)))),
@@ -69,8 +70,8 @@ def series(*curves: Any, start: float = 0.0, step: float = 1.0) -> dict[str, Any
         pixels(0, 2, b""),
         pixels(2, 0, b""),
         pixels(-1, -1, bytes(3)),
-        pixels(MOST_COLUMNS + 1, 1, bytes(3 * (MOST_COLUMNS + 1))),
-        pixels(1, 2 * MOST_ROWS + 1, bytes(3 * (2 * MOST_ROWS + 1))),
+        pixels(LONGEST_SIDE + 1, 1, bytes(3 * (LONGEST_SIDE + 1))),
+        pixels(1, LONGEST_SIDE + 1, bytes(3 * (LONGEST_SIDE + 1))),
         pixels(65535, 65535, b"RIFF", coding="webp"),
         pixels(1, 1, bytes(3), coding="png"),
         pixels(1, 1, "abc"),

@@ -14,7 +14,8 @@ from sensor_msgs.msg import CompressedImage, Image
 from tests.support.wording import has_text
 from tests.view.samples import drawn
 
-from rsb_bridge.model.pictures import Picture, Pixels, Wish
+from rsb_bridge.model.pictures import LONGEST_SIDE, Picture, Pixels, Wish
+from rsb_bridge.view import images
 from rsb_bridge.view.images import _BAYER, _DEPTHS, _YUV, ENCODINGS, ImageProblem
 from rsb_console.look.picture_rows import rgb_of
 
@@ -165,3 +166,24 @@ def test_any_image_is_drawn_or_refused_in_words(
     picture = drawn(WISH, image(encoding, data, width, height, step, is_bigendian=order))
     assert (picture.content is None) == bool(picture.problem)
     assert "Error" not in picture.problem
+
+
+def _sizes(across: int, down: int, **wish: object) -> tuple[int, int]:
+    wanted = msgspec.structs.replace(WISH, **wish)
+    content = drawn(wanted, image("rgb8", bytes(3 * across * down), across, down)).content
+    assert isinstance(content, Pixels)
+    return content.width, content.height
+
+
+def test_terminals_that_show_pixels_get_more_of_them() -> None:
+    """As many as the image has at most: they enlarge it themselves."""
+    assert _sizes(640, 480, webp=True) == (8, 6)
+    assert _sizes(640, 480, webp=True, detail=6) == (48, 36)
+    assert _sizes(64, 48, webp=True, detail=16) == (64, 48)
+    assert _sizes(2400, 1800, webp=True, detail=16, width=400, height=150) == (LONGEST_SIDE, 1200)
+
+
+def test_detail_needs_webp(monkeypatch: pytest.MonkeyPatch) -> None:
+    assert _sizes(640, 480, detail=6) == (8, 6)
+    monkeypatch.setattr(images, "find_spec", lambda _: None)
+    assert _sizes(640, 480, webp=True, detail=6) == (8, 6)

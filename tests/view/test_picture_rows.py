@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rsb_bridge.model.pictures import Cells, Curve, Pixels, Series
+from rsb_bridge.model.pictures import LONGEST_SIDE, Cells, Curve, Pixels, Series
 from rsb_console.look.picture_rows import RAMP, Part, UnreadableError, picture_rows, rgb_of
 
 Image = pytest.importorskip("PIL.Image", reason="needs Pillow")
@@ -152,3 +152,8 @@ def test_a_huge_webp_image_is_refused_before_it_is_read(side: int) -> None:
     bomb[at : at + 4] = (bits | (side - 1) | (side - 1) << 14).to_bytes(4, "little")
     with pytest.raises(UnreadableError):
         rgb_of(Pixels(64, 48, bytes(bomb), "webp"))
+
+
+def test_an_image_that_nobody_asked_for_takes_no_time() -> None:
+    with pytest.raises(UnreadableError):
+        picture_rows(Pixels(LONGEST_SIDE, LONGEST_SIDE, b"", "webp"), 80, 24)

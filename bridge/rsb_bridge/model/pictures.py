@@ -21,6 +21,10 @@ _PART = "rsb_look"
 
 MOST_COLUMNS, MOST_ROWS = 400, 150
 """Cells of the largest picture."""
+MOST_DETAIL = 16
+"""Pixels across a cell, of terminals that show pixels."""
+LONGEST_SIDE = 1600
+"""Pixels of an image's width and height."""
 MOST_RATE = 10.0
 """Hz."""
 TOPICS_AT_ONCE = 8
@@ -55,6 +59,7 @@ class Wish(msgspec.Struct, frozen=True, omit_defaults=True):
         seconds: length of a plot's time axis.
         level: lowest level of the shown log messages (rcl_interfaces/msg/Log) or diagnostics.
         webp: whether the viewer reads WebP, which takes a tenth of the bytes.
+        detail: pixels of an image across a cell, and half as many as down; above 1 only with WebP.
         match: text that shown log messages, nodes, frames or fields contain.
     """
 
@@ -73,20 +78,21 @@ class Wish(msgspec.Struct, frozen=True, omit_defaults=True):
     level: Annotated[int, Meta(ge=0, le=255)] = 0
     match: _Text = ""
     webp: bool = False
+    detail: Annotated[int, Meta(ge=1, le=MOST_DETAIL)] = 1
 
 
 class Pixels(msgspec.Struct, frozen=True, omit_defaults=True, tag="pixels"):
     """An image.
 
     Attributes:
-        width: pixels; a cell of a terminal shows one pixel in width.
+        width: pixels; a cell of a terminal shows one in width, unless the wish has more detail.
         height: pixels; a cell of a terminal shows two, one above the other.
         data: three bytes a pixel, red, green and blue, row by row from the top; or a WebP file.
         coding: of `data`.
     """
 
-    width: Annotated[int, Meta(ge=1, le=MOST_COLUMNS)]
-    height: Annotated[int, Meta(ge=1, le=2 * MOST_ROWS)]
+    width: Annotated[int, Meta(ge=1, le=LONGEST_SIDE)]
+    height: Annotated[int, Meta(ge=1, le=LONGEST_SIDE)]
     data: bytes
     coding: Literal["rgb", "webp"] = "rgb"
 

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import io
 import warnings
+from importlib.util import find_spec
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from rsb_bridge.model.pictures import Pixels
+from rsb_bridge.model.pictures import LONGEST_SIDE, Pixels
 from rsb_bridge.model.wording import Wording
 from rsb_bridge.view.drawing import Drawn, UndrawableError, View, nested, raw, text
 
@@ -188,8 +189,12 @@ def _part(height: int, width: int, wish: Wish) -> tuple[slice, slice]:
 
 def _fitted(height: int, width: int, wish: Wish) -> tuple[int, int]:
     """Return the height and width of the picture in pixels: as large as the area allows, in the same proportions."""
-    factor = min(wish.width / width, 2 * wish.height / height)
-    return max(1, min(2 * wish.height, round(height * factor))), max(1, min(wish.width, round(width * factor)))
+    detail = wish.detail if wish.webp and find_spec("PIL") is not None else 1
+    most_width, most_height = (min(LONGEST_SIDE, detail * each) for each in (wish.width, 2 * wish.height))
+    if detail > 1:  # a terminal that shows pixels enlarges them itself
+        most_width, most_height = min(most_width, width), min(most_height, height)
+    factor = min(most_width / width, most_height / height)
+    return max(1, min(most_height, round(height * factor))), max(1, min(most_width, round(width * factor)))
 
 
 def _reduced(pixels: Array, wish: Wish) -> Array:
@@ -300,7 +305,8 @@ def _compressed(message: Message, wish: Wish) -> tuple[Pixels, str]:
             picture, span = _depth(_reduced(depth[:, :, None], wish)[:, :, 0], wish)
             return picture, f"{note}, {span}" if span else note
         if wish.zoom <= 1:
-            image.draft("RGB", (_SAMPLES * wish.width, 2 * _SAMPLES * wish.height))  # JPEG: decodes less
+            across = _SAMPLES * wish.width * wish.detail
+            image.draft("RGB", (across, 2 * _SAMPLES * wish.height * wish.detail))  # JPEG: decodes less
         pixels = np.asarray(image.convert("RGB"))
     except (OSError, SyntaxError, ValueError, UnidentifiedImageError, Image.DecompressionBombError) as error:
         raise UndrawableError(ImageProblem.BROKEN(error=error)) from None

@@ -17,10 +17,11 @@ from rich.style import Style
 
 from rsb_bridge.api import EngineError
 from rsb_bridge.config.files import replace_file
-from rsb_bridge.model.pictures import MOST_COLUMNS, MOST_ROWS, Wish
+from rsb_bridge.model.pictures import MOST_COLUMNS, MOST_ROWS, Pixels, Wish
 from rsb_bridge.model.text import escape_text, single_cells
 from rsb_bridge.model.wording import Wording
 from rsb_console.command.formatting import json_line
+from rsb_console.command.graphics import DETAIL, ImagePrinter, protocol_of_terminal, why_not
 from rsb_console.command.shell import OK, print_line
 from rsb_console.command.target import UsageError, attached, done, failed, reported
 from rsb_console.look import formats
@@ -71,6 +72,10 @@ def _look(arguments: Namespace) -> int:
     if file is not None and file.suffix not in FORMATS:
         raise UsageError(LookText.UNKNOWN_FORMAT(file=file, known=", ".join(FORMATS)))
     once = arguments.once or file is not None or not sys.stdout.isatty()
+    if arguments.graphics == "auto":
+        arguments.graphics = "blocks" if once or arguments.ascii else protocol_of_terminal()
+    elif problem := why_not(arguments.graphics):
+        raise UsageError(problem)
     with attached(arguments, read_only=True) as engine:
         return _one(engine, arguments) if once else _many(engine, arguments)
 
@@ -150,12 +155,13 @@ def _print(viewed: Viewed, wish: Wish, arguments: Namespace) -> None:
 def _many(engine: RemoteEngine, arguments: Namespace) -> int:
     """Draw pictures until an interrupt."""
     viewer, console = secrets.token_hex(8), _console(arguments)
+    printer = None if arguments.graphics == "blocks" else ImagePrinter(arguments.graphics)
     sys.stdout.write(_ENTER)
     try:
         viewed: Viewed | None = None
-        came, asked = 0.0, None
+        came, asked, drawn = 0.0, None, None
         while True:
-            problem, lines = "", []
+            problem, lines, painted = "", [], ""
             wish = _wish(arguments)
             if asked is None:
                 asked = engine.look(viewer, tuple(arguments.topics), wish, arguments.link)
@@ -168,19 +174,28 @@ def _many(engine: RemoteEngine, arguments: Namespace) -> int:
             except EngineError as error:
                 problem = str(error)
             try:
-                if viewed is not None:
+                content = None if viewed is None else viewed.picture.content
+                image = content if printer is not None and isinstance(content, Pixels) else None
+                if printer is not None and image is not None and image is not drawn:
+                    drawn, painted = image, printer.printed(image, wish.width, wish.height)
+                elif viewed is not None and image is None:
                     lines = [_encoded(console, _cut(row, wish.width)) for row in _rows(viewed, wish, arguments)]
-            except EngineError as error:  # the picture is damaged
+            except (EngineError, UnreadableError) as error:  # the picture is damaged
                 problem = problem or str(error)
             shown = None if viewed is None else _aged(viewed, came)
             status = problem or (LookText.NO_MESSAGE() if shown is None else _status(shown))
-            lines = [*lines[: wish.height], single_cells(escape_text(status))[: wish.width]]
-            sys.stdout.write(_HOME + "".join(f"{line}{_CLEAR_LINE}\r\n" for line in lines[:-1]))
-            sys.stdout.write(f"{lines[-1]}{_CLEAR_LINE}{_CLEAR_REST}")
+            last = f"{single_cells(escape_text(status))[: wish.width]}{_CLEAR_LINE}"
+            if image is not None:
+                sys.stdout.write(f"{_HOME}{painted}\x1b[{wish.height + 1};1H{last}")
+            else:
+                rows = "".join(f"{line}{_CLEAR_LINE}\r\n" for line in lines[: wish.height])
+                sys.stdout.write(f"{_HOME}{rows}{last}{_CLEAR_REST}")
             sys.stdout.flush()
             if problem:
                 time.sleep(_TRIED_AGAIN_AFTER)
     finally:
+        if printer is not None:
+            sys.stdout.write(printer.closed())
         sys.stdout.write(_LEAVE)
         sys.stdout.flush()
 
@@ -200,7 +215,14 @@ def _wish(arguments: Namespace) -> Wish:
         seconds=arguments.seconds,
         match=arguments.match,
         webp=reads_webp(),
+        detail=_detail(arguments),
     )
+
+
+def _detail(arguments: Namespace) -> int:
+    if arguments.graphics == "blocks" and (arguments.output is None or arguments.output.suffix != ".png"):
+        return 1
+    return arguments.detail or (1 if arguments.graphics == "blocks" else DETAIL)
 
 
 def _rows(viewed: Viewed, wish: Wish, arguments: Namespace) -> list[Row]:

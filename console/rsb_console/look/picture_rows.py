@@ -8,7 +8,7 @@ from importlib.util import find_spec
 from itertools import groupby
 from typing import TYPE_CHECKING, NamedTuple
 
-from rsb_bridge.model.pictures import Cells, Pixels, Series
+from rsb_bridge.model.pictures import MOST_COLUMNS, MOST_ROWS, Cells, Pixels, Series
 from rsb_console.look.plot_lines import plot_rows
 
 if TYPE_CHECKING:
@@ -52,6 +52,8 @@ def picture_rows(
         UnreadableError: the other side's image is damaged.
     """
     if isinstance(content, Pixels):
+        if content.width > MOST_COLUMNS or content.height > 2 * MOST_ROWS:
+            raise UnreadableError("an image is larger than any that blocks are asked for")
         return _half_blocks(content) if colours else _brightness(content)
     if isinstance(content, Series):
         return [tuple(Part(*part) for part in row) for row in plot_rows(content, width, height, cursor=cursor)]

@@ -41,7 +41,7 @@ def picture_file(content: Cells | Pixels | Series, suffix: str) -> bytes:
     return write(content)
 
 
-def _png(pixels: Pixels) -> bytes:
+def png(pixels: Pixels) -> bytes:
     """Return an image as PNG (ISO/IEC 15948)."""
     line = 3 * pixels.width
     rgb = rgb_of(pixels)
@@ -94,7 +94,7 @@ def _text(cells: Cells) -> bytes:
 
 
 _WRITERS: dict[tuple[type, str], Callable[..., bytes]] = {
-    (Pixels, ".png"): _png,
+    (Pixels, ".png"): png,
     (Cells, ".svg"): _svg,
     (Cells, ".txt"): _text,
     (Series, ".csv"): _csv,

@@ -1,0 +1,137 @@
+"""Images as pixels of the terminal: the question to the terminal, and the sequences for kitty and sixel."""
+
+from __future__ import annotations
+
+import base64
+import io
+import os
+import pty
+import re
+import threading
+from typing import TYPE_CHECKING
+
+import pytest
+from PIL import Image
+
+from rsb_bridge.model.pictures import Pixels
+from rsb_console.command import graphics
+from rsb_console.command.graphics import ImagePrinter, protocol_of_terminal, why_not
+from rsb_console.look.picture_rows import UnreadableError
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+RED = Pixels(4, 2, b"\xff\0\0" * 8)
+_CELL = (10.0, 20.0)
+_COMMAND = re.compile(r"\x1b_G([^;\x1b]*)(?:;([^\x1b]*))?\x1b\\")
+
+
+class Terminal:
+    """A terminal that answers the question as it is told."""
+
+    def __init__(self, answer: bytes) -> None:
+        self._master, self.slave = pty.openpty()
+        self._answer = answer
+        self.asked = b""
+        self._thread = threading.Thread(target=self._run)
+        self._thread.start()
+
+    def _run(self) -> None:
+        while not self.asked.endswith(b"\x1b[c"):
+            try:
+                self.asked += os.read(self._master, 100)
+            except OSError:
+                return
+        os.write(self._master, self._answer)
+
+    def close(self) -> None:
+        os.close(self.slave)
+        self._thread.join()
+        os.close(self._master)
+
+
+@pytest.fixture
+def answering(monkeypatch: pytest.MonkeyPatch) -> Iterator[list[Terminal]]:
+    """Standard input and output are the terminal that the test adds."""
+    terminals: list[Terminal] = []
+    yield terminals
+    for each in terminals:
+        each.close()
+
+
+def protocol(answer: bytes, terminals: list[Terminal], monkeypatch: pytest.MonkeyPatch) -> str:
+    terminal = Terminal(answer)
+    terminals.append(terminal)
+    with open(terminal.slave, "r+b", buffering=0, closefd=False) as stream:
+        monkeypatch.setattr("sys.stdin", stream)
+        monkeypatch.setattr("sys.stdout", stream)
+        try:
+            return protocol_of_terminal()
+        finally:
+            monkeypatch.undo()
+
+
+@pytest.mark.parametrize(
+    ("answer", "expected"),
+    [
+        (b"\x1b_Gi=31;OK\x1b\\\x1b[?62;c", "kitty"),
+        (b"typed\x1b_Gi=31;OK\x1b\\\x1b[?62;4c", "kitty"),
+        (b"\x1b[?62;4;22c", "sixel"),
+        (b"\x1b[?62;14;24c", "blocks"),
+        (b"\x1b_Gi=31;ENOTSUPPORTED:no\x1b\\\x1b[?1;2c", "blocks"),
+    ],
+)
+def test_a_terminal_is_asked(
+    answer: bytes, expected: str, answering: list[Terminal], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert protocol(answer, answering, monkeypatch) == expected
+
+
+def test_a_terminal_that_does_not_answer(answering: list[Terminal], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(graphics, "_ANSWERS_WITHIN", 0.2)
+    terminal = Terminal(b"")
+    answering.append(terminal)
+    assert graphics._asked(terminal.slave, terminal.slave) == b""
+
+
+def test_without_a_terminal_nothing_is_asked() -> None:
+    assert protocol_of_terminal() == "blocks"
+
+
+def test_sixel_without_its_library(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(graphics, "find_spec", lambda _: None)
+    assert why_not("sixel")
+    assert why_not("kitty") == why_not("blocks") == ""
+
+
+def test_kitty_gets_a_png_in_pieces(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(graphics, "_cell_size", lambda: _CELL)
+    noise = Pixels(100, 80, os.urandom(24_000))
+    commands = _COMMAND.findall(ImagePrinter("kitty").printed(noise, 50, 10))
+    assert len(commands) > 2
+    assert all(len(payload) <= graphics._CHUNK for _, payload in commands)
+    first = dict(pair.split("=") for pair in commands[0][0].split(","))
+    assert (first["a"], first["f"], first["c"], first["r"], first["m"]) == ("T", "100", "25", "10", "1")
+    assert [keys for keys, _ in commands[1:]] == ["m=1"] * (len(commands) - 2) + ["m=0"]
+    image = Image.open(io.BytesIO(base64.b64decode("".join(payload for _, payload in commands))))
+    assert image.size == (100, 80)
+    assert image.convert("RGB").tobytes() == noise.data
+    assert _COMMAND.fullmatch(ImagePrinter("kitty").closed())
+
+
+def test_sixels_select_each_colour_that_they_define(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Some terminals select it with its definition, xterm does not."""
+    monkeypatch.setattr(graphics, "_cell_size", lambda: _CELL)
+    printed = ImagePrinter("sixel").printed(RED, 10, 11)
+    size = re.match(r'\x1bP[0-9;]*q"1;1;([0-9]+);([0-9]+)', printed)
+    assert size is not None
+    assert (int(size[1]), int(size[2])) == (100, 50)
+    assert re.search(r"#([0-9]+);2;100;0;0#\1!", printed)
+    assert printed.endswith("\x1b\\")
+    assert ImagePrinter("sixel").closed() == ""
+
+
+def test_a_damaged_image(monkeypatch: pytest.MonkeyPatch) -> None:
+    for protocol_name in ("kitty", "sixel"):
+        with pytest.raises(UnreadableError):
+            ImagePrinter(protocol_name).printed(Pixels(2, 2, b"RIFFxxxxWEBP", "webp"), 10, 10)
