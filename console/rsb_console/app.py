@@ -18,6 +18,7 @@ from rsb_bridge.model.snapshot import Snapshot, State
 from rsb_console.actions import Group
 from rsb_console.operations.bridge_operations import BridgeOperations, Deadman
 from rsb_console.operations.session_operations import SessionOperations
+from rsb_console.screens.dialog import FullScreen
 from rsb_console.screens.main import MainScreen
 from rsb_console.session.changes import Changes
 from rsb_console.terminal.input_queue import DIALOG
@@ -291,7 +292,10 @@ class ConsoleApp(TerminalApp[None]):
         snapshot = self.snapshot()
         self.deadman.keep(self.engine, snapshot)
         self.fault_bell.look(self.engine, snapshot)
-        self.main.show(snapshot, events)
+        if any(isinstance(screen, FullScreen) for screen in self.screen_stack):
+            self.main.hold(events)  # Textual would write the whole of the screen above for each of its changes
+        else:
+            self.main.show(snapshot, events)
 
     def change_refresh_rate(self, step: int) -> None:
         index = REFRESH_RATES.index(self.refresh_rate) + step

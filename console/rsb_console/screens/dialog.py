@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import time
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING, ClassVar, TypeVar
 
 from textual import work
 from textual.binding import Binding
@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from rsb_bridge.model.snapshot import RouteSnapshot
     from rsb_console.session.changes import Undo
 
+T = TypeVar("T")
 _AROUND = 8
 """Lines of the dialog that are not its message: frame, buttons, keys, and the empty ones between."""
 _SCROLL = {
@@ -52,6 +53,10 @@ class Dialog(Vertical):
     def __init__(self, title: str, *widgets: Widget, keys: str, shape: str = "-wide") -> None:
         super().__init__(*widgets, Static(keys, classes="hint keys", markup=False), classes=f"dialog {shape}")
         self.border_title = title
+
+
+class FullScreen(ModalScreen[T]):
+    """A screen that hides all below it, which is not drawn meanwhile."""
 
 
 class ConfirmScreen(ModalScreen[bool]):

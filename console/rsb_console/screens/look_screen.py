@@ -30,6 +30,8 @@ if TYPE_CHECKING:
 
 _KEYS = " type to search · ↑↓ choose · ⏎ look · esc close"
 _SIDE, _TOPIC = 14, 34
+_ASKED_EVERY = 3.0
+"""s between two questions to all sides."""
 _LAYERS = {"sensor_msgs/msg/LaserScan", "tf2_msgs/msg/TFMessage"}
 
 
@@ -97,18 +99,23 @@ class LookScreen(ModalScreen[Subject]):
 
     @work
     async def _ask(self) -> None:
-        """Ask all sides for their topics."""
-        engine = self.console.engine
-        assert engine is not None
-        sides = ["", *(link.name for link in self.console.snapshot().links if link.state is State.OK)]
-        for side in sides:
-            try:
-                self._found[side] = await asyncio.wrap_future(engine.topics(side or None))
-            except EngineError as error:
-                self._problems.append(str(error))
-            self._list()
-        self._asking = False
-        self._list()
+        """Ask all sides for their topics, again and again: a side may be linked later."""
+        while (engine := self.console.engine) is not None:
+            linked = [link.name for link in self.console.snapshot().links if link.state is State.OK]
+            found: dict[str, tuple[TopicInfo, ...]] = {}
+            problems = []
+            for side in ("", *linked):
+                try:
+                    found[side] = await asyncio.wrap_future(engine.topics(side or None))
+                except EngineError as error:
+                    problems.append(str(error))
+                if self._asking:
+                    self._found = {**found}
+                    self._list()
+            if (found, problems) != (self._found, self._problems) or self._asking:
+                self._found, self._problems, self._asking = found, problems, False
+                self._list()
+            await asyncio.sleep(_ASKED_EVERY)
 
     @on(Input.Changed)
     def _list(self) -> None:

@@ -136,6 +136,10 @@ class MainScreen(Screen[None]):
             self.show_detail()
         self.show_keys()
 
+    def hold(self, new_events: Sequence[Event]) -> None:
+        """Show events later, with the next `show`."""
+        self._held += new_events
+
     def reset(self) -> None:
         """Begin another session: forget the old one's log."""
         self._held = []

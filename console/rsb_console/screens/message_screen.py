@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, ClassVar
 
 from textual import work
 from textual.binding import Binding
-from textual.screen import ModalScreen
 
 from rsb_bridge.api import EngineError
 from rsb_bridge.model.snapshot import State
@@ -17,6 +16,7 @@ from rsb_bridge.model.text import escape_text
 from rsb_bridge.model.wording import Wording
 from rsb_console.look import formats
 from rsb_console.look.glyphs import STATE_SIGN, STATE_WORD
+from rsb_console.screens.dialog import FullScreen
 from rsb_console.session.reading import KnownTypes, age_text, hex_lines, how_it_came, message_lines, plain, read_message
 from rsb_console.terminal.driver import copy
 from rsb_console.widgets.lines import ScrolledLines
@@ -47,7 +47,7 @@ class MessageText(Wording):
     WAITING = "waiting for a message, {waited}"
 
 
-class MessageScreen(ModalScreen[bool]):
+class MessageScreen(FullScreen[bool]):
     """Shows the messages of one topic, each new one in place of the one before.
 
     The result is true if they are to be shown as pictures instead.

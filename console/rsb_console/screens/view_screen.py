@@ -15,8 +15,8 @@ from rich.style import Style
 from textual import work
 from textual.binding import Binding
 from textual.content import Content
+from textual.geometry import Region
 from textual.message import Message as TextualMessage
-from textual.screen import ModalScreen
 from textual.strip import Strip
 from textual.widget import Widget
 
@@ -29,6 +29,7 @@ from rsb_bridge.view.worker import VIEWS
 from rsb_console.look import formats
 from rsb_console.look.picture_rows import UnreadableError, notes_line, picture_rows, reads_webp, with_mark
 from rsb_console.look.plot_lines import AXIS
+from rsb_console.screens.dialog import FullScreen
 from rsb_console.screens.drive_screen import DriveScreen, why_not_driven
 from rsb_console.screens.look_screen import is_map
 from rsb_console.screens.publish_screen import Message, PublishScreen
@@ -96,11 +97,14 @@ class PicturePane(Widget, can_focus=True):
     def __init__(self) -> None:
         super().__init__(id="picture", classes="dialog")
         self._rows: list[Row] = []
+        self._strips: dict[int, Strip] = {}
+        self._title = ""
         self._styles: dict[tuple[str, str], Style] = {}
 
     def show(self, rows: list[Row]) -> None:
         yield_gil()
         self._rows = rows
+        self._strips.clear()
         self.refresh()
 
     class Clicked(TextualMessage):
@@ -121,15 +125,30 @@ class PicturePane(Widget, can_focus=True):
         if offset is not None:
             self.post_message(self.Clicked(offset.x, offset.y))
 
+    def entitle(self, title: str) -> None:
+        """Show a title, which is plain text, and draw only its line."""
+        if title == self._title:
+            return
+        self._title = title
+        if self.is_mounted:
+            self._border_title = Content(title)  # Textual's public attribute would have all rows drawn
+            self.refresh(Region(0, -1, self.size.width, 1))
+        else:
+            self.border_title = Content(title)
+
     def notify_style_update(self) -> None:
         self._styles.clear()
+        self._strips.clear()
         super().notify_style_update()
 
     def render_line(self, y: int) -> Strip:
         """Draw screen row `y` (Textual's line API)."""
-        row = self._rows[y] if y < len(self._rows) else ()
-        strip = Strip([Segment(part.text, self._style(part.style, part.background)) for part in row])
-        return strip.adjust_cell_length(self.size.width, self.visual_style.rich_style)
+        strip = self._strips.get(y)
+        if strip is None or strip.cell_length != self.size.width:
+            row = self._rows[y] if y < len(self._rows) else ()
+            strip = Strip([Segment(part.text, self._style(part.style, part.background)) for part in row])
+            strip = self._strips[y] = strip.adjust_cell_length(self.size.width, self.visual_style.rich_style)
+        return strip
 
     def _style(self, name: str, background: str) -> Style:
         style = self._styles.get((name, background))
@@ -145,7 +164,7 @@ class PicturePane(Widget, can_focus=True):
         return style
 
 
-class ViewScreen(ModalScreen[bool]):
+class ViewScreen(FullScreen[bool]):
     """Shows pictures of topics until it is closed. The result is true if they are to be shown as text instead.
 
     Args:
@@ -278,8 +297,8 @@ class ViewScreen(ModalScreen[bool]):
 
     def _entitle(self) -> None:
         """Show what the picture is of, and how old it is."""
-        topics = escape_text(", ".join(self._topics))
-        self.pane.border_title = Content(f" {topics} · {self._status()} ")  # a string would be markup
+        title = f" {escape_text(', '.join(self._topics))} · {self._status()} "
+        self.pane.entitle(title)
 
     def _status(self) -> str:
         if (goal := self._goal) is not None:
