@@ -79,7 +79,7 @@ ACTIONS: tuple[Action, ...] = (
            Group.OPERATE, changes=True, needs_topic=True, in_footer=True, also="deadman, safety, enable"),
     Action("call", "C", "call", "Call the service or action by hand; of a node: set a parameter",
            Group.OPERATE, changes=True, needs_topic=True, in_footer=True, also="request, send a goal, param get list"),
-    Action("publish", "P", "publish", "Publish a message by hand, on any topic of this side",
+    Action("publish", "S", "publish", "Publish a message by hand, on any topic of this side",
            Group.OPERATE, changes=True, also="pub, send, template, goal pose"),
     Action("drive", "D", "drive", "Drive a robot by keys, on a topic that has to be armed",
            Group.OPERATE, changes=True, needs_topic=True, also="teleop, cmd_vel, twist, joystick"),

@@ -11,10 +11,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
-from tests.console.scripted import NOW, ScriptedEngine
+from tests.console.scripted import NOW, ScriptedEngine, call_route
 from tests.support.commands import Ran, parser_and_commands
 from tests.support.fleet import ServerEngine
 
+from rsb_bridge.model.by_hand import Published
 from rsb_bridge.model.robot_summary import RobotState
 from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import RouteSnapshot, State
@@ -178,6 +179,7 @@ def test_a_status_is_of_one_robot(engine: ServerEngine, capsys: pytest.CaptureFi
         ("robot1", "--", "echo", "/scan", "--once"),
         ("robot1", "--", "hz", "/scan"),
         ("robot1", "--", "bw", "/scan"),
+        ("robot1", "--", "pub", "/cmd_vel", "", "--rate", "10"),
         ("robot1", "--", "events", "--follow"),
         ("robot1", "--", "wait", "--for", "linked"),
         ("robot1", "--", "status", "--bridge", "other"),
@@ -190,6 +192,22 @@ def test_what_is_no_command_for_a_robot(
 ) -> None:
     assert fleet(capsys, "exec", *arguments).code == 2
     assert engine.commands == []
+
+
+@pytest.mark.parametrize("words", [("pub", "/camera"), ("call", "/dock")])
+def test_each_robot_gets_what_standard_input_has(
+    engine: ServerEngine, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, words: tuple[str, str]
+) -> None:
+    """Not only the first one, while the others get the defaults of every field."""
+    routes = tuple(call_route("service", "/dock", key=f"dock {name}", link=name) for name in ("robot1", "robot2"))
+    engine.now = replace(engine.now, routes=(*engine.now.routes, *routes))
+    engine.published = [Published(is_done=True, nodes=1)] * 2
+    engine.called.set_result("success: true\n")
+    monkeypatch.setattr("sys.stdin", io.StringIO("data: true"))
+    assert fleet(capsys, "exec", "robot1", "robot2", "--", *words, "-").code == 0
+    published = [each[1].fields for each in engine.commands if each[0] == "publish"]  # type: ignore[attr-defined]
+    called = [each[2] for each in engine.commands if each[0] == "call"]
+    assert published + called == ["data: true"] * 2
 
 
 def test_every_command_that_is_allowed_exists() -> None:

@@ -28,6 +28,7 @@ from rsb_bridge.model.snapshot import (
 )
 
 if TYPE_CHECKING:
+    from rsb_bridge.model.by_hand import Draft, Published
     from rsb_bridge.model.pictures import Viewed
     from rsb_bridge.model.snapshot import PeekedMessage
 
@@ -247,6 +248,9 @@ class ScriptedEngine(EngineApi):
         self.viewed: list[Viewed] = []
         self.viewing: Future[Viewed | None] = Future()
         self.viewing.cancel()
+        self.drafts: dict[str, Draft] = {}
+        self.published: list[Published | EngineError] = []
+        self.publishing: Future[Published] = Future()
 
     def start(self) -> None:
         self.running = True
@@ -309,6 +313,17 @@ class ScriptedEngine(EngineApi):
                 if self.viewed:
                     self.viewing.set_result(self.viewed.pop(0))
                 return self.viewing
+            case commands.DraftMessage(topic, type_name):
+                self.commands.append(("draft", topic, type_name))
+                draft = self.drafts.get(topic)
+                return refused("nobody knows its type \x1b[2J") if draft is None else answered(draft)
+            case commands.Publish():
+                self.commands.append(("publish", command))
+                self.publishing = Future()  # until the test answers
+                if self.published:
+                    answer = self.published.pop(0)
+                    return refused(str(answer)) if isinstance(answer, EngineError) else answered(answer)
+                return self.publishing
             case commands.Template(key, lane):
                 if lane in self.templates:
                     return self._done(self.templates[lane], "template", key, lane)

@@ -18,10 +18,13 @@ from rsb_bridge.model.pictures import (
     PictureError,
     Scale,
     Series,
+    Wish,
     decode_picture,
     encode_picture,
 )
-from rsb_console.look.picture_rows import picture_rows
+from rsb_bridge.view.map_view import _Paper
+from rsb_console.look.picture_rows import Part, picture_rows, with_mark
+from rsb_console.session.by_hand import Goal
 from rsb_console.session.picture_files import picture_file
 
 INVALID = (math.nan, math.inf, -math.inf)
@@ -73,6 +76,25 @@ def test_a_scale_has_finite_numbers(name: str, value: float) -> None:
     scale = msgspec.structs.replace(Scale("map", 0.0, 0.0, 1.0, 1.0), **{name: value})
     with pytest.raises(PictureError):
         decode_picture(encoded(Cells(("x",), scale=scale)))
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [("left", 1e300), ("top", -1e300), *((name, each) for name in ("column", "row") for each in (0.0, -1.0, 5e-324))],
+)
+def test_each_place_of_a_scale_has_a_cell(name: str, value: float) -> None:
+    """Steps of nothing and places beyond all numbers would end a console that counts its cells."""
+    scale = msgspec.structs.replace(Scale("map", 0.0, 0.0, 1.0, 1.0), **{name: value})
+    with pytest.raises(PictureError):
+        decode_picture(encoded(Cells(("x",), scale=scale)))
+
+
+@pytest.mark.parametrize("zoom", [0.01, 1000.0])
+def test_the_widest_and_the_nearest_view_have_a_scale(zoom: float) -> None:
+    for extent in ((-1e7, -1e7, 1e7, 1e7), (0.0, 0.0, 0.0, 0.0)):
+        scale = _Paper(extent, Wish(zoom=zoom, x=1e9, y=-1e9)).scale("map")
+        decode_picture(encoded(Cells(("x",), scale=scale)))
+        assert with_mark([(Part("x"),)], *Goal("map", -1e7, 1e7).cell(scale), Part("X"), 80)
 
 
 NUMBERS = st.one_of(

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rsb_bridge.model.pictures import LONGEST_SIDE, Cells, Curve, Pixels, Series
-from rsb_console.look.picture_rows import RAMP, Part, UnreadableError, picture_rows, rgb_of
+from rsb_console.look.picture_rows import RAMP, Part, UnreadableError, picture_rows, rgb_of, with_mark
 
 Image = pytest.importorskip("PIL.Image", reason="needs Pillow")
 
@@ -157,3 +157,32 @@ def test_a_huge_webp_image_is_refused_before_it_is_read(side: int) -> None:
 def test_an_image_that_nobody_asked_for_takes_no_time() -> None:
     with pytest.raises(UnreadableError):
         picture_rows(Pixels(LONGEST_SIDE, LONGEST_SIDE, b"", "webp"), 80, 24)
+
+
+# -- a mark
+
+_ROWS = [(Part("ab", "dim"), Part("cd", "ok", "#000000")), (), (Part("ef"),)]
+
+
+@pytest.mark.parametrize(
+    ("column", "row", "expected"),
+    [
+        (0, 0, (Part("X", "goal"), Part("b", "dim"), Part("cd", "ok", "#000000"))),
+        (1, 0, (Part("a", "dim"), Part("X", "goal"), Part("cd", "ok", "#000000"))),
+        (2, 0, (Part("ab", "dim"), Part("X", "goal"), Part("d", "ok", "#000000"))),
+        (3, 0, (Part("ab", "dim"), Part("c", "ok", "#000000"), Part("X", "goal"))),
+        (5, 0, (*_ROWS[0], Part(" "), Part("X", "goal"))),
+        (0, 1, (Part("X", "goal"),)),
+        (3, 1, (Part("   "), Part("X", "goal"))),
+    ],
+)
+def test_a_mark_replaces_one_cell(column: int, row: int, expected: tuple[Part, ...]) -> None:
+    marked = with_mark(_ROWS, column, row, Part("X", "goal"), 6)
+    assert marked[row] == expected
+    assert [each for at, each in enumerate(marked) if at != row] == [each for at, each in enumerate(_ROWS) if at != row]
+
+
+@pytest.mark.parametrize(("column", "row"), [(-1, 0), (6, 0), (10**30, 0), (0, -1), (0, 3), (0, -(10**30))])
+def test_a_mark_outside_changes_nothing(column: int, row: int) -> None:
+    """However far: zooming in takes a goal a long way off."""
+    assert with_mark(_ROWS, column, row, Part("X", "goal"), 6) == _ROWS

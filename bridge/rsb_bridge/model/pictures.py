@@ -37,6 +37,8 @@ _Number: TypeAlias = Annotated[float, Meta(ge=-1e9, le=1e9)]
 MOST_VALUE = 1e300
 """Largest value of a plot: differences and sums stay finite."""
 _Value: TypeAlias = Annotated[float, Meta(ge=-MOST_VALUE, le=MOST_VALUE)]
+_Place: TypeAlias = Annotated[float, Meta(ge=-1e100, le=1e100)]
+_Step: TypeAlias = Annotated[float, Meta(ge=1e-12, le=1e100)]
 _Style: TypeAlias = Annotated[str, Meta(max_length=16, pattern=r"\A(|[a-z]+|#[0-9a-fA-F]{6})\Z")]
 
 
@@ -109,10 +111,10 @@ class Scale(msgspec.Struct, frozen=True):
     """
 
     frame: _Text
-    left: _Value
-    top: _Value
-    column: _Value
-    row: _Value
+    left: _Place
+    top: _Place
+    column: _Step
+    row: _Step
 
 
 class Cells(msgspec.Struct, frozen=True, omit_defaults=True, tag="cells"):

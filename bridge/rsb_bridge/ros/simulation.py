@@ -118,29 +118,38 @@ class Simulation:
 
 
 class Motion:
-    """The place of the robot: it drives in a circle, or by commands."""
+    """The place of the robot: it drives in a circle, or by commands.
 
-    def __init__(self) -> None:
+    Args:
+        now: a clock, in s.
+    """
+
+    def __init__(self, now: Callable[[], float] = time.monotonic) -> None:
+        self._now = now
         self._x, self._y, self._heading = _CIRCLE, 0.0, math.pi / 2
         self._velocity = 0.0, 0.0
         self._commanded = -math.inf
-        self._at = time.monotonic()
+        self._at = now()
 
     def command(self, twist: Twist) -> None:
-        """Take a velocity."""
-        self.pose()
-        self._velocity, self._commanded = (twist.linear.x, twist.angular.z), self._at
+        """Take a velocity, unless it is infinite or no number."""
+        forward, turn = twist.linear.x, twist.angular.z
+        if math.isfinite(forward) and math.isfinite(turn):
+            self.pose()
+            self._velocity, self._commanded = (forward, turn), self._at
 
     def pose(self) -> tuple[float, float, float]:
         """Return where the robot is now: x and y in m, and its heading in rad."""
-        now = time.monotonic()
+        now = self._now()
         elapsed, self._at = min(0.2, now - self._at), now
         forward, turn = self._wanted(now)
         self._heading = math.remainder(self._heading + turn * elapsed, math.tau)
         x = self._x + forward * elapsed * math.cos(self._heading)
         y = self._y + forward * elapsed * math.sin(self._heading)
-        if simulated_room.is_free(x, y, _MARGIN):
-            self._x, self._y = x, y
+        for place in ((x, y), (x, self._y), (self._x, y)):  # it slides along what is in its way
+            if simulated_room.is_free(*place, _MARGIN):
+                self._x, self._y = place
+                break
         return self._x, self._y, self._heading
 
     def _wanted(self, now: float) -> tuple[float, float]:

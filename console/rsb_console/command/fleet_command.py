@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 import msgspec
 
 from rsb_bridge.control.bridges import running_bridges
+from rsb_bridge.model.calls import FIELDS_LENGTH
 from rsb_bridge.model.clock import Clock
 from rsb_bridge.model.robot_summary import RobotState
 from rsb_bridge.model.text import plural
@@ -49,6 +50,7 @@ class FleetProblem(Wording):
     EVENTS_ENDLESS = "events --follow does not end: follow one robot's server at a time"
     ECHO_ENDLESS = "echo does not end: give --once, or --count N"
     FIGURES_ENDLESS = "{command} does not end by itself: give --count N or --for N"
+    PUB_ENDLESS = "pub --rate does not end by itself: give --count N"
     WAITS_ENDLESS = "{command} may wait for ever: give --timeout N"
     ROBOT_AFTER_DASHES = "name the robots before --, and no bridge or link after it"
     TOPIC_OR_CHANGE_MISSING = (
@@ -221,10 +223,15 @@ def _parsed(words: Sequence[str]) -> Namespace:
         raise UsageError(FleetProblem.ECHO_ENDLESS())
     if words[0] in ("hz", "bw") and parsed.count is None and parsed.lasts is None:
         raise UsageError(FleetProblem.FIGURES_ENDLESS(command=words[0]))
+    if words[0] == "pub" and parsed.rate is not None and parsed.count is None:
+        raise UsageError(FleetProblem.PUB_ENDLESS())
     if words[0] in ("echo", "wait") and parsed.timeout is None:
         raise UsageError(FleetProblem.WAITS_ENDLESS(command=words[0]))
     if any(getattr(parsed, name, None) for name in ("bridge", "control", "fleet", "link")):
         raise UsageError(FleetProblem.ROBOT_AFTER_DASHES())
+    for name in ("request", "message"):
+        if getattr(parsed, name, None) == "-":  # it can be read once, for all robots
+            setattr(parsed, name, sys.stdin.read(FIELDS_LENGTH + 1))
     return parsed
 
 

@@ -60,29 +60,28 @@ def picture_rows(
     return _cells(content)
 
 
-def with_mark(rows: list[Row], column: int, row: int, mark: str, style: str) -> list[Row]:
+def with_mark(rows: list[Row], column: int, row: int, part: Part, width: int) -> list[Row]:
     """Return a picture's rows with one cell replaced; outside of the picture nothing changes.
 
     Args:
         rows: of a picture whose characters take one cell each.
         column: of the cell.
         row: of the cell.
-        mark: a character.
-        style: of the mark.
+        part: a character and its style.
+        width: cells of the picture, whose rows may be shorter.
     """
-    if column < 0 or not 0 <= row < len(rows):
+    if not (0 <= column < width and 0 <= row < len(rows)):
         return rows
     before: list[Part] = []
     after: list[Part] = []
     at = 0
-    for part in rows[row]:
-        end = at + len(part.text)
-        before.append(part._replace(text=part.text[: max(0, column - at)]))
-        after.append(part._replace(text=part.text[max(0, column + 1 - at) :]))
-        at = end
+    for each in rows[row]:
+        before.append(each._replace(text=each.text[: max(0, column - at)]))
+        after.append(each._replace(text=each.text[max(0, column + 1 - at) :]))
+        at += len(each.text)
     gap = Part(" " * max(0, column - at))
-    parts = (*before, gap, Part(mark, style), *after)
-    return [*rows[:row], tuple(part for part in parts if part.text), *rows[row + 1 :]]
+    parts = (*before, gap, part, *after)
+    return [*rows[:row], tuple(each for each in parts if each.text), *rows[row + 1 :]]
 
 
 class UnreadableError(ValueError):

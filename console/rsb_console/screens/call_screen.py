@@ -21,7 +21,7 @@ from rsb_bridge.model.text import join_first, sanitize_text
 from rsb_bridge.model.wording import Wording
 from rsb_console.look import formats
 from rsb_console.look.glyphs import DONE, FAILED, STATE_SIGN, STATE_WORD, UNDER_WAY
-from rsb_console.screens.dialog import ConfirmScreen
+from rsb_console.screens.dialog import ConfirmScreen, beginning
 from rsb_console.screens.form_screen import FormScreen
 from rsb_console.session.parameter_values import refusal, set_request
 from rsb_console.terminal.driver import copy
@@ -42,8 +42,6 @@ _SET, _SET_LANE = "set", "set_parameters"
 """The choice that sets one parameter by name and value, and the service behind it."""
 _MOST_LINES = 2_000
 _NODES = 3
-_ASKED_LINES, _ASKED_CHARACTERS = 200, 4 << 10
-"""Limits of the part of a request that the question shows, as much as a person can read."""
 _CHECKED = 4 << 10
 """Longest request (characters) to check while it is typed; a longer one takes too long."""
 _KEYS = "F9 call   tab next   y copy the answer   esc close"
@@ -212,7 +210,7 @@ class CallScreen(FormScreen[Request]):
             means = f"{CallText.VALUE_SENT(where=self._where)}\n{made.meaning}"
             return Request(_SET_LANE, made.text, f"Set {values['name']} of {name}?", means, "Set", sets=True)
         service = f"{self._lane} of {name}" if self._lane else name
-        fields = _beginning(values["request"]) or CallText.ALL_DEFAULTS()
+        fields = beginning(values["request"]) or CallText.ALL_DEFAULTS()
         means = f"{CallText.REQUEST_SENT(where=self._where)}\n{fields}"
         return Request(self._lane, values["request"], f"Call {service}?", means, "Call", sets=False)
 
@@ -342,14 +340,6 @@ def answer_lines(answer: str, width: int) -> Iterator[Line]:
             yield ((f"… only the first {formats.thousands(_MOST_LINES)} lines are shown; y copies all", "stale"),)
             return
         yield (piece,)
-
-
-def _beginning(request: str) -> str:
-    """Shorten a request for the question."""
-    lines = request[:_ASKED_CHARACTERS].splitlines()[:_ASKED_LINES]
-    shown = "\n".join(lines)
-    more = len(request.rstrip()) - len(shown)
-    return f"{shown}…\n(and {formats.counted(more, 'character')} more)" if more > 0 else shown
 
 
 def _clean(text: str) -> str:

@@ -13,6 +13,7 @@ from textual.screen import ModalScreen
 from textual.widgets import Button, Static
 
 from rsb_bridge.api import EngineError
+from rsb_console.look import formats
 from rsb_console.look.glyphs import DONE, FAILED
 from rsb_console.widgets.lines import Line, LiveLines
 
@@ -37,7 +38,17 @@ _SCROLL = {
     "g,home": "home",
     "G,end": "end",
 }
+_ASKED_LINES, _ASKED_CHARACTERS = 200, 4 << 10
+"""Limits of the part of an operator's YAML that a question shows, as much as a person can read."""
 RUNNING = "◌"
+
+
+def beginning(fields: str) -> str:
+    """Shorten fields in YAML for a question."""
+    lines = fields[:_ASKED_CHARACTERS].splitlines()[:_ASKED_LINES]
+    shown = "\n".join(lines)
+    more = len(fields.rstrip()) - len(shown)
+    return f"{shown}…\n(and {formats.counted(more, 'character')} more)" if more > 0 else shown
 
 
 class Dialog(Vertical):

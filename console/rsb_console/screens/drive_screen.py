@@ -27,6 +27,7 @@ from rsb_console.terminal.input_queue import DIALOG
 
 if TYPE_CHECKING:
     from textual.app import ComposeResult
+    from textual.events import Key
 
     from rsb_bridge.model.snapshot import RouteSnapshot
     from rsb_console.console_api import Console
@@ -136,7 +137,6 @@ class DriveScreen(ModalScreen[None]):
 
     BINDINGS: ClassVar = [
         Binding("escape,q", "dismiss", show=False),
-        *(Binding(key, f"press('{key}')", show=False) for key in (*_WAYS, *_STOPS)),
         Binding("plus,equals_sign", f"speed({_FASTER})", show=False),
         Binding("minus", f"speed({1 / _FASTER})", show=False),
         Binding("A", "arm", show=False),
@@ -202,15 +202,18 @@ class DriveScreen(ModalScreen[None]):
         self._ticket = published.ticket
         self._refusals = 0 if published.is_done else self._refusals + 1
         if self._refusals > _TICKETS:
+            self._refusals = 0
             raise EngineError(ByHandText.TOO_SLOW(topic=self._route.topic))
         return published.is_done
 
     # -- keys ---------------------------------------------------------------------------------------------------------
 
-    def action_press(self, key: str) -> None:
-        """Take a key that drives or stops."""
-        self._steering.press(key, time.monotonic())
-        self._draw()
+    def on_key(self, event: Key) -> None:
+        """Take a key that drives or stops, which counts from the time when it came to this process."""
+        if event.key in _WAYS or event.key in _STOPS:
+            event.stop()
+            self._steering.press(event.key, event.time)
+            self._draw()
 
     def action_speed(self, factor: float) -> None:
         """Change the velocity of a key."""

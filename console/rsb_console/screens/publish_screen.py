@@ -16,7 +16,7 @@ from rsb_bridge.model.calls import FieldError
 from rsb_bridge.model.text import escape_text
 from rsb_bridge.model.wording import Wording
 from rsb_console.look.glyphs import DONE, FAILED
-from rsb_console.screens.dialog import ConfirmScreen
+from rsb_console.screens.dialog import ConfirmScreen, beginning
 from rsb_console.screens.form_screen import FormScreen
 from rsb_console.session.by_hand import publish
 from rsb_console.terminal.input_queue import DIALOG
@@ -34,7 +34,6 @@ _CHECKED = 4 << 10
 """Longest message (characters) to check while it is typed; a longer one takes too long."""
 _TYPED_FOR = 0.5
 """s without a key in the topic's name after which its fields are looked up."""
-_ASKED_CHARACTERS = 2 << 10
 _KEYS = "F9 publish   tab next   esc close"
 
 
@@ -176,7 +175,7 @@ class PublishScreen(FormScreen[Message]):
             return
         routes = [each for each in self.console.snapshot().routes if each.outgoing and each.topic == result.topic]
         peers = ", ".join(sorted({self.console.peer_of(each) for each in routes if each.state.flows}))
-        fields = result.fields[:_ASKED_CHARACTERS] or PublishText.ALL_DEFAULTS()
+        fields = beginning(result.fields) or PublishText.ALL_DEFAULTS()
         means = PublishText.MEANS(links=PublishText.OVER(links=peers) if peers else "", fields=fields)
         if await self.console.ask(ConfirmScreen(PublishText.QUESTION(topic=result.topic), means, "Publish")):
             self._publish(result)

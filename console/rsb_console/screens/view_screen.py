@@ -27,7 +27,7 @@ from rsb_bridge.model.text import escape_text
 from rsb_bridge.model.wording import Wording
 from rsb_bridge.view.worker import VIEWS
 from rsb_console.look import formats
-from rsb_console.look.picture_rows import UnreadableError, notes_line, picture_rows, reads_webp, with_mark
+from rsb_console.look.picture_rows import Part, UnreadableError, notes_line, picture_rows, reads_webp, with_mark
 from rsb_console.look.plot_lines import AXIS
 from rsb_console.screens.dialog import FullScreen
 from rsb_console.screens.drive_screen import DriveScreen, why_not_driven
@@ -56,7 +56,7 @@ _LOOKS = {
 }  # fmt: skip
 """The theme's look of each style of a picture."""
 _KEYS = ("space hold", "t text", "h how", "+- zoom", "arrows", "<> rate", "p file")
-_MAP_KEYS, _POINT_KEYS, _DRIVE_KEYS = ("l layers",), ("[] tilt", "c colour"), ("g goal", "d drive")
+_MAP_KEYS, _POINT_KEYS, _GOAL_KEYS, _DRIVE_KEYS = ("l layers",), ("[] tilt", "c colour"), ("g goal",), ("d drive",)
 _TURN = 15.0
 """Degrees by which a key turns a goal."""
 _GOAL_TOPIC = "/goal_pose"
@@ -223,8 +223,9 @@ class ViewScreen(FullScreen[bool]):
     def compose(self) -> ComposeResult:
         self.pane = PicturePane()
         special = (_MAP_KEYS if self._layers else ()) + (_POINT_KEYS if _is_points(self._subject.type_name) else ())
-        special += () if self.console.readonly else _DRIVE_KEYS
-        self.pane.border_subtitle = Content(f" {' · '.join(('esc', *special, *_KEYS))} ")
+        if not self.console.readonly:
+            special += (_GOAL_KEYS if is_map(self._subject.type_name) else ()) + _DRIVE_KEYS
+        self.pane.border_subtitle = Content(f" {'  '.join(('esc', *special, *_KEYS))} ")
         self._entitle()
         yield self.pane
 
@@ -288,8 +289,11 @@ class ViewScreen(FullScreen[bool]):
                 colours = self.app.console.color_system is not None and not self.app.ansi_color
                 width, height = self._wish.width, self._wish.height
                 rows = picture_rows(content, width, height, colours=colours, cursor=self._cursor)
-                if self._goal is not None and isinstance(content, Cells) and content.scale is not None:
-                    rows = with_mark(rows, *self._goal.cell(content.scale), self._goal.arrow, "goal")
+                if (scale := self._scale) is not None and self._goal is not None and self._goal.frame != scale.frame:
+                    self._goal = None  # its coordinates mean another place
+                if scale is not None and self._goal is not None:
+                    mark = Part(self._goal.arrow, "goal")
+                    rows = with_mark(rows, *self._goal.cell(scale), mark, width)
             except UnreadableError as error:
                 self._problem = str(error)
         self.pane.show(rows)
@@ -331,7 +335,7 @@ class ViewScreen(FullScreen[bool]):
 
     def action_way(self) -> None:
         """Draw another kind of picture."""
-        self._viewed = None
+        self._viewed = self._goal = None
         self._change(how=_WAYS[(_WAYS.index(self._wish.how) + 1) % len(_WAYS)])
 
     def action_zoom(self, factor: float) -> None:

@@ -6,9 +6,8 @@ import asyncio
 import math
 from typing import TYPE_CHECKING, NamedTuple
 
-import msgspec
-
 from rsb_bridge.api import EngineError
+from rsb_bridge.config.yaml_text import inline
 from rsb_bridge.model.wording import Wording
 
 if TYPE_CHECKING:
@@ -82,7 +81,7 @@ class Goal(NamedTuple):
 
     def fields(self) -> str:
         """Return it as the fields of a ``geometry_msgs/msg/PoseStamped``, in YAML."""
-        frame = msgspec.json.encode(self.frame).decode()  # which YAML reads as the same text
+        frame = inline(self.frame, '"')
         z, w = math.sin(self.heading / 2), math.cos(self.heading / 2)
         return (
             f"header: {{stamp: now, frame_id: {frame}}}\n"

@@ -1,0 +1,357 @@
+"""The command ``pub``: messages by hand through a running bridge, their results, and tickets."""
+
+from __future__ import annotations
+
+import io
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+import pytest
+import yaml
+from tests.console.scripted import ScriptedEngine, route
+from tests.support.bridge import linked
+from tests.support.commands import Ran, rsb_console
+from tests.support.consoles import Consoles
+from tests.support.domain import text
+from tests.support.waiting import eventually
+from tests.support.wording import says
+
+from rsb_bridge.api import EngineError
+from rsb_bridge.engine.publishing import PublishProblem
+from rsb_bridge.model.by_hand import Draft, Published
+from rsb_bridge.model.calls import FIELDS_LENGTH
+from rsb_bridge.model.session import Topic
+from rsb_bridge.model.snapshot import State
+from rsb_console.command import pub_command
+from rsb_console.command.pub_command import PubText
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from tests.support.bridge import Bridge
+    from tests.support.control import Machine
+    from tests.support.domain import Domain
+
+    from rsb_bridge.model.commands import Publish
+
+STRING = "std_msgs/msg/String"
+TAKEN = Published(is_done=True, ticket=5, type_name=STRING, nodes=1, links=("robot1",))
+ALONE = Published(is_done=True, ticket=6, type_name=STRING)
+OLD = Published(is_done=False, ticket=7, type_name=STRING)
+
+
+@pytest.fixture(autouse=True)
+def _here(machine: Machine, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("XDG_RUNTIME_DIR", machine.environ["XDG_RUNTIME_DIR"])
+
+
+@pytest.fixture
+def engine(machine: Machine) -> ScriptedEngine:
+    made = ScriptedEngine()
+    machine.serve(made)
+    return made
+
+
+@pytest.fixture
+def ran(capsys: pytest.CaptureFixture[str]) -> Any:
+    return lambda *arguments: Ran(capsys, "pub", *arguments)
+
+
+class Clock:
+    """The module `time` of the command: waits take no time, and are recorded."""
+
+    def __init__(self) -> None:
+        self.now = 100.0
+        self.slept: list[float] = []
+        self.most = 1000
+
+    def monotonic(self) -> float:
+        return self.now
+
+    def sleep(self, seconds: float) -> None:
+        self.slept.append(seconds)
+        self.now += seconds
+        if len(self.slept) >= self.most:
+            raise KeyboardInterrupt
+
+
+@pytest.fixture
+def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
+    made = Clock()
+    monkeypatch.setattr(pub_command, "time", made)
+    return made
+
+
+def sent(engine: ScriptedEngine) -> list[Publish]:
+    return [command[1] for command in engine.commands if command[0] == "publish"]  # type: ignore[misc]
+
+
+# -- what is published
+
+
+def test_one_message(ran: Any, engine: ScriptedEngine) -> None:
+    engine.published = [TAKEN]
+    done = ran("/words", "data: hello")
+    assert (done.code, done.err) == (0, "")
+    assert says(done.out, PubText.PUBLISHED, topic="/words", type_name=STRING)
+    (command,) = sent(engine)
+    assert (command.topic, command.fields, command.type_name) == ("/words", "data: hello", "")
+    assert (command.ticket, command.rest) == (0, "")
+
+
+def test_the_type_of_a_new_topic(ran: Any, engine: ScriptedEngine) -> None:
+    engine.published = [TAKEN]
+    assert ran("/words", "", "--type", STRING).code == 0
+    assert [(each.fields, each.type_name) for each in sent(engine)] == [("", STRING)]
+
+
+def test_the_message_of_standard_input(ran: Any, engine: ScriptedEngine, monkeypatch: pytest.MonkeyPatch) -> None:
+    engine.published = [TAKEN]
+    monkeypatch.setattr("sys.stdin", io.StringIO("data: hello\n"))
+    assert ran("/words", "-").code == 0
+    assert [each.fields for each in sent(engine)] == ["data: hello\n"]
+
+
+def test_no_more_of_standard_input_is_read_than_a_message_may_have(
+    ran: Any, engine: ScriptedEngine, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    engine.published = [EngineError("too long")]
+    monkeypatch.setattr("sys.stdin", io.StringIO("#" * (2 * FIELDS_LENGTH)))
+    assert ran("/words", "-").code == 1
+    assert [len(each.fields) for each in sent(engine)] == [FIELDS_LENGTH + 1]
+
+
+def test_some_messages_once_a_second(ran: Any, engine: ScriptedEngine, clock: Clock) -> None:
+    engine.published = [TAKEN] * 3
+    done = ran("/words", "data: hello", "--count", "3")
+    assert done.code == 0
+    assert len(done.out.splitlines()) == 1
+    assert [each.ticket for each in sent(engine)] == [0, 5, 5]
+    assert clock.slept == [1.0, 1.0]
+
+
+def test_some_messages_at_a_rate(ran: Any, engine: ScriptedEngine, clock: Clock) -> None:
+    engine.published = [TAKEN] * 5
+    assert ran("/words", "data: hello", "--count", "5", "--rate", "4").code == 0
+    assert clock.slept == [0.25] * 4
+
+
+def test_messages_that_are_late_are_not_made_up_for(
+    ran: Any, engine: ScriptedEngine, clock: Clock, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    engine.published = [TAKEN] * 4
+    publish = pub_command.publish
+
+    def slowly(*arguments: Any) -> Published:
+        clock.now += 1.0 if not sent(engine) else 0.0
+        return publish(*arguments)
+
+    monkeypatch.setattr(pub_command, "publish", slowly)
+    assert ran("/words", "", "--count", "4", "--rate", "4").code == 0
+    assert clock.slept == [0.0, 0.25, 0.25]
+
+
+def test_without_a_count_a_rate_lasts_until_it_is_interrupted(engine: ScriptedEngine, clock: Clock) -> None:
+    clock.most = 7
+    engine.published = [TAKEN] * 7
+    done = rsb_console("pub", "/words", "data: hello", "--rate", "10")
+    assert done.returncode == 130
+    assert len(sent(engine)) == 7
+    assert len(done.stdout.splitlines()) == 1
+
+
+@pytest.mark.parametrize("options", [(), ("--count", "1"), ("--rate", "10", "--count", "1")])
+def test_after_the_last_message_it_does_not_wait(
+    ran: Any, engine: ScriptedEngine, clock: Clock, options: tuple[str, ...]
+) -> None:
+    engine.published = [TAKEN]
+    assert len(ran("/words", "", *options).out.splitlines()) == 1
+    assert clock.slept == []
+
+
+# -- what became of it
+
+
+def test_where_it_does_not_go_is_named(ran: Any, engine: ScriptedEngine) -> None:
+    engine.now = _with_routes(
+        engine, route("/words", State.DOWN, outgoing=True, link="robot2", reason="no link \x1b[2J")
+    )
+    engine.published = [TAKEN]
+    done = ran("/words", "data: hello")
+    assert done.code == 0
+    assert says(done.err, PubText.NOT_OVER, link="robot2")
+    assert "\x1b" not in done.err
+
+
+def test_nobody_gets_it(ran: Any, engine: ScriptedEngine) -> None:
+    engine.published = [ALONE]
+    done = ran("/words", "data: hello")
+    assert (done.code, done.out) == (1, "")
+    assert says(done.err, PubText.NOBODY, topic="/words")
+
+
+def test_nobody_gets_the_last_of_several(ran: Any, engine: ScriptedEngine, clock: Clock) -> None:
+    engine.published = [TAKEN, ALONE]
+    assert ran("/words", "data: hello", "--count", "2").code == 1
+    assert len(clock.slept) == 1
+
+
+def test_the_result_for_programs(ran: Any, engine: ScriptedEngine, clock: Clock) -> None:
+    engine.now = _with_routes(
+        engine,
+        route("/words", State.DOWN, key="2", outgoing=True, link="robot2", reason="no link"),
+        route("/words", key="3", link="robot3"),
+        route("/other", key="4", outgoing=True, link="robot4"),
+        route("/words", outgoing=True),
+    )
+    engine.published = [TAKEN] * 2
+    done = ran("/words", "data: hello", "--count", "2", "--json")
+    assert done.code == 0
+    assert done.json == {
+        "ok": True,
+        "topic": "/words",
+        "type": STRING,
+        "count": 2,
+        "subscriptions": 1,
+        "links": ["robot1"],
+        "not_over": [{"link": "robot2", "state": "down", "reason": "no link"}],
+    }
+    assert len(clock.slept) == 1
+
+
+def test_nobody_for_programs(ran: Any, engine: ScriptedEngine) -> None:
+    engine.published = [ALONE]
+    done = ran("/words", "", "--json")
+    assert (done.code, done.json["ok"], done.json["count"]) == (1, False, 1)
+
+
+@pytest.mark.parametrize("options", [(), ("--json",)])
+def test_a_refusal(ran: Any, engine: ScriptedEngine, options: tuple[str, ...]) -> None:
+    engine.published = [EngineError("no luck \x1b[2J")]
+    done = ran("/words", "data: hello", *options)
+    assert done.code == 1
+    assert "no luck" in done.out + done.err
+    assert "\x1b" not in done.out + done.err
+
+
+def test_without_a_bridge(ran: Any, engine: ScriptedEngine) -> None:
+    assert engine.commands == []
+    assert ran("/words", "", "--control", "/nonexistent").code == 3
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ("/words",),
+        (),
+        ("/words", "", "--rate", "0"),
+        ("/words", "", "--rate", "101"),
+        ("/words", "", "--rate", "nan"),
+        ("/words", "", "--count", "0"),
+        ("/words", "", "--count", "-1"),
+    ],
+)
+def test_wrong_usage(engine: ScriptedEngine, arguments: tuple[str, ...]) -> None:
+    assert rsb_console("pub", *arguments).returncode == 2
+    assert engine.commands == []
+
+
+# -- tickets
+
+
+def test_a_new_ticket_for_each_message(ran: Any, engine: ScriptedEngine, clock: Clock) -> None:
+    """Once a second, each ticket may have become too old."""
+    engine.published = [OLD, TAKEN, OLD, TAKEN]
+    assert ran("/cmd_vel", "", "--count", "2").code == 0
+    assert [each.ticket for each in sent(engine)] == [0, 7, 5, 7]
+    assert len(clock.slept) == 1
+
+
+def test_a_bridge_that_answers_too_slowly(ran: Any, engine: ScriptedEngine) -> None:
+    engine.published = [OLD] * 3 + [TAKEN]
+    done = ran("/cmd_vel", "")
+    assert done.code == 1
+    assert says(done.err, PubText.TOO_SLOW, topic="/cmd_vel")
+    assert len(sent(engine)) == 3
+
+
+# -- templates
+
+
+def test_a_message_to_begin_with(ran: Any, engine: ScriptedEngine) -> None:
+    engine.drafts["/words"] = Draft(STRING, "data: ''\n")
+    done = ran("/words", "--template")
+    assert (done.code, done.out, done.err) == (0, "data: ''\n", "")
+    assert engine.commands == [("draft", "/words", "")]
+
+
+def test_a_message_to_begin_with_for_programs(ran: Any, engine: ScriptedEngine) -> None:
+    engine.drafts["/words"] = Draft(STRING, "data: hello\n", is_last=True)
+    done = ran("/words", "--template", "--type", STRING, "--json")
+    assert done.json == {"ok": True, "type": STRING, "message": "data: hello\n", "is_last": True}
+    assert engine.commands == [("draft", "/words", STRING)]
+
+
+def test_no_message_to_begin_with(ran: Any, engine: ScriptedEngine) -> None:
+    done = ran("/words", "--template")
+    assert (done.code, done.out) == (1, "")
+    assert "\x1b" not in done.err
+
+
+# -- a bridge that runs
+
+
+@pytest.fixture
+def consoles() -> Iterator[Consoles]:
+    made = Consoles()
+    yield made
+    made.close()
+
+
+def test_at_a_bridge_that_runs(bridge: Bridge, robot: Domain, pc: Domain, machine: Machine, ran: Any) -> None:
+    words, near = pc.listener("/words"), robot.listener("/words")
+    server, client = bridge.both(Topic("/words", "transmit"))
+    eventually(lambda: linked(client) and linked(server))
+    machine.serve(client)
+    assert yaml.safe_load(eventually(lambda: ran("/words", "--template").out)) == {"data": ""}
+    found = ran("/words", "data: hello", "--json").json
+    assert found == {
+        "ok": True,
+        "topic": "/words",
+        "type": STRING,
+        "count": 1,
+        "subscriptions": found["subscriptions"],
+        "links": ["robot1"],
+        "not_over": [],
+    }
+    assert found["subscriptions"] >= 1
+    eventually(lambda: words.texts(10) == ["hello"] and near.texts(10) == ["hello"])
+    assert ran("/words", "dta: hello").code == 2
+    nobody = ran("/nobody", "", "--type", STRING)
+    assert (nobody.code, nobody.out) == (1, "")
+    unknown = ran("/unknown", "")
+    assert unknown.code == 1
+    assert says(unknown.err, PublishProblem.NO_TYPE, topic="/unknown")
+
+
+def test_an_armed_topic_of_a_bridge_that_runs(
+    bridge: Bridge, robot: Domain, pc: Domain, machine: Machine, ran: Any, consoles: Consoles
+) -> None:
+    motors = robot.listener("/cmd")
+    publisher = pc.publisher("/cmd")
+    server, client = bridge.both(Topic("/cmd", "receive", arm=True, deadman=0.0))
+    machine.serve(server)
+    eventually(lambda: linked(client) and any(each.state == "disarmed" for each in server.snapshot().routes))
+    refused = ran("/cmd", "data: go", "--type", STRING)
+    assert refused.code == 1
+    assert says(refused.err, PublishProblem.NOT_ARMED, topic="/cmd")
+    eventually(lambda: all(each.snapshot().routes[0].state == "disarmed" for each in (server, client)))
+    consoles.arm(server)
+    assert ran("/cmd", "data: go", "--count", "3", "--rate", "20").code == 0
+    eventually(lambda: motors.texts(10) == ["go"] * 3)
+    publisher.publish(text("by a node"))
+    eventually(lambda: motors.texts(10)[-1] == "by a node")
+
+
+def _with_routes(engine: ScriptedEngine, *routes: Any) -> Any:
+    return replace(engine.now, routes=routes)

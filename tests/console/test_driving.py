@@ -1,0 +1,400 @@
+"""Driving by keys: what keys mean and for how long, what is sent, and what ends it."""
+
+import time
+from collections.abc import Callable
+from concurrent.futures import Future
+from dataclasses import replace
+from typing import Any
+
+import pytest
+from tests.console.driving import AppSteps, drive, engine_as, engine_of, gone, notified, put, scripted_app, shown, until
+from tests.console.scripted import ScriptedEngine, route
+from tests.support.wording import says
+from textual.events import Key
+from textual.pilot import Pilot
+
+from rsb_bridge.api import EngineError
+from rsb_bridge.config.fields_text import read_fields
+from rsb_bridge.model.by_hand import Published
+from rsb_bridge.model.commands import Publish
+from rsb_bridge.model.session import Topic
+from rsb_bridge.model.snapshot import ArmingSnapshot, RouteSnapshot, State
+from rsb_console.app import ConsoleApp
+from rsb_console.screens import drive_screen
+from rsb_console.screens.drive_screen import DriveScreen, DriveText, Steering, why_not_driven
+from rsb_console.session.by_hand import TWIST, TWIST_STAMPED, ByHandText, velocity
+
+# -- what keys mean
+
+LASTS = 0.6
+SPEED, TURN = 0.2, 0.5
+
+
+def steered(*keys: str, at: float = 10.0) -> Steering:
+    """Return the steering of keys that are pressed at once."""
+    steering = Steering()
+    for key in keys:
+        steering.press(key, at)
+    return steering
+
+
+@pytest.mark.parametrize(
+    ("keys", "forward", "turn"),
+    [
+        (["up"], 1, 0), (["down"], -1, 0), (["left"], 0, 1), (["right"], 0, -1),
+        (["i"], 1, 0), (["comma"], -1, 0), (["j"], 0, 1), (["l"], 0, -1),
+        (["u"], 1, 1), (["o"], 1, -1), (["m"], -1, -1), (["full_stop"], -1, 1),
+        (["up", "left"], 1, 1), (["right", "down"], -1, -1), (["up", "down"], -1, 0), (["left", "right"], 0, -1),
+        (["u", "right"], 1, -1), (["up", "o"], 1, -1),
+        (["up", "k"], 0, 0), (["u", "space"], 0, 0), (["k"], 0, 0), (["space", "up"], 1, 0), ([], 0, 0),
+    ],
+    ids=lambda value: "-".join(value) if isinstance(value, list) else "",
+)  # fmt: skip
+def test_each_key_has_a_velocity(keys: list[str], forward: int, turn: int) -> None:
+    assert steered(*keys).at(10.0) == (forward * SPEED, turn * TURN)
+
+
+def test_a_key_counts_for_a_while() -> None:
+    steering = steered("u")
+    assert steering.at(10.0 + LASTS - 0.01) == (SPEED, TURN)
+    assert steering.at(10.0 + LASTS + 0.01) == (0.0, 0.0)
+
+
+def test_each_direction_has_its_own_time() -> None:
+    steering = steered("up")
+    steering.press("left", 10.4)
+    assert steering.at(10.5) == (SPEED, TURN)
+    assert steering.at(10.7) == (0.0, TURN)
+    steering.press("up", 10.8)
+    assert steering.at(10.9) == (SPEED, TURN)
+    assert steering.at(11.1) == (SPEED, 0.0)
+
+
+def test_a_key_that_repeats_goes_on() -> None:
+    steering = Steering()
+    for number in range(50):
+        steering.press("up", 10.0 + number / 30)
+        assert steering.at(10.0 + number / 30) == (SPEED, 0.0)
+
+
+def test_a_stop_ends_both_directions_at_once() -> None:
+    steering = steered("u")
+    steering.press("space", 10.1)
+    assert steering.at(10.1) == (0.0, 0.0)
+
+
+def test_the_speed_has_limits() -> None:
+    steering = steered("u")
+    steering.change_speed(1.25)
+    assert steering.at(10.0) == (pytest.approx(0.25), pytest.approx(0.625))
+    ratio = steering.turn / steering.speed
+    for factor, limit in ((1.25, 2.0), (1 / 1.25, 0.02)):
+        for _ in range(50):
+            steering.change_speed(factor)
+        assert steering.speed == limit
+        assert steering.turn / steering.speed == pytest.approx(ratio)
+
+
+def test_keys_that_come_all_at_once_are_ignored() -> None:
+    """A terminal or a line held them up: what they ask for is over."""
+    steering = Steering()
+    for number in range(30):
+        steering.press("up", 10.0 + number / 1000)
+    assert steering.at(10.03) == (0.0, 0.0)
+    assert steering.came_late(10.03)
+    steering.press("up", 10.2)
+    assert steering.at(10.2) == (0.0, 0.0)
+    assert not steering.came_late(10.4)
+    steering.press("up", 10.4)
+    assert steering.at(10.4) == (SPEED, 0.0)
+
+
+def test_two_keys_that_repeat_are_no_burst() -> None:
+    steering = Steering()
+    for number in range(60):
+        steering.press("up" if number % 2 else "left", 10.0 + number / 80)
+        assert not steering.came_late(10.0 + number / 80)
+
+
+# -- topics
+
+ARMED = route(
+    "/cmd_vel", outgoing=True, type_name=TWIST, max_age=0.5,
+    arming=ArmingSnapshot(armed=True, by="anna", here=True, left=42.0, deadman=60.0),
+)  # fmt: skip
+DISARMED = replace(
+    ARMED, state=State.DISARMED, arming=ArmingSnapshot(armed=False, deadman=60.0, why="not_yet", reason="not yet")
+)
+
+
+@pytest.mark.parametrize(
+    ("changes", "reason"),
+    [
+        ({}, None),
+        ({"type_name": TWIST_STAMPED}, None),
+        ({"type_name": "", "spec": Topic("/cmd_vel", "transmit", type=TWIST)}, None),
+        ({"type_name": "std_msgs/msg/String"}, DriveText.OTHER_TYPE),
+        ({"type_name": ""}, DriveText.OTHER_TYPE),
+        ({"arming": None}, DriveText.NOT_DRIVEN),
+        ({"max_age": 0.0}, DriveText.NOT_DRIVEN),
+    ],
+)
+def test_only_an_armed_velocity_without_old_messages_is_driven(
+    changes: dict[str, Any], reason: DriveText | None
+) -> None:
+    found = why_not_driven(replace(ARMED, **changes))
+    assert says(found, reason, topic="/cmd_vel") if reason else found == ""
+
+
+# -- commands
+
+
+class Clock:
+    """The module `time` of the screen, which stands still but for what commands take."""
+
+    def __init__(self) -> None:
+        self.now = time.monotonic()
+        self.looks = 0
+
+    def monotonic(self) -> float:
+        self.looks += 1
+        return self.now
+
+
+class Robot(ScriptedEngine):
+    """An engine that asks for a ticket, and takes 0.1 s for each command."""
+
+    clock: Clock
+
+    def _execute(self, command: Any, step: Any) -> Future[Any]:
+        if isinstance(command, Publish):
+            self.clock.now += 0.1
+            if not self.published:
+                self.published = [Published(is_done=command.ticket > 0, ticket=command.ticket + 1)]
+        return super()._execute(command, step)
+
+
+@pytest.fixture
+def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
+    made = Clock()
+    monkeypatch.setattr(drive_screen, "time", made)
+    monkeypatch.setattr(Robot, "clock", made, raising=False)
+    return made
+
+
+def driving(shown_route: RouteSnapshot, steps: AppSteps) -> None:
+    """Run a test's steps once the screen is open on a route."""
+    app = scripted_app(make_engine=lambda session, base: Robot(session, base, (shown_route,)))
+
+    async def run(pilot: Pilot[None]) -> None:
+        await shown(pilot, shown_route.topic)
+        await pilot.press("D")
+        await until(pilot, lambda: isinstance(app.screen, DriveScreen), "the screen")
+        await steps(app, pilot)
+
+    drive(app, run)
+
+
+def driven(steps: Callable[..., Any]) -> Callable[[Clock], None]:
+    """A test's steps run once the screen is open on a topic that is armed."""
+
+    def test(clock: Clock) -> None:
+        async def run(app: ConsoleApp, pilot: Pilot[None]) -> None:
+            await steps(app, pilot, clock)
+
+        driving(ARMED, run)
+
+    return test
+
+
+def sent(app: ConsoleApp) -> list[Publish]:
+    return [command[1] for command in engine_as(app, Robot).commands if command[0] == "publish"]  # type: ignore[misc]
+
+
+def velocities(app: ConsoleApp) -> list[str]:
+    return [each.fields for each in sent(app)]
+
+
+async def pressed(pilot: Pilot[None], clock: Clock, *keys: str) -> None:
+    clock.now = time.monotonic()
+    await pilot.press(*keys)
+
+
+async def rests(app: ConsoleApp, pilot: Pilot[None], clock: Clock) -> int:
+    """Wait until nothing more is sent, and return the count of what was."""
+
+    def unchanged() -> bool:
+        nonlocal count, looks
+        if len(sent(app)) != count:
+            count, looks = len(sent(app)), clock.looks
+        return clock.looks > looks + 20
+
+    count, looks = len(sent(app)), clock.looks
+    await until(pilot, unchanged, "rest")
+    return count
+
+
+ZERO = velocity(TWIST, 0.0, 0.0)
+
+
+@driven
+async def test_commands_go_out_while_a_key_counts_and_zeros_after_it(
+    app: ConsoleApp, pilot: Pilot[None], clock: Clock
+) -> None:
+    await pressed(pilot, clock, "u")
+    await until(pilot, lambda: ZERO in velocities(app), "the end of the key")
+    count = await rests(app, pilot, clock)
+    moving = velocities(app).index(ZERO)
+    assert moving >= 6
+    assert velocities(app) == [velocity(TWIST, SPEED, TURN)] * moving + [ZERO] * (count - moving)
+    assert 4 <= count - moving <= 6
+    assert {(each.topic, each.type_name, each.rest, each.rest_after) for each in sent(app)} == {
+        ("/cmd_vel", TWIST, ZERO, 0.5)
+    }
+    assert [each.ticket for each in sent(app)] == [*range(count)]
+
+
+@driven
+async def test_while_the_robot_stands_nothing_is_sent(app: ConsoleApp, pilot: Pilot[None], clock: Clock) -> None:
+    await shown(pilot, DriveText.STANDS)
+    await pressed(pilot, clock, "space", "k", "plus", "minus")
+    assert await rests(app, pilot, clock) == 0
+
+
+def test_a_stamped_velocity(clock: Clock) -> None:
+    async def steps(app: ConsoleApp, pilot: Pilot[None]) -> None:
+        await pressed(pilot, clock, "down")
+        await until(pilot, lambda: sent(app), "a command")
+        assert (sent(app)[0].type_name, sent(app)[0].rest) == (TWIST_STAMPED, velocity(TWIST_STAMPED, 0.0, 0.0))
+        assert read_fields(sent(app)[0].fields) == read_fields(velocity(TWIST_STAMPED, -SPEED, 0.0))
+
+    driving(replace(ARMED, type_name=TWIST_STAMPED), steps)
+
+
+@driven
+async def test_the_speed_of_a_key_is_changed(app: ConsoleApp, pilot: Pilot[None], clock: Clock) -> None:
+    await pressed(pilot, clock, "plus", "up")
+    await until(pilot, lambda: sent(app), "a command")
+    assert velocities(app)[0] == velocity(TWIST, 1.25 * SPEED, 0.0)
+
+
+@driven
+async def test_a_key_that_was_held_up_moves_nothing(app: ConsoleApp, pilot: Pilot[None], clock: Clock) -> None:
+    """It counts from the time when it came to this process, however long the console was busy."""
+    event = Key("up", None)
+    event.time -= 2.0
+    clock.now = time.monotonic()
+    app.post_message(event)
+    assert await rests(app, pilot, clock) == 0
+
+
+@driven
+async def test_a_burst_of_late_keys_stops(app: ConsoleApp, pilot: Pilot[None], clock: Clock) -> None:
+    clock.now = time.monotonic()
+    events = [Key("up", None) for _ in range(20)]
+    for event in events:
+        event.time = clock.now
+        app.post_message(event)
+    await until(pilot, lambda: app.screen._steering.came_late(clock.now), "late keys")  # type: ignore[attr-defined]
+    assert app.screen._steering.at(clock.now) == (0.0, 0.0)  # type: ignore[attr-defined]
+
+
+@driven
+async def test_a_refusal_is_shown(app: ConsoleApp, pilot: Pilot[None], clock: Clock) -> None:
+    engine_of(app).published = [EngineError("no luck [red]\x1b[2J")] * 200
+    await pressed(pilot, clock, "up")
+    await shown(pilot, "no luck [red]\\x1b[2J")
+    engine_of(app).published = []
+    await pressed(pilot, clock, "up")
+    await gone(pilot, "no luck")
+    assert ZERO in velocities(app) or await rests(app, pilot, clock)
+
+
+@driven
+async def test_tickets_that_are_too_old_are_reported(app: ConsoleApp, pilot: Pilot[None], clock: Clock) -> None:
+    engine_of(app).published = [Published(is_done=False, ticket=7)] * 200
+    await pressed(pilot, clock, "up")
+    await shown(pilot, ByHandText.TOO_SLOW, topic="/cmd_vel")
+    assert [each.ticket for each in sent(app)][:4] == [0, 7, 7, 7]
+    await rests(app, pilot, clock)
+    engine_of(app).published = []
+    await pressed(pilot, clock, "up")
+    await gone(pilot, ByHandText.TOO_SLOW)
+
+
+@driven
+async def test_after_old_tickets_three_are_tried_again(app: ConsoleApp, pilot: Pilot[None], clock: Clock) -> None:
+    screen = app.screen
+    assert isinstance(screen, DriveScreen)
+    for _ in range(2):
+        engine_of(app).published = [Published(is_done=False, ticket=7)] * 4
+        assert [await screen._send(0.1, 0.0) for _ in range(3)] == [False] * 3
+        with pytest.raises(EngineError):
+            await screen._send(0.1, 0.0)
+    engine_of(app).published = [Published(is_done=True, ticket=8)]
+    assert await screen._send(0.1, 0.0)
+
+
+# -- the screen
+
+
+@driven
+async def test_closing_the_screen_ends_the_sending(app: ConsoleApp, pilot: Pilot[None], clock: Clock) -> None:
+    await pressed(pilot, clock, "up")
+    await until(pilot, lambda: sent(app), "a command")
+    await pilot.press("escape")
+    await until(pilot, lambda: app.screen is app.main, "the list")
+    await until(pilot, lambda: all(each.is_finished for each in app.workers if each.name == "_drive"), "the end")
+
+
+@driven
+async def test_without_a_session_it_says_so(app: ConsoleApp, pilot: Pilot[None], clock: Clock) -> None:
+    engine, app.engine = app.engine, None
+    await pressed(pilot, clock, "up")
+    await shown(pilot, ByHandText.NO_SESSION)
+    app.engine = engine
+
+
+@driven
+async def test_it_shows_whether_the_topic_is_armed(app: ConsoleApp, pilot: Pilot[None], clock: Clock) -> None:
+    await shown(pilot, DriveText.LEFT, seconds=42.0)
+    put(app, DISARMED)
+    await shown(pilot, DriveText.DISARMED, reason=" (not yet)")
+    put(app, route("/other"))
+    await shown(pilot, DriveText.GONE)
+    await pressed(pilot, clock, "A")
+    assert engine_of(app).commands == []
+
+
+@driven
+async def test_it_is_disarmed_at_once_and_armed_after_a_question(
+    app: ConsoleApp, pilot: Pilot[None], clock: Clock
+) -> None:
+    await pilot.press("A")
+    await until(pilot, lambda: engine_of(app).commands == [("disarm", "/cmd_vel")], "disarmed")
+    put(app, DISARMED)
+    await pilot.press("A")
+    await shown(pilot, "Arm /cmd_vel of robot1?")
+    await pilot.press("enter")  # the focus is on No
+    await gone(pilot, "Arm /cmd_vel of robot1?")
+    await pilot.press("A")
+    await shown(pilot, "Arm /cmd_vel of robot1?")
+    await pilot.press("y")
+    await until(pilot, lambda: engine_of(app).commands[1:] == [("arm", "/cmd_vel")], "armed")
+    assert isinstance(app.screen, DriveScreen)
+
+
+@pytest.mark.parametrize(
+    ("changes", "reason"),
+    [({"type_name": "std_msgs/msg/String"}, DriveText.OTHER_TYPE), ({"max_age": 0.0}, DriveText.NOT_DRIVEN)],
+)
+def test_a_topic_that_cannot_be_driven_is_named(changes: dict[str, Any], reason: DriveText) -> None:
+    app = scripted_app(make_engine=lambda session, base: Robot(session, base, (replace(ARMED, **changes),)))
+
+    async def steps(pilot: Pilot[None]) -> None:
+        await shown(pilot, "/cmd_vel")
+        await pilot.press("D")
+        await notified(pilot, reason, topic="/cmd_vel")
+        assert app.screen is app.main
+
+    drive(app, steps)
