@@ -55,8 +55,9 @@ _LOOKS = {
     "robot": "ok", "path": "key", "scan": "plot", "free": "dim", "goal": "stale",
 }  # fmt: skip
 """The theme's look of each style of a picture."""
-_KEYS = ("space hold", "t text", "h how", "+- zoom", "arrows", "<> rate", "p file")
-_MAP_KEYS, _POINT_KEYS, _GOAL_KEYS, _DRIVE_KEYS = ("l layers",), ("[] tilt", "c colour"), ("g goal",), ("d drive",)
+_KEYS = ("space hold", "t text", "+- zoom", "p file", "h how", "<> rate", "arrows")
+"""The more important ones first: on a narrow screen, the others are not shown."""
+_MAP_KEYS, _POINT_KEYS = ("l layers",), ("[] tilt", "c colour")
 _TURN = 15.0
 """Degrees by which a key turns a goal."""
 _GOAL_TOPIC = "/goal_pose"
@@ -222,10 +223,6 @@ class ViewScreen(FullScreen[bool]):
 
     def compose(self) -> ComposeResult:
         self.pane = PicturePane()
-        special = (_MAP_KEYS if self._layers else ()) + (_POINT_KEYS if _is_points(self._subject.type_name) else ())
-        if not self.console.readonly:
-            special += (_GOAL_KEYS if is_map(self._subject.type_name) else ()) + _DRIVE_KEYS
-        self.pane.border_subtitle = Content(f" {'  '.join(('esc', *special, *_KEYS))} ")
         self._entitle()
         yield self.pane
 
@@ -240,10 +237,23 @@ class ViewScreen(FullScreen[bool]):
         self._fit()
         self._look()
 
+    def _keys(self, width: int) -> str:
+        """Return the keys that have room in so many cells."""
+        type_name = self._subject.type_name
+        keys = ["esc", *(_MAP_KEYS if self._layers else ()), *(_POINT_KEYS if _is_points(type_name) else ())]
+        if not self.console.readonly:
+            keys += ["g goal"] if is_map(type_name) else []
+            keys += ["d drive"] if any(not why_not_driven(each) for each in self.console.snapshot().routes) else []
+        keys += _KEYS
+        while len(text := " · ".join(keys)) > width and len(keys) > 1:
+            keys.pop()
+        return text
+
     def _fit(self) -> None:
         size = self.pane.scrollable_content_region.size
         width, height = max(1, min(MOST_COLUMNS, size.width)), max(1, min(MOST_ROWS, size.height))
         self._wish = msgspec.structs.replace(self._wish, width=width, height=height)
+        self.pane.border_subtitle = Content(f" {self._keys(size.width - 2)} ")
         self._draw()
 
     # -- pictures -----------------------------------------------------------------------------------------------------
