@@ -32,6 +32,7 @@ def main() -> None:
         console.terminal.type("V")
         console.until(lambda: b"type to search" in console.terminal.output, _WITHIN)
         console.terminal.type("camera")
+        console.until(lambda: b"/camera/image_raw" in console.terminal.output, _WITHIN)
         time.sleep(1.0)
         console.terminal.type("\r")
         console.until(lambda: b"drawn by" in console.terminal.output, _WITHIN)
@@ -51,7 +52,7 @@ def _print(console: Watched, name: str, keys: str, *asked: tuple[str, bytes]) ->
     try:
         cpu, written, began = console.cpu(), console.written, time.monotonic()
         took: list[float] = []
-        while time.monotonic() - began < SECONDS:
+        while time.monotonic() - began < SECONDS or len(took) % len(asked):
             key, word = asked[len(took) % len(asked)]
             time.sleep(0.5)
             mark = console.written
