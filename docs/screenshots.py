@@ -63,7 +63,7 @@ async def of_a_robot() -> None:
                 await until(lambda: states(app).count("ok") == FLOWING, pilot)
                 await until(lambda: len(app.snapshot().routes[0].history) > HISTORY, pilot)
                 demo.desk.stop()
-                await pilot.press("j", "j", "p")
+                await pilot.press("j", "j", "j", "p")
                 await until(lambda: "stopped" in states(app), pilot)
                 await pilot.pause(1.0)  # the table puts the fault on top, and the cursor stays on its topic
                 await take(pilot, "main", "g")
@@ -96,10 +96,16 @@ async def of_pictures() -> None:
                 await pilot.press(*"camera", "enter")
                 await until(lambda: drawn(app), pilot)
                 await take(pilot, "look-camera", "greater_than_sign")
-                await pilot.press("escape", "slash", *"map", "enter", "v")
+                await pilot.press("d", "A", "y")
+                await until(lambda: any(each.arming and each.arming.armed for each in app.snapshot().routes), pilot)
+                await pilot.press(*"iiuu")
+                await pilot.press("u")
+                pilot.app.save_screenshot("drive.svg", str(PICTURES))  # before the robot stands again
+                await pilot.press("escape", "escape", "slash", *"map", "enter", "v")
                 await until(lambda: drawn(app), pilot)
                 await pilot.pause(3.0)
                 await take(pilot, "look-map")
+                await take(pilot, "goal", "g", *["right"] * 8, *["up"] * 3)
         finally:
             await asyncio.to_thread(app.stop)
 

@@ -54,7 +54,7 @@ _WAYS = {
 }  # fmt: skip
 """Forward and turn, counterclockwise, of each key, with the letters of teleop_twist_keyboard."""
 _STOPS = {"k", "space"}
-_KEYS = "↑↓←→ or u i o j l m , . drive · space stop · +- speed · A arm · esc leave"
+_KEYS = "↑↓←→ uiojlm,. drive · space stop · +- speed · A arm · esc leave"
 
 
 class DriveText(Wording):

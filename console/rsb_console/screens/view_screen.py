@@ -61,6 +61,8 @@ _MAP_KEYS, _POINT_KEYS = ("l layers",), ("[] tilt", "c colour")
 _TURN = 15.0
 """Degrees by which a key turns a goal."""
 _GOAL_TOPIC = "/goal_pose"
+_FRAME = 4
+"""Cells that the frame takes from a line of keys."""
 
 
 class ViewText(Wording):
@@ -253,7 +255,7 @@ class ViewScreen(FullScreen[bool]):
         size = self.pane.scrollable_content_region.size
         width, height = max(1, min(MOST_COLUMNS, size.width)), max(1, min(MOST_ROWS, size.height))
         self._wish = msgspec.structs.replace(self._wish, width=width, height=height)
-        self.pane.border_subtitle = Content(f" {self._keys(size.width - 2)} ")
+        self.pane.border_subtitle = Content(f" {self._keys(size.width - _FRAME)} ")
         self._draw()
 
     # -- pictures -----------------------------------------------------------------------------------------------------
@@ -311,7 +313,8 @@ class ViewScreen(FullScreen[bool]):
 
     def _entitle(self) -> None:
         """Show what the picture is of, and how old it is."""
-        title = f" {escape_text(', '.join(self._topics))} · {self._status()} "
+        topics = "" if self._goal is not None else f"{escape_text(', '.join(self._topics))} · "
+        title = f" {topics}{self._status()} "
         self.pane.entitle(title)
 
     def _status(self) -> str:
