@@ -54,7 +54,7 @@ _LOOKS = {
     "robot": "ok", "path": "key", "scan": "plot", "free": "dim", "goal": "stale",
 }  # fmt: skip
 """The theme's look of each style of a picture."""
-_KEYS = ("space hold", "t text", "h how", "+- zoom", "arrows", "<> rate", "p file")
+_KEYS = ("space hold", "t text", "h how", "+- zoom", "←→↑↓", "<> rate", "p file")
 _MAP_KEYS, _POINT_KEYS, _GOAL_KEYS, _DRIVE_KEYS = ("l layers",), ("[] tilt", "c colour"), ("g goal",), ("d drive",)
 _TURN = 15.0
 """Degrees by which a key turns a goal."""
