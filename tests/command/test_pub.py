@@ -268,7 +268,7 @@ def test_a_new_ticket_for_each_message(ran: Any, engine: ScriptedEngine, clock: 
 
 
 def test_a_bridge_that_answers_too_slowly(ran: Any, engine: ScriptedEngine) -> None:
-    engine.published = [OLD] * 3 + [TAKEN]
+    engine.published = [OLD, OLD, OLD, TAKEN]
     done = ran("/cmd_vel", "")
     assert done.code == 1
     assert says(done.err, PubText.TOO_SLOW, topic="/cmd_vel")

@@ -28,7 +28,7 @@ def test_a_goal_lies_in_its_cell(cell: tuple[int, int]) -> None:
     goal = Goal.at(SCALE, cell[0] + 0.5, cell[1] + 0.5)
     assert goal.cell(SCALE) == cell
     assert (goal.frame, goal.heading) == ("map", 0.0)
-    assert (goal.x, goal.y) == (pytest.approx(-1.95 + 0.1 * cell[0]), pytest.approx(2.9 - 0.2 * cell[1]))
+    assert goal[1:3] == pytest.approx((-1.95 + 0.1 * cell[0], 2.9 - 0.2 * cell[1]))
     assert goal.moved(SCALE, 2, -1).cell(SCALE) == (cell[0] + 2, cell[1] - 1)
 
 

@@ -86,7 +86,7 @@ def test_a_stop_ends_both_directions_at_once() -> None:
 def test_the_speed_has_limits() -> None:
     steering = steered("u")
     steering.change_speed(1.25)
-    assert steering.at(10.0) == (pytest.approx(0.25), pytest.approx(0.625))
+    assert steering.at(10.0) == pytest.approx((0.25, 0.625))
     ratio = steering.turn / steering.speed
     for factor, limit in ((1.25, 2.0), (1 / 1.25, 0.02)):
         for _ in range(50):
@@ -223,13 +223,14 @@ async def pressed(pilot: Pilot[None], clock: Clock, *keys: str) -> None:
 async def rests(app: ConsoleApp, pilot: Pilot[None], clock: Clock) -> int:
     """Wait until nothing more is sent, and return the count of what was."""
 
+    count, looks = len(sent(app)), clock.looks
+
     def unchanged() -> bool:
         nonlocal count, looks
         if len(sent(app)) != count:
             count, looks = len(sent(app)), clock.looks
         return clock.looks > looks + 20
 
-    count, looks = len(sent(app)), clock.looks
     await until(pilot, unchanged, "rest")
     return count
 
@@ -290,13 +291,14 @@ async def test_a_key_that_was_held_up_moves_nothing(app: ConsoleApp, pilot: Pilo
 
 @driven
 async def test_a_burst_of_late_keys_stops(app: ConsoleApp, pilot: Pilot[None], clock: Clock) -> None:
-    clock.now = time.monotonic()
+    assert isinstance(app.screen, DriveScreen)
+    steering = app.screen._steering
     events = [Key("up", None) for _ in range(20)]
     for event in events:
-        event.time = clock.now
+        event.time = events[0].time
         app.post_message(event)
-    await until(pilot, lambda: app.screen._steering.came_late(clock.now), "late keys")  # type: ignore[attr-defined]
-    assert app.screen._steering.at(clock.now) == (0.0, 0.0)  # type: ignore[attr-defined]
+    await until(pilot, lambda: steering.came_late(events[0].time), "late keys")
+    assert steering.at(events[0].time) == (0.0, 0.0)
 
 
 @driven

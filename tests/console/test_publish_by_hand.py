@@ -289,7 +289,7 @@ async def test_a_topic_that_has_to_be_armed_needs_a_ticket(app: ConsoleApp, pilo
 @on()
 async def test_a_bridge_that_answers_too_slowly_publishes_nothing(app: ConsoleApp, pilot: Pilot[None]) -> None:
     await until(pilot, lambda: message(app), "the message")
-    engine_of(app).published = [OLD] * 3 + [TAKEN]
+    engine_of(app).published = [OLD, OLD, OLD, TAKEN]
     await publish(app, pilot)
     await shown(pilot, ByHandText.TOO_SLOW, topic="/words")
     assert len(sent(app)) == 3

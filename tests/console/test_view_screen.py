@@ -2,10 +2,12 @@
 
 import asyncio
 import csv
+import math
 import re
 import time
 from collections.abc import Callable
 from concurrent.futures import Future
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
@@ -16,6 +18,7 @@ from tests.console.driving import (
     NARROW,
     drive,
     engine_of,
+    form_of,
     notified,
     put,
     scripted_app,
@@ -26,16 +29,23 @@ from tests.console.driving import (
 )
 from tests.console.scripted import SUGGESTION, ScriptedEngine, answered, route
 from tests.support.control import Machine
+from tests.support.wording import says
 from textual.pilot import Pilot
 
 from rsb_bridge.api import EngineError
+from rsb_bridge.config.fields_text import read_fields
 from rsb_bridge.control.protocol import RequestProblem
-from rsb_bridge.model.pictures import MOST_RATE, Cells, Curve, Picture, Pixels, Series, Viewed, Wish
+from rsb_bridge.model.pictures import MOST_RATE, Cells, Curve, Picture, Pixels, Scale, Series, Viewed, Wish
+from rsb_bridge.model.snapshot import ArmingSnapshot, RouteSnapshot
 from rsb_console.app import ConsoleApp
 from rsb_console.look import formats
+from rsb_console.look.plot_lines import AXIS
 from rsb_console.screens import view_screen
+from rsb_console.screens.drive_screen import DriveScreen
 from rsb_console.screens.message_screen import MessageScreen
+from rsb_console.screens.publish_screen import PublishScreen
 from rsb_console.screens.view_screen import PicturePane, ViewScreen, ViewText
+from rsb_console.session.by_hand import POSE, Goal
 
 SCAN = "/robot2/scan"
 IMAGE = Pixels(2, 2, b"\xff\0\0\0\xff\0\0\0\xff\xff\xff\xff")
@@ -326,6 +336,256 @@ def test_a_topic_that_is_not_bridged_can_be_chosen() -> None:
         await shown(pilot, "the picture")
 
     drive(app, steps)
+
+
+# -- goals
+
+SCALE = Scale("map", -2.0, 3.0, 0.1, 0.2)
+MAP = Cells((" " * 40,) * 20, scale=SCALE)
+POSES = route("/robot1/goal_pose", outgoing=True, type_name=POSE)
+
+
+def goal_of(app: ConsoleApp) -> Goal:
+    goal = screen_of(app)._goal
+    assert goal is not None
+    return goal
+
+
+@looking()
+async def test_a_goal_begins_in_the_middle_and_is_moved_by_cells(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    before = await comes(pilot, viewed(MAP))
+    await pilot.press("g")
+    column, row = before.width / 2, before.height / 2
+    assert goal_of(app) == Goal.at(SCALE, column, row)
+    assert says(title(app), ViewText.GOAL_PLACE, frame="map")
+    await pilot.press("right", "right", "down", "left", "up", "up")
+    cell = Goal.at(SCALE, column, row).cell(SCALE)
+    assert goal_of(app).cell(SCALE) == (cell[0] + 1, cell[1] - 1)
+    after = await comes(pilot, viewed(MAP))
+    assert after == before, "the view itself stays"
+
+
+@looking()
+async def test_the_goal_is_marked_with_its_heading(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    await comes(pilot, viewed(MAP))
+    await pilot.press("g")
+    await pilot.click(PicturePane, offset=(12, 7))
+    at = goal_of(app).cell(SCALE)
+    assert marked(app) == (at, "→")
+    await pilot.press("enter", *["left"] * 6)
+    assert marked(app) == (at, "↑")
+    assert goal_of(app).heading == pytest.approx(math.pi / 2)
+    assert says(title(app), ViewText.GOAL_HEADING, degrees=90.0)
+    await pilot.press("right", "right", "right")
+    assert marked(app) == (at, "↗")
+    await pilot.click(PicturePane, offset=(20, 9))  # it only turns now
+    assert marked(app) == (at, "↗")
+
+
+def marked(app: ConsoleApp) -> tuple[tuple[int, int], str]:
+    """Return the cell of the mark, and the mark."""
+    rows = ["".join(part.text for part in row) for row in screen_of(app).pane._rows]
+    ((at, text_),) = ((number, each) for number, each in enumerate(rows) if each.strip())
+    return (len(text_) - len(text_.lstrip()), at), text_.strip()
+
+
+@looking()
+async def test_a_click_puts_the_goal_into_its_cell(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    await comes(pilot, viewed(MAP))
+    await pilot.click(PicturePane, offset=(12, 7))
+    assert screen_of(app)._goal is None, "no goal without its key"
+    await pilot.press("g")
+    await pilot.click(PicturePane, offset=(12, 7))
+    first = goal_of(app).cell(SCALE)
+    await pilot.click(PicturePane, offset=(15, 9))
+    assert goal_of(app).cell(SCALE) == (first[0] + 3, first[1] + 2)
+    pane = screen_of(app).pane
+    assert first == (12 - (pane.content_region.x - pane.region.x), 7 - (pane.content_region.y - pane.region.y))
+
+
+@looking()
+async def test_escape_drops_only_the_goal(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    await comes(pilot, viewed(MAP))
+    for keys in (["g"], ["g", "enter"]):
+        await pilot.press(*keys)
+        assert goal_of(app)
+        await pilot.press("escape")
+        assert screen_of(app)._goal is None
+        assert not says(title(app), ViewText.GOAL_PLACE)
+    await pilot.press("enter")  # without a goal it does nothing
+    assert isinstance(app.screen, ViewScreen)
+    await pilot.press("escape")
+    await until(pilot, lambda: app.screen is app.main, "the list")
+
+
+@looking()
+async def test_the_form_has_the_goals_pose(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    await comes(pilot, viewed(MAP))
+    await pilot.press("g", "right", "enter", *["left"] * 12)
+    goal = goal_of(app)
+    await pilot.press("enter")
+    await until(pilot, lambda: isinstance(app.screen, PublishScreen), "the form")
+    values = form_of(app).values
+    assert (values["topic"], values["type"]) == ("/goal_pose", POSE)
+    fields: Any = read_fields(values["message"])
+    assert fields["header"] == {"stamp": "now", "frame_id": "map"}
+    position, orientation = fields["pose"]["position"], fields["pose"]["orientation"]
+    assert float(position["x"]) == pytest.approx(goal.x, abs=1e-3)
+    assert float(position["y"]) == pytest.approx(goal.y, abs=1e-3)
+    assert (abs(float(orientation["z"])), float(orientation["w"])) == (1.0, 0.0)
+    assert not [each for each in engine_of(app).commands if each[0] == "publish"]
+    await pilot.press("escape")
+    await until(pilot, lambda: isinstance(app.screen, ViewScreen), "the picture")
+    assert screen_of(app)._goal is None
+
+
+@pytest.mark.parametrize(
+    ("routes", "topic"),
+    [
+        ((), "/goal_pose"),
+        ((POSES,), "/robot1/goal_pose"),
+        ((replace(POSES, outgoing=False),), "/goal_pose"),
+        ((replace(POSES, type_name="std_msgs/msg/String"),), "/goal_pose"),
+        ((replace(POSES, topic="/robot2/goal_pose", key="2", link="robot2"), POSES), "/robot1/goal_pose"),
+        ((replace(POSES, topic="/robot2/goal_pose", key="2", link="robot2"),), "/robot2/goal_pose"),
+        ((replace(POSES, topic="/start_pose", key="2"), POSES), "/robot1/goal_pose"),
+    ],
+)
+def test_a_goal_goes_to_the_side_of_the_map(routes: tuple[RouteSnapshot, ...], topic: str) -> None:
+    app = scripted_app()
+
+    async def steps(pilot: Pilot[None]) -> None:
+        await opened(pilot)
+        await comes(pilot, viewed(MAP))
+        put(app, route("/robot2/scan"), *routes)
+        await pilot.press("g", "enter", "enter")
+        await until(pilot, lambda: isinstance(app.screen, PublishScreen), "the form")
+        assert form_of(app).values["topic"] == topic
+
+    drive(app, steps)
+
+
+@pytest.mark.parametrize("content", [None, CHARACTERS, IMAGE, CURVES], ids=["none", "text", "image", "plot"])
+def test_a_goal_needs_a_map(content: Any) -> None:
+    @looking()
+    async def test(app: ConsoleApp, pilot: Pilot[None]) -> None:
+        if content is not None:
+            await comes(pilot, viewed(content))
+        await pilot.press("g")
+        await notified(pilot, ViewText.NO_MAP)
+        assert screen_of(app)._goal is None
+
+    test()
+
+
+@looking()
+async def test_another_frame_or_another_kind_of_picture_drops_the_goal(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    """Its coordinates mean another place there."""
+    await comes(pilot, viewed(MAP))
+    await pilot.press("g")
+    await comes(pilot, viewed(Cells(MAP.rows, scale=msgspec.structs.replace(SCALE, frame="base_link"))))
+    await until(pilot, lambda: screen_of(app)._goal is None, "no goal")
+    await pilot.press("g")
+    assert goal_of(app).frame == "base_link"
+    await pilot.press("h")
+    assert screen_of(app)._goal is None
+
+
+@looking()
+async def test_a_goal_far_outside_of_the_picture_is_not_drawn(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    await comes(pilot, viewed(MAP))
+    await pilot.press("g")
+    near = Scale("map", -1e7, 1e7, 1e-9, 1e-9)
+    await comes(pilot, viewed(Cells(MAP.rows, scale=near)))
+    await until(pilot, lambda: screen_of(app)._scale == near, "the picture")
+    assert not "".join(part.text for row in screen_of(app).pane._rows for part in row).strip()
+
+
+@looking(readonly=True)
+async def test_a_read_only_console_sets_no_goal_and_drives_nothing(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    put(app, route(SCAN), DRIVEN)
+    await comes(pilot, viewed(MAP))
+    await pilot.press("g", "d")
+    assert screen_of(app)._goal is None
+    assert not any(key in text(app) for key in ("g goal", "d drive"))
+
+
+# -- driving
+
+DRIVEN = route(
+    "/cmd_vel", outgoing=True, type_name="geometry_msgs/msg/Twist", max_age=0.5, arming=ArmingSnapshot(armed=False)
+)
+ELSEWHERE = replace(DRIVEN, topic="/robot2/cmd_vel", key="2", link="robot2")
+ARMED = replace(ELSEWHERE, topic="/robot3/cmd_vel", key="3", link="robot1", arming=ArmingSnapshot(armed=True))
+
+
+@pytest.mark.parametrize(
+    ("routes", "topic"),
+    [
+        ((DRIVEN,), "/cmd_vel"),
+        ((ELSEWHERE,), "/robot2/cmd_vel"),
+        ((ELSEWHERE, DRIVEN), "/cmd_vel"),
+        ((DRIVEN, ARMED), "/robot3/cmd_vel"),
+        ((), ViewText.NOT_DRIVEN),
+        ((replace(DRIVEN, max_age=0.0),), ViewText.NOT_DRIVEN),
+        ((DRIVEN, replace(DRIVEN, key="4")), ViewText.SEVERAL_DRIVEN),
+    ],
+)
+def test_the_robot_of_the_picture_is_driven(routes: tuple[RouteSnapshot, ...], topic: str | ViewText) -> None:
+    app = scripted_app()
+
+    async def steps(pilot: Pilot[None]) -> None:
+        await opened(pilot)
+        await comes(pilot, viewed())
+        put(app, route(SCAN), *routes)
+        await pilot.press("d")
+        if isinstance(topic, ViewText):
+            await notified(pilot, topic)
+            assert isinstance(app.screen, ViewScreen)
+            return
+        await until(pilot, lambda: isinstance(app.screen, DriveScreen), "the screen")
+        assert isinstance(app.screen, DriveScreen)
+        assert app.screen._route.topic == topic
+        await pilot.press("escape")
+        await until(pilot, lambda: isinstance(app.screen, ViewScreen), "the picture")
+
+    drive(app, steps)
+
+
+# -- the cursor of a plot
+
+PLOT = Series(0.0, 1.0, (Curve("x", tuple(map(float, range(100))), tuple(map(float, range(100))), 99.0, 50.0),))
+
+
+@looking()
+async def test_the_cursor_of_a_plot_shows_values(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    before = await comes(pilot, viewed(PLOT))
+    across = before.width - AXIS
+
+    def cursor() -> int | None:
+        return screen_of(app)._cursor
+
+    def legend() -> str:
+        return "".join(part.text for part in screen_of(app).pane._rows[-1])
+
+    assert cursor() is None
+    newest = legend()
+    await pilot.press("left")
+    assert cursor() == across - 1
+    await pilot.press("right")
+    assert cursor() == across - 1
+    await pilot.press("left", "left")
+    assert cursor() == across - 3
+    assert f"{(across - 3) * 100 // across}" in legend().split("x", 1)[1]
+    for _ in range(across):
+        await pilot.press("left")
+    assert cursor() == 0
+    assert any("│" in "".join(part.text for part in row)[AXIS:] for row in screen_of(app).pane._rows)
+    await pilot.press("0")
+    assert cursor() is None
+    after = await comes(pilot, viewed(PLOT))
+    assert (after.x, after.y) == (before.x, before.y), "the view itself stays"
+    await until(pilot, lambda: legend() == newest, "the newest value")
 
 
 # -- files

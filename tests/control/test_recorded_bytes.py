@@ -57,6 +57,14 @@ RECORDED: tuple[tuple[c.AnyCommand, bytes], ...] = (
         c.Look("v", ("/map", "/tf"), Wish(width=100, how="map"), "r1"),
         b"\x85\xa2is\xa4look\xa6viewer\xa1v\xa6topics\x92\xa4/map\xa3/tf\xa4wish\x82\xa5widthd\xa3how\xa3map\xa4link\xa2r1",
     ),
+    (c.DraftMessage("/t"), b"\x82\xa2is\xa5draft\xa5topic\xa2/t"),
+    (c.DraftMessage("/t", "T"), b"\x83\xa2is\xa5draft\xa5topic\xa2/t\xa9type_name\xa1T"),
+    (c.Publish("/t", "{}"), b"\x83\xa2is\xa7publish\xa5topic\xa2/t\xa6fields\xa2{}"),
+    (
+        c.Publish("/t", "{x: 1}", "T", 5, "{}", 0.25),
+        b"\x87\xa2is\xa7publish\xa5topic\xa2/t\xa6fields\xa6{x: 1}\xa9type_name\xa1T\xa6ticket\x05\xa4rest\xa2{}"
+        b"\xaarest_after\xcb?\xd0\x00\x00\x00\x00\x00\x00",
+    ),
     (c.Describe("k"), b"\x82\xa2is\xa8describe\xa3key\xa1k"),
     (c.Template("k"), b"\x82\xa2is\xa8template\xa3key\xa1k"),
     (c.Template("k", "send_goal"), b"\x83\xa2is\xa8template\xa3key\xa1k\xa4lane\xa9send_goal"),

@@ -55,7 +55,7 @@ _LOOKS = {
     "robot": "ok", "path": "key", "scan": "plot", "free": "dim", "goal": "stale",
 }  # fmt: skip
 """The theme's look of each style of a picture."""
-_KEYS = ("space hold", "t text", "+- zoom", "p file", "h how", "<> rate", "arrows")
+_KEYS = ("space hold", "t text", "+- zoom", "p file", "h how", "<> rate", "←→↑↓")
 """The more important ones first: on a narrow screen, the others are not shown."""
 _MAP_KEYS, _POINT_KEYS = ("l layers",), ("[] tilt", "c colour")
 _TURN = 15.0
