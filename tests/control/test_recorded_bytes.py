@@ -55,7 +55,7 @@ RECORDED: tuple[tuple[c.AnyCommand, bytes], ...] = (
     (c.Peek("k", True), b"\x83\xa2is\xa4peek\xa3key\xa1k\xa4kept\xc3"),
     (
         c.Look("v", ("/map", "/tf"), Wish(width=100, how="map"), "r1"),
-        b"\x85\xa2is\xa4look\xa6viewer\xa1v\xa6topics\x92\xa4/map\xa3/tf\xa4wish\x82\xa5widthd\xa3how\xa3map\xa4link\xa2r1",
+        b"\x85\xa2is\xa4look\xa6viewer\xa1v\xa6topics\x92\xa4/map\xa3/tf\xa4wish\xde\x00\x02\xa5widthd\xa3how\xa3map\xa4link\xa2r1",
     ),
     (c.DraftMessage("/t"), b"\x82\xa2is\xa5draft\xa5topic\xa2/t"),
     (c.DraftMessage("/t", "T"), b"\x83\xa2is\xa5draft\xa5topic\xa2/t\xa9type_name\xa1T"),
