@@ -19,7 +19,8 @@ from tests.support.wording import says
 from rsb_bridge.control import protocol
 from rsb_bridge.control.protocol import ProtocolError, State, ToBridge, ToConsole
 from rsb_bridge.control.states import EncodedRoutes, Receiver, Sender
-from rsb_bridge.model.commands import Look
+from rsb_bridge.model.by_hand import LONGEST_REST
+from rsb_bridge.model.commands import Look, Publish
 from rsb_bridge.model.pictures import Cells, Picture, Pixels, Viewed, Wish
 from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import RouteSnapshot, Snapshot
@@ -48,7 +49,16 @@ LOOKS = st.builds(
     topics=st.just(("/a", "/b")),
     wish=st.builds(Wish, width=st.integers(1, 400)),
 )
-LIMITED: dict[Any, st.SearchStrategy[Any]] = {Viewed: VIEWED, Look: LOOKS}
+PUBLISHES = st.builds(
+    Publish,
+    topic=TEXTS,
+    fields=TEXTS,
+    type_name=TEXTS,
+    ticket=INTEGERS,
+    rest=TEXTS,
+    rest_after=st.floats(0, LONGEST_REST, exclude_min=True),
+)
+LIMITED: dict[Any, st.SearchStrategy[Any]] = {Viewed: VIEWED, Look: LOOKS, Publish: PUBLISHES}
 """Types whose parts have limits."""
 
 

@@ -62,8 +62,10 @@ RECORDED: tuple[tuple[c.AnyCommand, bytes], ...] = (
     (c.Publish("/t", "{}"), b"\x83\xa2is\xa7publish\xa5topic\xa2/t\xa6fields\xa2{}"),
     (
         c.Publish("/t", "{x: 1}", "T", 5, "{}", 0.25),
-        b"\x87\xa2is\xa7publish\xa5topic\xa2/t\xa6fields\xa6{x: 1}\xa9type_name\xa1T\xa6ticket\x05\xa4rest\xa2{}"
-        b"\xaarest_after\xcb?\xd0\x00\x00\x00\x00\x00\x00",
+        (
+            b"\x87\xa2is\xa7publish\xa5topic\xa2/t\xa6fields\xa6{x: 1}\xa9type_name\xa1T\xa6ticket\x05\xa4rest\xa2{}"
+            b"\xaarest_after\xcb?\xd0\x00\x00\x00\x00\x00\x00"
+        ),
     ),
     (c.Describe("k"), b"\x82\xa2is\xa8describe\xa3key\xa1k"),
     (c.Template("k"), b"\x82\xa2is\xa8template\xa3key\xa1k"),
