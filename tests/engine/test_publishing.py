@@ -287,8 +287,8 @@ def speeds(listener: Listener) -> list[float]:
     return [deserialize_message(each, Twist).linear.x for each in listener.payloads]
 
 
-def drive(engine: Engine, speed: float, **more: object) -> Published:
-    return publish(engine, f"linear: {{x: {speed}}}", rest="linear: {x: 0}", **more)
+def drive(engine: Engine, speed: float, rest_after: float = 0.5) -> Published:
+    return publish(engine, f"linear: {{x: {speed}}}", rest="linear: {x: 0}", rest_after=rest_after)
 
 
 def driven(bridge: Bridge, pc: Domain, consoles: Consoles) -> tuple[Engine, Engine]:

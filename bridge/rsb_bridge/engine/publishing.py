@@ -422,9 +422,7 @@ class Publishing:
 
     # --- records
 
-    def _record(
-        self, publication: _Publication, topic: str, fields: str, taking: Sequence[TopicRoute[DataChannel]]
-    ) -> None:
+    def _record(self, publication: _Publication, topic: str, fields: str, taking: Sequence[OutgoingRoute]) -> None:
         """Record the first message of an operator, here and on the other side."""
         now, who = self._context.now(), acting_operator()
         publication.count += 1
