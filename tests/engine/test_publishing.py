@@ -9,6 +9,7 @@ import pytest
 import yaml
 from geometry_msgs.msg import PoseStamped, Twist
 from msgspec.structs import replace
+from rclpy.duration import Duration
 from rclpy.qos import QoSDurabilityPolicy, QoSProfile
 from rclpy.serialization import deserialize_message
 from tests.support.bridge import balance, carries, happened, now, route
@@ -21,14 +22,16 @@ from rsb_bridge.api import EngineError, InvalidRequestError
 from rsb_bridge.engine.publishing import ENDS_AFTER, TOPICS, PublishProblem
 from rsb_bridge.model.by_hand import TICKET_LIFE
 from rsb_bridge.model.codes import EventCode
+from rsb_bridge.model.command_origin import acting
 from rsb_bridge.model.commands import Publish
 from rsb_bridge.model.pictures import view_topic
-from rsb_bridge.model.session import Topic
+from rsb_bridge.model.session import Armed, Client, Topic
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from tests.support.bridge import Bridge
+    from tests.support.domain import Listener
 
     from rsb_bridge.engine import Engine
     from rsb_bridge.model.by_hand import Published
@@ -275,6 +278,167 @@ def test_only_an_armed_topic_with_young_messages_is_driven(
     with pytest.raises(EngineError, match=pattern(PublishProblem.NO_DEADMAN)):
         publish(server, "", rest="linear: {x: 0}")
     assert not motors.payloads
+
+
+# --- rests
+
+
+def speeds(listener: Listener) -> list[float]:
+    return [deserialize_message(each, Twist).linear.x for each in listener.payloads]
+
+
+def drive(engine: Engine, speed: float, rest_after: float = 0.5) -> Published:
+    return publish(engine, f"linear: {{x: {speed}}}", rest="linear: {x: 0}", rest_after=rest_after)
+
+
+def driven(bridge: Bridge, pc: Domain, consoles: Consoles) -> tuple[Engine, Engine]:
+    """A server and a client with a topic that is armed on the server and may be driven."""
+    pc.publisher("/cmd", Twist)
+    server, client = bridge.both(replace(DRIVEN, type=TWIST))
+    eventually(lambda: can_be_armed(server, client))
+    consoles.arm(server)
+    return server, client
+
+
+def test_a_rest_does_not_outlive_its_arming(bridge: Bridge, robot: Domain, pc: Domain, consoles: Consoles) -> None:
+    """Whoever arms the topic again begins anew."""
+    motors = robot.listener("/cmd", Twist)
+    server, client = driven(bridge, pc, consoles)
+    drive(server, 0.1, rest_after=2.0)
+    key = route(server, "/cmd").key
+    server.pause(key, paused=True).result(30)
+    server.pause(key, paused=False).result(30)
+    eventually(lambda: can_be_armed(server, client))
+    consoles.arm(server)
+    holds(lambda: 0.0 not in speeds(motors), 2.5)
+
+
+def test_another_operators_message_leaves_the_rest(
+    bridge: Bridge, robot: Domain, pc: Domain, consoles: Consoles
+) -> None:
+    """A robot that is driven stops, whoever else publishes."""
+    motors = robot.listener("/cmd", Twist)
+    server, _ = driven(bridge, pc, consoles)
+    drive(server, 0.1, rest_after=1.0)
+    publish(server, "linear: {x: 0.2}")
+    eventually(lambda: speeds(motors)[-1:] == [0.0], 10)
+    assert speeds(motors)[-2:] == [0.2, 0.0]
+
+
+def test_a_message_without_ticket_leaves_the_rest(
+    bridge: Bridge, robot: Domain, pc: Domain, consoles: Consoles, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Also if it needs another publisher."""
+    monkeypatch.setattr("rsb_bridge.engine.publishing._RESOLVE_EVERY", 0.0)
+    motors = robot.listener("/cmd", Twist)
+    server, _ = driven(bridge, pc, consoles)
+    drive(server, 0.1)
+    eventually(lambda: speeds(motors)[-1:] == [0.0], 10)
+    pc.clear()
+    pc.publisher("/cmd", Twist, QoSProfile(depth=10, deadline=Duration(seconds=5)))
+    drive(server, 0.2, rest_after=2.0)
+    pc.clear()
+    assert not server.publish("/cmd", "linear: {x: 0.3}").result(30).is_done
+    eventually(lambda: speeds(motors) == [0.1, 0.0, 0.2, 0.0], 10)
+
+
+def test_whoever_disarms_ends_the_motion_first(bridge: Bridge, robot: Domain, pc: Domain, consoles: Consoles) -> None:
+    """Afterwards, no message could stop the robot."""
+    motors = robot.listener("/cmd", Twist)
+    server, _ = driven(bridge, pc, consoles)
+    drive(server, 0.1, rest_after=2.0)
+    server.disarm(route(server, "/cmd").key).result(30)
+    eventually(lambda: speeds(motors) == [0.1, 0.0], 10)
+
+
+def test_a_console_that_goes_ends_the_motion(bridge: Bridge, robot: Domain, pc: Domain, consoles: Consoles) -> None:
+    """The topic that it has armed is disarmed at once."""
+    motors = robot.listener("/cmd", Twist)
+    server, _ = driven(bridge, pc, consoles)
+    drive(server, 0.1, rest_after=2.0)
+    server.release_armed().result(30)
+    eventually(lambda: speeds(motors) == [0.1, 0.0], 10)
+    assert not armed(server)
+
+
+def test_a_bridge_that_stops_ends_a_motion(bridge: Bridge, robot: Domain, pc: Domain, consoles: Consoles) -> None:
+    near = pc.listener("/cmd", Twist)
+    server, _ = driven(bridge, pc, consoles)
+    drive(server, 0.1, rest_after=2.0)
+    server.stop()
+    eventually(lambda: speeds(near) == [0.1, 0.0], 10)
+
+
+def test_all_robots_of_a_name_have_to_be_driven(bridge: Bridge, robot: Domain, pc: Domain) -> None:
+    """One that need not be armed, and gets messages of any age, might not stop."""
+    others = robot.listener("/other", Twist)
+    pc.publisher("/cmd", Twist)
+    bridge.make_key("robot2")
+    server = bridge.server(clients=(Client("robot1"), Client("robot2", key_file="robot2.key")))
+    bridge.client(replace(DRIVEN, type=TWIST))
+    bridge.client(Topic("/other", "receive", remote_topic="/cmd", type=TWIST), name="robot2", key_file="robot2.key")
+    eventually(lambda: {each.state for each in now(server).routes} == {"disarmed", "waiting"})
+    eventually(lambda: all(each.qos for each in now(server).routes))
+    (needs_arming,) = (each for each in now(server).routes if each.arming is not None)
+    server.arm(needs_arming.key).result(30)
+    with pytest.raises(EngineError, match=pattern(PublishProblem.NO_DEADMAN)):
+        drive(server, 0.1)
+    assert not others.payloads
+
+
+# --- limits
+
+
+def test_what_fails_takes_no_place(bridge: Bridge, robot: Domain) -> None:
+    listener = robot.listener("/text")
+    client = bridge.client()
+    for number in range(TOPICS):
+        with pytest.raises(EngineError):
+            client.publish(f"/text{number}", "no field: 1", STRING).result(30)
+    publish(client, "data: x", "/text", type_name=STRING)
+    eventually(lambda: listener.texts(10) == ["x"])
+
+
+def test_operators_in_turn_are_recorded_once_each(bridge: Bridge, pc: Domain) -> None:
+    pc.listener("/text")
+    server, client = bridge.both(Topic("/text", "transmit"))
+    for number in range(6):
+        with acting(("anna", "ben")[number % 2]):
+            publish(client, f"data: '{number}'", "/text", type_name=STRING)
+    assert [who for _, who, _ in of(client, EventCode.OPERATOR_PUBLISHED)] == ["anna", "ben"]
+    eventually(lambda: len(of(server, EventCode.OPERATOR_PUBLISHED)) == 2)
+
+
+def test_tickets_of_another_engine_are_void(bridge: Bridge, robot: Domain, pc: Domain, consoles: Consoles) -> None:
+    server, client = driven(bridge, pc, consoles)
+    ticket = publish(server, "").ticket
+    assert server.publish("/cmd", "", ticket=ticket).result(30).is_done
+    assert not server.publish("/cmd", "", ticket=publish(client, "", type_name=TWIST).ticket).result(30).is_done
+
+
+def test_a_demand_of_another_type_is_no_demand(bridge: Bridge, robot: Domain) -> None:
+    """It need not be named, as the topic has one."""
+    listener = robot.listener("/text")
+    client = bridge.client(armed=(Armed("/*", type=TWIST),))
+    eventually(lambda: any(each.topic == "/text" for each in client.topics(None).result(30)))
+    publish(client, "data: x", "/text")
+    eventually(lambda: listener.texts(10) == ["x"])
+
+
+def test_reliable_subscriptions_hear_it_beside_a_best_effort_publisher(
+    bridge: Bridge, robot: Domain, pc: Domain
+) -> None:
+    """And the route stays as it is."""
+    robot.publisher("/text", qos=BEST_EFFORT)
+    listener = robot.listener("/text", qos=RELIABLE)
+    pc.listener("/text", qos=BEST_EFFORT)
+    _, client = bridge.both(Topic("/text", "transmit"))
+    eventually(lambda: route(client, "/text").qos)
+    before = route(client, "/text").qos
+    published = publish(client, "data: by hand", "/text")
+    assert published.links == ("robot1",)
+    eventually(lambda: listener.texts(1) == ["by hand"], 10)
+    assert route(client, "/text").qos == before
 
 
 # --- beginnings

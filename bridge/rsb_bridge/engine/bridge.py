@@ -142,11 +142,11 @@ class Bridge:
         self.graph_watch = GraphWatch(context, self._role.links, self._names.changed)
         self._log = CommandLog(context.events)
         topics = TopicCommands(self._role, self._log, context.demands)
-        self._arming = arming = ArmingCommands(self.links, topics.find)
         inspector = RouteInspector(context, topics.find, self._log)
         self._tasks = Tasks(context.loop, lambda: None)
         self._viewing = Viewing(context, self.links, self._tasks.spawn)
         self._publishing = Publishing(context, self.links, self._log, inspector.peeking)
+        self._arming = arming = ArmingCommands(self.links, topics.find, self._publishing.end_motions)
         self.handlers: dict[type[Command[Any]], Handler] = {
             commands.Acknowledge: self._acknowledge,
             commands.AddTopic: topics.add,
@@ -257,7 +257,7 @@ class Bridge:
             self._shutdown_watch.close()
         self._exporters.close()
         self._viewing.close()
-        self._publishing.close()
+        await self._publishing.close()
         self.context.descriptions.close()
         await self._role.stop()
         self.context.announcements.stop()

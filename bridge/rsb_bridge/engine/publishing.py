@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-from functools import partial
 from typing import TYPE_CHECKING, NamedTuple
 
 import msgspec
@@ -21,7 +20,7 @@ from rsb_bridge.model.names import expand_type_name
 from rsb_bridge.model.pictures import is_view_topic
 from rsb_bridge.model.qos import Qos, match_publishers, match_subscriptions
 from rsb_bridge.model.snapshot import Level
-from rsb_bridge.model.text import sanitize_text
+from rsb_bridge.model.text import join_first, sanitize_text
 from rsb_bridge.model.wording import Wording
 from rsb_bridge.ros.announcements import Origin
 from rsb_bridge.ros.ros_interface import Endpoint, RosError
@@ -32,7 +31,7 @@ from rsb_bridge.route.topic_route import TopicRoute
 from rsb_bridge.wire.messages import ByHand
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable, Collection, Iterable, Sequence
 
     from rsb_bridge.channel.channel import DataChannel
     from rsb_bridge.context import Context
@@ -52,9 +51,13 @@ _MATCHED_WITHIN = 3.0
 _LOOK_EVERY = 0.02
 _RESOLVE_EVERY = 2.0
 """s after which the graph is asked again for the topic's type and QoS."""
+_NAMED = 5
+"""Operators in one event."""
 _LAST_WITHIN = 1.0
 """s in which a message has to pass to be the beginning of an operator's."""
 _DEPTH = 10
+_REST_CROSSES = 0.1
+"""s in which the message that ends a motion gets on its way, before its topic is disarmed or the bridge stops."""
 _STAMP = {"sec", "nanosec"}
 
 
@@ -80,28 +83,47 @@ class _Resolved(NamedTuple):
     qos: Qos
 
 
+class _Rest(NamedTuple):
+    """A message that ends a motion.
+
+    Attributes:
+        timer: publishes it if no other comes in time.
+        payload: the message.
+        openings: armed routes, and their ids then: nothing of an earlier arming is published.
+    """
+
+    timer: asyncio.TimerHandle
+    payload: bytes
+    openings: tuple[tuple[TopicRoute[DataChannel], int], ...]
+
+
 class _Publication:
-    """The publisher of one topic, and the operator's messages on it.
+    """The publisher of one topic, and the operators' messages on it.
 
     Attributes:
         turn: held while a message is published.
+        commands: that are under way.
         count: messages so far.
-        rest: the timer of a message that is published if no other comes in time, or None.
+        operators: who publish, and when each did last.
+        rest: the message that ends the motion, or None if nobody drives.
     """
 
     def __init__(self) -> None:
         self.turn = asyncio.Lock()
+        self.commands = 0
         self.used_at = self.resolved_at = 0.0
         self.resolved: _Resolved | None = None
         self.publisher: Publisher | None = None
         self.count = 0
-        self.who = ""
-        self.rest: asyncio.TimerHandle | None = None
+        self.operators: dict[str, float] = {}
+        self.rest: _Rest | None = None
 
-    def cancel_rest(self) -> None:
-        if self.rest is not None:
-            self.rest.cancel()
-            self.rest = None
+    def take_rest(self) -> _Rest | None:
+        """Return the message that ends the motion, which is due no more."""
+        rest, self.rest = self.rest, None
+        if rest is not None:
+            rest.timer.cancel()
+        return rest
 
 
 class Publishing:
@@ -122,6 +144,7 @@ class Publishing:
         self._log = log
         self._peeking = peeking
         self._publications: dict[str, _Publication] = {}
+        self._first_ticket = context.random.getrandbits(40)  # tickets of another engine, or an earlier one, are void
 
     # --- commands
 
@@ -156,15 +179,18 @@ class Publishing:
             if len(self._publications) >= TOPICS:
                 raise LinkError(PublishProblem.TOO_MANY(limit=TOPICS))
             publication = self._publications[topic] = _Publication()
+        publication.commands += 1
         try:
             async with publication.turn:
                 return await self._publish(publication, command)
         finally:
+            publication.commands -= 1
             publication.used_at = self._context.now()
+            if publication.publisher is None and not publication.commands:
+                self._publications.pop(topic, None)
 
     async def _publish(self, publication: _Publication, command: Publish) -> Published:
-        topic, context = command.topic, self._context
-        self._check_armed(topic, command.type_name, driven=bool(command.rest))  # before anything shows in the graph
+        topic, context, driven = command.topic, self._context, bool(command.rest)
         resolved = publication.resolved
         if (
             resolved is None
@@ -172,36 +198,50 @@ class Publishing:
             or context.now() - publication.resolved_at > _RESOLVE_EVERY
         ):
             resolved = await self._resolve(topic, command.type_name)
+        # Before anything shows in the graph:
+        self._check_armed(topic, resolved.type_name, self._routes(topic), driven=driven)
         payload = await asyncio.to_thread(self._serialized, resolved, command.fields)
-        rest = await asyncio.to_thread(self._serialized, resolved, command.rest) if command.rest else b""
+        rest = await asyncio.to_thread(self._serialized, resolved, command.rest) if driven else b""
         await self._open(publication, topic, resolved)
         assert publication.publisher is not None
         # Nothing is awaited from here on.
-        armed = self._check_armed(topic, resolved.type_name, driven=bool(rest))
-        if armed and not 0.0 <= context.now() - command.ticket / 1e3 <= TICKET_LIFE:
+        routes = self._routes(topic)
+        armed = self._check_armed(topic, resolved.type_name, routes, driven=driven)
+        if armed and not 0 <= self._ticket() - command.ticket <= TICKET_LIFE * 1e3:
             return Published(is_done=False, ticket=self._ticket(), type_name=resolved.type_name)
-        publication.cancel_rest()
         publication.publisher.publish(payload)
-        self._record(publication, topic, command.fields)
-        if rest:
-            act = partial(self._rest, publication, topic, resolved.type_name, rest)
-            publication.rest = context.loop.call_later(command.rest_after, act)
-        nodes, links = publication.publisher.subscriber_count, tuple(self._taking(topic))
-        return Published(True, self._ticket(), resolved.type_name, nodes, links)
+        if driven:
+            publication.take_rest()
+            timer = context.loop.call_later(command.rest_after, self._rest, publication, topic)
+            publication.rest = _Rest(timer, rest, tuple((route, route.id) for route in armed))
+        taking = [route for route in _outgoing(routes) if route.flowing and route.takes(publication.publisher.gid)]
+        self._record(publication, topic, command.fields, taking)
+        links = tuple(sorted({route.peer.name for route in taking}))
+        return Published(True, self._ticket(), resolved.type_name, publication.publisher.subscriber_count, links)
 
-    def _rest(self, publication: _Publication, topic: str, type_name: str, payload: bytes) -> None:
-        """Publish the message that is due if an operator's console is silent."""
-        publication.rest = None
+    def _rest(self, publication: _Publication, topic: str) -> None:
+        """Publish the message that ends a motion, if the arming of the motion still holds."""
+        rest, now = publication.take_rest(), self._context.now()
+        if rest is None or publication.publisher is None:
+            return
         try:
-            self._check_armed(topic, type_name)
-            if publication.publisher is not None:
-                publication.publisher.publish(payload)
-                publication.count += 1
+            if not any(route.id == opening and route.arming.passes(now) for route, opening in rest.openings):
+                raise LinkError(PublishProblem.NOT_ARMED(topic=topic, reason=""))
+            publication.publisher.publish(rest.payload)
+            publication.count += 1
         except (LinkError, RosError) as error:
             self._context.log(Level.WARNING, EventCode.OPERATOR_PUBLISH_ENDED, f"{topic}: {error}", topic=topic)
 
+    async def end_motions(self, topics: Collection[str]) -> None:
+        """End the motions on topics that are about to be disarmed: afterwards, nothing could stop the robots."""
+        moving = {topic: each for topic, each in self._publications.items() if topic in topics and each.rest}
+        for topic, publication in moving.items():
+            self._rest(publication, topic)
+        if moving:
+            await asyncio.sleep(_REST_CROSSES)
+
     def _ticket(self) -> int:
-        return int(self._context.now() * 1e3)
+        return self._first_ticket + int(self._context.clock.steady() * 1e3)
 
     # --- safety
 
@@ -210,34 +250,32 @@ class Publishing:
         if is_bench_topic(topic) or is_view_topic(topic):
             raise LinkError(PublishProblem.NOT_BY_HAND(topic=topic))
 
-    def _check_armed(self, topic: str, type_name: str, *, driven: bool = False) -> bool:
-        """Return whether a topic has to be armed.
+    def _check_armed(
+        self, topic: str, type_name: str, routes: Sequence[TopicRoute[DataChannel]], *, driven: bool
+    ) -> list[TopicRoute[DataChannel]]:
+        """Return the routes that are armed, or an empty list if the topic need not be.
 
         Args:
             topic: its name here.
-            type_name: its type, or empty if unknown.
+            type_name: its type.
+            routes: all of it.
             driven: whether the topic has to be one on which robots may be driven.
 
         Raises:
-            LinkError: it has to be, and is not; or it may not be driven.
+            LinkError: it has to be armed, and is not; or it may not be driven.
         """
-        routes = self._routes(topic)
+        now = self._context.now()
         demand = self._context.demands.of("topic", topic, type_name)
         requiring = [route for route in routes if route.arming.required]
-        if not requiring and (demand is None or not demand.arm):
-            if driven:
-                raise LinkError(PublishProblem.NO_DEADMAN(topic=topic))
-            return False
-        now = self._context.now()
         armed = [route for route in requiring if route.arming.passes(now)]
-        if armed:
-            if driven and not all(route.age.max_age for route in armed):
-                raise LinkError(PublishProblem.NO_DEADMAN(topic=topic))
-            return True
-        if not requiring:
+        if not armed and requiring:
+            reason = next((each.reason for route in requiring if (each := route.arming.snapshot(now)) is not None), "")
+            raise LinkError(PublishProblem.NOT_ARMED(topic=topic, reason=f" ({reason})" if reason else ""))
+        if not armed and demand is not None and demand.arm:
             raise LinkError(PublishProblem.NO_ROUTE_TO_ARM(topic=topic))
-        reason = next((each.reason for route in requiring if (each := route.arming.snapshot(now)) is not None), "")
-        raise LinkError(PublishProblem.NOT_ARMED(topic=topic, reason=f" ({reason})" if reason else ""))
+        if driven and not (armed and all(_stops_by_itself(route) for route in routes)):
+            raise LinkError(PublishProblem.NO_DEADMAN(topic=topic))
+        return armed
 
     # --- types
 
@@ -295,8 +333,8 @@ class Publishing:
         else:
             requested = [each.qos for each in subscriptions if each.type_name == type_name]
             qos = match_subscriptions(requested) if requested else Qos()
-            qos = msgspec.structs.replace(qos, reliability="reliable")
-        qos = msgspec.structs.replace(qos, depth=1 if qos.latched else _DEPTH)
+        # Subscriptions of either reliability hear a reliable publisher.
+        qos = msgspec.structs.replace(qos, reliability="reliable", depth=1 if qos.latched else _DEPTH)
         demand = self._context.demands.of("topic", topic, type_name)
         is_armed = any(route.arming.required for route in routes) or (demand is not None and demand.arm)
         return without_history(qos) if is_armed else qos
@@ -327,93 +365,107 @@ class Publishing:
     # --- publishers
 
     async def _open(self, publication: _Publication, topic: str, resolved: _Resolved) -> None:
-        """Have a publisher that subscriptions and routes have found."""
-        now = self._context.now()
-        publication.resolved_at = now
-        if publication.publisher is not None and publication.resolved == resolved:
-            return
-        self._close(publication)
+        """Have a publisher that subscriptions and routes have found. The one before stays until then, for a rest."""
+        publication.resolved_at = self._context.now()
+        before = publication.resolved
+        if publication.publisher is not None and before is not None:
+            if before == resolved:
+                return
+            if before[:2] != resolved[:2]:  # this bridge may have one type of a topic at a time
+                if publication.rest is not None:
+                    raise LinkError(
+                        PublishProblem.OTHER_TYPE(topic=topic, actual=before.type_name, wanted=resolved.type_name)
+                    )
+                self._close(publication)
         ros = self._context.ros
         publisher = ros.advertise(topic, *resolved, self)
         try:
             endpoint = Endpoint(f"/{ros.node_name}", *resolved, publisher.gid)
             self._context.announcements.announce(topic, self, endpoint, Origin(()))
-        except RosError:
-            publisher.close()
+            await self._found(publisher, topic)
+        except BaseException:
+            self._withdraw(publisher)
             raise
+        self._close(publication)
         publication.publisher, publication.resolved = publisher, resolved
-        expected = len(await asyncio.to_thread(ros.subscriptions, topic))
-        while self._context.now() - now < _MATCHED_WITHIN:
-            if publisher.subscriber_count >= expected and not any(self._awaited(topic, publisher.gid)):
+
+    async def _found(self, publisher: Publisher, topic: str) -> None:
+        """Wait until subscriptions and routes have found a publisher, or for some time."""
+        began = self._context.now()
+        expected = len(await asyncio.to_thread(self._context.ros.subscriptions, topic))
+        while self._context.now() - began < _MATCHED_WITHIN:
+            if publisher.subscriber_count >= expected and not self._awaited(topic, publisher.gid):
                 return
             await asyncio.sleep(_LOOK_EVERY)
-
-    def _outgoing(self, topic: str) -> list[OutgoingRoute]:
-        return [route for route in self._routes(topic) if isinstance(route, OutgoingRoute)]
 
     def _awaited(self, topic: str, gid: bytes) -> list[OutgoingRoute]:
         """Return the routes that may take the messages of a new publisher soon."""
         now = self._context.now()
         return [
             route
-            for link in self._links()
-            if link.linked
-            for route in self._outgoing(topic)
-            if route.key in link.routes
+            for route in _outgoing(self._routes(topic))
+            if route.peer.linked
             and route.accepted
             and not route.paused
             and route.arming.stands(now)
             and not route.takes(gid)
         ]
 
-    def _taking(self, topic: str) -> list[str]:
-        """Return the links that take the messages of a topic to the other side."""
-        publication = self._publications[topic]
-        assert publication.publisher is not None
-        gid = publication.publisher.gid
-        return sorted({route.peer.name for route in self._outgoing(topic) if route.flowing and route.takes(gid)})
-
     def _close(self, publication: _Publication) -> None:
-        publication.cancel_rest()
-        if publication.publisher is not None:
-            self._context.announcements.withdraw(publication.publisher.gid)
-            publication.publisher.close()
-            publication.publisher = None
+        publisher, publication.publisher = publication.publisher, None
+        if publisher is not None:
+            self._withdraw(publisher)
+
+    def _withdraw(self, publisher: Publisher) -> None:
+        self._context.announcements.withdraw(publisher.gid)
+        publisher.close()
 
     # --- records
 
-    def _record(self, publication: _Publication, topic: str, fields: str) -> None:
+    def _record(self, publication: _Publication, topic: str, fields: str, taking: Sequence[OutgoingRoute]) -> None:
         """Record the first message of an operator, here and on the other side."""
+        now, who = self._context.now(), acting_operator()
         publication.count += 1
-        who = acting_operator()
-        if publication.count > 1 and publication.who == who:
+        is_first = now - publication.operators.get(who, float("-inf")) > ENDS_AFTER
+        publication.operators[who] = now
+        if not is_first:
             return
-        publication.who, publication.count = who, 1
         line = sanitize_text(" ".join(fields.split()))
         self._log.add(EventCode.OPERATOR_PUBLISHED, "published", topic=topic, new=line)
-        for link in self._links():
-            for route in self._outgoing(topic):
-                if route.id and link.routes.get(route.key) is route and route.flowing:
-                    link.send(ByHand(route=route.id, lane=0, request=line, who=who))
+        for route in taking:
+            route.peer.send(ByHand(route=route.id, lane=0, request=line, who=who))
 
     def tick(self) -> None:
         """Close publishers that are not used any more. Called once a second."""
         now = self._context.now()
         for topic, publication in list(self._publications.items()):
-            if publication.turn.locked() or publication.rest is not None or now - publication.used_at < ENDS_AFTER:
+            if publication.commands or publication.rest is not None or now - publication.used_at < ENDS_AFTER:
                 continue
             del self._publications[topic]
             self._close(publication)
             if publication.count > 1:
-                text = f"{topic}: {publication.count:,} messages published by {publication.who}"
-                about: About = {"topic": topic, "who": publication.who, "new": f"{publication.count:,}"}
+                who = join_first(sorted(publication.operators), _NAMED)
+                text = f"{topic}: {publication.count:,} messages published by {who}"
+                about: About = {"topic": topic, "who": who, "new": f"{publication.count:,}"}
                 self._context.log(Level.INFO, EventCode.OPERATOR_PUBLISH_ENDED, text, **about)
 
-    def close(self) -> None:
-        """Close all publishers."""
+    async def close(self) -> None:
+        """End all motions, and close all publishers."""
+        await self.end_motions(self._publications)
         for publication in self._publications.values():
             self._close(publication)
         self._publications.clear()
+
+
+def _outgoing(routes: Iterable[TopicRoute[DataChannel]]) -> list[OutgoingRoute]:
+    return [route for route in routes if isinstance(route, OutgoingRoute)]
+
+
+def _stops_by_itself(route: TopicRoute[DataChannel]) -> bool:
+    """Whether a robot at the other end of a route is not driven by old messages, or not at all."""
+    if route.arming.required:
+        return route.age.max_age > 0
+    return not (isinstance(route, OutgoingRoute) and route.flowing)
 
 
 def _fields_of(description: str, payload: bytes) -> str:

@@ -16,7 +16,7 @@ from rsb_bridge.route.arming import Disarmed
 from rsb_bridge.route.lifecycle import pause_word
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable
+    from collections.abc import Awaitable, Callable, Iterable
 
     from rsb_bridge.link.link import Link
     from rsb_bridge.link.roles import BridgeRole
@@ -220,11 +220,18 @@ class ArmingCommands:
     Args:
         links: all of the bridge's.
         find: gives a route and its link by the route's key.
+        end_motions: stops what operators drive by hand on topics, before that is no longer possible.
     """
 
-    def __init__(self, links: Callable[[], list[Link]], find: Callable[[str], tuple[Link, Route]]) -> None:
+    def __init__(
+        self,
+        links: Callable[[], list[Link]],
+        find: Callable[[str], tuple[Link, Route]],
+        end_motions: Callable[[set[str]], Awaitable[None]],
+    ) -> None:
         self._links = links
         self._find = find
+        self._end_motions = end_motions
 
     async def arm(self, command: ArmTopic) -> None:
         link, route = self._find(command.key)
@@ -232,6 +239,7 @@ class ArmingCommands:
 
     async def disarm(self, command: DisarmTopic) -> None:
         link, route = self._find(command.key)
+        await self._end_motions({route.local_topic})
         link.table.arming.disarm(route, Disarmed.OPERATOR)
         await _settled((route,))
 
@@ -240,6 +248,8 @@ class ArmingCommands:
             link.table.arming.seen(console(), pressed=command.pressed)
 
     async def release(self, _: ReleaseArmed) -> None:
+        routes = (route for link in self._links() for route in link.routes.values())
+        await self._end_motions({route.local_topic for route in routes if route.arming.console == console()})
         for link in self._links():
             link.table.arming.gone(console())
 

@@ -283,6 +283,7 @@ class Publish(Command[Published], frozen=True, tag="publish"):
     """
 
     refreshes = False
+    cancellable = True
     topic: str
     fields: str
     type_name: str = ""

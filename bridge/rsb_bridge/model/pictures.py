@@ -254,6 +254,8 @@ def check_picture(picture: Picture) -> Picture:
             raise PictureError("a character has a style that is not in the palette")
         if not all(style in STYLES or style.startswith("#") for style in content.palette):
             raise PictureError("the palette has a style that is none")
+        if content.scale is not None and min(content.scale.column, content.scale.row) <= 0:
+            raise PictureError("a map's cells have no size")
         rows = tuple(single_cells(sanitize_text(row)) for row in content.rows)
         content = msgspec.structs.replace(content, rows=rows)
         picture = msgspec.structs.replace(picture, content=content)

@@ -8,11 +8,13 @@ from typing import TYPE_CHECKING
 
 from rsb_bridge.api import EngineError
 from rsb_bridge.model.calls import FIELDS_LENGTH
+from rsb_bridge.model.clock import Clock
 from rsb_bridge.model.text import escape_text
 from rsb_bridge.model.wording import Wording
 from rsb_console.command.formatting import json_line
 from rsb_console.command.shell import FAILURE, OK, print_error, print_line, print_lines
 from rsb_console.command.target import UsageError, attached, done, reported, result
+from rsb_console.session.by_hand import OLD_AFTER, TRIES, ByHandText
 
 if TYPE_CHECKING:
     from argparse import Namespace
@@ -20,9 +22,6 @@ if TYPE_CHECKING:
     from rsb_bridge.control.remote_engine import RemoteEngine
     from rsb_bridge.model.by_hand import Published
     from rsb_bridge.model.snapshot import RouteSnapshot
-
-_TRIES = 3
-"""Tickets for one message: a slow way to the bridge may make one too old."""
 
 
 class PubText(Wording):
@@ -33,7 +32,6 @@ class PubText(Wording):
     TO_LINKS = ", and over the link to {links}"
     NOT_OVER = "not over the link {link}: {reason}"
     NOBODY = "nobody gets {topic}: it has no subscription here, and no link takes it"
-    TOO_SLOW = "the bridge answers too slowly to publish on {topic}, which has to be armed: nothing was published"
 
 
 def run(_: str, arguments: Namespace) -> int:
@@ -64,16 +62,16 @@ def _publish(engine: RemoteEngine, arguments: Namespace, fields: str) -> int:
     """Publish once, or at a rate until the count or an interrupt."""
     limit = arguments.count or (1 if arguments.rate is None else None)
     pause = 1.0 if arguments.rate is None else 1 / arguments.rate
-    count, due, ticket = 0, time.monotonic(), 0
+    count, due, ticket = 0, Clock.steady(), 0
     last: Published | None = None
     while limit is None or count < limit:
-        last = publish(engine, arguments.topic, fields, arguments.type, ticket)
+        last = publish(engine, arguments.topic, fields, arguments.type, ticket, due)
         count, ticket = count + 1, last.ticket
         if count == 1 and limit != 1 and not arguments.json:
             _print(engine, arguments, last, count)
-        due = max(due + pause, time.monotonic())
+        due = max(due + pause, Clock.steady())
         if count != limit:
-            time.sleep(max(0.0, due - time.monotonic()))
+            time.sleep(max(0.0, due - Clock.steady()))
     assert last is not None
     heard = bool(last.nodes or last.links)
     if arguments.json:
@@ -99,19 +97,29 @@ def _publish(engine: RemoteEngine, arguments: Namespace, fields: str) -> int:
     return OK if heard else FAILURE
 
 
-def publish(engine: RemoteEngine, topic: str, fields: str, type_name: str = "", ticket: int = 0) -> Published:
-    """Publish a message, with a new ticket if the one before has become too old.
+def publish(engine: RemoteEngine, topic: str, fields: str, type_name: str, ticket: int, due: float) -> Published:
+    """Publish a message, with a new ticket if the one before has become too old, but the message has not.
+
+    Args:
+        engine: publishes it.
+        topic: its name on the bridge's side.
+        fields: as YAML.
+        type_name: its type, or an empty string if the topic has one.
+        ticket: from the answer before, or 0.
+        due: time (s) of `Clock.steady` when the operator wanted it published.
 
     Raises:
-        EngineError: the bridge refuses it.
+        EngineError: the bridge refuses it, or it is too old.
         TimeoutError: the bridge does not answer.
     """
-    for _ in range(_TRIES):
+    for _ in range(TRIES):
         published = result(engine.publish(topic, fields, type_name, ticket=ticket))
         if published.is_done:
             return published
+        if Clock.steady() - due > OLD_AFTER:
+            break
         ticket = published.ticket
-    raise EngineError(PubText.TOO_SLOW(topic=topic))
+    raise EngineError(ByHandText.TOO_SLOW(topic=topic))
 
 
 def _not_over(engine: RemoteEngine, published: Published, topic: str) -> list[RouteSnapshot]:

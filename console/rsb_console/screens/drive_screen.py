@@ -42,6 +42,8 @@ _BURST, _BURST_SECONDS = 10, 0.1
 """Keys in so short a time were held up on their way: people and keyboards repeat them more slowly."""
 _IGNORED_FOR = 0.3
 """s after a burst in which keys are ignored."""
+_STOOD_STILL = 1.0
+"""s without a look at the keys after which this process stood still: keys that waited for it are ignored."""
 _TICKETS = 3
 """Tickets in a row that were too old when they came back."""
 _SPEED, _TURN = 0.2, 0.5
@@ -96,9 +98,11 @@ class Steering:
         self._forward_until = self._left_until = 0.0
         self._times: deque[float] = deque(maxlen=_BURST)
         self._ignored_until = 0.0
+        self._looked_at = float("inf")
 
     def press(self, key: str, now: float) -> None:
         """Take a key at `now` (s)."""
+        self._look(now)
         self._times.append(now)
         if len(self._times) == _BURST and now - self._times[0] < _BURST_SECONDS:
             self._ignored_until = now + _IGNORED_FOR
@@ -112,6 +116,12 @@ class Steering:
         if left or letters:
             self._left, self._left_until = left, now + _KEY_LASTS
 
+    def _look(self, now: float) -> None:
+        if now - self._looked_at > _STOOD_STILL:
+            self._ignored_until = now + _IGNORED_FOR
+            self._forward_until = self._left_until = 0.0
+        self._looked_at = now
+
     def came_late(self, now: float) -> bool:
         """Whether keys are ignored at `now` (s)."""
         return now < self._ignored_until
@@ -122,7 +132,8 @@ class Steering:
         self.speed = speed
 
     def at(self, now: float) -> tuple[float, float]:
-        """Return the velocity at `now` (s): forward in m/s, turn in rad/s."""
+        """Return the velocity at `now` (s): forward in m/s, turn in rad/s. To be asked several times a second."""
+        self._look(now)
         forward = self._forward * self.speed if now < self._forward_until else 0.0
         return forward, self._left * self.turn if now < self._left_until else 0.0
 

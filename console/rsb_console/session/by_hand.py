@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from rsb_bridge.api import EngineError
 from rsb_bridge.config.yaml_text import inline
+from rsb_bridge.model.clock import Clock
 from rsb_bridge.model.wording import Wording
 
 if TYPE_CHECKING:
@@ -16,14 +17,21 @@ if TYPE_CHECKING:
     from rsb_bridge.model.pictures import Scale
 
 POSE, TWIST, TWIST_STAMPED = (f"geometry_msgs/msg/{name}" for name in ("PoseStamped", "Twist", "TwistStamped"))
-_TRIES = 3
+TRIES = 3
+"""Tickets for one message: a slow way to the bridge may make one too old."""
+OLD_AFTER = 5.0
+"""s after which a message gets no further ticket: what stood still for so long no longer is the operator's wish."""
+_FAR = 1e4
+"""Cells, beyond any picture."""
 
 
 class ByHandText(Wording):
     """Texts about messages by hand."""
 
     NO_SESSION = "no session runs"
-    TOO_SLOW = "the bridge answers too slowly to publish on {topic}, which has to be armed: nothing was published"
+    TOO_SLOW = (
+        "not published on {topic}, which has to be armed: the bridge answers too slowly, or this console stood still"
+    )
 
 
 async def publish(engine: EngineApi | None, topic: str, fields: str, type_name: str = "", ticket: int = 0) -> Published:
@@ -34,10 +42,13 @@ async def publish(engine: EngineApi | None, topic: str, fields: str, type_name: 
     """
     if engine is None:
         raise EngineError(ByHandText.NO_SESSION())
-    for _ in range(_TRIES):
+    began = Clock.steady()
+    for _ in range(TRIES):
         published = await asyncio.wrap_future(engine.publish(topic, fields, type_name, ticket=ticket))
         if published.is_done:
             return published
+        if Clock.steady() - began > OLD_AFTER:
+            break
         ticket = published.ticket
     raise EngineError(ByHandText.TOO_SLOW(topic=topic))
 
@@ -64,7 +75,9 @@ class Goal(NamedTuple):
 
     def cell(self, scale: Scale) -> tuple[int, int]:
         """Return the column and the row of its cell on a map, which may lie outside."""
-        return math.floor((self.x - scale.left) / scale.column), math.floor((scale.top - self.y) / scale.row)
+        cells = (self.x - scale.left) / scale.column, (scale.top - self.y) / scale.row
+        column, row = (math.floor(max(-_FAR, min(_FAR, each))) for each in cells)
+        return column, row
 
     def moved(self, scale: Scale, columns: int, rows: int) -> Goal:
         """Return it some cells further to the right and down."""

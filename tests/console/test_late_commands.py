@@ -1,0 +1,83 @@
+"""Commands that an operator gave before something stood still, and goals on maps of a side that is not trusted."""
+
+from __future__ import annotations
+
+import asyncio
+from concurrent.futures import Future
+from typing import TYPE_CHECKING, Any
+
+import pytest
+
+from rsb_bridge.api import EngineError
+from rsb_bridge.model.by_hand import Published
+from rsb_bridge.model.clock import Clock
+from rsb_bridge.model.pictures import Cells, Picture, PictureError, Scale, check_picture
+from rsb_console.command import pub_command
+from rsb_console.screens.drive_screen import Steering
+from rsb_console.session import by_hand
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+
+class Slow:
+    """An engine whose first answer comes late; it takes each ticket."""
+
+    def __init__(self, seconds: float, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.published = 0
+        self._now, self._seconds = 100.0, seconds
+        monkeypatch.setattr(Clock, "steady", staticmethod(lambda: self._now))
+
+    def publish(self, *_: object, ticket: int) -> Future[Published]:
+        self._now += 0.0 if ticket else self._seconds
+        self.published += bool(ticket)
+        done: Future[Published] = Future()
+        done.set_result(Published(bool(ticket), 7))
+        return done
+
+
+def by_command(engine: Any) -> Published:
+    return pub_command.publish(engine, "/cmd", "", "", 0, Clock.steady())
+
+
+def by_screen(engine: Any) -> Published:
+    return asyncio.run(by_hand.publish(engine, "/cmd", ""))
+
+
+@pytest.mark.parametrize("publish", [by_command, by_screen])
+def test_an_old_message_gets_no_further_ticket(
+    publish: Callable[[Any], Published], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    engine = Slow(by_hand.OLD_AFTER - 0.1, monkeypatch)
+    assert publish(engine).is_done
+    engine = Slow(by_hand.OLD_AFTER + 0.1, monkeypatch)
+    with pytest.raises(EngineError):
+        publish(engine)
+    assert not engine.published
+
+
+def test_keys_that_waited_for_a_console_that_stood_still_do_not_drive() -> None:
+    steering = Steering()
+    assert steering.at(0.0) == (0.0, 0.0)
+    steering.press("up", 0.1)
+    assert steering.at(0.2)[0] > 0
+    steering.press("up", 5.0)
+    assert steering.came_late(5.0)
+    assert steering.at(5.1) == (0.0, 0.0)
+    for tenths in range(52, 60):
+        assert steering.at(tenths / 10) == (0.0, 0.0)
+    steering.press("up", 6.0)
+    assert steering.at(6.1)[0] > 0
+
+
+@pytest.mark.parametrize("size", [0.0, -1.0])
+def test_a_map_whose_cells_have_no_size_is_no_picture(size: float) -> None:
+    for column, row in ((size, 1.0), (1.0, size)):
+        with pytest.raises(PictureError):
+            check_picture(Picture(Cells(("x",), scale=Scale("map", 0.0, 0.0, column, row))))
+
+
+def test_a_goal_on_a_map_of_any_scale_has_a_cell() -> None:
+    goal = by_hand.Goal("map", 1e302, -1e302)
+    for size in (1e-300, 1.0, 1e300):
+        assert all(abs(each) < 1e5 for each in goal.cell(Scale("map", -1e300, 1e300, size, size)))
