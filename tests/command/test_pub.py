@@ -24,6 +24,7 @@ from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import State
 from rsb_console.command import pub_command
 from rsb_console.command.pub_command import PubText
+from rsb_console.session.by_hand import ByHandText
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -271,7 +272,7 @@ def test_a_bridge_that_answers_too_slowly(ran: Any, engine: ScriptedEngine) -> N
     engine.published = [OLD, OLD, OLD, TAKEN]
     done = ran("/cmd_vel", "")
     assert done.code == 1
-    assert says(done.err, PubText.TOO_SLOW, topic="/cmd_vel")
+    assert says(done.err, ByHandText.TOO_SLOW, topic="/cmd_vel")
     assert len(sent(engine)) == 3
 
 
