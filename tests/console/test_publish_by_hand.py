@@ -20,6 +20,7 @@ from tests.console.driving import (
     until,
 )
 from tests.console.scripted import ScriptedEngine, call_route, route
+from textual.events import Paste
 from textual.pilot import Pilot
 from textual.widgets import Button
 
@@ -80,10 +81,17 @@ def message(app: ConsoleApp) -> str:
     return form_of(app).values["message"]
 
 
+async def submit(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    """Press the form's key, once it listens again: it ignores keys for a moment after the one before."""
+    await until(pilot, lambda: isinstance(app.screen, PublishScreen), "the form")
+    await until(pilot, lambda: not form_of(app).input_guard.covers(Paste("")), "a form that listens")
+    await pilot.press("f9")
+
+
 async def publish(app: ConsoleApp, pilot: Pilot[None]) -> None:
     """Say yes to the question."""
     count = len(sent(app))
-    await pilot.press("f9")
+    await submit(app, pilot)
     await shown(pilot, PublishText.QUESTION)
     await pilot.press("y")
     await until(pilot, lambda: len(sent(app)) > count, "a message")
@@ -266,7 +274,7 @@ async def test_a_refusal_is_shown_and_can_be_tried_again(app: ConsoleApp, pilot:
 async def test_the_next_message_waits_for_the_one_before(app: ConsoleApp, pilot: Pilot[None]) -> None:
     await until(pilot, lambda: message(app), "the message")
     await publish(app, pilot)
-    await pilot.press("f9")
+    await submit(app, pilot)
     await notified(pilot, PublishText.UNDER_WAY)
     assert len(sent(app)) == 1
     engine_of(app).publishing.set_result(TAKEN)
