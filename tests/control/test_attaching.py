@@ -17,14 +17,14 @@ from tests.console.scripted import EVENTS, ScriptedEngine, refused, route
 from tests.support.waiting import eventually
 from tests.support.wording import pattern, says
 
-from rsb_bridge.api import EngineError
+from rsb_bridge.api import EngineError, InvalidRequestError
 from rsb_bridge.control import attached_console, bridges, control_sockets, protocol, remote_engine
 from rsb_bridge.control.attached_console import RequestRefused
 from rsb_bridge.control.control_sockets import AttachProblem
 from rsb_bridge.control.protocol import VersionProblem
 from rsb_bridge.control.remote_engine import RemoteEngine
 from rsb_bridge.model.codes import EventCode
-from rsb_bridge.model.commands import AddTopic, Command, Peek, R, Retry
+from rsb_bridge.model.commands import AddTopic, Command, Peek, Publish, R, Retry
 from rsb_bridge.model.session import Client, Topic
 from rsb_bridge.model.snapshot import Event, Level, State
 
@@ -116,6 +116,14 @@ def test_a_refusal_comes_back_in_words(machine: Machine) -> None:
     machine.serve(Refusing())
     with pytest.raises(EngineError, match="no such topic: /x"):
         machine.attach().add_topic(Topic("/x", "transmit")).result(60)
+
+
+def test_a_command_that_is_no_unicode_is_refused_and_the_next_one_is_not(machine: Machine) -> None:
+    machine.serve(ScriptedEngine())
+    remote = machine.attach()
+    with pytest.raises(InvalidRequestError, match=pattern(protocol.RequestProblem.NOT_UNICODE)):
+        remote.publish("/text", "data: \udcff").result(30)
+    remote.retry().result(30)
 
 
 def test_read_only_is_enforced_by_the_bridge(machine: Machine) -> None:
@@ -446,22 +454,23 @@ def test_a_stop_ends_a_start_that_waits_for_a_bridge_that_hangs(machine: Machine
         assert failed == [AttachProblem.DETACHED()]
 
 
-def test_who_leaves_while_looking_at_a_message_looks_no_more(machine: Machine) -> None:
+@pytest.mark.parametrize("command", [Peek("/scan"), Publish("/text", "data: x")])
+def test_who_leaves_while_looking_or_publishing_does_so_no_more(machine: Machine, command: Command[Any]) -> None:
     class Quiet(ScriptedEngine):
         asked: list[Future[Any]]
 
         def do(self, command: Command[R], step: Any = None) -> Future[R]:
-            assert isinstance(command, Peek)
+            assert isinstance(command, Peek | Publish)
             self.asked.append(Future())
             return self.asked[-1]
 
     engine = Quiet()
     engine.asked = []
     machine.serve(engine)
-    remote = machine.attach(read_only=True)
-    shown = remote.peek("/scan")
+    remote = machine.attach(read_only=isinstance(command, Peek))
+    done = remote.do(command)
     eventually(lambda: engine.asked)
     remote.stop()
     eventually(engine.asked[0].cancelled)
     with pytest.raises(EngineError, match="no answer"):
-        shown.result(60)
+        done.result(60)

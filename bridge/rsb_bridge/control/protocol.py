@@ -83,6 +83,7 @@ class RequestProblem(Wording):
     """Reasons why a command does not reach the bridge, or why its reply is useless."""
 
     TOO_LONG = "this command is too long: {length:,} bytes"
+    NOT_UNICODE = "this command has bytes that are no Unicode text: write it in UTF-8"
     UNEXPECTED_REPLY = "unexpected reply to this command"
     INVALID_PICTURE = "the bridge sent no valid picture: {error}"
 

@@ -330,7 +330,12 @@ class RemoteEngine(EngineApi):
             waiting.fail(self.lacks(feature))
             return
         request = self._requests.new(waiting, undo=undo)
-        if (size := len(protocol.encode(request))) > protocol.TO_BRIDGE_LIMIT:  # the bridge would end the connection
+        try:
+            size = len(protocol.encode(request))
+        except UnicodeEncodeError:
+            self._requests.take(Failed(request.id, RequestProblem.NOT_UNICODE(), invalid=True))
+            return
+        if size > protocol.TO_BRIDGE_LIMIT:  # the bridge would end the connection
             self._requests.take(Failed(request.id, RequestProblem.TOO_LONG(length=size)))
         else:
             self._send(request)
