@@ -59,14 +59,14 @@ def ran(capsys: pytest.CaptureFixture[str]) -> Any:
 
 
 class Clock:
-    """The module `time` of the command: waits take no time, and are recorded."""
+    """The module `time` and the clock of the command: waits take no time, and are recorded."""
 
     def __init__(self) -> None:
         self.now = 100.0
         self.slept: list[float] = []
         self.most = 1000
 
-    def monotonic(self) -> float:
+    def steady(self) -> float:
         return self.now
 
     def sleep(self, seconds: float) -> None:
@@ -80,6 +80,7 @@ class Clock:
 def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
     made = Clock()
     monkeypatch.setattr(pub_command, "time", made)
+    monkeypatch.setattr(pub_command, "Clock", made)
     return made
 
 

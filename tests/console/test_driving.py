@@ -178,6 +178,7 @@ class Robot(ScriptedEngine):
 def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
     made = Clock()
     monkeypatch.setattr(drive_screen, "time", made)
+    monkeypatch.setattr(drive_screen, "_STOOD_STILL", float("inf"))  # as this clock does; test_late_commands has it
     monkeypatch.setattr(Robot, "clock", made, raising=False)
     return made
 
