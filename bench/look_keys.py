@@ -2,7 +2,7 @@
 
 The console runs the demo in a terminal of 120×36 and shows the camera of its robot (10 Hz) as pictures at the printed
 rate. Keys that zoom come 30 times a second, as a keyboard repeats them. Every half second another key holds the picture
-or goes on, and the time until the title says so is taken. The first line is of the main screen, its cursor and the help.
+or goes on, and the time until the title says so is taken. The first line is of the main screen, cursor and help.
 """
 
 from __future__ import annotations

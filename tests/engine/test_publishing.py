@@ -23,7 +23,7 @@ from rsb_bridge.engine.publishing import ENDS_AFTER, TOPICS, PublishProblem
 from rsb_bridge.model.by_hand import TICKET_LIFE
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.command_origin import acting
-from rsb_bridge.model.commands import Publish
+from rsb_bridge.model.commands import Command, Pause, Publish, RemoveTopic, Restart, ShutDown
 from rsb_bridge.model.pictures import view_topic
 from rsb_bridge.model.session import Armed, Client, Topic
 
@@ -349,6 +349,27 @@ def test_whoever_disarms_ends_the_motion_first(bridge: Bridge, robot: Domain, pc
     drive(server, 0.1, rest_after=2.0)
     server.disarm(route(server, "/cmd").key).result(30)
     eventually(lambda: speeds(motors) == [0.1, 0.0], 10)
+
+
+@pytest.mark.parametrize("command", ["pause", "remove", "restart", "shut_down"])
+def test_what_disarms_ends_the_motion_first(
+    bridge: Bridge, robot: Domain, pc: Domain, consoles: Consoles, command: str
+) -> None:
+    motors = robot.listener("/cmd", Twist)
+    pc.publisher("/cmd", Twist)
+    server, client = bridge.both(DRIVEN)
+    eventually(lambda: can_be_armed(server, client))
+    consoles.arm(server)
+    drive(server, 0.1, rest_after=2.0)
+    key = route(server, "/cmd").key
+    commands: dict[str, Command[object]] = {
+        "pause": Pause(key, True),
+        "remove": RemoveTopic(key),
+        "restart": Restart(),
+        "shut_down": ShutDown(),
+    }
+    server.do(commands[command])
+    eventually(lambda: [deserialize_message(each, Twist).linear.x for each in motors.payloads] == [0.1, 0.0])
 
 
 def test_a_console_that_goes_ends_the_motion(bridge: Bridge, robot: Domain, pc: Domain, consoles: Consoles) -> None:

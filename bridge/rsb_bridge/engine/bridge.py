@@ -141,7 +141,7 @@ class Bridge:
         context.names_changed = self._names.changed
         self.graph_watch = GraphWatch(context, self._role.links, self._names.changed)
         self._log = CommandLog(context.events)
-        topics = TopicCommands(self._role, self._log, context.demands)
+        topics = TopicCommands(self._role, self._log, context.demands, self._end_motions)
         inspector = RouteInspector(context, topics.find, self._log)
         self._tasks = Tasks(context.loop, lambda: None)
         self._viewing = Viewing(context, self.links, self._tasks.spawn)
@@ -374,7 +374,11 @@ class Bridge:
         self._role.retry(command.link)
         self._log.add(EventCode.OPERATOR_RETRIED, "tried again", link=command.link)
 
+    async def _end_motions(self, topics: set[str]) -> None:
+        await self._publishing.end_motions(topics)
+
     async def _shut_down(self, _: commands.ShutDown) -> None:
+        await self._publishing.end_motions()
         self._log.add(EventCode.OPERATOR_SHUT_DOWN, "shut down on both sides")
         self._role.shut_down(operator())
 
@@ -384,6 +388,7 @@ class Bridge:
             if step is not None:
                 step(message)
 
+        await self._publishing.end_motions()
         self._log.add(EventCode.OPERATOR_RESTARTED, "restarted: all links are closed and opened again")
         await self._role.restart(report)
 
@@ -400,6 +405,7 @@ class Bridge:
         """
         if dry_run:
             return [*self._dropped_by(session).values(), *(step.text for step in self._steps_to(session, keys))], []
+        await self._publishing.end_motions()
         self._arming.reloaded()
         return await self._reload(session, keys)
 

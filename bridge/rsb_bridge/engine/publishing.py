@@ -232,9 +232,10 @@ class Publishing:
         except (LinkError, RosError) as error:
             self._context.log(Level.WARNING, EventCode.OPERATOR_PUBLISH_ENDED, f"{topic}: {error}", topic=topic)
 
-    async def end_motions(self, topics: Collection[str]) -> None:
-        """End the motions on topics that are about to be disarmed: afterwards, nothing could stop the robots."""
-        moving = {topic: each for topic, each in self._publications.items() if topic in topics and each.rest}
+    async def end_motions(self, topics: Collection[str] | None = None) -> None:
+        """End the motions on topics that are about to be disarmed, or all: later, nothing could stop the robots."""
+        named = self._publications if topics is None else topics
+        moving = {topic: each for topic, each in self._publications.items() if topic in named and each.rest}
         for topic, publication in moving.items():
             self._rest(publication, topic)
         if moving:
@@ -451,7 +452,7 @@ class Publishing:
 
     async def close(self) -> None:
         """End all motions, and close all publishers."""
-        await self.end_motions(self._publications)
+        await self.end_motions()
         for publication in self._publications.values():
             self._close(publication)
         self._publications.clear()

@@ -63,12 +63,20 @@ class TopicCommands:
         role: has the links.
         log: records the commands.
         demands: the names that have to be armed.
+        end_motions: stops what operators drive by hand on topics, before that is no longer possible.
     """
 
-    def __init__(self, role: BridgeRole, log: CommandLog, demands: RunningDemands) -> None:
+    def __init__(
+        self,
+        role: BridgeRole,
+        log: CommandLog,
+        demands: RunningDemands,
+        end_motions: Callable[[set[str]], Awaitable[None]],
+    ) -> None:
         self._role = role
         self._log = log
         self._demands = demands
+        self._end_motions = end_motions
 
     def find(self, key: str) -> tuple[Link, Route]:
         """Return a route and its link by the route's key."""
@@ -90,6 +98,11 @@ class TopicCommands:
             return tuple(route for route in link.routes.values() if link.patterns.has_made(route, topic))
         return (self.find(key)[1],)
 
+    async def _stopped(self, key: str) -> tuple[Route, ...]:
+        """Return the routes with a key, as `_routes_of`, after the motions on their topics have ended."""
+        await self._end_motions({route.local_topic for route in self._routes_of(key)})
+        return self._routes_of(key)
+
     async def add(self, command: AddTopic) -> str:
         with self._demands.changing(operator()):
             link, key, topic = self._role.add(command.topic, command.link)
@@ -99,7 +112,7 @@ class TopicCommands:
         return key
 
     async def edit(self, command: EditTopic) -> str:
-        routes = self._routes_of(command.key)
+        routes = await self._stopped(command.key)
         with self._demands.changing(operator()):
             new_key = self._edit(command.key, command.topic, drop_arm=command.drop_arm)
         await _settled(routes)
@@ -135,7 +148,7 @@ class TopicCommands:
 
     async def remove(self, command: RemoveTopic) -> None:
         # A pattern that matches the topic leaves it out from then on.
-        routes = self._routes_of(command.key)
+        routes = await self._stopped(command.key)
         with self._demands.changing(operator()):
             self._remove(command.key, drop_arm=command.drop_arm)
         await _settled(routes)
@@ -198,7 +211,7 @@ class TopicCommands:
 
     async def pause(self, command: Pause) -> None:
         key, paused = command.key, command.paused
-        routes = self._routes_of(key)
+        routes = await self._stopped(key)
         code = EventCode.OPERATOR_PAUSED if paused else EventCode.OPERATOR_RESUMED
         if (pattern := self._pattern(key)) is not None:
             link, topic = pattern
