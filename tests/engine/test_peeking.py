@@ -186,7 +186,7 @@ def test_nobody_waits_for_ever_nor_in_numbers(bridge: Bridge, monkeypatch: pytes
     running = client._bridge
     assert running is not None
     inspector: Any = getattr(running.handlers[Peek], "__self__", None)
-    eventually(lambda: inspector._peeking._lookers == 0 and not any(wanted(running.links()[0])))
+    eventually(lambda: inspector.peeking._lookers == 0 and not any(wanted(running.links()[0])))
     with pytest.raises(EngineError, match="no route"):
         client.peek("nonsense").result(10)
 
