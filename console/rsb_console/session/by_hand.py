@@ -29,9 +29,7 @@ class ByHandText(Wording):
     """Texts about messages by hand."""
 
     NO_SESSION = "no session runs"
-    TOO_SLOW = (
-        "not published on {topic}, which has to be armed: the bridge answers too slowly, or this console stood still"
-    )
+    TOO_SLOW = "not published on {topic}: the bridge answers too slowly, or this console stood still"
 
 
 async def publish(engine: EngineApi | None, topic: str, fields: str, type_name: str = "", ticket: int = 0) -> Published:
