@@ -23,7 +23,8 @@ from tests.support.running import Running
 
 from rsb_bridge.config.keys import write_key
 from rsb_bridge.config.session_file import save
-from rsb_bridge.model.commands import Call, Look
+from rsb_bridge.model.by_hand import Draft, Published
+from rsb_bridge.model.commands import Call, DraftMessage, Look, Publish
 from rsb_bridge.model.pictures import Cells, Curve, Picture, Pixels, Series, Viewed
 from rsb_bridge.model.session import Client, Topic
 from rsb_bridge.model.snapshot import PatternSnapshot, PeekedMessage, State
@@ -202,6 +203,10 @@ class Robot(Running):
             content: Pixels | Cells | Series = _CURVES if "plot" in command.wish.how or command.wish.fields else _MAP
             content = _IMAGE if "image" in command.topics[0] else content
             return self._done(Viewed(Picture(content=content)), "look", *command.topics)
+        if isinstance(command, DraftMessage):
+            return self._done(Draft("geometry_msgs/msg/PoseStamped", "pose: {}\n"), "draft", command.topic)
+        if isinstance(command, Publish):
+            return self._done(Published(is_done=True, nodes=1), "publish", command.topic)
         if isinstance(command, Call):
             return self._done(_ANSWERS[command.lane], "call", command.key)
         return super()._execute(command, step)

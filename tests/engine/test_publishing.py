@@ -301,16 +301,17 @@ def driven(bridge: Bridge, pc: Domain, consoles: Consoles) -> tuple[Engine, Engi
 
 
 def test_a_rest_does_not_outlive_its_arming(bridge: Bridge, robot: Domain, pc: Domain, consoles: Consoles) -> None:
-    """Whoever arms the topic again begins anew."""
+    """The motion ends when the topic is disarmed, and whoever arms it again begins anew."""
     motors = robot.listener("/cmd", Twist)
     server, client = driven(bridge, pc, consoles)
     drive(server, 0.1, rest_after=2.0)
     key = route(server, "/cmd").key
     server.pause(key, paused=True).result(30)
+    eventually(lambda: speeds(motors) == [0.1, 0.0])
     server.pause(key, paused=False).result(30)
     eventually(lambda: can_be_armed(server, client))
     consoles.arm(server)
-    holds(lambda: 0.0 not in speeds(motors), 2.5)
+    holds(lambda: speeds(motors) == [0.1, 0.0], 2.5)
 
 
 def test_another_operators_message_leaves_the_rest(
