@@ -225,7 +225,7 @@ class Control(ServerEngine):
 
 def lasts(line: str) -> bool:
     """Whether a command lasts until Ctrl-C."""
-    return re.match("(arm|echo|hz|bw) ", line) is not None and not re.search("--(once|count|for)", line)
+    return re.search("^(arm|echo|hz|bw) |--rate", line) is not None and not re.search("--(once|count|for)", line)
 
 
 def opens_console(line: str) -> bool:

@@ -196,8 +196,11 @@ class Run:
         self._task = self.loop.create_task(self._main(), context=self.process.context)
 
     async def _main(self) -> None:
-        await self.bridge.start()
-        await self.bridge.run()
+        try:
+            await self.bridge.start()
+            await self.bridge.run()
+        finally:
+            self.bridge.context.transports.close()
 
     def links(self) -> list[Link]:
         """Its links."""

@@ -153,6 +153,10 @@ class StreamTransport(asyncio.Transport):
             self._reading = True
             self._loop.call_soon(self._catch_up, context=self._context)
 
+    def write_eof(self) -> None:
+        if not self._closing:
+            self._send_end()
+
     def is_closing(self) -> bool:
         return self._closing
 
@@ -306,16 +310,27 @@ class StreamTransport(asyncio.Transport):
     # --- how it ends
 
     def _close_descriptor(self, error: OSError | None) -> None:
-        """The program lets go of it: what is in the kernel's buffer still goes out, and then the end."""
+        """The program lets go of it: what is in the kernel's buffer still goes out, and then the end.
+
+        If the program has not read all that came, the kernel resets the connection instead, and nothing goes out.
+        """
         if self._gone:
             return
         self._gone = True
         self._free()
+        if any(self._early):
+            self._on_its_way.clear()
+            self._unstick()
+            self._sent_end = True
+            self.peer._refused()
+        self._send_end()
+        if self._protocol is not None:
+            self._loop.call_soon(self._protocol.connection_lost, error, context=self._context)
+
+    def _send_end(self) -> None:
         if not self._sent_end:
             self._sent_end = True
             self._dispatch(_Segment(None, 0, self._loop.time()))
-        if self._protocol is not None:
-            self._loop.call_soon(self._protocol.connection_lost, error, context=self._context)
 
     def _lose(self, error: OSError) -> None:
         """The connection is over, whatever the program thinks of it."""

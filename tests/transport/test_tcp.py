@@ -7,19 +7,19 @@ import contextlib
 import errno
 import gc
 import socket
-from contextlib import contextmanager
+from contextlib import asynccontextmanager, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
 from tests.support.wording import pattern, says
 
-from rsb_bridge.transport import tcp
+from rsb_bridge.transport import streams, tcp
 from rsb_bridge.transport.streams import Stream, StreamHandler, StreamProblem, os_error_message
-from rsb_bridge.transport.tcp import LookUpProblem, Tcp
+from rsb_bridge.transport.tcp import LookUpProblem, Tcp, TcpStream
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import AsyncIterator, Iterator
 
 _LIVE, _ALSO_LIVE, _SILENT, _REFUSING = (f"127.0.2.{n}" for n in range(1, 5))
 _UNREACHABLE = "255.255.255.255"  # connect(2) refuses a broadcast address at once
@@ -161,3 +161,96 @@ def test_cancelled_at_whatever_moment_it_leaves_no_socket(
 
     asyncio.run(main())
     assert _open_sockets() <= before
+
+
+class Kept(StreamHandler):
+    """Keeps what comes, and when it ended."""
+
+    def __init__(self) -> None:
+        self.came = bytearray()
+        self.over = asyncio.Event()
+
+    def received(self, data: bytes) -> None:
+        self.came += data
+
+    def closed(self, reason: str) -> None:
+        self.over.set()
+
+
+@asynccontextmanager
+async def _connected() -> AsyncIterator[tuple[Stream, Kept, Stream, Kept]]:
+    """Two ends of a connection, each with what came there."""
+    near_kept, far_kept = Kept(), Kept()
+    listening = socket.create_server((_LIVE, 0))
+    near_socket = socket.create_connection(listening.getsockname())
+    far_socket, _ = listening.accept()
+    listening.close()
+    loop = asyncio.get_running_loop()
+    _, near = await loop.create_connection(lambda: TcpStream(near_kept, set()), sock=near_socket)
+    _, far = await loop.create_connection(lambda: TcpStream(far_kept, set()), sock=far_socket)
+    try:
+        async with asyncio.timeout(60):
+            yield near, near_kept, far, far_kept
+    finally:
+        near.abort("over")
+        far.abort("over")
+        await asyncio.sleep(0)
+
+
+@pytest.mark.parametrize("size", [4, 10_000_000], ids=["sent", "waiting"])
+def test_last_words_arrive_though_the_peer_was_sending(size: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each side had not read what the other had sent. A reset would have made the peer's next write fail."""
+    monkeypatch.setattr(streams, "_LINGER", 120.0)
+
+    async def main() -> None:
+        async with _connected() as (near, near_kept, far, far_kept):
+            near.pause_reading()
+            far.pause_reading()
+            far.write(b"unread")
+            near.write(bytes(size - 4) + b"last")
+            near.close()
+            near.write(b"after the last")
+            assert near.over
+            for _ in range(10):
+                far.write(b"more")
+                await asyncio.sleep(0.01)
+            far.resume_reading()
+            await far_kept.over.wait()
+            assert (len(far_kept.came), bytes(far_kept.came[-4:])) == (size, b"last")
+            await near_kept.over.wait()
+            assert near.gone
+            assert not near_kept.came
+
+    asyncio.run(main())
+
+
+@pytest.mark.parametrize("sends", [True, False])
+def test_a_peer_that_never_closes_is_not_waited_for(monkeypatch: pytest.MonkeyPatch, sends: bool) -> None:
+    """One that floods is cut off at a number of bytes, before any time is up."""
+    monkeypatch.setattr(streams, "_LINGER", 120.0 if sends else 0.1)
+
+    async def main() -> None:
+        async with _connected() as (near, near_kept, far, _):
+            far.pause_reading()
+            if sends:
+                far.write(bytes(20_000_000))
+            near.close()
+            await near_kept.over.wait()
+            assert near.gone
+            assert not far.gone
+
+    asyncio.run(main())
+
+
+def test_a_connection_that_the_peer_has_reset_closes() -> None:
+    async def main() -> None:
+        async with _connected() as (near, near_kept, far, far_kept):
+            near.write(b"unread")
+            near.pause_reading()
+            far.pause_reading()
+            far.abort("gone")
+            await far_kept.over.wait()
+            near.close()
+            await near_kept.over.wait()
+
+    asyncio.run(main())

@@ -36,11 +36,13 @@ if TYPE_CHECKING:
     from rsb_bridge.transport.zenoh.endpoint import Endpoint
 
 NOBODY = "0123456789abcdef"
+PATIENT = {"link": {"tx": {"queue": {"congestion_control": {"drop": {"wait_before_drop": 10_000_000}}}}}}
+"""Else a router that waits for a processor for a millisecond drops samples (`stranger`)."""
 
 
 @pytest.fixture(scope="module")
 def _router() -> Iterator[Router]:
-    made = Router()
+    made = Router(transport=PATIENT)
     yield made
     made.close()
 

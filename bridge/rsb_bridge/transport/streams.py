@@ -114,6 +114,7 @@ class Stream(asyncio.Protocol):
         self._when_gone: Callable[[], None] = _nothing
         self._reason = ""
         self._given_up_after = 0.0
+        self._closing = False
         self._lingering: asyncio.TimerHandle | None = None
 
     def write(self, data: bytes | memoryview) -> None:
@@ -121,18 +122,25 @@ class Stream(asyncio.Protocol):
 
         `data` may be used again once this has returned, unless the stream is congested then.
         """
-        if self._transport is not None and not self._transport.is_closing():
+        if self._transport is not None and not self._closing and not self._transport.is_closing():
             self.sent_bytes += len(data)
             self._transport.write(data)
 
     def close(self, reason: str = _CLOSED_HERE) -> None:
         """Send what waits, then close; a peer that takes nothing is not waited for longer than 2 s."""
-        if self._transport is not None:
-            self._reason = self._reason or reason
-            self._transport.close()
-            if self._lingering is None:
-                # Not the transport's own abort: on one that has ended, it would end it a second time.
-                self._lingering = asyncio.get_running_loop().call_later(_LINGER, self.abort, reason)
+        if self._transport is None or self._closing:
+            return
+        self.resume_reading()
+        self._closing = True
+        self._reason = self._reason or reason
+        # Not the transport's own abort: on one that has ended, it would end it a second time.
+        self._lingering = asyncio.get_running_loop().call_later(_LINGER, self.abort, reason)
+        self._end()
+
+    def _end(self) -> None:
+        """Close the transport, which sends what waits; called by `close`, once."""
+        assert self._transport is not None
+        self._transport.close()
 
     def abort(self, reason: str) -> None:
         """Close now; what waits is lost."""
@@ -142,12 +150,14 @@ class Stream(asyncio.Protocol):
 
     def pause_reading(self) -> None:
         """Leave what the peer sends in the kernel, until `resume_reading`."""
-        if self._transport is not None:
+        if not self.over:
+            assert self._transport is not None
             self._transport.pause_reading()
 
     def resume_reading(self) -> None:
         """Take in again what the peer sends."""
-        if self._transport is not None and not self._transport.is_closing():
+        if not self.over:
+            assert self._transport is not None
             self._transport.resume_reading()
 
     def trust(self) -> None:
@@ -188,7 +198,7 @@ class Stream(asyncio.Protocol):
     @property
     def over(self) -> bool:
         """Whether it is closed or closing."""
-        return self._transport is None or self._transport.is_closing()
+        return self._transport is None or self._closing or self._transport.is_closing()
 
     @property
     def stuck(self) -> bool:

@@ -16,7 +16,7 @@ from aiohappyeyeballs import start_connection
 from rsb_bridge.model.transports import TcpTraits
 from rsb_bridge.model.wording import Wording
 from rsb_bridge.transport.listening import StreamListener, bind
-from rsb_bridge.transport.streams import Address, Stream, StreamHandler
+from rsb_bridge.transport.streams import Address, Stream, StreamHandler, StreamProblem, os_error_message
 from rsb_bridge.transport.threads import in_thread
 from rsb_bridge.transport.transport import Acceptor, Listener, StreamTransport
 from rsb_bridge.wire.framing import MESSAGE_LIMIT
@@ -57,6 +57,8 @@ _NEXT_ADDRESS_AFTER = 0.25
 _BACKLOG = 1024
 """Connections that the kernel holds until they are accepted; a client whose connection finds no room waits 1 s."""
 _NOT_SENT_LOW_WATER = 32 * 1024
+_MOST_DISCARDED = 4 << 20
+"""Bytes that a peer may go on to send to a closed connection."""
 _TCP_NOTSENT_LOWAT = getattr(socket, "TCP_NOTSENT_LOWAT", 25)
 _IDLE, _KEEPALIVE_EVERY = 20, 5
 """s; the stingiest NATs forget an idle connection within a minute."""
@@ -67,17 +69,66 @@ _RETRIED_EVERY_MS = 1000
 
 
 class TcpStream(Stream):
-    """A TCP connection. What waits, waits in this process, where old messages can be dropped, not in the kernel."""
+    """A TCP connection. What waits, waits in this process, where old messages can be dropped, not in the kernel.
+
+    To close, it ends its own direction and reads on until the peer has closed, too. A socket that is closed with unread
+    bytes resets the connection (RFC 1122, section 4.2.2.13), and then the last words may be lost in both kernels.
+
+    Args:
+        handler: receives its events.
+        ending: the streams that wait for their peers to close, which it joins and leaves.
+    """
+
+    def __init__(self, handler: StreamHandler, ending: set[TcpStream]) -> None:
+        super().__init__(handler)
+        self._ending = ending
+        self._discarded = 0
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         _set_options(transport.get_extra_info("socket"))
         super().connection_made(transport)
+
+    def _end(self) -> None:
+        self._ending.add(self)
+        if not self.congested:
+            self._end_sending()
+
+    def resume_writing(self) -> None:
+        super().resume_writing()
+        if self._closing:
+            self._end_sending()
+
+    def _end_sending(self) -> None:
+        assert self._transport is not None
+        try:
+            self._transport.write_eof()
+        except OSError as error:  # the peer has reset the connection
+            self.abort(os_error_message(error))
+
+    def data_received(self, data: bytes) -> None:
+        if not self._closing:
+            super().data_received(data)
+            return
+        self._discarded += len(data)
+        if self._discarded > _MOST_DISCARDED:
+            self.abort("the peer does not stop sending")
+
+    def connection_lost(self, error: Exception | None) -> None:
+        self._ending.discard(self)
+        super().connection_lost(error)
 
 
 class Tcp(TcpTraits, StreamTransport):
     """TCP over IPv4 and IPv6."""
 
     largest_message = MESSAGE_LIMIT
+
+    def __init__(self) -> None:
+        self._ending: set[TcpStream] = set()
+
+    def close(self) -> None:
+        for stream in tuple(self._ending):
+            stream.abort(StreamProblem.CLOSED_HERE())
 
     async def connect(self, host: str, port: int, handler: StreamHandler, rank: int | None = None) -> Stream:
         """Connect to the first of the host's addresses that answers, within `CONNECT_TIMEOUT` (RFC 8305)."""
@@ -92,13 +143,17 @@ class Tcp(TcpTraits, StreamTransport):
         with contextlib.ExitStack() as unless_connected:
             unless_connected.callback(sock.close)
             loop = asyncio.get_running_loop()
-            _, stream = await loop.create_connection(lambda: TcpStream(handler), sock=sock)
+            _, stream = await loop.create_connection(lambda: TcpStream(handler, self._ending), sock=sock)
             unless_connected.pop_all()
         return stream
 
     async def listen(self, host: str, port: int, acceptor: Acceptor) -> Listener:
         sockets = await bind(host, port, socket.SOCK_STREAM)
-        return StreamListener(sockets, _BACKLOG, lambda: TcpStream(acceptor.make_handler()), acceptor.shortage)
+
+        def accepted() -> TcpStream:
+            return TcpStream(acceptor.make_handler(), self._ending)
+
+        return StreamListener(sockets, _BACKLOG, accepted, acceptor.shortage)
 
     def source_address(self, peer: Address) -> str:
         family = socket.AF_INET6 if len(peer) == 4 else socket.AF_INET
