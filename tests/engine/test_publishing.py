@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from threading import Event
 from typing import TYPE_CHECKING
 
 import pytest
@@ -19,7 +20,8 @@ from tests.support.waiting import eventually, holds
 from tests.support.wording import pattern
 
 from rsb_bridge.api import EngineError, InvalidRequestError
-from rsb_bridge.engine.publishing import ENDS_AFTER, TOPICS, PublishProblem
+from rsb_bridge.config.fields_text import read_fields
+from rsb_bridge.engine.publishing import AT_ONCE, ENDS_AFTER, TOPICS, PublishProblem
 from rsb_bridge.model.by_hand import TICKET_LIFE
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.command_origin import acting
@@ -29,6 +31,7 @@ from rsb_bridge.model.session import Armed, Client, Topic
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
+    from concurrent.futures import Future
 
     from tests.support.bridge import Bridge
     from tests.support.domain import Listener
@@ -419,6 +422,52 @@ def test_what_fails_takes_no_place(bridge: Bridge, robot: Domain) -> None:
             client.publish(f"/text{number}", "no field: 1", STRING).result(30)
     publish(client, "data: x", "/text", type_name=STRING)
     eventually(lambda: listener.texts(10) == ["x"])
+
+
+@pytest.fixture
+def may_read(monkeypatch: pytest.MonkeyPatch) -> Iterator[Event]:
+    """Long messages are read only once this is set: a stand-in for many that take a processor for seconds."""
+    event = Event()
+
+    def reads(text: str) -> object:
+        assert len(text) < 5_000 or event.wait(60)
+        return read_fields(text)
+
+    monkeypatch.setattr("rsb_bridge.engine.publishing.read_fields", reads)
+    yield event
+    event.set()
+
+
+LONG = f"data: {'x' * 5_000}"
+
+
+def test_long_messages_hold_up_no_short_one(bridge: Bridge, robot: Domain, may_read: Event) -> None:
+    """However many consoles publish them: driving goes on."""
+    robot.listener("/text")
+    client = bridge.client()
+    long = [client.publish(f"/long{number}", LONG, STRING) for number in range(TOPICS - 1)]
+    publish(client, "data: short", "/text")
+    assert not any(each.done() for each in long)
+    may_read.set()
+    assert all(each.result(60).is_done for each in long)
+
+
+def test_an_operator_leaves_room_for_the_next(bridge: Bridge, robot: Domain, may_read: Event) -> None:
+    listener = robot.listener("/text")
+    client = bridge.client()
+
+    def publish_as(who: str, fields: str) -> Future[Published]:
+        with acting(who):
+            return client.publish("/text", fields)
+
+    waiting = [publish_as("anna", LONG) for _ in range(AT_ONCE)]
+    with pytest.raises(EngineError, match=pattern(PublishProblem.TOO_FAST)):
+        publish_as("anna", "data: refused").result(30)
+    waiting.append(publish_as("ben", "data: his"))
+    may_read.set()
+    assert all(each.result(60).is_done for each in waiting)
+    assert publish_as("anna", "data: hers").result(30).is_done
+    eventually(lambda: [len(each) for each in listener.texts(10)] == [5_000] * AT_ONCE + [3, 4])
 
 
 def test_operators_in_turn_are_recorded_once_each(bridge: Bridge, pc: Domain) -> None:

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
+from collections import Counter
 from typing import TYPE_CHECKING, NamedTuple
 
 import msgspec
@@ -56,6 +58,10 @@ _NAMED = 5
 _LAST_WITHIN = 1.0
 """s in which a message has to pass to be the beginning of an operator's."""
 _DEPTH = 10
+AT_ONCE = 4
+"""Messages of one operator on one topic that may wait for their turn, before those of others."""
+_LONG = 4_096
+"""Characters of fields that take 20 ms to read. Such messages are read one at a time, beside the short ones."""
 _REST_CROSSES = 0.1
 """s in which the message that ends a motion gets on its way, before its topic is disarmed or the bridge stops."""
 _STAMP = {"sec", "nanosec"}
@@ -64,6 +70,7 @@ _STAMP = {"sec", "nanosec"}
 class PublishProblem(Wording):
     """The reason why a message is not published by hand."""
 
+    TOO_FAST = "{limit} messages of yours on {topic} are not published yet: wait for the answers"
     TOO_MANY = "messages are published by hand on {limit} topics already: wait some seconds"
     NOT_BY_HAND = "{topic} is for the bridges themselves"
     NO_TYPE = "{topic} has no publisher and no subscription here, and no route knows its type: name the type"
@@ -102,7 +109,7 @@ class _Publication:
 
     Attributes:
         turn: held while a message is published.
-        commands: that are under way.
+        commands: how many are under way, by operator.
         count: messages so far.
         operators: who publish, and when each did last.
         rest: the message that ends the motion, or None if nobody drives.
@@ -110,7 +117,7 @@ class _Publication:
 
     def __init__(self) -> None:
         self.turn = asyncio.Lock()
-        self.commands = 0
+        self.commands: Counter[str] = Counter()
         self.used_at = self.resolved_at = 0.0
         self.resolved: _Resolved | None = None
         self.publisher: Publisher | None = None
@@ -144,6 +151,7 @@ class Publishing:
         self._log = log
         self._peeking = peeking
         self._publications: dict[str, _Publication] = {}
+        self._long = asyncio.Lock()
         self._first_ticket = context.random.getrandbits(40)  # tickets of another engine, or an earlier one, are void
 
     # --- commands
@@ -161,7 +169,7 @@ class Publishing:
             fields = await asyncio.to_thread(_fields_of, text, passed)
             if fields:
                 return Draft(resolved.type_name, fields, is_last=True)
-        defaults = await asyncio.to_thread(self._serialized, resolved, "")
+        defaults = await self._serialize(resolved, "")
         return Draft(resolved.type_name, await asyncio.to_thread(_fields_of, text, defaults))
 
     async def publish(self, command: Publish) -> Published:
@@ -179,12 +187,15 @@ class Publishing:
             if len(self._publications) >= TOPICS:
                 raise LinkError(PublishProblem.TOO_MANY(limit=TOPICS))
             publication = self._publications[topic] = _Publication()
-        publication.commands += 1
+        who = acting_operator()
+        if publication.commands[who] >= AT_ONCE:
+            raise LinkError(PublishProblem.TOO_FAST(limit=AT_ONCE, topic=topic))
+        publication.commands[who] += 1
         try:
             async with publication.turn:
                 return await self._publish(publication, command)
         finally:
-            publication.commands -= 1
+            publication.commands -= Counter((who,))  # without those that have none left
             publication.used_at = self._context.now()
             if publication.publisher is None and not publication.commands:
                 self._publications.pop(topic, None)
@@ -200,8 +211,8 @@ class Publishing:
             resolved = await self._resolve(topic, command.type_name)
         # Before anything shows in the graph:
         self._check_armed(topic, resolved.type_name, self._routes(topic), driven=driven)
-        payload = await asyncio.to_thread(self._serialized, resolved, command.fields)
-        rest = await asyncio.to_thread(self._serialized, resolved, command.rest) if driven else b""
+        payload = await self._serialize(resolved, command.fields)
+        rest = await self._serialize(resolved, command.rest) if driven else b""
         await self._open(publication, topic, resolved)
         assert publication.publisher is not None
         # Nothing is awaited from here on.
@@ -339,6 +350,10 @@ class Publishing:
         demand = self._context.demands.of("topic", topic, type_name)
         is_armed = any(route.arming.required for route in routes) or (demand is not None and demand.arm)
         return without_history(qos) if is_armed else qos
+
+    async def _serialize(self, resolved: _Resolved, fields: str) -> bytes:
+        async with self._long if len(fields) > _LONG else contextlib.nullcontext():
+            return await asyncio.to_thread(self._serialized, resolved, fields)
 
     def _serialized(self, resolved: _Resolved, fields: str) -> bytes:
         """Return a message as bytes. Slow: not for the I/O thread."""
