@@ -5,6 +5,7 @@ from __future__ import annotations
 import fcntl
 import json
 import os
+import pwd
 import resource
 import shlex
 import shutil
@@ -64,6 +65,22 @@ def test_files_of_killed_programs_are_counted_and_those_of_running_ones_are_not(
         fcntl.flock(lock, fcntl.LOCK_EX)
         _, left = found("shared_memory", tmp_path)
     assert (left.code, left.facts) == ("shared_memory_left", {"files": 1, "bytes": 2 << 20})
+
+
+def test_shared_memory_of_several_users(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A stand-in for a node of another user, which only root could start."""
+    folder = tmp_path / "dev/shm"
+    folder.mkdir(parents=True)
+    monkeypatch.setattr(machine, "_LITTLE_SHARED_MEMORY", 0)
+    monkeypatch.setattr(machine, "_LOCKED_WITHIN", -1.0)
+    own, other = os.geteuid(), 4_000_000_000
+    with (folder / "fastdds_0a_el").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        assert grades(found("shared_memory", tmp_path)) == [("shared_memory", Grade.OK)]
+        monkeypatch.setattr(os, "geteuid", lambda: other)
+        _, several = found("shared_memory", tmp_path)
+    assert (several.code, several.grade) == ("shared_memory_users", Grade.WARNING)
+    assert several.facts["users"] == sorted((pwd.getpwuid(own).pw_name, str(other)))
 
 
 def test_little_shared_memory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -12,6 +12,7 @@ import importlib.util
 import json
 import os
 import platform
+import pwd
 import resource
 import shutil
 import socket
@@ -27,6 +28,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 
 from rsb_bridge.doctor.finding import Check, Finding, Grade
 from rsb_bridge.history.state_folder import state_folder
+from rsb_bridge.model.text import join_first
 from rsb_bridge.model.wording import Wording
 from rsb_bridge.transport.transport import RECEIVE_BUFFER
 from rsb_bridge.transport.udp import enlarge_buffers, granted_receive_buffer
@@ -49,6 +51,8 @@ _LOCKED_WITHIN = 5.0
 """s until Fast DDS has locked a new file."""
 _Chain: TypeAlias = tuple[str, str, str]
 """Family, table and name."""
+_NAMED = 5
+"""Users in one finding."""
 _EXTRAS = {"zenoh": "zenoh", "metrics": "prometheus_client"}
 
 
@@ -68,6 +72,12 @@ class MachineText(Wording):
     SHARED_MEMORY_REMEDY = "make room, or in a container give more (docker run --shm-size=512m)"
     LEFT_OVER = "killed programs have left {count} files of Fast DDS ({megabytes} MB) in {folder}"
     LEFT_OVER_REMEDY = "stop all ROS nodes of this machine, then run: rm {folder}/fast*"
+    SEVERAL_USERS = (
+        "Fast DDS's shared memory is used by several users ({users}): their nodes find each other and get no message"
+    )
+    SEVERAL_USERS_REMEDY = (
+        "start all nodes of this machine as one user, or set FASTDDS_BUILTIN_TRANSPORTS=UDPv4 for those of the others"
+    )
     BUFFERS = "{given:,} bytes may wait in a UDP socket"
     BUFFERS_SMALL = "only {given:,} bytes may wait in a UDP socket: large messages over UDP come late or get lost"
     BUFFERS_REMEDY = (
@@ -156,7 +166,19 @@ def _shared_memory(folder: Path) -> Iterator[Finding]:
         yield Finding("shared_memory", Grade.WARNING, "shared memory", text, remedy, facts)
     else:
         yield Finding("shared_memory", Grade.OK, "shared memory", MachineText.SHARED_MEMORY(**numbers), facts=facts)
-    left = [path for path in folder.glob("fast*_el") if "port" not in path.name and _is_left_over(path)]
+    locks = {path: _is_locked(path) for path in folder.glob("fast*_el") if "port" not in path.name}
+    users = {os.geteuid(), *(owner for path, locked in locks.items() if locked and (owner := _owner(path)) is not None)}
+    if len(users) > 1:
+        names = sorted(map(_user_name, users))
+        yield Finding(
+            "shared_memory_users",
+            Grade.WARNING,
+            "shared memory",
+            MachineText.SEVERAL_USERS(users=join_first(names, _NAMED)),
+            MachineText.SEVERAL_USERS_REMEDY(),
+            {"users": names},
+        )
+    left = [path for path, locked in locks.items() if locked is False]
     if left:
         segments = [path.with_name(path.name.removesuffix("_el")) for path in left]
         taken = sum(each.stat().st_size for each in segments if each.exists())
@@ -170,16 +192,32 @@ def _shared_memory(folder: Path) -> Iterator[Finding]:
         )
 
 
-def _is_left_over(path: Path) -> bool:
-    """Whether the process that made a lock file of Fast DDS's has ended."""
+def _is_locked(path: Path) -> bool | None:
+    """Whether the process runs that made a lock file of Fast DDS's, or None if that can't be told."""
     try:
         with path.open() as lock:
             if time.time() - path.stat().st_ctime < _LOCKED_WITHIN:
-                return False
+                return None
             fcntl.flock(lock, fcntl.LOCK_SH | fcntl.LOCK_NB)
-    except OSError:  # it is locked, or not ours
-        return False
-    return True
+    except BlockingIOError:
+        return True
+    except OSError:  # it is gone, or not ours to read
+        return None
+    return False
+
+
+def _owner(path: Path) -> int | None:
+    try:
+        return path.stat().st_uid
+    except OSError:
+        return None
+
+
+def _user_name(number: int) -> str:
+    try:
+        return pwd.getpwuid(number).pw_name
+    except KeyError:  # of another container
+        return str(number)
 
 
 def _udp_buffers() -> Iterator[Finding]:
