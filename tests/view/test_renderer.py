@@ -59,6 +59,27 @@ def test_a_hung_process_is_replaced(renderer: Renderer, monkeypatch: pytest.Monk
     assert not second
 
 
+def test_a_slow_view_leaves_time_to_the_others(renderer: Renderer, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("rsb_bridge.view.renderer.SECONDS", 0.2)
+    monkeypatch.setattr("rsb_bridge.view.renderer._SLOW", 0.19)
+
+    async def run() -> list[float]:
+        await renderer.draw(tree(1))
+        pauses = [renderer.pause_after(1)]  # it took so long because the process started
+        assert renderer.pid is not None
+        os.kill(renderer.pid, signal.SIGSTOP)
+        await renderer.draw(tree(1))
+        pauses.append(renderer.pause_after(1))
+        await renderer.draw(tree(2))
+        pauses += renderer.pause_after(1), renderer.pause_after(2)
+        renderer.forget(2)
+        return [*pauses, renderer.pause_after(1)]
+
+    at_start, alone, beside, of_other, alone_again = asyncio.run(run())
+    assert beside >= 3 * 0.2
+    assert (at_start, alone, of_other, alone_again) == (0.0, 0.0, 0.0, 0.0)
+
+
 def test_a_closed_renderer_starts_no_process(renderer: Renderer) -> None:
     async def run() -> str:
         drawing = asyncio.create_task(renderer.draw(tree(1)))

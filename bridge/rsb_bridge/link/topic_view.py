@@ -208,7 +208,8 @@ class TopicView:
                 picture = Picture(problem=sanitize_text(str(error)))
             if picture.content is not None or picture.problem or picture.messages:
                 await self._deliver(picture)
-            await asyncio.sleep(began + 1 / max(_SLOWEST, min(MOST_RATE, self.wish.rate)) - now())
+            due = began + 1 / max(_SLOWEST, min(MOST_RATE, self.wish.rate))
+            await asyncio.sleep(max(due - now(), self._renderer.pause_after(self._number)))
             await self._until_news()
 
     async def _until_news(self) -> None:

@@ -26,6 +26,10 @@ START_SECONDS = 20.0
 """Longest time for the first picture of a process: a slow computer imports for seconds."""
 IDLE_SECONDS = 10.0
 """The process ends this long after the last picture."""
+_SLOW = 0.1
+"""s for a picture, from which on a view leaves time to the others."""
+_TO_OTHERS = 3.0
+"""Times as long as a slow picture took, its view waits for the next one."""
 _AT_ONCE = 1 << 16
 _LENGTH_BYTES = 4
 
@@ -66,6 +70,7 @@ class Renderer:
         self._is_new = True
         self._is_closed = False
         self._views = 0
+        self._took: dict[int, float] = {}
         self.starts = 0
 
     def next_view(self) -> int:
@@ -81,13 +86,21 @@ class Renderer:
             self._thread = ThreadPoolExecutor(1, thread_name_prefix="rsb-draw")
         self._drawing += 1
         try:
-            return await asyncio.get_running_loop().run_in_executor(self._thread, self._draw, task)
+            picture, took = await asyncio.get_running_loop().run_in_executor(self._thread, self._draw, task)
+            self._took[task.view] = took
+            return picture
         finally:
             self._drawing -= 1
             self._used_at = self._now()
 
+    def pause_after(self, view: int) -> float:
+        """Return the seconds that a view has to wait after its picture, so that others have their turn."""
+        took = self._took.get(view, 0.0)
+        return _TO_OTHERS * took if took > _SLOW and len(self._took) > 1 else 0.0
+
     def forget(self, view: int) -> None:
         """Have the process forget a view."""
+        self._took.pop(view, None)
         if self._thread is not None and not self._is_closed:
             self._thread.submit(self._forget, view)
 
@@ -115,12 +128,15 @@ class Renderer:
 
     # --- on the thread
 
-    def _draw(self, task: Task) -> Picture:
+    def _draw(self, task: Task) -> tuple[Picture, float]:
+        """Return a picture, and how long it took (s) beyond the start of the process."""
+        began, starts = time.monotonic(), self._process is None or self._is_new
         try:
-            return self._answer(task)
+            picture = self._answer(task)
         except _StoppedError as error:
             self._end()
-            return _problem_of(task, str(error))
+            return _problem_of(task, str(error)), time.monotonic() - began
+        return picture, 0.0 if starts else time.monotonic() - began
 
     def _forget(self, view: int) -> None:
         if self._process is None:
