@@ -73,7 +73,8 @@ class MachineText(Wording):
     LEFT_OVER = "killed programs have left {count} files of Fast DDS ({megabytes} MB) in {folder}"
     LEFT_OVER_REMEDY = "stop all ROS nodes of this machine, then run: rm {folder}/fast*"
     SEVERAL_USERS = (
-        "Fast DDS's shared memory is used by several users ({users}): their nodes find each other and get no message"
+        "Fast DDS's shared memory is used by several users ({users}): their nodes may see each other's topics, but get "
+        "no message of them"
     )
     SEVERAL_USERS_REMEDY = (
         "start all nodes of this machine as one user, or set FASTDDS_BUILTIN_TRANSPORTS=UDPv4 for those of the others"
