@@ -91,7 +91,6 @@ def _mute() -> None:
 def _with_command(argv: list[str], names: Sequence[str]) -> list[str]:
     """Insert `run` if the arguments do not begin with a command."""
     from difflib import get_close_matches
-    from pathlib import Path
 
     first = next((argument for argument in argv if argument != "--debug"), None)
     if first is None:
@@ -99,7 +98,7 @@ def _with_command(argv: list[str], names: Sequence[str]) -> list[str]:
     if first in (*names, "-h", "--help", "--version"):
         return argv
     meant = get_close_matches(first, names, n=1, cutoff=0.75)
-    if meant and not Path(first).exists():
+    if meant and not os.path.exists(first):  # noqa: PTH110 -- never raises, unlike Path.exists
         print_error(CommandText.MISSPELT(word=first, command=meant[0]))
         raise SystemExit(USAGE)
     return ["run", *argv]

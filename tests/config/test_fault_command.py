@@ -79,6 +79,7 @@ def test_what_keeps_it_from_being_run(tmp_path: Path) -> None:
         "./gone",
         "no-such-program-at-all",
         str(tmp_path),
+        "./" + "x" * 300,
         *([] if os.access(plain, os.X_OK) else ["./plain"]),
     ):
         assert program_problem(name, tmp_path)
@@ -92,6 +93,7 @@ def test_what_keeps_it_from_being_run(tmp_path: Path) -> None:
         ("./tell | mail root", 1),
         ("./tell $NAME", 1),
         ("./open", 1),
+        ("./" + "x" * 300, 1),
     ],
 )
 def test_check_warns(command: str, count: int, tmp_path: Path) -> None:

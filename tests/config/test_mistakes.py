@@ -1,6 +1,8 @@
 """Mistakes in session files: each has a location, a line and a code."""
 
+import errno
 import math
+import os
 from pathlib import Path
 from typing import Any
 
@@ -676,6 +678,7 @@ def test_files_that_cannot_be_read_are_refused(tmp_path: Path) -> None:
     huge.write_text("#" * (1 << 20) + "\n")
     cases: list[tuple[Path, int | None, Wording, dict[str, Any]]] = [
         (tmp_path / "none.yaml", None, FileProblem.NO_SUCH_FILE, {}),
+        (tmp_path / ("x" * 300), None, FileProblem.NOT_READ, {"problem": os.strerror(errno.ENAMETOOLONG)}),
         (tmp_path, None, FileProblem.NOT_A_FILE, {"kind": "a folder"}),
         (Path("/dev/null"), None, FileProblem.NOT_A_FILE, {"kind": "a device"}),
         (binary, 2, FileProblem.NOT_UTF8, {}),

@@ -32,6 +32,27 @@ def typed_path(text: str) -> Path:
         return Path(text)
 
 
+def stat_of(path: Path) -> os.stat_result | None:
+    """Return what the kernel says of a path, or None if nothing is there.
+
+    Raises:
+        OSError: nobody can tell: a folder on the way is closed to this user, or a name is too long. `Path.exists`
+            raises this up to Python 3.13, and answers False from 3.14 on.
+    """
+    try:
+        return path.stat()
+    except (FileNotFoundError, NotADirectoryError, ValueError):  # ValueError: a NUL in the name
+        return None
+
+
+def is_there(path: Path) -> bool:
+    """Whether this user can see anything at a path. Where that is False, reading or writing gives the reason."""
+    try:
+        return stat_of(path) is not None
+    except OSError:
+        return False
+
+
 def kind_of_file(mode: int) -> str:
     """Return the kind of a file in words, from its `os.stat_result.st_mode`."""
     kinds = {
@@ -60,13 +81,14 @@ def replace_file(path: Path, content: bytes, *, like: Path | None = None) -> Non
     """
     _check_link(path)
     target = Path(os.path.realpath(path))
-    if target.exists() and not target.is_file():
-        raise OSError(errno.EINVAL, FileRefused.NOT_A_FILE(kind=kind_of_file(target.stat().st_mode)), str(path))
+    old = stat_of(target)
+    if old is not None and not stat.S_ISREG(old.st_mode):
+        raise OSError(errno.EINVAL, FileRefused.NOT_A_FILE(kind=kind_of_file(old.st_mode)), str(path))
     model = like if like is not None else target
     handle, name = tempfile.mkstemp(prefix=f".{target.name}.", dir=target.parent)  # mkstemp's mode is 0600
     try:
         with os.fdopen(handle, "wb") as file:
-            if model.exists():
+            if is_there(model):
                 give_owner(handle, model)
                 if like is not None:
                     os.fchmod(handle, stat.S_IMODE(model.stat().st_mode))
@@ -100,13 +122,14 @@ def write_whole(path: Path, text: str) -> None:
         OSError: it cannot be written; an old file is as it was.
     """
     clean = several_lines(text)
-    if path.is_file():
-        replace_file(path, clean.encode())
-    elif path.exists():
-        path.write_text(clean, encoding="utf-8")
-    else:
+    old = stat_of(path)
+    if old is None:
         with new_file(path) as file:
             file.write(clean)
+    elif stat.S_ISREG(old.st_mode):
+        replace_file(path, clean.encode())
+    else:
+        path.write_text(clean, encoding="utf-8")
 
 
 @contextmanager

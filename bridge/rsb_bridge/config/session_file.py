@@ -12,10 +12,10 @@ import msgspec
 
 from rsb_bridge.config.decoding import join
 from rsb_bridge.config.file_form import as_written, locations
-from rsb_bridge.config.files import replace_file
+from rsb_bridge.config.files import replace_file, stat_of
 from rsb_bridge.config.thesis import bridge_nodes
 from rsb_bridge.config.validation import build, placed, validate, validate_topic
-from rsb_bridge.config.yaml_text import SessionError, dump_yaml, read_text, read_yaml
+from rsb_bridge.config.yaml_text import SessionError, dump_yaml, read_text, read_yaml, text_if_there
 from rsb_bridge.model.demands import SourceKey, sources_of_names
 from rsb_bridge.model.session import Problem, Session, Topic
 from rsb_bridge.model.shortage import why_not_written
@@ -72,7 +72,7 @@ class SessionFile:
             ChangedOnDiskError: it is not. A file that is gone is no change: saving writes it again.
             SessionError: it cannot be read.
         """
-        if self.path.exists() and read_text(self.path) != self.text:
+        if text_if_there(self.path) not in (None, self.text):
             raise ChangedOnDiskError(self.path, [Problem("", SavingProblem.CHANGED())])
 
 
@@ -231,7 +231,8 @@ def backup_path(path: Path) -> Path:
 
 def _check_writable(path: Path) -> None:
     """Raise an OSError for a file without any right to write: its folder's rights would let it be replaced."""
-    if path.is_file() and not stat.S_IMODE(path.stat().st_mode) & (stat.S_IWUSR | stat.S_IWGRP | stat.S_IWOTH):
+    status = stat_of(path)
+    if status is not None and not stat.S_IMODE(status.st_mode) & (stat.S_IWUSR | stat.S_IWGRP | stat.S_IWOTH):
         raise PermissionError(errno.EACCES, SavingProblem.READ_ONLY(path=path))
 
 

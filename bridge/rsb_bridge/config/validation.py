@@ -8,6 +8,7 @@ import re
 import shlex
 import shutil
 import stat
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -27,7 +28,7 @@ from rsb_bridge.config.file_form import (
     key_of,
     locations,
 )
-from rsb_bridge.config.files import kind_of_file, typed_path
+from rsb_bridge.config.files import is_there, kind_of_file, stat_of, typed_path
 from rsb_bridge.config.keys import conceal
 from rsb_bridge.config.rights import benchmark_limit_problems, grant_problems, operator_problems
 from rsb_bridge.config.topic_rules import (
@@ -87,24 +88,31 @@ def program_path(program: str, folder: Path) -> Path | None:
     Args:
         program: a name to look for in ``$PATH``, or a path: relative to `folder`, absolute, or starting with ``~``.
         folder: of the session file.
+
+    Raises:
+        OSError: it cannot be looked at: a folder on the way is closed to this user, or a name is too long.
     """
     if "/" in program:
         path = folder / typed_path(program)
-        return Path(os.path.abspath(path)) if path.exists() else None  # noqa: PTH100 -- a link's name stays
+        return Path(os.path.abspath(path)) if stat_of(path) else None  # noqa: PTH100 -- a link's name stays
     found = shutil.which(program)
     return None if found is None else Path(found).absolute()
 
 
 def program_problem(program: str, folder: Path) -> str:
     """Return the reason why a program cannot be run, or an empty string."""
-    path = program_path(program, folder)
-    if path is None:
-        if "/" in program:
-            return ProgramProblem.NO_SUCH_FILE(program=program, folder=folder.absolute())
-        is_here = (folder / program).exists()
-        return (ProgramProblem.NOT_IN_PATH_BUT_HERE if is_here else ProgramProblem.NOT_IN_PATH)(program=program)
-    if not path.is_file():
-        return ProgramProblem.NOT_A_PROGRAM(path=path, kind=kind_of_file(path.stat().st_mode))
+    try:
+        path = program_path(program, folder)
+        if path is None:
+            if "/" in program:
+                return ProgramProblem.NO_SUCH_FILE(program=program, folder=folder.absolute())
+            is_here = is_there(folder / program)
+            return (ProgramProblem.NOT_IN_PATH_BUT_HERE if is_here else ProgramProblem.NOT_IN_PATH)(program=program)
+        mode = path.stat().st_mode
+    except OSError as error:
+        return ProgramProblem.NOT_REACHED(program=program, problem=error.strerror)
+    if not stat.S_ISREG(mode):
+        return ProgramProblem.NOT_A_PROGRAM(path=path, kind=kind_of_file(mode))
     if not os.access(path, os.X_OK):
         return ProgramProblem.NOT_EXECUTABLE(path=path)
     return ""
@@ -124,10 +132,12 @@ def fault_command_warnings(session: Session, file: Path) -> Iterator[str]:
         yield FaultCommandWarning.CANNOT_RUN(problem=problem)
     if marks := [word for word in words if word in _OF_A_SHELL or word.startswith("$")]:
         yield FaultCommandWarning.SHELL_SYNTAX(word=marks[0])
-    program = program_path(words[0], file.parent)
-    for path in filter(None, (file, program)):
-        if path.exists() and path.stat().st_mode & (stat.S_IWGRP | stat.S_IWOTH):
-            yield FaultCommandWarning.OTHERS_MAY_CHANGE(path=path)
+    with suppress(OSError):  # named above
+        program = program_path(words[0], file.parent)
+        for path in filter(None, (file, program)):
+            status = stat_of(path)
+            if status is not None and status.st_mode & (stat.S_IWGRP | stat.S_IWOTH):
+                yield FaultCommandWarning.OTHERS_MAY_CHANGE(path=path)
 
 
 class SessionMistake(Wording):
@@ -196,6 +206,7 @@ class ProgramProblem(Wording):
     """The reason why a program cannot be run."""
 
     NO_SUCH_FILE = "{program}: no such file (a path is relative to {folder})"
+    NOT_REACHED = "{program} cannot be looked at: {problem}"
     NOT_IN_PATH = "no program {program} in PATH"
     NOT_IN_PATH_BUT_HERE = "no program {program} in PATH: write ./{program}"
     NOT_A_PROGRAM = "{path} is {kind}, not a program"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import stat
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -10,7 +11,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import yaml
 
 from rsb_bridge.config.decoding import join
-from rsb_bridge.config.files import kind_of_file
+from rsb_bridge.config.files import kind_of_file, stat_of
 from rsb_bridge.config.keys import conceal, is_key_file
 from rsb_bridge.model.session import Problem
 from rsb_bridge.model.text import one_line
@@ -265,12 +266,20 @@ def read_text(path: Path) -> str:
     Raises:
         SessionError: it is missing, unreadable, too large, or not UTF-8.
     """
+    text = text_if_there(path)
+    if text is None:
+        raise SessionError(path, [Problem("", FileProblem.NO_SUCH_FILE())])
+    return text
+
+
+def text_if_there(path: Path) -> str | None:
+    """Do as `read_text`, but return None if nothing is there."""
     try:
-        if not path.is_file():
-            found = FileProblem.NO_SUCH_FILE()
-            if path.exists():
-                found = FileProblem.NOT_A_FILE(kind=kind_of_file(path.stat().st_mode))
-            raise SessionError(path, [Problem("", found)])
+        status = stat_of(path)
+        if status is None:
+            return None
+        if not stat.S_ISREG(status.st_mode):
+            raise SessionError(path, [Problem("", FileProblem.NOT_A_FILE(kind=kind_of_file(status.st_mode)))])
         with path.open("rb") as file:
             content = file.read(MAX_FILE + 1)
     except OSError as error:

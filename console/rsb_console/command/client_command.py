@@ -9,7 +9,7 @@ import msgspec
 
 from rsb_bridge.api import EngineError
 from rsb_bridge.config.client_entries import ClientError, client_named
-from rsb_bridge.config.files import write_whole
+from rsb_bridge.config.files import is_there, write_whole
 from rsb_bridge.config.keys import KeyFileError, fingerprint
 from rsb_bridge.config.rights import GrantError, typed_grants
 from rsb_bridge.config.session_file import SessionError, UnwritableError
@@ -96,7 +96,7 @@ def _add(arguments: Namespace) -> int:
     path = _session_path(arguments)
     client_files.check_address(arguments.name, arguments.address)
     output: Path | None = arguments.output
-    if output is not None and output.exists():
+    if output is not None and is_there(output):
         raise ClientError(ClientCommandProblem.OUTPUT_EXISTS(path=output))
     client = Client(
         name=arguments.name,
@@ -273,7 +273,7 @@ def _session_path(arguments: Namespace) -> Path:
     """
     if arguments.session is not None:
         path: Path = arguments.session
-        return path if path.exists() else _file_of(str(path)) or path
+        return path if is_there(path) else _file_of(str(path)) or path
     try:
         bridge = _only_server(arguments) or chosen_bridge(arguments)
     except NoBridgeError as error:
@@ -395,4 +395,4 @@ def _handed_out(arguments: Namespace, changed: Changed, told: str) -> int:
 
 
 def _kept(key_at: Path | None) -> str:
-    return ClientEffect.KEY_FILE_STAYS(path=key_at) if key_at and key_at.exists() else ""
+    return ClientEffect.KEY_FILE_STAYS(path=key_at) if key_at and is_there(key_at) else ""

@@ -12,6 +12,7 @@ import sys
 import termios
 from typing import TYPE_CHECKING
 
+from rsb_bridge.config.files import is_there
 from rsb_bridge.config.keys import (
     KeyFileError,
     fingerprint,
@@ -163,7 +164,7 @@ def demo(arguments: Namespace) -> int:
 def import_thesis(arguments: Namespace) -> int:
     """Convert the thesis's bringup.yaml to a session; differences go to standard error."""
     output: Path | None = arguments.output
-    if output is not None and output.exists() and not arguments.force:
+    if output is not None and is_there(output) and not arguments.force:
         print_error(f"{output}: exists already; --force replaces it")
         return FAILURE
     key_file = arguments.key_file

@@ -15,6 +15,7 @@ from textual.widgets import Static
 
 from rsb_bridge.api import EngineError
 from rsb_bridge.config.client_entries import ClientError, client_named, with_client
+from rsb_bridge.config.files import is_there
 from rsb_bridge.config.keys import KeyFileError, fingerprint
 from rsb_bridge.config.rights import GrantError, typed_grants
 from rsb_bridge.config.session_file import SessionError, validate
@@ -135,7 +136,7 @@ class ClientRemoved(_ClientChange):
         name = self.listed.name
         if self._is_running(name) or _client_in(self.path, name) is not None:
             raise CannotUndoError(f"client {name}: added again since; nothing to undo")
-        if self.key_at is not None and not self.key_at.exists():
+        if self.key_at is not None and not is_there(self.key_at):
             raise CannotUndoError(
                 f"client {name}: its key file {self.key_at} is gone: add the client again in the links (c)"
             )
@@ -268,7 +269,7 @@ class AddClientScreen(FormScreen[Client]):
             if problem.location.startswith(here):
                 field = problem.location.removeprefix(here).partition("[")[0]
                 problems.setdefault(field, problem.message)
-        if not client.key_file and (self._base / client_files.key_file_name(client.name)).exists():
+        if not client.key_file and is_there(self._base / client_files.key_file_name(client.name)):
             problems["key_file"] = f"{client_files.key_file_name(client.name)} exists already: name it here to use it"
         return problems
 

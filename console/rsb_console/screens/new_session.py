@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, NamedTuple
 from textual import on, work
 from textual.widgets import Button, Input
 
-from rsb_bridge.config.files import typed_path
+from rsb_bridge.config.files import is_there, typed_path
 from rsb_bridge.config.keys import KeyFileError, fingerprint, key_path, read_key, write_key
 from rsb_bridge.config.session_file import SessionError, SessionFile, validate
 from rsb_bridge.config.thesis import import_bringup
@@ -138,7 +138,7 @@ class NewSessionScreen(FormScreen[NewSession]):
     def _about_key(self, path: Path) -> str:
         if path_problem(str(path)):
             return ""
-        if not path.exists():
+        if not is_there(path):
             return "will be created: copy it to the other side"
         try:
             return f"exists, fingerprint {fingerprint(read_key(path))}"

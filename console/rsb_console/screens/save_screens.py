@@ -9,6 +9,7 @@ from textual.containers import Horizontal, Vertical
 from textual.screen import ModalScreen
 from textual.widgets import Button, Static
 
+from rsb_bridge.config.files import is_there
 from rsb_bridge.config.keys import KeyFileError, copy_key
 from rsb_bridge.config.session_file import SessionError, UneditableError, backup_path, edited_text, save
 from rsb_bridge.model.wording import Wording
@@ -86,7 +87,7 @@ async def save_asking(console: Console, session: Session, path: Path, *, opened:
         console.notify(f"nothing to save: {path} is up to date", markup=False, timeout=3)
         return True
     try:
-        if path.exists():  # noqa: ASYNC240 -- one stat
+        if is_there(path):
             question, opened = _question(session, path, opened)
             if not await console.ask(question):
                 return False

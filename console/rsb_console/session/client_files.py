@@ -12,7 +12,7 @@ from typing import NamedTuple
 import msgspec
 
 from rsb_bridge.config.client_entries import ClientError, client_named, with_changed_client, with_client, without_client
-from rsb_bridge.config.files import give_owner
+from rsb_bridge.config.files import give_owner, is_there
 from rsb_bridge.config.keys import (
     Key,
     KeyFileError,
@@ -126,7 +126,7 @@ def add_client(path: Path, client: Client) -> Changed:
     session = with_client(file.session, client)
     edited_text(session, path, file)  # before there is a key
     key_at, key, is_new = key_path_of(file, client), None, False
-    if key_at is not None and key_at.exists():
+    if key_at is not None and is_there(key_at):
         if made_here:
             raise ClientError(ClientFileProblem.KEY_EXISTS(path=key_at))
         key = read_key(key_at)
@@ -223,7 +223,7 @@ def free_key_file(folder: Path, name: str) -> str:
     """Return the name of a key file that does not exist yet."""
     own = key_file_name(name)
     others = (f"{own.removesuffix('.key')}-{number}.key" for number in count(2))
-    return next(each for each in chain((own,), others) if not (folder / each).exists())
+    return next(each for each in chain((own,), others) if not is_there(folder / each))
 
 
 # --- what the robot needs

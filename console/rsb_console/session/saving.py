@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, TypeVar
 
 import msgspec
 
-from rsb_bridge.config.files import typed_path
+from rsb_bridge.config.files import is_there, typed_path
 from rsb_bridge.config.keys import Key, KeyFileError, key_path, read_key
 from rsb_bridge.config.session_file import SessionError, SessionFile, load_file, same
 from rsb_bridge.config.yaml_text import read_text
@@ -122,7 +122,7 @@ def rescued(session: Session, old: Path, new: Path) -> tuple[Session, dict[Path,
         name = Path(key_file)
         places = (new / f"{name.stem}{number}{name.suffix}" for number in _numbers())
         path = next(each for each in places if files.get(each, key) == key and _is_free_for(key, each))
-        if not path.exists():
+        if not is_there(path):
             files[path] = key
         return path.name
 
