@@ -261,7 +261,9 @@ class Console:
             self._served.stop_process()
         done.add_done_callback(_look_at_error)
         # The engine finishes most commands even if nobody waits for the result any more.
-        return await (done if command.cancellable else asyncio.shield(done))
+        result = await (done if command.cancellable else asyncio.shield(done))
+        await asyncio.sleep(0)  # steps that the engine's thread told before the result are sent before it, too
+        return result
 
     def _step(self, request: int, text: str) -> None:
         """Tell a step of a restart; called on the engine's thread."""
