@@ -1,6 +1,6 @@
 """Where calls cannot be carried raw, as with another middleware, rclpy carries those of installed types.
 
-None comes as a wheel, so the bridge is told that it has one.
+No other one comes as a wheel, so the bridge is told that it has one.
 """
 
 from __future__ import annotations

@@ -257,10 +257,12 @@ def test_types_that_will_not_do(type_name: str, type_hash: str, code: Wording, p
 
 def test_another_middleware_needs_the_package(monkeypatch: pytest.MonkeyPatch) -> None:
     """A stand-in for its name: no other middleware comes as a wheel."""
-    monkeypatch.setattr(self_test, "get_rmw_implementation_identifier", lambda: "rmw_cyclonedds_cpp")
+    name = "rmw_zenoh_cpp"
+    monkeypatch.setattr(self_test, "get_rmw_implementation_identifier", lambda: name)
     found = self_test.test()
     monkeypatch.setattr(raw_types, "findings", lambda: found)
-    assert found.no_messages == found.no_calls == Shortfall.ANOTHER_MIDDLEWARE(middleware="rmw_cyclonedds_cpp")
+    assert found.no_messages == Shortfall.ANOTHER_MIDDLEWARE(middleware=name)
+    assert found.no_calls == Shortfall.NO_CALLS(middleware=name)
     needed = pattern(
         UnusableType.NOT_CARRIED, type_name="other_msgs/msg/Name", remedy=install(package_of("other_msgs"))
     )

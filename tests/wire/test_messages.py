@@ -270,7 +270,7 @@ def test_garbage_gives_words(garbage: bytes) -> None:
 
 def test_nesting_without_end_gives_words() -> None:
     nested = msgspec.msgpack.encode({"message": "ready", "route": 1, "x": 0})[:-1] + b"\x91" * 100_000
-    with pytest.raises(ProtocolError, match="recursion"):
+    with pytest.raises(ProtocolError):  # about the depth, or from Python 3.14 on about the missing end
         decode(nested)
 
 

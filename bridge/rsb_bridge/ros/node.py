@@ -191,7 +191,7 @@ class RosNode:
         """Create a raw publisher; see `rsb_bridge.ros.ros_interface.RosInterface.advertise`."""
         with self._lock:
             writer = self._joined().create_writer(topic, type_name, type_hash, qos)
-            self._own[writer.topic, origin].add(writer.gid)
+            self._own[writer.topic, origin].add(writer.told)
             publisher = _Publisher(writer, qos, self, (writer.topic, origin))
             self._publishers |= {publisher}
         return publisher
@@ -254,10 +254,10 @@ class RosNode:
             if publisher not in self._publishers:
                 return
             self._publishers -= {publisher}
-            self._closed.append((publisher.key, publisher.gid))
+            self._closed.append((publisher.key, publisher.writer.told))
             if len(self._closed) > _CLOSED_REMEMBERED:
-                key, gid = self._closed.popleft()
-                self._own[key].discard(gid)
+                key, told = self._closed.popleft()
+                self._own[key].discard(told)
                 self._tidy(key)
 
     def _tidy(self, key: _Key) -> None:

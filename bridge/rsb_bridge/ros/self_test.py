@@ -21,6 +21,7 @@ from rsb_bridge.model.qos import Qos
 from rsb_bridge.model.wording import Wording
 from rsb_bridge.ros.distribution import described, package_of
 from rsb_bridge.ros.known_messages import STRING
+from rsb_bridge.ros.native.cyclone_dds import CYCLONE_DDS
 from rsb_bridge.ros.native.extension import (
     PUBLISHERS,
     SUBSCRIPTIONS,
@@ -33,9 +34,11 @@ from rsb_bridge.ros.native.extension import (
 )
 from rsb_bridge.ros.native.fast_cdr import copies_calls
 from rsb_bridge.ros.native.librcl import (
+    PUBLICATION_NUMBERS,
     TakeBuffer,
     WaitSetHead,
     add_guard_condition,
+    feature_supported,
     graph_guard_condition,
     reset_error,
 )
@@ -72,7 +75,12 @@ _RECENT = 60 * 10**9  # ns
 class Shortfall(Wording):
     """The reasons why something does not work with this ROS."""
 
-    ANOTHER_MIDDLEWARE = "only rmw_fastrtps_cpp carries types that are not installed, and ROS uses {middleware} here"
+    ANOTHER_MIDDLEWARE = (
+        "messages of types that are not installed need rmw_fastrtps_cpp or rmw_cyclonedds_cpp, and ROS uses "
+        "{middleware} here"
+    )
+    NO_CALLS = "calls of types that are not installed need rmw_fastrtps_cpp, and ROS uses {middleware} here"
+    NO_NUMBERS = "{middleware} does not number messages, so messages that DDS loses are not counted"
     MESSAGES = "{distribution} does not carry messages of types that are not installed ({error})"
     CALLS = "{distribution} does not carry calls of types that are not installed ({error})"
     PUBLIC_CLASSES = (
@@ -90,6 +98,7 @@ class Findings(NamedTuple):
         public_only: the reason why rclpy's public classes are used, or an empty string.
         no_messages: the reason why messages of types that are not installed can't be carried, or an empty string.
         no_calls: likewise for calls.
+        no_losses: the reason why losses in DDS are not counted, or an empty string.
     """
 
     node: Callable[[str, Context], OwnNode]
@@ -97,11 +106,12 @@ class Findings(NamedTuple):
     public_only: str = ""
     no_messages: str = ""
     no_calls: str = ""
+    no_losses: str = ""
 
     @property
     def shortfalls(self) -> tuple[str, ...]:
         """The reasons that operators should know."""
-        return tuple(dict.fromkeys(filter(None, (self.public_only, self.no_messages, self.no_calls))))
+        return tuple(dict.fromkeys(filter(None, (self.public_only, self.no_messages, self.no_calls, self.no_losses))))
 
 
 class _DiffersError(Exception):
@@ -139,14 +149,18 @@ def _found(node: Callable[[str, Context], OwnNode], context: Context) -> Finding
         return Findings(node, middleware, "", reason, reason)
     type_support_of(string)  # which loads it
     _try(node, context, _messages_cross, string)
-    if middleware != FAST_DDS:  # another one would look for what these type supports do not have
-        reason = Shortfall.ANOTHER_MIDDLEWARE(middleware=middleware)
-        return Findings(node, middleware, "", reason, reason)
-    no_messages = _why_not(Shortfall.MESSAGES, partial(_try, node, context, _messages_cross), named_types, _MESSAGE)
-    no_calls = no_messages or _why_not(
-        Shortfall.CALLS, partial(_try, node, context, _calls_cross), named_services, _SERVICE
-    )
-    return Findings(node, middleware, "", no_messages, no_calls)
+    no_losses = "" if feature_supported(PUBLICATION_NUMBERS) else Shortfall.NO_NUMBERS(middleware=middleware)
+    if middleware in {FAST_DDS, CYCLONE_DDS}:
+        no_messages = _why_not(Shortfall.MESSAGES, partial(_try, node, context, _messages_cross), named_types, _MESSAGE)
+    else:  # it would look for what these type supports do not have
+        no_messages = Shortfall.ANOTHER_MIDDLEWARE(middleware=middleware)
+    if middleware == FAST_DDS:
+        no_calls = no_messages or _why_not(
+            Shortfall.CALLS, partial(_try, node, context, _calls_cross), named_services, _SERVICE
+        )
+    else:
+        no_calls = Shortfall.NO_CALLS(middleware=middleware)
+    return Findings(node, middleware, "", no_messages, no_calls, no_losses)
 
 
 @contextmanager

@@ -10,6 +10,7 @@ import threading
 import time
 from typing import TYPE_CHECKING, Literal
 
+from rsb_bridge.ros.native import cyclone_dds
 from rsb_bridge.ros.native.extension import reason_of
 from rsb_bridge.ros.native.librcl import (
     INFO_ROOM,
@@ -76,10 +77,11 @@ class Reader:
         self._last_size = 0  # bytes that the last message had
         self._last: dict[bytes, int] = {}  # newest sequence number by publisher
         self._earlier = earlier
+        self._guid_of = cyclone_dds.Publishers(handle.address).guid_of if cyclone_dds.is_used() else None
         self._made_at = time.monotonic()
 
     def take(self, limit: int, skip: Collection[bytes]) -> list[RawMessage]:
-        """Take up to `limit` messages, without the messages of publishers whose gids are in `skip`.
+        """Take up to `limit` messages, without those that tell a publisher in `skip` (`Writer.told`).
 
         Stop after `_ENOUGH` bytes.
 
@@ -87,6 +89,7 @@ class Reader:
             RosError: rcl failed.
         """
         address, buffer, info, last = self.handle.address, self._buffer, self._info, self._last
+        guid_of = self._guid_of
         buffer_reference, unpack = ctypes.byref(buffer), MESSAGE_INFO.unpack_from
         taken: list[RawMessage] = []
         size = 0
@@ -106,6 +109,8 @@ class Reader:
             if gid in skip:
                 buffer.discard()
                 continue
+            if guid_of is not None:
+                gid = guid_of(gid)
             if number > _LAST_NUMBER:
                 number = 0  # RMW_MESSAGE_INFO_SEQUENCE_NUMBER_UNSUPPORTED
             previous = last.get(gid)
@@ -140,12 +145,14 @@ class Writer:
 
     Attributes:
         topic: its resolved name.
-        gid: what messages taken say of their publisher.
+        gid: what the graph, and taken messages, know it by.
+        told: what the middleware says of its messages: another id than `gid` where that is Cyclone DDS.
     """
 
     def __init__(self, handle: Handle) -> None:
         self.topic: str = handle.rclpy.get_topic_name()
-        self.gid = gid_of(handle.address)
+        self.told = gid_of(handle.address)
+        self.gid = cyclone_dds.guid_of_publisher(handle.address) if cyclone_dds.is_used() else self.told
         self._handle = handle
         self._publish = handle.rclpy.publish_raw
         self._closed = False

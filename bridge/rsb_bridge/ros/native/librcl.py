@@ -204,6 +204,9 @@ add_guard_condition = _function("rcl_wait_set_add_guard_condition", _POINTER, _P
 
 # --- messages
 
+feature_supported = _function("rmw_feature_supported", ctypes.c_int, returns=ctypes.c_bool)
+PUBLICATION_NUMBERS: Final = 0
+"""RMW_FEATURE_MESSAGE_INFO_PUBLICATION_SEQUENCE_NUMBER: messages have their publisher's number."""
 TAKE_FAILED: Final = 401
 """RCL_RET_SUBSCRIPTION_TAKE_FAILED: there is no message."""
 MESSAGE_INFO: Final = struct.Struct("@qqQQP16s")
@@ -224,14 +227,15 @@ _PUBLISH = "rcl_publish_serialized_message", _POINTER, _POINTER, _POINTER
 take_message, take_long_message = _function(*_TAKE), _function(*_TAKE, library=_librcl_without_gil)
 publish_message, publish_long_message = _function(*_PUBLISH), _function(*_PUBLISH, library=_librcl_without_gil)
 wait_for_all_acked = _function("rcl_publisher_wait_for_all_acked", _POINTER, ctypes.c_int64)
-_publisher_handle = _function("rcl_publisher_get_rmw_handle", _POINTER, returns=_POINTER)
+rmw_publisher = _function("rcl_publisher_get_rmw_handle", _POINTER, returns=_POINTER)
+rmw_subscription = _function("rcl_subscription_get_rmw_handle", _POINTER, returns=_POINTER)
 _gid_of_publisher = _function("rmw_get_gid_for_publisher", _POINTER, ctypes.POINTER(Gid))
 
 
 def gid_of(publisher: int) -> bytes:
     """Return what messages say of their publisher, given its address."""
     gid = Gid()
-    _gid_of_publisher(_publisher_handle(publisher), gid)
+    _gid_of_publisher(rmw_publisher(publisher), gid)
     return bytes(gid.value)
 
 

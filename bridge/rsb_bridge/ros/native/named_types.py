@@ -1,16 +1,17 @@
 """Type supports under a name and a hash that can be changed, for raw endpoints of types that are not installed.
 
-Raw CDR needs no layout. rmw_fastrtps_cpp asks a type support for its name, its hash, a bound on its size and, in some
-distributions, an introspection handle, all while an endpoint is created; it calls the functions that depend on the
-layout only for ordinary messages. So a type support for a bare name and hash is std_msgs/String's (unbounded, no key)
-with these. Other middlewares need the layout: there the type's package must be installed.
+Raw CDR needs no layout. While an endpoint is created, rmw_fastrtps_cpp asks a type support for its name, its hash, a
+bound on its size and, in some distributions, an introspection handle; rmw_cyclonedds_cpp asks the introspection handle
+for the name, and whether the type has pointers. Both use the layout only for ordinary messages. So a type support for a
+bare name and hash is std_msgs/String's (unbounded, no key) with these.
 
 A service's type support is a struct with the type supports of its request and response. rcl has no function that takes
 or sends a call serialized: it has the middleware take and send a ROS message, and rmw_fastrtps_cpp calls that message's
 type support to write it to a Cdr, or to read it from one (`fast_cdr`).
 
 Layouts: rosidl_typesupport_fastrtps_cpp/message_type_support.h and service_type_support.h,
-rosidl_runtime_c/service_type_support_struct.h (ROS 2 Jazzy and Kilted).
+rosidl_runtime_c/service_type_support_struct.h, rosidl_typesupport_introspection_c/message_introspection.h (ROS 2 Jazzy
+and Kilted).
 """
 
 from __future__ import annotations
@@ -22,6 +23,7 @@ from typing import TYPE_CHECKING, NamedTuple, Protocol, TypeVar
 
 from rsb_bridge.model.names import split_type_name
 from rsb_bridge.ros.distribution import package_of
+from rsb_bridge.ros.native import cyclone_dds
 from rsb_bridge.ros.native.fast_cdr import DESERIALIZE, SERIALIZE, SIZE
 from rsb_bridge.ros.native.typesupport import (
     FIND,
@@ -54,6 +56,21 @@ class MessageCallbacks(ctypes.Structure):
         ("serialized_size", ctypes.c_void_p),
         ("max_serialized_size", ctypes.c_void_p),
         ("key_callbacks", ctypes.c_void_p),
+    )
+
+
+class MessageMembers(ctypes.Structure):
+    """A rosidl_typesupport_introspection_c__MessageMembers."""
+
+    _fields_ = (
+        ("namespace", ctypes.c_char_p),
+        ("name", ctypes.c_char_p),
+        ("count", ctypes.c_uint32),
+        ("size", ctypes.c_size_t),
+        ("has_key", ctypes.c_bool),
+        ("members", ctypes.c_void_p),
+        ("initialize", ctypes.c_void_p),
+        ("finalize", ctypes.c_void_p),
     )
 
 
@@ -165,19 +182,23 @@ class NamedSupport:
         callbacks = self.callbacks = _copy(MessageCallbacks.from_address(type_support.data))
         type_hash = self._hash = TypeHash(version=1)
         answers = {FASTRTPS: ctypes.addressof(type_support)}
-        if not _announces_fields():
-            answers[_INTROSPECTION] = find_in_string(ctypes.addressof(original), _INTROSPECTION)
+        introspection = _copy(TypeSupport.from_address(find_in_string(ctypes.addressof(original), _INTROSPECTION)))
+        members = self._members = _copy(MessageMembers.from_address(introspection.data))
+        if cyclone_dds.is_used() or not _announces_fields():
+            answers[_INTROSPECTION] = ctypes.addressof(introspection)
         find = FIND(lambda _, identifier: answers.get(identifier))
         get_hash = GET_HASH(lambda _: ctypes.addressof(type_hash))
-        type_support.data = ctypes.addressof(callbacks)
-        type_support.find = ctypes.cast(find, ctypes.c_void_p).value
-        type_support.get_hash = ctypes.cast(get_hash, ctypes.c_void_p).value
-        self._keep_alive = (find, get_hash)
+        type_support.data, introspection.data = ctypes.addressof(callbacks), ctypes.addressof(members)
+        for each in (type_support, introspection):
+            each.find = ctypes.cast(find, ctypes.c_void_p).value
+            each.get_hash = ctypes.cast(get_hash, ctypes.c_void_p).value
+        self._keep_alive = (find, get_hash, introspection)
 
     def rename(self, type_name: str, type_hash: str) -> None:
         """Be another message."""
         package, kind, name = split_type_name(type_name)
         self.callbacks.namespace, self.callbacks.name = f"{package}::{kind}".encode(), name.encode()
+        self._members.namespace, self._members.name = f"{package}__{kind}".encode(), name.encode()
         self._hash.value[:] = bytes.fromhex(type_hash.removeprefix(HASH_PREFIX))
 
 
