@@ -80,7 +80,10 @@ class Shortfall(Wording):
         "{middleware} here"
     )
     NO_CALLS = "calls of types that are not installed need rmw_fastrtps_cpp, and ROS uses {middleware} here"
-    NO_NUMBERS = "{middleware} does not number messages, so messages that DDS loses are not counted"
+    NO_NUMBERS = (
+        "{middleware} does not number messages: those that DDS loses are not counted, and a publisher of a latched "
+        "topic counts as keeping 10, unless the route's qos has a depth"
+    )
     MESSAGES = "{distribution} does not carry messages of types that are not installed ({error})"
     CALLS = "{distribution} does not carry calls of types that are not installed ({error})"
     PUBLIC_CLASSES = (
@@ -98,7 +101,7 @@ class Findings(NamedTuple):
         public_only: the reason why rclpy's public classes are used, or an empty string.
         no_messages: the reason why messages of types that are not installed can't be carried, or an empty string.
         no_calls: likewise for calls.
-        no_losses: the reason why losses in DDS are not counted, or an empty string.
+        no_numbers: the reason why neither losses in DDS nor depths of latched topics are known, or an empty string.
     """
 
     node: Callable[[str, Context], OwnNode]
@@ -106,12 +109,12 @@ class Findings(NamedTuple):
     public_only: str = ""
     no_messages: str = ""
     no_calls: str = ""
-    no_losses: str = ""
+    no_numbers: str = ""
 
     @property
     def shortfalls(self) -> tuple[str, ...]:
         """The reasons that operators should know."""
-        return tuple(dict.fromkeys(filter(None, (self.public_only, self.no_messages, self.no_calls, self.no_losses))))
+        return tuple(dict.fromkeys(filter(None, (self.public_only, self.no_messages, self.no_calls, self.no_numbers))))
 
 
 class _DiffersError(Exception):
@@ -149,7 +152,7 @@ def _found(node: Callable[[str, Context], OwnNode], context: Context) -> Finding
         return Findings(node, middleware, "", reason, reason)
     type_support_of(string)  # which loads it
     _try(node, context, _messages_cross, string)
-    no_losses = "" if feature_supported(PUBLICATION_NUMBERS) else Shortfall.NO_NUMBERS(middleware=middleware)
+    no_numbers = "" if feature_supported(PUBLICATION_NUMBERS) else Shortfall.NO_NUMBERS(middleware=middleware)
     if middleware in {FAST_DDS, CYCLONE_DDS}:
         no_messages = _why_not(Shortfall.MESSAGES, partial(_try, node, context, _messages_cross), named_types, _MESSAGE)
     else:  # it would look for what these type supports do not have
@@ -160,7 +163,7 @@ def _found(node: Callable[[str, Context], OwnNode], context: Context) -> Finding
         )
     else:
         no_calls = Shortfall.NO_CALLS(middleware=middleware)
-    return Findings(node, middleware, "", no_messages, no_calls, no_losses)
+    return Findings(node, middleware, "", no_messages, no_calls, no_numbers)
 
 
 @contextmanager
