@@ -110,7 +110,8 @@ fuzz: $(STAMP)
 # Wheel and source distribution. Two builds of one commit are the same, byte by byte.
 RELEASE := build/release
 dist:
-	[ -x $(RELEASE)/bin/hatchling ] || { $(PYTHON) -m venv $(RELEASE) && $(RELEASE)/bin/pip install --quiet --disable-pip-version-check hatchling; }
+	[ -x $(RELEASE)/bin/hatchling ] || { $(PYTHON) -m venv $(RELEASE) \
+	  && $(RELEASE)/bin/pip install --quiet --disable-pip-version-check --require-hashes -r locks/build.txt; }
 	rm -rf dist
 	SOURCE_DATE_EPOCH=$$(git log -1 --format=%ct) $(RELEASE)/bin/hatchling build -d dist
 
@@ -124,12 +125,15 @@ deb: dist
 
 # The versions and hashes of all that is installed, for every Python and machine at once (docs/install.md).
 LOCK := build/lock
-LOCKED := $(LOCK)/bin/uv pip compile --quiet --universal --python-version 3.11 --upgrade --generate-hashes --no-annotate \
-  --custom-compile-command 'make lock' pyproject.toml $(LOCK)/build.in
+LOCKED_ALONE := $(LOCK)/bin/uv pip compile --quiet --universal --python-version 3.11 --upgrade --generate-hashes --no-annotate \
+  --custom-compile-command 'make lock'
+LOCKED := $(LOCKED_ALONE) pyproject.toml $(LOCK)/build.in
 lock:
 	$(PYTHON) -m venv $(LOCK)
-	$(LOCK)/bin/pip install --quiet --disable-pip-version-check uv
+	$(LOCK)/bin/pip install --quiet --disable-pip-version-check --require-hashes -r locks/checks.txt
 	$(PYTHON) -c 'import tomllib; print(*tomllib.load(open("pyproject.toml", "rb"))["build-system"]["requires"], sep="\n")' > $(LOCK)/build.in
+	$(LOCKED_ALONE) $(LOCK)/build.in --output-file locks/build.txt
+	$(LOCKED_ALONE) --group checks --output-file locks/checks.txt
 	$(LOCKED) --output-file locks/run.txt
 	$(LOCKED) --extra zenoh --extra metrics --output-file locks/fleet.txt
 	$(LOCKED) --extra ros --extra zenoh --extra metrics --extra look --output-file locks/ros.txt
