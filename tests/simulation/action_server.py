@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
     from rsb_bridge.ros.ros_interface import Request
 
-TYPE = "sim_msgs/action/Errand"
+TYPE = "sim_msgs/action/Patrol"
 CDR = b"\0\1\0\0"
 SERVICES = (SEND_GOAL, CANCEL_GOAL, GET_RESULT)
 RESULT_TIMEOUT = 10.0
@@ -111,17 +111,12 @@ class ActionServer:
         self.closed = True
         ends: list[Server | Writer] = [*self._servers.values(), *self._writers.values()]
         for end in ends:
-            if killed:
-                end.closed = True
-                self._domain.forget_later(end)
-            else:
-                end.close()
+            end.close(killed=killed)
 
     @property
     def seen(self) -> bool:
         """Whether others see it."""
-        servers = self._domain.services.servers
-        return any(server in servers[server.service] for server in self._servers.values())
+        return any(server.seen for server in self._servers.values())
 
     def remembers(self, goal: bytes) -> bool:
         """Whether it knows a goal, over or not."""

@@ -62,15 +62,15 @@ def play(request: pytest.FixtureRequest) -> Play:
         try:
             world.play(seconds, *doings)
         finally:
-            chronicle = world.chronicle
+            log = world.log
             played.append(
                 Played(
                     request.node.name,
                     world.loop.time(),
                     time.process_time() - cpu,
                     time.monotonic() - real,
-                    chronicle.faults.total(),
-                    chronicle.commands.total(),
+                    log.faults.total(),
+                    log.commands.total(),
                     world.invariants.checks,
                 )
             )

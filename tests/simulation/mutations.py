@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from unittest.mock import patch
 
 import msgspec
-from tests.simulation.climate import ACTIONS, CALLS, LIVELY, STILL, STORM, Climate
+from tests.simulation.conditions import ACTIONS, CALLS, LIVELY, STILL, STORM, Conditions
 from tests.simulation.episodes import (
     cancelled_while_cut,
     delayed,
@@ -55,7 +55,7 @@ class Mutation(NamedTuple):
         what: it is.
         changes: what is put in the place of which attribute of which class or module.
         finds: part of the violation, a regular expression.
-        climate: of the world.
+        conditions: of the world.
         seed: of the world.
         hours: that the world lives, at most.
         doing: what is made to happen in it.
@@ -64,7 +64,7 @@ class Mutation(NamedTuple):
     what: str
     changes: tuple[tuple[object, str, object], ...]
     finds: str
-    climate: Climate
+    conditions: Conditions
     seed: int
     hours: float
     doing: Callable[[World], Coroutine[None, None, None]] | None = None

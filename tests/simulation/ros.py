@@ -229,9 +229,13 @@ class Writer:
     def acknowledged(self) -> bool:
         return True
 
-    def close(self) -> None:
-        if not self.closed:
-            self.closed = True
+    def close(self, *, killed: bool = False) -> None:
+        if self.closed:
+            return
+        self.closed = True
+        if killed:
+            self._domain.forget_later(self)
+        else:
             self.matched.clear()
             self._domain.remove_writer(self)
 
@@ -319,9 +323,13 @@ class Reader:
             self.on_take(batch)
         self._sink(batch)
 
-    def close(self) -> None:
-        if not self.closed:
-            self.closed = True
+    def close(self, *, killed: bool = False) -> None:
+        if self.closed:
+            return
+        self.closed = True
+        if killed:
+            self._domain.forget_later(self)
+        else:
             self._domain.remove_reader(self)
 
     def fail(self) -> None:

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
 
-_OWN = ("rsb_bridge.", "tests.simulation.station")
+_OWN = ("rsb_bridge.", "tests.simulation.engine_host")
 _NOT_HELD = (asyncio.Future, asyncio.AbstractEventLoop, type)
 
 

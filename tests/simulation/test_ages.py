@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import msgspec
 import pytest
-from tests.simulation.climate import STILL
+from tests.simulation.conditions import STILL
 from tests.simulation.episodes import aged, linked_by_a_slow_way
 from tests.simulation.mutations import Mutation
 from tests.simulation.world import Violation, World
@@ -22,7 +22,7 @@ from rsb_bridge.route.age import MessageAge, PublisherClocks
 
 if TYPE_CHECKING:
     from tests.simulation.conftest import Play
-    from tests.simulation.flows import Flow
+    from tests.simulation.topic_flow import TopicFlow
 
     from rsb_bridge.model.session import Protocol
 
@@ -31,14 +31,14 @@ _AGES = replace(STILL, checks=(5.0, 5.0), patience=20.0)
 _SECONDS = 400.0
 
 
-def aging_world(seed: int, protocol: Protocol = "tcp", max_rate: float | None = None) -> tuple[World, Flow]:
+def aging_world(seed: int, protocol: Protocol = "tcp", max_rate: float | None = None) -> tuple[World, TopicFlow]:
     """A world with one topic of `MAX_AGE`, 20 messages a second."""
     world = World(seed, _AGES)
-    (robot,), (flow,) = world.robots, world.flows.values()
+    (robot,), (flow,) = world.robots, world.topic_flows.values()
     topic = msgspec.structs.replace(
         flow.topic, protocol=protocol, port=None, qos="auto", paused=False, max_age=MAX_AGE, max_rate=max_rate
     )
-    robot.station.session = msgspec.structs.replace(robot.station.session, topics=(topic,))
+    robot.host.session = msgspec.structs.replace(robot.host.session, topics=(topic,))
     flow.topic, flow.period, flow.max_age = topic, 0.05, MAX_AGE
     return world, flow
 

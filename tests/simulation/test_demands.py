@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
     from tests.simulation.conftest import Play
-    from tests.simulation.station import Run
+    from tests.simulation.engine_host import Run
 
     from rsb_bridge.link.link import Link
     from rsb_bridge.model.session import Direction

@@ -9,7 +9,7 @@ from unittest.mock import patch
 
 import msgspec
 import pytest
-from tests.simulation.climate import STILL
+from tests.simulation.conditions import STILL
 from tests.simulation.ros import STRING, Writer, hash_of
 from tests.simulation.test_calls import until
 from tests.simulation.world import World
@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from collections.abc import Coroutine
 
     from tests.simulation.conftest import Play
-    from tests.simulation.station import Station
+    from tests.simulation.engine_host import EngineHost
 
     from rsb_bridge.link.link import Link
     from rsb_bridge.route.route import Route
@@ -59,8 +59,8 @@ class Yard:
 
     def __init__(self, *listed: Topic) -> None:
         self.world = World(1, replace(STILL, topics=(0,)))
-        self.robot: Station = self.world.robots[0].station
-        self.server: Station = self.world.server
+        self.robot: EngineHost = self.world.robots[0].host
+        self.server: EngineHost = self.world.server
         self.robot.session = msgspec.structs.replace(self.robot.session, topics=listed)
         self._name = self.world.robots[0].name
 

@@ -4,7 +4,7 @@
 part only (`test_soak`), so that the rest does not rot.
 
 - `worlds` plays simulated worlds, one process each.
-- `stage` is a bridge with real ROS on both sides: `processes`, `network` between them, `ears` that listen.
+- `stage` is a bridge with real ROS on both sides: `processes`, `network` between them, `listeners` that listen.
 - `faults` are what goes wrong there, `measures` and `ledgers` are what is measured, `audit` counts messages.
 - `report` prints the figures and says in words which bound is broken.
 """

@@ -124,7 +124,7 @@ def _recover(stage: Stage, fault: Fault) -> Recovery:
     late = "" if stage.live_until(lambda: stage.flows, _SLOW) else f"; {_SLOW:g} s after the fault: {stage.missing()}"
     if late and not stage.live_until(lambda: stage.flows, _GIVE_UP - _SLOW):
         return Recovery(fault, None, stage.missing())
-    last = max(stage.ears, key=lambda ear: ear.flowed_at or 0.0)
+    last = max(stage.listeners, key=lambda listener: listener.flowed_at or 0.0)
     return Recovery(fault, (last.flowed_at or ended) - ended, last.name + late)
 
 
@@ -136,6 +136,6 @@ def _gather(stage: Stage, outcome: Outcome) -> None:
             outcome.wrong += book.wrong
             outcome.checked += book.checked
             outcome.ledger.update(book.totals())
-    for ear in stage.ears:
-        outcome.heard += ear.heard
-        outcome.wrong += ear.wrong
+    for listener in stage.listeners:
+        outcome.heard += listener.heard
+        outcome.wrong += listener.wrong

@@ -119,7 +119,7 @@ def main(seed: int, days: float) -> int:
     over = threading.Event()
 
     def tell(**more: str) -> None:
-        line = json.dumps({"days": world.loop.time() / _DAY, "faults": dict(world.chronicle.faults)} | more)
+        line = json.dumps({"days": world.loop.time() / _DAY, "faults": dict(world.log.faults)} | more)
         sys.stdout.write(f"{line}\n")
         sys.stdout.flush()
 

@@ -85,7 +85,7 @@ class _Snapshots(SnapshotPublisher):
             await asyncio.sleep(_SNAPSHOT_EVERY)
 
 
-class Station:
+class EngineHost:
     """A computer, its ROS domain, and the session that its engine runs.
 
     Attributes:
@@ -112,8 +112,8 @@ class Station:
         self.run: Run | None = None
         self.on_run: Callable[[Run], None] = _ignore
         self.on_end: Callable[[Run], None] = _ignore
-        self.on_event: Callable[[Station, Level, EventCode, str, str], None] = _ignore
-        self.on_leak: Callable[[Station, list[Descriptor]], None] = _ignore
+        self.on_event: Callable[[EngineHost, Level, EventCode, str, str], None] = _ignore
+        self.on_leak: Callable[[EngineHost, list[Descriptor]], None] = _ignore
         self.random = random
 
     def start(self) -> Run:
@@ -155,7 +155,7 @@ class Run:
     """One engine process.
 
     Attributes:
-        station: where.
+        host: where.
         process: as its kernel knows it.
         node: in its ROS domain.
         events: what it says.
@@ -164,32 +164,32 @@ class Run:
         over: it was stopped, or died.
     """
 
-    def __init__(self, station: Station) -> None:
-        self.station = station
-        self.process = Process(station.machine)
+    def __init__(self, host: EngineHost) -> None:
+        self.host = host
+        self.process = Process(host.machine)
         self.loop = self.process.loop
-        self.node = Node(station.domain, station.session.name, f"{station.random.getrandbits(32):08x}")
-        self.events = _Events(station.clock, lambda *event: station.on_event(station, *event))
+        self.node = Node(host.domain, host.session.name, f"{host.random.getrandbits(32):08x}")
+        self.events = _Events(host.clock, lambda *event: host.on_event(host, *event))
         self.began = self.loop.time()
         self.over = False
         self.bridge = self.process.context.run(self._make)
         self._task: asyncio.Task[None] | None = None
 
     def _make(self) -> Bridge:
-        station = self.station
+        host = self.host
         context = Context(
-            station.session,
-            station.session.domain_id or 0,
+            host.session,
+            host.session.domain_id or 0,
             self.node,
             self.events,
             _Queue(self.loop),
             self.loop,
-            station.clock,
-            Random(station.random.random()),
+            host.clock,
+            Random(host.random.random()),
         )
-        session = station.session
+        session = host.session
         blank = Snapshot(0.0, session.name, session.role, "", session.domain_id or 0, running=False)
-        return Bridge(context, station.keys, _Snapshots(blank, self.events, station.clock))
+        return Bridge(context, host.keys, _Snapshots(blank, self.events, host.clock))
 
     def begin(self) -> None:
         """Start the engine."""
@@ -240,7 +240,7 @@ class Run:
             await asyncio.wait(tasks)
         self.node.stop()
         if left := self.process.exit():
-            self.station.on_leak(self.station, left)
+            self.host.on_leak(self.host, left)
 
     def die(self) -> None:
         """The process is gone. What is left of its code is told to end, and reaches nobody any more."""

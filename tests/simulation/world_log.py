@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 _REMEMBERED = 300
 
 
-class Chronicle:
+class WorldLog:
     """Lines and counts.
 
     Attributes:

@@ -11,11 +11,11 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class Climate:
+class Conditions:
     """How much there is of everything.
 
     Attributes:
-        name: of the climate.
+        name: of the conditions.
         robots: how many there may be.
         topics: how many each robot's session may have.
         services: likewise, services.
@@ -47,17 +47,17 @@ class Climate:
     patience: float = 1.0
 
 
-QUIET = Climate("quiet", topics=(1, 1, 2), periods=(10.0, 300.0), faults=400.0, commands=900.0)
+QUIET = Conditions("quiet", topics=(1, 1, 2), periods=(10.0, 300.0), faults=400.0, commands=900.0)
 """A robot that is used by day, where something happens a few times an hour."""
-LIVELY = Climate("lively", robots=(1, 1, 2))
+LIVELY = Conditions("lively", robots=(1, 1, 2))
 """A robot or two, where something happens every minute."""
-STORM = Climate(
+STORM = Conditions(
     "storm", robots=(1, 1, 2), services=(1, 2), periods=(0.2, 20.0), size=20_000, faults=15.0, commands=30.0
 )
 """Where something happens every few seconds."""
-FLEET = Climate("fleet", robots=(5, 6, 7, 8), topics=(1, 2, 3, 4), periods=(1.0, 60.0), faults=180.0, commands=300.0)
+FLEET = Conditions("fleet", robots=(5, 6, 7, 8), topics=(1, 2, 3, 4), periods=(1.0, 60.0), faults=180.0, commands=300.0)
 """Many robots on one server."""
-STILL = Climate(
+STILL = Conditions(
     "still",
     topics=(1,),
     services=(0,),
@@ -70,17 +70,17 @@ STILL = Climate(
 )
 """Where nothing happens but what is made to happen."""
 
-CALLS = Climate("calls", robots=(1, 2), topics=(1,), services=(2, 3), periods=(0.5, 10.0), faults=30.0, nights=0.2)
+CALLS = Conditions("calls", robots=(1, 2), topics=(1,), services=(2, 3), periods=(0.5, 10.0), faults=30.0, nights=0.2)
 """Where services are called all the time."""
 
-ACTIONS = Climate(
+ACTIONS = Conditions(
     "actions", topics=(1,), services=(0,), actions=(1, 2), periods=(10.0, 60.0), faults=60.0, commands=0.0, nights=0.0
 )
 """Where goals are sent all the time, and nobody at a console changes anything."""
 _WITH_ACTIONS = 0.15
 
 
-def climate_of(random: Random) -> Climate:
-    """A climate."""
-    climate = random.choices((QUIET, LIVELY, STORM, FLEET), (4, 4, 2, 1))[0]
-    return ACTIONS if random.random() < _WITH_ACTIONS else climate
+def draw_conditions(random: Random) -> Conditions:
+    """Draw the conditions of a world."""
+    conditions = random.choices((QUIET, LIVELY, STORM, FLEET), (4, 4, 2, 1))[0]
+    return ACTIONS if random.random() < _WITH_ACTIONS else conditions

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 _LATCHED = QoSProfile(depth=100, durability=QoSDurabilityPolicy.TRANSIENT_LOCAL)
 
 
-class Ear:
+class TopicListener:
     """Listens to one topic.
 
     Attributes:
