@@ -120,7 +120,7 @@ class ActionFlow(CallFlow[ActionServer]):
         return self._clients[SEND_GOAL].ready and self._clients[GET_RESULT].ready and self._clients[CANCEL_GOAL].ready
 
     def send(self, plan: Plan | None = None) -> Goal | None:
-        """Send a goal; None: no server is seen."""
+        """Send a goal, and return it, or None if the client sees no server."""
         plan = plan or Plan()
         if not self.ready:
             return None
@@ -153,7 +153,7 @@ class ActionFlow(CallFlow[ActionServer]):
             self._calls[lane, client.call(request)] = goal
 
     def _ask_again(self, life: int) -> None:
-        """Ask again what was asked of a server that is gone: the bridge beside the client was started again."""
+        """Repeat requests whose server is gone because the client's bridge was restarted."""
         if life != self._life:
             return
         for goal in [each for each in self.goals.values() if each.client == life and each.told and not each.result]:
@@ -249,13 +249,13 @@ class ActionFlow(CallFlow[ActionServer]):
         if known.arrived > 1:
             self._on_wrong(f"{self}: {known} came to the server {known.arrived} times")
         if known.told is not None:
-            self._on_wrong(f"{self}: {known} came to the server after its client was told {known.told}")
+            self._on_wrong(f"{self}: {known} came to the server after its client got the answer {known.told}")
         return known.plan
 
     def accepted(self, server: ActionServer, goal: bytes) -> None:
         """It goes on from now."""
         if self.goals[goal].told is not None:
-            self._on_wrong(f"{self}: {self.goals[goal]} begins after its client was told {self.goals[goal].told}")
+            self._on_wrong(f"{self}: {self.goals[goal]} begins after its client got the answer {self.goals[goal].told}")
         self.goals[goal].server = server
 
     def ended(self, goal: bytes, state: str) -> None:

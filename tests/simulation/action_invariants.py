@@ -1,4 +1,4 @@
-"""What must hold of actions all along, beside what holds of all calls (`tests.simulation.call_invariants`)."""
+"""Invariants of actions, in addition to those of all calls (`tests.simulation.call_invariants`)."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ REACHED_WITHIN = 15.0
 WITHDRAWN_WITHIN = 45.0
 """s until a server that was killed is seen no more, and is offered no more."""
 TOLD_WITHIN = 10.0
-"""s from then, or from when something has happened, until whoever waits for it knows."""
+"""s from then, or from an event, until everybody who waits for it knows."""
 _BEFORE = 1.0
 """s before an opening in which what is asked may not be with the bridge yet."""
 _MUCH_LATER = 0.9 * INTERRUPTION
@@ -106,7 +106,7 @@ class ActionInvariants:
         world = self._world
         _, far = near_and_far(world, action)
         if goal.server is not action.server or far is None or far.began > goal.sent:
-            return True  # whoever knew it has been started again
+            return True  # the process that knew it was restarted
         if action.server is not None and action.server.remembers(goal.id):
             return False
         robot = world.robot(action.robot)
@@ -116,7 +116,7 @@ class ActionInvariants:
 
     @contextlib.contextmanager
     def tapped(self) -> Iterator[None]:
-        """See what comes over the links to where the servers are."""
+        """Watch the messages that reach the servers' engines over the links."""
         take = ProvidingRoute._take
 
         def tap(route: ProvidingRoute, frame: CallFrame, *, readable: bool = True) -> None:
@@ -165,7 +165,7 @@ def halves_of(world: World, action: ActionFlow) -> list[CallsRoute]:
 
 
 def said(world: World, action: ActionFlow) -> str:
-    """What both sides say of an action."""
+    """Return both sides' states of an action."""
     shown = [half.snapshot() for half in halves_of(world, action)]
     return "; ".join(f"{each.state} {each.reason!r} {each.calls} {each.goals}" for each in shown)
 
@@ -183,7 +183,7 @@ def in_flight(route: CallsRoute) -> int:
 
 
 def left_of_ended_calls(route: CallsRoute) -> list[str]:
-    """What a half still has of calls that are over."""
+    """Return tables of a half that still hold ended calls."""
     pending = route._pending  # type: ignore[attr-defined]
     found = [
         f"{frame.what.name} {frame.call} in the outbox"
@@ -200,7 +200,7 @@ def left_of_ended_calls(route: CallsRoute) -> list[str]:
 
 
 def left_at_rest(route: CallsRoute) -> list[str]:
-    """What a half has though no goal runs, nobody asks anything, and whatever may be asked again has been forgotten."""
+    """Return tables of a half that are not empty although no goal runs and no request can be repeated any more."""
     found = left_of_ended_calls(route)
     tables: dict[str, object] = {
         "calls in flight": route.calls.in_flight,

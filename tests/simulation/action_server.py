@@ -34,11 +34,11 @@ _OF_NOBODY = contextvars.Context()
 
 
 class Plan(NamedTuple):
-    """What a server does with a goal.
+    """A server's behaviour for one goal.
 
     Attributes:
-        accepts: it, or rejects it.
-        after: s, how long it thinks about that; None: it never answers.
+        accepts: whether it accepts the goal.
+        after: s until it answers, or None if it never does.
         runs: s.
         state: in which it ends, unless it is cancelled.
     """
@@ -50,7 +50,7 @@ class Plan(NamedTuple):
 
 
 class Watcher(Protocol):
-    """Hears of what comes to a server and what becomes of it."""
+    """Gets a server's requests, and the outcome of each goal."""
 
     def arrived(self, server: ActionServer, goal: bytes) -> Plan:
         """A goal has come."""
@@ -70,7 +70,7 @@ class Watcher(Protocol):
 
 
 def names(action: str) -> list[str]:
-    """Of an action's services and topics, by lane."""
+    """Return the names of an action's services and topics, by lane."""
     return [name_of(lane, action) for lane in LANES["action"]]
 
 
@@ -81,11 +81,11 @@ def lane_type(lane: int) -> tuple[str, str]:
 
 
 class ActionServer:
-    """One.
+    """A server of an action.
 
     Attributes:
         closed: it is gone.
-        said: its last status message; empty: none yet.
+        said: its last status message, or empty before the first.
         said_at: s, when that was.
     """
 
@@ -126,7 +126,7 @@ class ActionServer:
         """Whether a goal goes on."""
         return not self.closed and self._states.get(goal) in _RUNNING
 
-    # --- what comes
+    # --- requests
 
     def _send_goal(self, batch: Sequence[Request]) -> None:
         for request in batch:
@@ -163,7 +163,7 @@ class ActionServer:
             else:
                 self._tell(request.caller, goal)
 
-    # --- what becomes of it
+    # --- outcomes
 
     def _feed(self, goal: bytes, part: int) -> None:
         if self.runs(goal):

@@ -1,4 +1,4 @@
-"""One service between two domains in a world where nothing else goes on, and what happened at both ends of it."""
+"""One service between two domains of a world without faults, with its servers and clients."""
 
 from __future__ import annotations
 
@@ -27,14 +27,14 @@ if TYPE_CHECKING:
 
 TYPE = "std_srvs/srv/SetBool"
 SETTLED = 3.0
-"""s in which what is possible has come about: discovery, a look at the graph, a report to the other side."""
+"""s within which a change reaches everybody: discovery, a poll of the graph, a report to the other side."""
 
 
 class ScriptedServer:
-    """A server: says of each request what it was, at once or when it is told to.
+    """A server that repeats each request in its answer, at once or on `answer`.
 
     Attributes:
-        asked: what it was asked, oldest first.
+        asked: its requests, oldest first.
         endpoint: as the domain knows it.
     """
 
@@ -53,24 +53,24 @@ class ScriptedServer:
             self.answer()
 
     def answer(self, order: Callable[[list[Request]], object] = lambda _: None) -> None:
-        """Answer whatever waits, in the order that a function puts it in."""
+        """Answer all waiting requests, in the order that a function gives them."""
         waiting, self._waiting = self._waiting, []
         order(waiting)
         for request in waiting:
             self.endpoint.answer(request.caller, answer_to(request.payload, self.node))
 
     def die(self) -> None:
-        """Its process is killed: it is seen for a while, and answers nothing."""
+        """Kill its process: it stays visible for a while, and answers nothing."""
         self.endpoint.close(killed=True)
 
 
 class ScriptedClient:
-    """A client.
+    """A client that keeps its requests and answers.
 
     Attributes:
         endpoint: as the domain knows it.
-        requests: what it has asked, by number.
-        answers: what came, by number; more than one to a call would be wrong.
+        requests: by number.
+        answers: by the request's number.
     """
 
     def __init__(self, domain: Domain, service: str, node: str, type_name: str, type_hash: str) -> None:
@@ -93,14 +93,14 @@ class ScriptedClient:
 
     @property
     def right(self) -> int:
-        """How many calls had an answer, each of which is the one to what was asked."""
+        """The number of answers, after checking that each belongs to its request."""
         for number, answer in self.answers.items():
             assert answer.startswith(answer_to(self.requests[number], ""))
         return len(self.answers)
 
 
 def answer_to(request: bytes, node: str) -> bytes:
-    """What a server says."""
+    """Return the answer of a server's node to a request."""
     return b"\0\1\0\0you asked " + request + b", says " + node.encode()
 
 
@@ -113,9 +113,9 @@ class CallHarness:
         spec: fields of its entry.
 
     Attributes:
-        world: in which it is.
-        near: the callers' computer.
-        far: the providers'.
+        world: its world.
+        near: the callers' host.
+        far: the provider's host.
     """
 
     def __init__(self, seed: int = 1, provider: str = "server", kind: str = "service", **spec: Any) -> None:
@@ -168,12 +168,12 @@ class CallHarness:
         return _half(self.near), _half(self.far)
 
     def shown(self) -> tuple[RouteSnapshot, RouteSnapshot]:
-        """What both sides show, the callers' first."""
+        """Return both sides' snapshots of the route, the callers' first."""
         near, far = self.halves()
         return near.snapshot(), far.snapshot()
 
     def counted(self) -> tuple[CallsSnapshot, CallsSnapshot]:
-        """What both sides count, the callers' first; each adds up, and what is in flight is held in the budget."""
+        """Return both sides' counts, the callers' first, after checking that each adds up."""
         near, far = (shown.calls for shown in self.shown())
         assert near is not None
         assert far is not None
@@ -189,7 +189,7 @@ class CallHarness:
         return any(each.node.startswith("/rsb_") for each in self.near.domain.services.servers[self.near_name])
 
     async def ready(self, client: ScriptedClient) -> None:
-        """Wait until a call of a client would reach somebody."""
+        """Wait until the client sees a server."""
         async with asyncio.timeout(30.0):
             while not client.endpoint.ready:  # noqa: ASYNC110 — plain state of a simulated world
                 await asyncio.sleep(0.05)

@@ -1,4 +1,4 @@
-"""What must hold of calls all along: `tests.simulation.invariants` has the same of topics and links."""
+"""Invariants of calls; `tests.simulation.invariants` has those of topics and links."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ class CallInvariants:
             self._check_service(service)
 
     def _check_counts(self, run: Run) -> None:
-        """What became of calls adds up, and what they hold of the budgets is what is under way."""
+        """Check that the counts of calls add up, and that the budgets hold exactly the calls in flight."""
         for link in run.links():
             under_way: Counter[bool] = Counter()
             for route in link.routes.values():
@@ -58,7 +58,7 @@ class CallInvariants:
                     if left := left_of_ended_calls(route):
                         self._world.wrong(f"{run.host.name}: of calls that are over, {route.key} has {left}")
                     if held and not link.linked:
-                        self._world.wrong(f"{run.host.name}: {route.key} has {held} calls under way without a link")
+                        self._world.wrong(f"{run.host.name}: {route.key} has {held} calls in flight without a link")
                     under_way[isinstance(route, CallingRoute)] += held
             self._check_budget(run, link.budget, under_way)
 
@@ -67,7 +67,7 @@ class CallInvariants:
             calls, size = what.held
             if calls != under_way[asks] or size < calls * CALL_HEADER_LENGTH or (size and not calls):
                 self._world.wrong(
-                    f"{run.host.name}: {under_way[asks]} calls are under way, and {calls} with {size} bytes held"
+                    f"{run.host.name}: {under_way[asks]} calls are in flight, and {calls} with {size} bytes held"
                 )
 
     def _check_service(self, service: ServiceFlow) -> None:

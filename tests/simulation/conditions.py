@@ -1,4 +1,4 @@
-"""How much happens in a world, and how much it carries."""
+"""The sizes of a world, and the rates of its messages, faults and commands."""
 
 from __future__ import annotations
 
@@ -12,20 +12,20 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Conditions:
-    """How much there is of everything.
+    """The ranges from which a world's contents are drawn.
 
     Attributes:
         name: of the conditions.
-        robots: how many there may be.
-        topics: how many each robot's session may have.
-        services: likewise, services.
-        actions: likewise, actions.
+        robots: possible numbers of robots.
+        topics: possible numbers of topics in a robot's session.
+        services: possible numbers of services in it.
+        actions: possible numbers of actions in it.
         periods: s, between which the average time from one message of a topic to the next is.
         latched: part of the topics that are latched.
         size: bytes of a message, at most, on average.
-        faults: s from one fault of a robot to the next, on average; 0: there are none. Its topics have as many, and the
-            server a fifth.
-        commands: s from one command of an operator to the next, on average; 0: there are none.
+        faults: s from one fault of a robot to the next, on average, or 0 for no faults. Its topics have as many, and
+            the server a fifth.
+        commands: s from one command of an operator to the next, on average, or 0 for no commands.
         nights: part of the time that each robot is switched off, for hours: an engine that waits alone costs a tenth of
             one that is linked, so more days with faults can be lived in the same time.
         checks: s, between which everything is checked.
@@ -68,7 +68,7 @@ STILL = Conditions(
     latched=0.0,
     checks=(60.0, 60.0),
 )
-"""Where nothing happens but what is made to happen."""
+"""Without faults and commands; a test causes all that happens."""
 
 CALLS = Conditions("calls", robots=(1, 2), topics=(1,), services=(2, 3), periods=(0.5, 10.0), faults=30.0, nights=0.2)
 """Where services are called all the time."""

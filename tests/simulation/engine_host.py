@@ -77,7 +77,7 @@ class _Events(EventLog):
 
 
 class _Snapshots(SnapshotPublisher):
-    """A snapshot that nobody looks at; it is renewed all the same, now and then, for what that might do."""
+    """A snapshot without readers; it is refreshed now and then all the same, for its side effects."""
 
     async def run(self, bridge: ShownBridge) -> None:
         while True:
@@ -95,7 +95,7 @@ class EngineHost:
         domain: its ROS domain.
         session: what the next engine will run.
         keys: by client's name.
-        run: the engine that runs; None: none does.
+        run: the running engine, or None.
         on_run: told of each engine that begins to run.
         on_end: told of each engine that is about to end.
         on_event: told of each event.
@@ -158,10 +158,10 @@ class Run:
         host: where.
         process: as its kernel knows it.
         node: in its ROS domain.
-        events: what it says.
+        events: its log.
         bridge: the engine.
         began: s, when.
-        over: it was stopped, or died.
+        over: whether it was stopped or died.
     """
 
     def __init__(self, host: EngineHost) -> None:
@@ -207,7 +207,8 @@ class Run:
         return self.bridge.links()
 
     async def command(self, work: Coroutine[None, None, T]) -> T | None:
-        """Carry out an operator's command, in the engine's process; None: that died before it was done.
+        """Carry out an operator's command in the engine's process. Return None if the process died before the end of
+        it.
 
         Raises:
             EngineError: it cannot be carried out.
@@ -243,7 +244,7 @@ class Run:
             self.host.on_leak(self.host, left)
 
     def die(self) -> None:
-        """The process is gone. What is left of its code is told to end, and reaches nobody any more."""
+        """End the process as a kill does: its tasks are cancelled, and reach nobody any more."""
         self.over = True
         self.node.die()
         for task in tuple(self.process.tasks):

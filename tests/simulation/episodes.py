@@ -1,4 +1,4 @@
-"""What is made to happen in a world: waits that no test could wait for, and courses of events that are rare."""
+"""Courses of events in a world: long waits, and rare coincidences."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ async def tunnelled(world: World, seconds: float, speed: float = 5_000.0, fresh_
         world: in which.
         seconds: for how long.
         speed: bytes/s.
-        fresh_within: s within which what comes out at all comes out.
+        fresh_within: s, the greatest age of a message on arrival.
     """
     (robot,) = world.robots
     ends = robot.host.machine, world.server.machine
@@ -125,7 +125,9 @@ async def aged(world: World, rounds: int = 25) -> None:
                 case "narrow":
                     for path in ways:
                         path.bandwidth = 2_000.0
-                case "freeze":  # of the ROS thread: what it takes then is as old as that, and stamped anew
+                case (
+                    "freeze"
+                ):  # of the ROS thread: the messages that it takes then are as old as that, and get new stamps
                     flow.near.taking = (seconds, seconds)
                 case "pause":
                     await _pause_all(world, paused=True)
@@ -262,7 +264,8 @@ async def restarted_while_cut(world: World) -> None:
 
 @contextlib.contextmanager
 def slow_motion(tick: float) -> Iterator[None]:
-    """Have engines do every `tick` s what they do once a second, and ask for what was refused no more often than that.
+    """Slow the engines' periodic work from once a second to once in `tick` s, and repeat refused requests no more
+    often.
 
     A month of pings, answers, reports and refusals alone would take ten minutes, and is none of what a month is about.
     """

@@ -1,8 +1,8 @@
-"""What goes wrong in a world: on the network, with machines and processes, with clocks and names, in ROS.
+"""Faults of a world: of the network, machines and processes, clocks and names, and of ROS.
 
-Each fault is a coroutine that does something to one robot, or to the server and so to all, and mends it again. While it
-lasts, and only then, the robots concerned need not be linked (`World.trouble`). Faults of one robot follow each other;
-those of different robots, and the server's, come at the same time.
+Each fault is a coroutine that breaks something for one robot, or for the server and so for all, and mends it again.
+While it lasts, and only then, the robots concerned may be unlinked (`World.trouble`). Faults of one robot follow each
+other; those of different robots, and the server's, come at the same time.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ _LATEST = 25.0
 
 
 def duration(random: Random) -> float:
-    """How long (s) something is broken: mostly seconds, sometimes hours."""
+    """Draw the duration (s) of a fault: mostly seconds, sometimes hours."""
     return random.choices(
         (
             random.uniform(0.05, 1.0),
@@ -60,7 +60,7 @@ async def cut(world: World, robot: Robot, random: Random) -> None:
 
 
 async def cut_one_way(world: World, robot: Robot, random: Random) -> None:
-    """What one side sends does not arrive, while it hears the other."""
+    """Cut one direction only."""
     ends = [robot.host.machine, world.server.machine]
     random.shuffle(ends)
     with world.trouble("one-way cut", robot):
@@ -297,7 +297,7 @@ async def server_hesitates(world: World, service: ServiceFlow | ActionFlow, rand
 
 
 async def caller_restarts(world: World, service: ServiceFlow | ActionFlow, random: Random) -> None:
-    """A node that calls ends, with calls under way, and is started again."""
+    """Restart a calling node while its calls are in flight."""
     world.log.fault("caller restarts")
     service.call()
     await asyncio.sleep(random.uniform(0.0, 1.0))

@@ -1,8 +1,8 @@
-"""What must hold all along, whatever happens.
+"""Invariants of links and topics.
 
-Each check looks at the engines' own state from outside and at what the flows have counted, every few seconds. It says
-nothing as long as an explanation is left: a robot in trouble need not be linked, a topic whose publisher is away need
-not flow. What has had no explanation for longer than an engine is allowed to take is wrong, and ends the world.
+Every few seconds, each check compares the engines' state with the flows' counts. It allows
+what has an explanation: a robot in trouble may be unlinked, a topic without a publisher may be silent. A state without
+an explanation that lasts longer than an engine may take is a violation, and ends the world.
 """
 
 from __future__ import annotations
@@ -119,7 +119,9 @@ class Invariants:
     # --- links
 
     def _check_linked(self, robot: Robot) -> None:
-        """Whoever can be linked is linked within 15 s, and stays so; who cannot does not seem to be."""
+        """Check that robots without trouble are linked within 15 s and stay linked, and that no other robot seems
+        linked.
+        """
         world, now = self._world, self._world.loop.time()
         ends = world.link_ends(robot)
         cut_off_at = world.cut_off_at(robot)
@@ -245,7 +247,7 @@ class Invariants:
     # --- the ledger
 
     def _check_ledgers(self) -> None:
-        """The parts of each ledger sum up, none is negative, and they are what was counted outside."""
+        """Check that the parts of each ledger sum up, that none is negative, and that they equal the flows' counts."""
         world = self._world
         current = {id(route) for run in world.runs() for link in run.links() for route in link.routes.values()}
         for route, account in tuple(world.accounts.items()):
@@ -277,9 +279,9 @@ class Invariants:
         elif ledger.delivered > account.published:
             wrong = f"{account.published} messages were published"
         elif ledger.unknown and not account.forgotten:
-            wrong = "something is unknown, and whoever published it is still there"
+            wrong = "something is unknown, though the engine that published it still runs"
         elif not datagrams and ledger.delivered + open_ends < account.published - account.removed:
-            wrong = f"{account.published} messages were published, and some of them are said to be lost"
+            wrong = f"{account.published} messages were published, and some of them are counted as lost"
         else:
             robot = world.robot(route.peer.name)
             last = max(account.last_offered, route.opened_at, world.clear_since(robot))
@@ -287,7 +289,7 @@ class Invariants:
                 if ledger.delivered < account.published - account.unreported:
                     wrong = f"{account.published} messages were published, of which {account.unreported} may be unknown"
                 elif ledger.delivered + ledger.unknown < account.published - account.removed:
-                    wrong = f"{account.published} messages were published, and some of them are said to be lost"
+                    wrong = f"{account.published} messages were published, and some of them are counted as lost"
                 elif ledger.in_flight:
                     wrong = f"nothing was sent for {now - last:.1f} s, and something is in flight"
         if wrong:
@@ -320,7 +322,7 @@ class Invariants:
             unfinished = link.budget.unfinished.held
             if not link.routes and (unfinished or link.budget.kept.held):
                 self._world.wrong(
-                    f"{run.host.name}: without a route, {link.name} is said to hold {unfinished} bytes "
+                    f"{run.host.name}: without a route, {link.name} reports that it holds {unfinished} bytes "
                     f"of unfinished messages and {link.budget.kept.held} of latched ones"
                 )
 

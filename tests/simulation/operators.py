@@ -146,7 +146,7 @@ class Operator:
         with self._world.trouble("shut down", *robots, fault=False):
             await self._command("shut down", run, run.bridge.do(ShutDown()))
             await asyncio.sleep(duration(self._random))
-            for _ in range(_LOOKS):  # one may be told of it later, over a bad network
+            for _ in range(_LOOKS):  # one may learn of it later, over a bad network
                 for host in (self._world.server, *(robot.host for robot in robots)):
                     if (shut := host.run) is not None and any(is_shut_down(link) for link in shut.links()):
                         await self._command("retry", shut, shut.bridge.do(Retry()))

@@ -25,7 +25,7 @@ _NEVER = 0.1
 
 
 class Label(NamedTuple):
-    """What a request carries.
+    """The numbers that a request carries.
 
     Attributes:
         service: its number.
@@ -93,7 +93,7 @@ class ServiceFlow(CallFlow[Server]):
         client = self._client
         assert client is not None
         if not client.ready:
-            return  # as those do who wait for the service
+            return  # like a client that waits for the service
         label = Label(self.number, caller, client.called + 1)
         self.asked += 1
         self._waiting[label] = self._loop.time(), [each for each in client.matched if not each.closed]
@@ -102,13 +102,13 @@ class ServiceFlow(CallFlow[Server]):
 
     @property
     def overdue(self) -> float:
-        """S since when the oldest call waits that was made after the last change; 0: there is none."""
+        """Seconds that the oldest call since the last change has waited, or 0 if no such call waits."""
         taken = [at for at, servers in self._waiting.values() if not all(each.closed for each in servers)]
         since = min((at for at in taken if at > self.changed), default=None)
         return 0.0 if since is None else self._loop.time() - since
 
     def forgive(self) -> None:
-        """Whatever waits has been given up by the bridge, with a reason."""
+        """Expect no answers to the waiting calls: the bridge has given them up, with a reason."""
         self._waiting.clear()
 
     # --- what they see

@@ -100,7 +100,7 @@ class Services:
 
 
 class _End(Generic[T]):
-    """What servers and clients share."""
+    """The common part of servers and clients."""
 
     def __init__(
         self,

@@ -1,6 +1,7 @@
-"""How much an engine holds: every table that can be reached from it, by the way that leads there.
+"""Lengths of all tables of an engine, by their path of attributes.
 
-A table that is never cleared shows here whatever it is called, so nothing has to be listed.
+It finds every table that can be reached from the engine, so a new table that is never cleared shows without being
+listed.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ _NOT_HELD = (asyncio.Future, asyncio.AbstractEventLoop, type)
 
 
 def tables(root: object, name: str = "engine") -> dict[str, int]:
-    """The length of each table, by its way from `root`; all elements of a table share the way that leads through it."""
+    """Return the length of each table, by its path from `root`; all elements of a table share one path."""
     found: dict[str, int] = {}
     seen: set[int] = set()
     waiting: deque[tuple[str, object]] = deque([(name, root)])

@@ -75,7 +75,7 @@ class Court:
 
     @contextlib.contextmanager
     def cut(self) -> Iterator[None]:
-        """There is no network."""
+        """Cut the network between both hosts."""
         ends = self.near.machine, self.far.machine
         with self.world.trouble("cut", self.robot):
             self.world.network.cut(*ends)
@@ -99,7 +99,7 @@ async def until(condition: Callable[[], object], within: float) -> None:
 
 @contextlib.contextmanager
 def short_interruptions() -> Iterator[None]:
-    """What outlives an interruption does so for minutes instead of an hour."""
+    """Shorten the hour for which goals outlive an interruption to minutes."""
     with contextlib.ExitStack() as stack:
         for module in (kept_calls, calling, providing):
             stack.enter_context(patch.object(module, "INTERRUPTION", _HOUR))
@@ -108,7 +108,7 @@ def short_interruptions() -> Iterator[None]:
 
 
 def lived(play: Play, court: Court, life: Coroutine[None, None, None], seconds: float = 500.0) -> None:
-    """Play a world until a life is over, and whatever it leaves behind has been forgotten."""
+    """Play a world until a life is over and everything that it leaves behind is forgotten."""
     over: list[bool] = []
 
     async def live() -> None:
@@ -127,7 +127,7 @@ def lived(play: Play, court: Court, life: Coroutine[None, None, None], seconds: 
     async def guarded() -> None:
         try:
             await live()
-        except Exception as error:  # noqa: BLE001 — whatever fails in it fails here
+        except Exception as error:  # noqa: BLE001 — its failure is the test's
             court.world.loop.fail(error)
 
     with short_interruptions():
@@ -179,7 +179,7 @@ def test_a_cancel_of_the_cut_comes_before_anything_else(provider: str, play: Pla
 
 @pytest.mark.parametrize("provider", SIDES)
 def test_a_goal_on_its_way_begins_once_or_never(provider: str, play: Play) -> None:
-    """One that came before the cut is accepted, and its client is told so; one that did not is rejected."""
+    """A goal that arrived before the cut is accepted at both ends; another is rejected."""
     court = Court(provider, timeout=60.0)
 
     async def live() -> None:
@@ -201,7 +201,7 @@ def test_a_goal_on_its_way_begins_once_or_never(provider: str, play: Play) -> No
 @pytest.mark.parametrize("provider", SIDES)
 @pytest.mark.parametrize("end", ["near", "far"])
 def test_a_bridge_that_is_killed_and_started_again(provider: str, end: str, play: Play) -> None:
-    """Beside the client, the client asks again; beside the server, the bridge does."""
+    """At the client's end, the client asks again; at the server's, the bridge does."""
     court = Court(provider)
 
     async def live() -> None:
@@ -235,7 +235,7 @@ def test_a_server_that_does_not_answer_leaves_nothing_behind(play: Play) -> None
         expired = [half.calls.expired for half in halves_of(court.world, court.action)]
         assert expired == [5, 5]
         await asyncio.sleep(kept_calls.SENT_KEPT + 5.0)
-        await court.goal(runs=1.0)  # the server says that it has no other goals
+        await court.goal(runs=1.0)  # the server reports that it has no other goals
 
     lived(play, court, live())
 
@@ -252,7 +252,7 @@ def test_a_goal_that_is_asked_about_again_in_vain_leaves_nothing_behind(provider
         with court.cut():
             await asyncio.sleep(10.0)
         await until(lambda: all(half.calls.expired for half in halves_of(court.world, court.action)), 45.0)
-        await court.goal(runs=1.0)  # the server says that it has no other goals
+        await court.goal(runs=1.0)  # the server reports that it has no other goals
         assert goal.arrived == 1
 
     lived(play, court, live())
@@ -275,7 +275,7 @@ def test_a_server_that_is_replaced_unseen_leaves_nothing_behind(provider: str, p
         court.action.appear()
         await until(lambda: not court.action.dead_is_seen, 60.0)
         await until(lambda: all(half.calls.lost for half in halves_of(court.world, court.action)), 5.0)
-        await court.goal(runs=1.0)  # the server says that it has no other goals
+        await court.goal(runs=1.0)  # the server reports that it has no other goals
 
     lived(play, court, live())
 

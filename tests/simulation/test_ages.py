@@ -1,5 +1,4 @@
-"""No message of a topic with `max_age` is published when it is older, by true time, whatever happens; and rules that
-each keep one from being published are each needed."""
+"""No message of a topic with `max_age` is published when it is older by true time, and each rule for that is needed."""
 
 from __future__ import annotations
 
@@ -53,11 +52,11 @@ def test_nothing_old_is_published(seed: int, protocol: Protocol, play: Play) -> 
 
 
 def _any_age(self: Any, stamp: int) -> None:
-    """As `MessageAge.why_old`, but the receiver asks nothing."""
+    """Replace `MessageAge.why_old` by a form in which the receiver checks nothing."""
 
 
 def _exact(self: Any, stamp: int) -> Any:
-    """As `MessageAge.why_old`, but the other side's clock is taken for known exactly."""
+    """Replace `MessageAge.why_old` by a form that takes the other side's clock for exact."""
     offset = self._peer.stamps.offset
     if offset is None:
         return None
@@ -65,17 +64,17 @@ def _exact(self: Any, stamp: int) -> Any:
 
 
 def _wall(self: Any) -> int:
-    """As `StampClock.now`, but somebody may set it."""
+    """Replace `StampClock.now` by a clock that can be set."""
     return int(self._clock.time_ns())
 
 
 def _unseen(self: Any) -> None:
-    """As `StampClock.look`, but a step is no reason for doubt."""
+    """Replace `StampClock.look` by a form that ignores steps."""
     self.shift = self._measure()[0]
 
 
 def _taken(self: Any, source: int, taken: int, publisher: bytes) -> int:
-    """As `PublisherClocks.born`, but what the publisher says does not matter."""
+    """Replace `PublisherClocks.born` by a form that ignores the publisher's stamp."""
     return taken
 
 

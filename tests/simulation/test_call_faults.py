@@ -51,7 +51,7 @@ def test_a_service_that_cannot_be_called_ends_its_route_and_not_the_link(
 
 
 def _action(harness: CallHarness) -> list[ScriptedServer]:
-    """An action's server, which answers when it is told to."""
+    """Add the servers of an action, which answer on `answer`."""
     return [
         harness.server(suffix=lane.suffix, type_name=lane.type_name or _ACTION + lane.type_suffix, waits=True)
         for lane in LANES["action"]
@@ -64,8 +64,8 @@ def _client_of(harness: CallHarness, lane: int) -> ScriptedClient:
     return harness.client(f"/client{lane}", suffix=kind.suffix, type_name=kind.type_name or _ACTION + kind.type_suffix)
 
 
-def test_endpoints_that_fail_are_made_anew_while_goals_run(play: Play) -> None:
-    """What an interruption of an action leaves open has to work."""
+def test_endpoints_that_fail_are_replaced_while_goals_run(play: Play) -> None:
+    """Endpoints that an interruption leaves open have to work."""
     harness = CallHarness(kind="action")
 
     async def live() -> None:

@@ -1,4 +1,4 @@
-"""What the sides say of a service that nobody serves where its entry says so."""
+"""Both sides' hints for a service that has no server on the side that its entry names."""
 
 from __future__ import annotations
 

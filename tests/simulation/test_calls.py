@@ -35,7 +35,7 @@ _WITHDRAWN_WITHIN = 1.0
 
 
 def lived(play: Play, harness: CallHarness, life: Coroutine[None, None, None], seconds: float = 120.0) -> None:
-    """Play a world until a life is over; whatever fails in it fails here."""
+    """Play a world until a life is over, and raise its exception."""
     failure: list[BaseException] = []
     over: list[bool] = []
 
@@ -339,7 +339,7 @@ def test_it_has_to_be_opened_when_the_lease_begins(play: Play) -> None:
 
 
 def _forgotten(*_: object) -> None:
-    """What was forgotten."""
+    """Do nothing, in place of the work that a mutation leaves out."""
 
 
 def _different_version_there(harness: CallHarness) -> None:
@@ -519,7 +519,7 @@ def test_beyond_its_bounds_a_call_is_refused_and_counted(
         assert say(harness)[0][0] is State.SLOW
         near, _ = harness.counted()
         assert near.expired == passing
-        client.ask(bytes(1000))  # what was held is free again
+        client.ask(bytes(1000))  # the held bytes are free again
         await until(lambda: len(server.asked) == passing + 1, 2.0)
 
     with bounds(**limits):
@@ -568,7 +568,7 @@ def test_max_rate_is_of_calls(play: Play) -> None:
 
 @pytest.mark.parametrize("provider", ["server", "client"])
 def test_over_one_stream_that_all_routes_share(provider: str, play: Play) -> None:
-    """As on Bluetooth: requests and answers go in chunks, between those of other routes, both ways on one channel."""
+    """Like Bluetooth: requests and answers go in chunks, between those of other routes, both ways on one channel."""
     harness = CallHarness(1, provider, compression="none")
 
     async def live() -> None:

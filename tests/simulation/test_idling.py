@@ -1,4 +1,4 @@
-"""What an engine says while nothing happens: no more than the other side needs to know."""
+"""The messages of an idle engine: no more than the other side needs."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Whatever happens on the way: what is published last on a latched topic is what late joiners get on the far side."""
+"""Late joiners on the far side get the last message of a latched topic, through all faults."""
 
 from __future__ import annotations
 
@@ -79,7 +79,7 @@ def test_a_burst_that_is_throttled(seed: int, play: Play) -> None:
 
 
 def test_the_last_publisher_has_gone(play: Play) -> None:
-    """Who joins late on the far side then gets nothing, as on the near side."""
+    """Late joiners on the far side then get nothing, like those on the near side."""
     world, flow = latched_world(1, "tcp", None, numbers=False)
     late: list[list[int]] = []
 

@@ -1,5 +1,5 @@
-"""An armed topic in a world where engines, threads and networks stand still: what is published is never older than a
-second, nothing made before a disarm is published after it, and what has stood still has to be armed anew.
+"""An armed topic in a world where engines, threads and networks stall: no message is published that is older than a
+second or was made before a disarm, and a stalled topic has to be armed again.
 
 The topic has no `max_age`, so the lease alone has to see to it. Each of its rules is taken away once, and is missed.
 """
@@ -48,15 +48,14 @@ _DDS = 0.1
 _LOOKS = 0.02
 """Seconds from one look at the screens to the next."""
 _TAKEN = 0.01
-"""Seconds that a message may have waited for the ROS thread, beside the second that the lease allows."""
+"""Seconds that a message may wait for the ROS thread, in addition to the second that the lease allows."""
 _ARMED_WITHIN = 30.0
 _FASTEST = 800.0
 """Messages a second, at most: the bridge keeps as many until they are taken."""
 
 
 class Heartbeats:
-    """The numbers that sides have sent, and the newest of each that came back: what a lease is made of, seen by true
-    time, whatever the lease makes of it."""
+    """The numbers that each side has sent, and the newest that came back, by true time: the inputs of a lease."""
 
     def __init__(self) -> None:
         self._sent: defaultdict[Lease, dict[int, float]] = defaultdict(dict)
@@ -257,11 +256,11 @@ class Armed:
                         await self.arm(run)
                 await asyncio.sleep(0.1)
 
-    # --- what goes wrong
+    # --- faults
 
     @contextlib.asynccontextmanager
     async def stood_still(self, seconds: float, longest: float) -> Any:
-        """Have something stand still for so long; if that is longer than `longest`, it has to be armed anew."""
+        """Stall something for so long; after more than `longest`, it has to be armed again."""
         stood, began = self.stands, self.world.loop.time()
         yield
         if stood and seconds > longest:
@@ -288,7 +287,7 @@ class Armed:
 
         Args:
             seconds: how long.
-            back: whether only what goes to where the messages are made is held, or None for both directions.
+            back: whether only the direction towards the publisher is held, or None for both directions.
         """
         network, ends = self.world.network, self.machines
         async with self.stood_still(seconds, GIVEN_UP_AFTER + LASTS):
@@ -300,7 +299,7 @@ class Armed:
         network.heal(*ends)
 
     async def slow(self, shortest: float, longest: float, seconds: float = 0.0) -> None:
-        """Have what goes to where the messages are published take its time; 0 s: until `mend`."""
+        """Slow down the direction towards the publisher, for 0 s until `mend`."""
         path = self.world.network.path(*self.machines)
         path.latency = (shortest, longest)
         if seconds:
@@ -378,7 +377,7 @@ def test_what_is_armed_comes_out_young_or_not_at_all(protocol: Protocol, directi
 
 
 async def disarmed_on_a_slow_way(armed: Armed) -> None:
-    """Messages are under way when an operator disarms."""
+    """Messages are in flight when an operator disarms."""
     for host in (armed.source, armed.sink):
         await armed.flows(host)
         await armed.slow(0.5, 0.5)
@@ -469,7 +468,7 @@ async def held_one_way(armed: Armed) -> None:
 
 
 async def numbers_held(armed: Armed) -> None:
-    """What says that the two sides hear each other is held back for longer than messages are."""
+    """The heartbeats of the two sides are held back for longer than messages are."""
     for _ in range(8):
         await armed.flows()
         await armed.hold(0.9, back=False)
@@ -509,18 +508,18 @@ def test_one_standstill_after_the_other(protocol: Protocol, direction: str, play
 
 
 def _any_number(self: Lease, number: int) -> bool:
-    """As `Lease.passes`, but the age of the number does not matter."""
+    """Replace `Lease.passes` by a form that ignores the age of the number."""
     return number in self._sent and self.alive
 
 
 def _any_time(self: Lease, number: int) -> bool:
-    """As `Lease.passes`, but of the number alone, for as long as the lease is not given up."""
+    """Replace `Lease.passes` by a form that checks the number alone, as long as the lease is held."""
     sent = self._sent.get(number)
     return sent is not None and self.alive and self._steady() - sent <= GIVEN_UP_AFTER
 
 
 def _blind_to(where: Standstill) -> Callable[[Lease], None]:
-    """As `Lease._look`, but one kind of standstill is not noticed."""
+    """Replace `Lease._look` by a form that does not notice one kind of stall."""
 
     def look(self: Lease) -> None:
         ended: list[bool] = []
@@ -535,22 +534,22 @@ def _blind_to(where: Standstill) -> Callable[[Lease], None]:
 
 
 def _newest_number(self: Marker, taken: Any) -> Any:
-    """As `Marker.marked`, with the number that is the newest now."""
+    """Replace `Marker.marked` by a form that takes the newest number."""
     return [each._replace(lease=self._lease.newest_before(float("inf"))) for each in taken]
 
 
 def _each_turn(self: Marker, taken: Any) -> Any:
-    """As `Marker.marked`, but what is left of a batch counts as from the turn in which it is taken."""
+    """Replace `Marker.marked` by a form that gives the rest of a batch the turn in which it is taken."""
     self._is_empty = True
     return _marked(self, taken)
 
 
 async def _at_once(self: Settling) -> None:
-    """As `Settling.wait`, which does not wait."""
+    """Replace `Settling.wait` by a form that does not wait."""
 
 
 def _nothing(*_: Any) -> None:
-    """What was forgotten."""
+    """Do nothing, in place of the work that a mutation leaves out."""
 
 
 _look = Lease._look
@@ -572,7 +571,7 @@ _MISTAKES = (
     ("messages carry the newest number", (Marker, "marked", _newest_number), stalled_on_a_slow_way, _OLD),
     ("a backlog counts as new", (Marker, "marked", _each_turn), stalled_with_a_backlog, _OLD),
     ("the command that disarms does not wait", (Settling, "wait", _at_once), disarmed_on_a_slow_way, _AFTER),
-    ("what is under way is not waited for", (Settling, "begin", _nothing), disarmed_on_a_slow_way, "as disarmed"),
+    ("messages in flight are not waited for", (Settling, "begin", _nothing), disarmed_on_a_slow_way, "as disarmed"),
 )
 # fmt: on
 

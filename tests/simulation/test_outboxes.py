@@ -1,4 +1,4 @@
-"""What waits to be sent over a link that carries next to nothing."""
+"""Queues of a link that carries next to nothing."""
 
 from __future__ import annotations
 

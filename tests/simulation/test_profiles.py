@@ -1,4 +1,4 @@
-"""A gap between two cells of a phone network costs no connection, where the profile says that it is one."""
+"""A gap between two cells of a phone network costs no connection under the profile `lte`."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A tunnel that carries less than is published, and has room for minutes of it: what comes out is fresh."""
+"""A tunnel that carries less than is published, and can hold minutes of it: messages arrive fresh."""
 
 from __future__ import annotations
 

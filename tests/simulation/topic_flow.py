@@ -21,13 +21,13 @@ if TYPE_CHECKING:
 
 _HEAD = struct.Struct("<4sIII")
 LATE = 2.5
-"""s: a message of this age is late by the default of `late_after`, whatever the clocks' uncertainty."""
+"""s: a message of this age is late by the default of `late_after`, for any uncertainty of the clocks."""
 CLOCKS = 0.005
-"""s that true time and the clocks of stamps may differ by, beside what the engines know of."""
+"""s by which true time and the stamps' clocks may differ, in addition to the engines' own estimate."""
 
 
 class Label(NamedTuple):
-    """What a message carries.
+    """The numbers that a message carries.
 
     Attributes:
         flow: its number.
@@ -41,21 +41,21 @@ class Label(NamedTuple):
 
 
 def label_of(payload: bytes) -> Label | None:
-    """The label of a message; None: it is no flow's."""
+    """Return the label of a message, or None if it has none."""
     if len(payload) < _HEAD.size or payload[:4] != CDR:
         return None
     return Label(*_HEAD.unpack_from(payload)[1:])
 
 
 class Account:
-    """What a route's sending half did, as seen from outside.
+    """Counts of a route's sending half, from outside.
 
     Attributes:
-        offered: messages that it took.
-        published: of those, how many the other side's engine has published.
-        unreported: how many of these the sender may never learn of, because whoever published them is gone.
+        offered: messages that it took from ROS.
+        published: how many of these the other side's engine has published.
+        unreported: how many of these the sender may never learn of, because their publisher's process is gone.
         removed: how many of these the sender may hold for lost, because the receiving half was removed.
-        forgotten: whether whoever published for it was ever gone.
+        forgotten: whether the publishing process was ever gone.
         last_offered: s, when it took the last one.
     """
 
@@ -70,7 +70,7 @@ class Account:
         self.last_offered = 0.0
 
     def forget(self, route: OutgoingRoute, *, removed: bool = False) -> None:
-        """Whoever published for that route is gone, and has reported what the route knows.
+        """Note that the process that published for that route is gone; the route's ledger has its last report.
 
         Args:
             route: the sending half.
@@ -137,7 +137,7 @@ class TopicFlow(Flow):
 
     @property
     def latched(self) -> bool:
-        """Whether late joiners get what was published last."""
+        """Whether late joiners get the last messages."""
         return self.qos.durability == "transient_local"
 
     # --- the nodes at its ends
@@ -161,7 +161,7 @@ class TopicFlow(Flow):
             writer.close()
 
     def listen(self) -> None:
-        """Somebody subscribes at the other end, anew."""
+        """Start a new listener in place of the previous one."""
         self.deafen()
         type_hash = self.far.installed[self.type_name]
         self.reader = Reader(

@@ -50,7 +50,7 @@ if TYPE_CHECKING:
     from rsb_bridge.route.route import Route
 
 
-class Violation(AssertionError):  # noqa: N818 — it is what was found, not what went wrong here
+class Violation(AssertionError):  # noqa: N818 — it is a finding, not an error of this code
     """Something happened in a world that must never happen."""
 
 
@@ -64,8 +64,8 @@ class Robot:
         topic_flows: its topics.
         service_flows: its services.
         action_flows: its actions.
-        troubles: what goes on that may keep it from being linked, each with how often.
-        clear_since: s, since when there is nothing.
+        troubles: reasons why it may be unlinked, with how often each applies.
+        clear_since: s, when the last of these ended.
         commanded: s, when an operator last changed something.
         has_twin: whether another computer runs the same session.
     """
@@ -102,7 +102,7 @@ class World:
 
         Args:
             seed: of all that is left to chance.
-            conditions: how much there is of everything; None: the seed decides that, too.
+            conditions: of the world, or None to draw them from the seed, too.
         """
         self.seed = seed
         self.conditions = conditions or draw_conditions(self.random("climate"))
@@ -253,7 +253,7 @@ class World:
                 self.loop.close()
 
     def _clean_up(self) -> None:
-        """Have whatever still runs end, as after a failure."""
+        """End everything that still runs, for example after a failure."""
         self.loop.on_error = lambda _: None
         for host in self.hosts:
             host.kill()
@@ -293,11 +293,11 @@ class World:
             self.loop.fail(self._violation)
 
     def command(self) -> str:
-        """What plays it again, up to now."""
+        """Return the command that plays it again, up to now."""
         return f"python -m tests.simulation {self.seed} --days {self.loop.time() / 86_400 + 0.001:.3f}"
 
     def summary(self) -> str:
-        """What it was, in a few lines."""
+        """Return a description in a few lines."""
         messages = sum(flow.heard for flow in self.topic_flows.values())
         answers = sum(service.answered for service in self.service_flows.values())
         answers += sum(action.answered for action in self.action_flows.values())
@@ -312,7 +312,7 @@ class World:
 
     @contextlib.contextmanager
     def trouble(self, what: str, *robots: Robot, fault: bool = True) -> Iterator[None]:
-        """While this lasts, the robots need not be linked; where `fault` is False, because an operator wants it so."""
+        """Allow the robots to be unlinked meanwhile; with `fault` False, an operator has asked for it."""
         if fault:
             self.log.fault(what)
         self.log.tell(f"{what} begins: {', '.join(robot.name for robot in robots)}")
@@ -330,7 +330,7 @@ class World:
 
     @contextlib.contextmanager
     def flow_trouble(self, flow: TopicFlow | ServiceFlow | ActionFlow, what: str) -> Iterator[None]:
-        """While this lasts, a topic need not flow."""
+        """Allow a flow to be interrupted meanwhile."""
         self.log.fault(what)
         self.log.tell(f"{flow}: {what}")
         flow.troubles[what] += 1
@@ -348,13 +348,13 @@ class World:
         self.wrong(f"nobody caught {error!r}: {details.get('message')}")
 
     def _event(self, host: EngineHost, level: Level, code: EventCode, text: str, link: str) -> None:
-        if level is not Level.DEBUG:  # they repeat what was told before
+        if level is not Level.DEBUG:  # they repeat earlier events
             self.log.tell(f"{host.name}: {level} {code} {text}" + (f" ({link})" if link else ""))
         self.log.events[code] += 1
         if code == EventCode.ENGINE_ERROR:
             self.wrong(f"{host.name}: {text}")
 
-    # --- what there is
+    # --- queries
 
     def runs(self) -> list[Run]:
         """The engines that run."""
@@ -365,7 +365,7 @@ class World:
         return next((robot for robot in self.robots if robot.name == name), self.robots[0])
 
     def link_ends(self, robot: Robot) -> tuple[Link, Link] | None:
-        """Both ends of a robot's link, its own first; None: one of the engines does not run, or under another name."""
+        """Return both ends of a robot's link, its own first, or None unless both engines run under their own names."""
         run, server = robot.host.run, self.server.run
         if run is None or server is None:
             return None
@@ -374,7 +374,7 @@ class World:
         return None if there is None or here.name != robot.name else (here, there)
 
     def cut_off_at(self, robot: Robot) -> float | None:
-        """Since when (s) nothing gets through between a robot and the server in a direction; None: everything does."""
+        """Return when (s) the network between a robot and the server was cut in some direction, or None."""
         ends = (robot.host.machine, self.server.machine)
         since = [path.cut_at for path in self.network.both_ways(*ends)] + [machine.off_at for machine in ends]
         return min((time for time in since if time is not None), default=None)
@@ -385,7 +385,7 @@ class World:
         return max(robot.clear_since, *began)
 
     def state(self, flow: TopicFlow) -> str:
-        """What both sides say of a flow, its robot's first."""
+        """Return both sides' states of a topic, its robot's first."""
         told = []
         for link in self.link_ends(self.robot(flow.robot)) or ():
             route = route_of(link, flow)
@@ -394,7 +394,7 @@ class World:
         return "; ".join(told)
 
     def said(self, service: ServiceFlow) -> str:
-        """What both sides say of a service, its robot's first."""
+        """Return both sides' states of a service, its robot's first."""
         halves = [half_of(link, service) for link in self.link_ends(self.robot(service.robot)) or ()]
         shown = [half.snapshot() for half in halves if half is not None]
         return "; ".join(f"{each.state} {each.reason!r} {each.calls} {each.stages}" for each in shown)
@@ -408,7 +408,7 @@ class World:
                 account.forget(route)
 
     def forget_route(self, removed: Route) -> None:
-        """The receiving half of a route is removed: likewise, where the link is down and the sending half is not."""
+        """Do the same for one route whose receiving half is removed while the link is down."""
         for route, account in self.accounts.items():
             if route.peer.name == removed.peer.name and route.remote_topic == removed.remote_topic:
                 account.forget(route, removed=True)
