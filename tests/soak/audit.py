@@ -19,7 +19,7 @@ _ANSWERS_WITHIN = 30.0
 
 @dataclass(frozen=True, slots=True)
 class _Counts:
-    """Of one topic while nobody talks.
+    """Counts of one topic while nobody talks.
 
     Attributes:
         said: messages published by the talker.
@@ -54,7 +54,7 @@ def audit(stage: Stage, seconds: float) -> list[str]:
 
 
 def _late(stage: Stage, counts: dict[str, _Counts]) -> list[str]:
-    """What those miss who join the latched topics only now that nobody talks."""
+    """Return what late listeners of the latched topics miss while nobody talks."""
     listeners = stage.late_listeners()
     missing = [listener for listener in listeners if listener.name in counts]
 
@@ -68,7 +68,7 @@ def _late(stage: Stage, counts: dict[str, _Counts]) -> list[str]:
     for listener in listeners:
         listener.close()
     return [
-        f"{listener.name}: who joins late gets message {listener.newest} as the newest of {counts[listener.name].said}"
+        f"{listener.name}: a late listener gets message {listener.newest} as the newest of {counts[listener.name].said}"
         for listener in missing
     ]
 
@@ -123,7 +123,7 @@ def _settled(stage: Stage) -> tuple[dict[str, _Counts], list[str]]:
 
 
 def _open(stage: Stage, listener: TopicListener, hushed: float) -> str:
-    """Why a topic has not settled since everybody was hushed; empty: it has."""
+    """Return why a topic has not settled since everybody was hushed, or an empty string if it has."""
     if any(program.told_at < hushed + 1.0 for program in stage.programs):
         return f"{listener.name}: no newer status"
     here, there = _rows(stage, listener)

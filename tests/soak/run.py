@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 _GIVE_UP = 90.0
 _SLOW = 5.0
-"""s after which it is told why not every topic flows."""
+"""s after which the silent topics are printed, with their causes."""
 _FIRST_FLOW = 120.0
 _CLOSE_BEHIND = 0.2
 """How often the next fault comes without waiting for the recovery from this one."""
@@ -31,7 +31,7 @@ class Recovery:
 
     Attributes:
         fault: the last one before it.
-        seconds: from its end until the last topic flowed; None: it never did.
+        seconds: from its end until the last topic flowed, or None if that never happened.
         slowest: the last topic, and why it was slow; or what did not flow and why.
     """
 
@@ -46,7 +46,7 @@ class Outcome:
 
     Attributes:
         wrong: in words.
-        recoveries: after faults, but for those with the next one close behind.
+        recoveries: after faults, except those with another fault close behind.
         faults: how many there were.
         lives: of all processes of the bridge.
         ledger: the sums of what all of them sent.

@@ -103,7 +103,7 @@ class Stage:
         ]
 
     def start(self) -> None:
-        """Start every process, and wait until each has said something."""
+        """Start every process, and wait until each has printed something."""
         processes: list[Process] = [*self.programs, *self.talkers]
         for process in processes:
             process.start()
@@ -112,7 +112,7 @@ class Stage:
             raise TimeoutError(f"not started within {_STARTS_WITHIN:g} s: {', '.join(late)}")
 
     def restart(self, process: Process) -> None:
-        """Start a process again, and wait until it has said something: how long Python needs for that is not ours."""
+        """Restart a process, and wait for its first output, because the start of Python does not count as recovery."""
         process.start()
         if not self.live_until(lambda: process.ready, _STARTS_WITHIN):
             raise TimeoutError(f"{process.name} has not started within {_STARTS_WITHIN:g} s")
@@ -151,7 +151,7 @@ class Stage:
             program.measure(calm=True)
 
     def missing(self) -> str:
-        """What does not flow, and what both sides say of it."""
+        """Return the silent topics, with both sides' states."""
         told = []
         for listener in self.listeners:
             if listener.flowed_at:
@@ -173,7 +173,7 @@ class Stage:
             program.stop()
 
     def close(self) -> None:
-        """End everything, whatever state it is in."""
+        """End everything, in any state."""
         for process in (*self.programs, *self.talkers):
             process.close()
         self.network.close()
