@@ -59,7 +59,7 @@ class Router:
 
     Args:
         protocol: of its one endpoint.
-        settings: of its configuration, beside what every router here has.
+        settings: of its configuration, in addition to those of every router here.
 
     Attributes:
         port: of its endpoint, which it keeps.
@@ -74,7 +74,7 @@ class Router:
 
     @property
     def endpoint(self) -> str:
-        """Where it is reached."""
+        """Return its address."""
         return f"{self._protocol}/127.0.0.1:{self.port}"
 
     def start(self) -> None:
