@@ -44,7 +44,7 @@ from rsb_bridge.wire.protocol_error import ProtocolError
 from rsb_bridge.wire.records import ReceivedReport, SentReport
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Iterable
+    from collections.abc import Callable, Iterable, Mapping
 
     from rsb_bridge.context import Context
     from rsb_bridge.model.qos import Qos
@@ -239,8 +239,8 @@ class IncomingRoute(TopicRoute[ReceivingChannel]):
     def set_check(self) -> None:
         self.check.set()
 
-    def publishers_present(self, publishers: Collection[bytes]) -> None:
-        """Take the publishers of a latched topic that the sending side has now."""
+    def publishers_present(self, publishers: Mapping[bytes, int]) -> None:
+        """Take the publishers of a latched topic that the sending side has now, and the depths that it knows."""
         self._outputs.present(publishers)
 
     # --- messages
