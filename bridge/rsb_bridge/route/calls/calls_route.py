@@ -433,6 +433,10 @@ class CallsRoute(Route):
         return msgspec.structs.replace(report, verdict=lasting(report.verdict, verdict, self.context.now()))
 
     @property
+    def owing(self) -> bool:
+        return self.calls.in_flight > 0
+
+    @property
     def breaking(self) -> str:
         return self.losses.repeated
 
