@@ -22,9 +22,10 @@ _DEPTH = 500
 _TEXT = re.compile(r"bench (\d+) (\d+) (\d+)")
 
 
-def _node(name: str, domain: int, *, rosout: bool = False) -> Node:
-    context = Context()
-    context.init([], domain_id=domain)
+def _node(name: str, domain: int, *, rosout: bool = False, context: Context | None = None) -> Node:
+    if context is None:
+        context = Context()
+        context.init([], domain_id=domain)
     return Node(name, context=context, enable_rosout=rosout, use_global_arguments=False, start_parameter_services=False)
 
 
@@ -43,8 +44,10 @@ def talk(topic: str, depth: int, publishers: int) -> None:
         rate, count = line.split()
         first = 0
         outs: list[Any] = []
+        outs_context: Context | None = None  # of all: loggers write to the first one's
         for number in range(publishers):
-            node = _node(f"talker{number}", NEAR, rosout=topic == _ROSOUT)
+            node = _node(f"talker{number}", NEAR, rosout=topic == _ROSOUT, context=outs_context)
+            outs_context = node.context
             logs = topic == _ROSOUT
             outs.append(node.get_logger() if logs else node.create_publisher(String, topic, _latched(depth)))
         due = time.monotonic()

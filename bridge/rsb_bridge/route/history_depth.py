@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 _SETTLES_AFTER = 0.1  # s without a message of a publisher: its history has come
 _HELD_FOR = 0.3
-"""s; a probe takes 0.1 to 0.2 s on an idle machine."""
+"""s; a probe takes 0.1 to 0.2 s on an idle machine. A publisher is busy that has not been quiet for so long."""
 _HELD = 64
 """Messages of one publisher. At 5 kHz they come within 13 ms, and released together they fit into usual depths."""
 _HELD_SIZE = 32 << 20  # bytes of one publisher's messages
@@ -65,6 +65,7 @@ class _Publisher:
         taken: the newest number that the peer has, or that was emitted or is held.
         began: s, when `first` came.
         latest: s, when `newest` came.
+        flows_since: s, when the first message came after the last silence of `_SETTLES_AFTER`.
         first: the first message number that this subscription brought, or 0 before the first message.
         newest: the newest number seen.
         settled: whether its whole history has come.
@@ -82,6 +83,7 @@ class _Publisher:
     taken: int
     began: float
     latest: float
+    flows_since: float
     first: int = 0
     newest: int = 0
     settled: bool = False
@@ -214,10 +216,12 @@ class Histories:
         publisher = self._publishers.get(message.gid)
         if publisher is None:
             known = self._known.pop(publisher_id(message.gid), 0)
-            publisher = self._publishers[message.gid] = _Publisher(known, now, now)
+            publisher = self._publishers[message.gid] = _Publisher(known, now, now, now)
         if not publisher.first:
             publisher.first, publisher.began = message.number, now
         publisher.newest = max(publisher.newest, message.number)
+        if now - publisher.latest > _SETTLES_AFTER:
+            publisher.flows_since = now
         publisher.latest = now
         if self._lifespan and publisher.settled and not publisher.exact:
             publisher.arrivals.append((message.number, now))
@@ -228,13 +232,18 @@ class Histories:
         return number > 1 and not (publisher.released or publisher.exact or self._depth or self._lifespan)
 
     def _depth_of(self, publisher: _Publisher, number: int) -> int:
-        """Return the depth to emit a message with: the most that its publisher may keep of those up to this one."""
+        """Return the depth to emit a message with: the most that its publisher may keep.
+
+        Usually it is the number of messages so far, and the peer can drop each of a few alone. That takes the peer a
+        publisher for each, which has to be discovered. A busy publisher's messages would come faster than that, and
+        soon push out what is too much.
+        """
         if self._depth:
             return self._depth
         if not number:
             return _UNNUMBERED_DEPTH
-        if self._lifespan:  # the peer's publishers forget as quickly, whatever they may keep
-            return publisher.at_most
+        if self._lifespan or publisher.latest - publisher.flows_since >= _HELD_FOR - _SETTLES_AFTER:
+            return publisher.at_most  # with a lifespan the peer's publishers forget as quickly
         return min(number - publisher.first + 1, publisher.at_most)
 
     # --- depths
@@ -337,11 +346,7 @@ class Histories:
         return came is None or self._loop.time() - came > self._lifespan / 2
 
     def _release(self, publisher: _Publisher) -> None:
-        """Emit the held messages, and hold no more.
-
-        The peer can drop each of a few messages alone if it turns out that fewer are kept. Many have one depth, which
-        costs the peer one publisher.
-        """
+        """Emit the held messages, and hold no more. Many have one depth, so that they cost the peer one publisher."""
         publisher.released = True
         held, publisher.held, publisher.held_size = publisher.held, deque(), 0
         many = len(held) > _PROBES_EACH_UNTIL
