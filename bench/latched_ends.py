@@ -11,6 +11,7 @@ from typing import Any
 
 from rcl_interfaces.msg import Log
 from rclpy.context import Context
+from rclpy.duration import Duration
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.serialization import deserialize_message
@@ -19,13 +20,13 @@ from std_msgs.msg import String
 NEAR, FAR = 94, 95
 _ROSOUT = "/rosout"
 _DEPTH = 500
+_ROSOUT_QOS = QoSProfile(depth=1000, durability=DurabilityPolicy.TRANSIENT_LOCAL, lifespan=Duration(seconds=10))
 _TEXT = re.compile(r"bench (\d+) (\d+) (\d+)")
 
 
-def _node(name: str, domain: int, *, rosout: bool = False, context: Context | None = None) -> Node:
-    if context is None:
-        context = Context()
-        context.init([], domain_id=domain)
+def _node(name: str, domain: int, *, rosout: bool = False) -> Node:
+    context = Context()
+    context.init([], domain_id=domain)
     return Node(name, context=context, enable_rosout=rosout, use_global_arguments=False, start_parameter_services=False)
 
 
@@ -44,12 +45,11 @@ def talk(topic: str, depth: int, publishers: int) -> None:
         rate, count = line.split()
         first = 0
         outs: list[Any] = []
-        outs_context: Context | None = None  # of all: loggers write to the first one's
         for number in range(publishers):
-            node = _node(f"talker{number}", NEAR, rosout=topic == _ROSOUT, context=outs_context)
-            outs_context = node.context
-            logs = topic == _ROSOUT
-            outs.append(node.get_logger() if logs else node.create_publisher(String, topic, _latched(depth)))
+            logs = topic == _ROSOUT and publishers == 1  # rclpy has one node's logger publish
+            node = _node(f"talker{number}", NEAR, rosout=logs)
+            kind, qos = (Log, _ROSOUT_QOS) if topic == _ROSOUT else (String, _latched(depth))
+            outs.append(node.get_logger() if logs else node.create_publisher(kind, topic, qos))
         due = time.monotonic()
         for number in range(int(count)):
             time.sleep(max(0.0, due - time.monotonic()))
@@ -59,7 +59,7 @@ def talk(topic: str, depth: int, publishers: int) -> None:
             words = f"bench {number % publishers} {number // publishers} {now}"
             out = outs[number % publishers]
             if topic == _ROSOUT:
-                out.info(words)
+                out.info(words) if publishers == 1 else out.publish(Log(msg=words))
             else:
                 out.publish(String(data=words))
         _say(first=first)
