@@ -71,11 +71,6 @@ def test_what_the_page_names_exists(name: str) -> None:
     assert is_topic or name in _LIBRARY or is_named(name) or is_file(name)
 
 
-@pytest.mark.parametrize("name", ["route.nowhere", "route.route.Nothing", "route.route.Route.nothing", "nowhere.pause"])
-def test_what_is_not_there_is_found_out(name: str) -> None:
-    assert not is_named(name)
-
-
 @pytest.mark.parametrize("package", ["rsb_bridge", "rsb_console"])
 def test_the_layers_are_those_of_the_contracts(package: str) -> None:
     settings = tomllib.loads((_ROOT / "pyproject.toml").read_text(encoding="utf-8"))

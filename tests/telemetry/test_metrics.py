@@ -208,7 +208,7 @@ def test_every_cause_that_this_version_counts_by_has_its_own_label() -> None:
     causes = set(re.findall(r"``([a-z ]+)``", (Ledger.__doc__ or "").partition("each cause:")[2]))
     assert causes
     assert causes <= DROPPED
-    source = "".join(path.read_text() for path in (_ROOT / "bridge/rsb_bridge/route").glob("*.py"))
+    source = "".join(path.read_text() for path in (_ROOT / "bridge/rsb_bridge/route").rglob("*.py"))
     named = set(re.findall(r'(?:\.drop|_NotPublishedError|_dropped)[\[(]"([a-z ]+)"', source))
     assert len(named) > 5
     assert named <= DROPPED
