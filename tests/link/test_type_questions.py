@@ -26,6 +26,7 @@ from rsb_bridge.link.errors import Denied, LinkError
 from rsb_bridge.link.questions import TypeQuestions, description_in
 from rsb_bridge.ros import type_descriptions
 from rsb_bridge.ros.ros_interface import RosError
+from rsb_bridge.ros.stand_in import NoRos
 from rsb_bridge.ros.type_descriptions import TypeDescriptions
 from rsb_bridge.route.type_versions import MessageType as MessageVersion
 from rsb_bridge.wire.messages import AskType, TypeText
@@ -37,7 +38,7 @@ TEXT = text_of_description(TypeDescription(MessageType("a_msgs/msg/B", (Field("x
 HASH = hash_of_text(TEXT)
 
 
-class Ros:
+class Ros(NoRos):
     """A side on which nothing is installed; its nodes say what they are given."""
 
     def __init__(self) -> None:
@@ -45,18 +46,13 @@ class Ros:
         self.asked: list[str] = []
         self.fails = False
 
-    def installed_hash(self, type_name: str) -> str | None:
-        return None
-
     def publishers(self, topic: str) -> list[Any]:
         if self.fails:
             raise RosError("it is not running")
         return [type("End", (), {"node": node, "type_hash": HASH}) for node in self.nodes]
 
-    def subscriptions(self, topic: str) -> list[Any]:
-        return []
-
-    def ask_description(self, node: str, type_name: str, type_hash: str, still_wanted: Any) -> str | None:
+    def ask_description(self, *question: Any) -> str | None:
+        node, _, _, still_wanted = question
         self.asked.append(node)
         assert still_wanted()
         return self.nodes[node]

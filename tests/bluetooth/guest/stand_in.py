@@ -24,16 +24,13 @@ from rsb_bridge.ros.ros_interface import (
     RequestSink,
     Response,
     ResponseSink,
-    RosError,
-    RosProblem,
     Sink,
 )
 from rsb_bridge.ros.ros_thread import RosTurns
+from rsb_bridge.ros.stand_in import NoRos
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Hashable
-
-    from rsb_bridge.model.calls import Fields
 
 TYPE, HASH = "std_msgs/msg/String", "RIHS01_" + 64 * "0"
 SERVICE_TYPE, SERVICE_HASH = "std_srvs/srv/Trigger", f"{HASH}+{HASH}"
@@ -54,7 +51,7 @@ class Arrival(NamedTuple):
     time: float
 
 
-class StandIn:
+class StandIn(NoRos):
     """One domain.
 
     Attributes:
@@ -68,7 +65,6 @@ class StandIn:
     def __init__(self, **offered: Qos) -> None:
         self.instance_id = secrets.token_hex(4)
         self.node_name = f"rsb_{self.instance_id}"
-        self.shortfalls: tuple[str, ...] = ()
         self.turns = RosTurns()
         self.offered = {f"/{name}": qos for name, qos in offered.items()}
         self.arrived: defaultdict[str, list[Arrival]] = defaultdict(list)
@@ -117,12 +113,6 @@ class StandIn:
 
     # --- what the engine does
 
-    def start(self) -> None:
-        pass
-
-    def watch(self, on_graph_change: Callable[[], None], on_failure: Callable[[str], None]) -> None:
-        """Its graph never changes."""
-
     def stop(self) -> None:
         self._stopped.set()
         for thread in self._threads:
@@ -133,18 +123,6 @@ class StandIn:
 
     def publishers(self, topic: str) -> list[Endpoint]:
         return [Endpoint("/stand_in", TYPE, HASH, self.offered[topic], _GID)] if topic in self.offered else []
-
-    def subscriptions(self, topic: str) -> list[Endpoint]:
-        return []
-
-    def serialize(self, type_name: str, fields: Fields, now: int) -> bytes:
-        raise RosError(RosProblem.TYPE_MISSING(type_name=type_name))
-
-    def installed_description(self, type_name: str) -> str | None:
-        return None
-
-    def ask_description(self, *_: object) -> str | None:
-        return None
 
     def installed_hash(self, type_name: str) -> str | None:
         return HASH if type_name == TYPE else None
@@ -171,9 +149,6 @@ class StandIn:
     def servers(self, service: str) -> list[Endpoint]:
         found = service in self.answering
         return [Endpoint("/stand_in", SERVICE_TYPE, SERVICE_HASH, _SERVICE_QOS, _GID)] if found else []
-
-    def callers(self, service: str) -> list[Endpoint]:
-        return []
 
     def installed_service_hash(self, type_name: str) -> str | None:
         return SERVICE_HASH if type_name == SERVICE_TYPE else None
