@@ -19,9 +19,9 @@ import pytest
 from tests.console.live import Pair, running
 from tests.console.nodes import Spec, encoded
 from tests.console.side import Side, every_so_often
-from tests.support.holding_relay import HoldingRelay
 from tests.support.log_lines import check_lines
 from tests.support.ports import free_port
+from tests.support.relay import Relay
 from tests.support.waiting import eventually
 
 from rsb_bridge.config.session_file import save
@@ -216,7 +216,7 @@ class World:
     def __init__(self, folder: Path, domains: tuple[int, int], nodes: contextlib.ExitStack) -> None:
         pair = Pair(folder, *(row.topic for row in ROWS), domains=domains, stale_after=120.0)
         ports = {pair.client.server_port, *(row.topic.port for row in ROWS if row.topic.port is not None)}
-        self._relays = {port: nodes.enter_context(HoldingRelay(port, host=_RELAYED, port=port)) for port in ports}
+        self._relays = {port: nodes.enter_context(Relay(("127.0.0.1", port), _RELAYED, port)) for port in ports}
         save(msgspec.structs.replace(pair.client, server_ip=_RELAYED), pair.client_path)
         self._starts: dict[str, Callable[[], subprocess.Popen[bytes]]] = {}
         for domain, specs in zip(domains, ([row.robot for row in ROWS], [row.pc for row in ROWS]), strict=True):
@@ -281,7 +281,7 @@ class World:
         if row.held:
             assert row.topic.port is not None
             self.routes(fine)
-            self._relays[row.topic.port].held = row.held
+            self._relays[row.topic.port].delay = lambda: row.held
 
     def _end(self, row: Row, fine: Row) -> None:
         before = self.routes(fine)

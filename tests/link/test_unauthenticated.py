@@ -341,6 +341,8 @@ def test_forged_and_replayed_datagrams(bridge: Bridge, relay: Relay, robot: Doma
     server, client = bridge.both(Topic("/beat", "transmit", protocol="udp", qos={"depth": 1000}))
     carries([out], server, ["/beat"])
 
+    recorded: list[bytes] = []
+
     def forge(datagram: bytes) -> list[bytes]:
         damaged = bytearray(datagram)
         damaged[-1] ^= 1
@@ -348,19 +350,22 @@ def test_forged_and_replayed_datagrams(bridge: Bridge, relay: Relay, robot: Doma
         claims[18:26] = b"\xff" * 8  # its sequence number
         return [bytes(damaged), bytes(claims), os.urandom(60), b"", datagram[:20], *[datagram] * 10]
 
-    relay.to_server = relay.to_client = forge
+    def record(datagram: bytes) -> list[bytes]:
+        recorded.append(datagram)
+        return forge(datagram)
+
+    relay.to_server, relay.to_client = record, forge
     sent = [text(f"{number}") for number in range(100)]
     for payload in sent:
         out.publish(payload)
     assert heard(there, 100) == sent
     relay.to_server = relay.to_client = lambda datagram: [datagram]
-    recorded = [datagram for datagram in relay.datagrams if message_number(datagram)]
     relay.cut()
     eventually(lambda: happened(client, EventCode.LINK_LOST) and linked(client))
     carries([out], server, ["/beat"])
     with socket.socket(type=socket.SOCK_DGRAM) as replayer:
-        for datagram in recorded:
-            replayer.sendto(datagram, (relay.SERVER, bridge.port))
+        for datagram in filter(message_number, recorded):
+            replayer.sendto(datagram, relay.target)
     out.publish(text("new"))
     heard(there, 101)
     assert there.payloads == [*sent, text("new")]
@@ -378,7 +383,7 @@ def test_a_replayed_connection(bridge: Bridge, relay: Relay, robot: Domain, pc: 
     peer = link(server).peer
     control, data = (bytes(connection.sent) for connection in relay.connections[:2])
     for recording, words in ((control, Broken.HANDSHAKE_REPLAYED(name="robot1")), (data, "unknown route")):
-        talk((relay.SERVER, bridge.port), recording)
+        talk(relay.target, recording)
         eventually(lambda words=words: happened(server, EventCode.LINK_REJECTED, words))
     assert (link(server).peer, linked(server)) == (peer, True)
     out.publish(text("twice"))

@@ -68,7 +68,7 @@ class Bridge:
 
     def through(self, relay: Relay) -> None:
         """Have clients call a relay instead of the server."""
-        self._addresses = {"server": relay.SERVER, "client": relay.HOST}
+        self._addresses = {"server": relay.target[0], "client": relay.host}
 
     def make_key(self, name: str) -> str:
         """A new key file."""
