@@ -64,7 +64,7 @@ def form_of(app: App[Any]) -> Form:
 
 
 def text(app: App[Any]) -> str:
-    """What stands on the screen."""
+    """Return the text of the screen."""
     strips = app.screen._compositor.render_strips()
     return "\n".join("".join(segment.text for segment in strip) for strip in strips)
 
@@ -115,7 +115,7 @@ async def notified(pilot: Pilot[None], wording: Wording, **parameters: object) -
 
 
 async def shown_at_the_end(pilot: Pilot[None], words: str, key: str = "G", seconds: float = 180.0) -> None:
-    """Go to the end, which may still move, until `words` stand on the screen."""
+    """Go to the end, which may still move, until the screen shows `words`."""
     deadline = time.monotonic() + seconds
     while words not in text(pilot.app):
         assert time.monotonic() < deadline, f"not within {seconds} s: {words!r} at the end\n{text(pilot.app)}"
@@ -124,7 +124,7 @@ async def shown_at_the_end(pilot: Pilot[None], words: str, key: str = "G", secon
 
 
 async def told_to_add(pilot: Pilot[None], app: ConsoleApp) -> tuple[object, ...]:
-    """Wait until the engine is told to add a topic; the form may ask for the graph even after that."""
+    """Wait until the engine gets the command to add a topic; the form may ask for the graph even after that."""
 
     def told() -> tuple[object, ...] | None:
         return next((command for command in engine_of(app).commands if command[0] == "add"), None)
@@ -191,7 +191,7 @@ def drive(app: ConsoleApp, steps: Steps, size: tuple[int, int] = WIDE) -> None:
 
 
 async def fill(pilot: Pilot[None], **values: str) -> None:
-    """Paste each value into the form's field of that key, in place of what is there."""
+    """Paste each value into the form's field of that key, in place of the old value."""
     for key, value in values.items():
         form = form_of(pilot.app)
         await until(pilot, lambda f=form: not f.input_guard.covers(Paste("")), "a form that listens")

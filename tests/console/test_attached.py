@@ -1,4 +1,4 @@
-"""The console on a bridge of another process: it shows and does the same, says so, and leaves the bridge running."""
+"""The console on a bridge of another process: it shows and does the same, and leaves the bridge running."""
 
 import os
 import shutil
@@ -171,7 +171,7 @@ def test_the_welcome_screen_lists_what_runs_first(
 
 
 def _running(machine: Machine) -> object:
-    """As the app's own, which leaves out the process that it runs in."""
+    """Return the running bridges; the app's own function leaves out the process that it runs in."""
 
     async def running(_: object) -> list[bridges.RunningBridge]:
         return bridges.running_bridges(machine.environ)

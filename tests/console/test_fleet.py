@@ -153,7 +153,7 @@ def test_every_size(size: tuple[int, int]) -> None:
 
 def test_the_cursor_stays_on_its_robot() -> None:
     async def steps(bed: Bed) -> None:
-        assert bed.cursor == "robot2"  # the worst, whichever that is, until the operator moves
+        assert bed.cursor == "robot2"  # the worst row, until the operator moves
         bed.source.put("robot2", state=RobotState.OK, why="")
         await bed.until(lambda: bed.cursor == "robot11", "the worst under the cursor")
         await bed.press("j")
@@ -170,7 +170,7 @@ def test_filter_and_faults_only() -> None:
         await bed.press("f")
         assert bed.listed == ["robot2", "robot11", "robot3"]
         await bed.press("escape", "slash", *"group:hall", "enter")
-        await bed.until(lambda: bed.listed == ["robot11", "robot3", "robot1"], "those of the hall")
+        await bed.until(lambda: bed.listed == ["robot11", "robot3", "robot1"], "the robots of the hall")
         await bed.shown("3 of 6")
         await bed.press("escape")
         assert len(bed.listed) == 6
@@ -190,7 +190,7 @@ def test_groups_fold() -> None:
         await bed.press("enter")
         assert bed.listed == ["[hall]", *everything[4:]]
         await bed.shown("▸ hall  3 robots")
-        await bed.shown("/scan STALE")  # what is wrong in it is said all the same
+        await bed.shown("/scan STALE")  # its errors are shown all the same
         await bed.press("space")
         assert bed.view.marked == {"control/robot1", "control/robot3", "control/robot11"}
         await bed.press("space", "enter")
@@ -390,7 +390,7 @@ async def picking(bed: Bed) -> RolloutScreen:
 
 @pytest.mark.parametrize("size", [WIDE, NARROW], ids=["wide", "narrow"])
 def test_a_change_is_picked(size: tuple[int, int]) -> None:
-    """The topic of those that the robots have, then the key, then the value."""
+    """Pick a topic of the robots, then a key, then a value."""
 
     async def steps(bed: Bed) -> None:
         screen = await picking(bed)

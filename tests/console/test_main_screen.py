@@ -118,7 +118,7 @@ async def test_pause_and_resume(app: ConsoleApp, pilot: Pilot[None]) -> None:
     await until(pilot, lambda: engine_of(app).commands == [("pause", "/robot2/scan", True)], "pause")
     await pilot.press("j", "j", "p")
     await until(pilot, lambda: engine_of(app).commands[1:] == [("pause", "/initialpose", False)], "resume")
-    assert not list(app._notifications), "the log says it"
+    assert not list(app._notifications), "the log has it"
 
 
 @on_main()

@@ -72,7 +72,7 @@ def test_readonly_begins_with_what_writes_nothing() -> None:
         await shown(pilot, "Open a session")
         await gone(pilot, "New session")
         await gone(pilot, "Import")
-        await pilot.press("n", "i", "escape")  # there is nothing behind it to go to
+        await pilot.press("n", "i", "escape")  # no screen is behind it
         await pilot.pause()
         await shown(pilot, "Open a session")
 

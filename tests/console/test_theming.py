@@ -1,4 +1,4 @@
-"""Themes: the shipped ones are readable, a user's mistake is said in words."""
+"""Themes: the shipped ones are readable, a user's mistake is explained."""
 
 from pathlib import Path
 
@@ -47,7 +47,7 @@ def test_what_is_read_stands_out(name: str, least: float) -> None:
 
 @pytest.mark.parametrize("name", ["dark", "light"])
 def test_colours_are_of_the_256(name: str) -> None:
-    """So a terminal without COLORTERM shows what was meant."""
+    """A terminal without COLORTERM shows the intended colours."""
     levels = {0, 95, 135, 175, 215, 255}
     theme = SHIPPED.found[name]
     for key in ("primary", *themes.COLORS):

@@ -72,7 +72,7 @@ async def removed(pilot: Pilot[None], topic: str) -> None:
 
 
 async def refused(app: ConsoleApp, pilot: Pilot[None], *words: str) -> None:
-    """Press the key, and be told why nothing is taken back."""
+    """Press the key, and return the reason why nothing is undone."""
     await pilot.press("u")
     await shown(pilot, "Not undone")
     assert all(any(each in told.message for told in app._notifications) for each in words)

@@ -678,7 +678,7 @@ async def test_a_problem_instead_of_a_picture(app: ConsoleApp, pilot: Pilot[None
     assert "numpy" not in title(app)
     await comes(pilot, viewed(None, problem="numpy is not installed there"))
     await shown(pilot, "numpy is not installed there")
-    assert "the picture" in text(app), "the last picture stays beside the problem"
+    assert "the picture" in text(app), "the last picture stays next to the problem"
 
 
 def test_a_refusal_is_shown_and_asked_again(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -757,7 +757,7 @@ def _unfit() -> list[Picture]:
 
 @pytest.mark.parametrize("picture", _unfit(), ids=["style", "styles", "palette", "pixels", "curves"])
 def test_a_hostile_bridge_s_picture_is_refused(machine: Machine, picture: Picture) -> None:
-    """Whoever has the bridge's socket, or a robot of a fleet, may send anything."""
+    """Any holder of the bridge's socket, or a robot of a fleet, may send anything."""
 
     class Hostile(ScriptedEngine):
         def _execute(self, command: Any, step: Any) -> Future[Any]:

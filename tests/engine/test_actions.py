@@ -319,7 +319,7 @@ def test_a_goal_that_is_accepted_while_the_link_is_down_is_known_to_its_client_a
 
 
 def states(engine: Engine) -> list[str]:
-    """Of an engine's goals, in the order of its snapshot."""
+    """Return the states of an engine's goals, in the order of its snapshot."""
     return [goal.state for goal in route(engine, ACTION).goals]
 
 

@@ -48,7 +48,7 @@ def consoles() -> Iterator[Consoles]:
 
 
 def disarmings(engine: Engine) -> int:
-    """How often it was told that an operator has disarmed."""
+    """Return how often its log has that an operator disarmed."""
     return sum(each.code == EventCode.OPERATOR_DISARMED for each in engine.events())
 
 
@@ -126,7 +126,7 @@ def test_what_is_armed_crosses_unchanged(
 def test_what_was_on_its_way_when_it_disarms_reaches_no_robot_after_it_is_armed_again(
     bridge: Bridge, relay: Relay, robot: Domain, pc: Domain, consoles: Consoles
 ) -> None:
-    """The network holds the commands back, and lets them go when both sides are armed anew."""
+    """The network holds the commands back, and releases them when both sides are armed again."""
     motors, joystick = robot.listener("/cmd"), pc.publisher("/cmd")
     server, client = bridge.both(COMMANDS)
     eventually(lambda: is_set_up(server, client))
@@ -182,7 +182,7 @@ def both_armed(bridge: Bridge, relay: Relay, robot: Domain, pc: Domain, consoles
 def test_a_command_that_disarms_ends_once_nothing_is_published_any_more(
     what: str, both_armed: tuple[Engine, Engine], relay: Relay
 ) -> None:
-    """The network holds back what was sent, and the word that it is disarmed."""
+    """The network holds back the sent messages and the disarming."""
     server, _ = both_armed
     key = route(server, "/cmd").key
     relay.stall()

@@ -1,4 +1,4 @@
-"""What the engine does by itself: little while nothing happens, and no task of its own ends unnoticed."""
+"""An engine without traffic does little, and none of its tasks ends unnoticed."""
 
 from __future__ import annotations
 

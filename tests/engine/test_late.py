@@ -49,7 +49,7 @@ class Talking:
 
 
 def both_say(engines: tuple[Engine, Engine], topic: str, state: State, cause: str, within: float) -> None:
-    """Wait until both sides say so."""
+    """Wait until both sides show this state and cause."""
 
     def said() -> bool:
         return all((route(each, topic).state, route(each, topic).cause) == (state, cause) for each in engines)

@@ -71,7 +71,7 @@ class Stamping:
 
 
 def ages(listener: Listener) -> list[float]:
-    """How old (s) each message was when it was received."""
+    """Return the age (s) of each message when it was received."""
     return [
         (received - int(deserialize_message(payload, String).data)) / 1e9
         for payload, received in zip(listener.payloads, listener.received, strict=True)
@@ -88,7 +88,7 @@ def clocks_known(*engines: Engine) -> bool:
 def test_nothing_old_comes_out_of_a_network_that_held_everything(
     protocol: Protocol, side: str, bridge: Bridge, holding: Relay, robot: Domain, pc: Domain
 ) -> None:
-    """Either side may say so: the robot that publishes, or the server of a topic that the robot lists."""
+    """Either side may have the `max_age`: the robot that publishes, or the server of a topic that the robot lists."""
     out, heard = robot.publisher("/cmd"), pc.listener("/cmd")
     topic = Topic("/cmd", "transmit", protocol=protocol, max_age=MAX_AGE if side == "sender" else None)
     theirs = msgspec.structs.replace(topic, max_age=MAX_AGE)
@@ -128,7 +128,7 @@ def _shown(engine: Engine, topic: str) -> tuple[State, str]:
 
 
 def test_without_max_age_old_messages_come_out(bridge: Bridge, holding: Relay, robot: Domain, pc: Domain) -> None:
-    """What the test above is about is there: the relay holds messages, and old ones come out."""
+    """The test above needs this: the relay holds messages, and old ones come out."""
     out, heard = robot.publisher("/cmd"), pc.listener("/cmd")
     server = bridge.server()
     client = bridge.client(Topic("/cmd", "transmit"), server_ip="127.0.0.1", server_port=holding.port)
@@ -157,7 +157,7 @@ def test_a_latched_message_is_too_old_for_whoever_joins_late(bridge: Bridge, rob
 
 
 def test_a_lifespan_goes_on_on_the_way(bridge: Bridge, holding: Relay, robot: Domain, pc: Domain) -> None:
-    """DDS counts it anew on the far side; the bridge publishes nothing that is older than it."""
+    """DDS starts it again on the far side; the bridge publishes nothing that is older than it."""
     from rclpy.duration import Duration
     from rclpy.qos import QoSProfile
 

@@ -41,7 +41,7 @@ _CARRIED = 0.5 * TUNNEL, 1.2 * TUNNEL
 
 
 class Seen(NamedTuple):
-    """What a side shows at one moment."""
+    """A side's display at one moment."""
 
     at: float
     state: State

@@ -44,7 +44,7 @@ ODOMETRY = "nav_msgs/msg/Odometry"
 
 
 class Lacks(KnownNode):
-    """A machine on which no message type is installed. Its node says so; to uninstall a package is too much here."""
+    """A machine without message types: its node reports none, because a test cannot uninstall packages."""
 
     def installed_hash(self, type_name: str) -> str | None:
         return None
@@ -67,7 +67,7 @@ def look(engine: Engine, topic: str, *, kept: bool = False) -> Future[PeekedMess
 
 
 def wanted(link: Link) -> list[bool]:
-    """Which of a link's topics somebody looks at."""
+    """Return a link's topics that have a viewer."""
     return [each.peek_slot.wanted for each in tuple(link.routes.values()) if isinstance(each, TopicRoute)]
 
 
@@ -202,7 +202,7 @@ def _unless_refused(future: Future[Any]) -> list[Any]:
 
 
 def described(engine: Engine, topic: str) -> str:
-    """The description's text, once the type is known."""
+    """Wait for the type, and return its description."""
 
     eventually(lambda: route(engine, topic).type_hash)
     return engine.describe(key(engine, topic)).result(30)

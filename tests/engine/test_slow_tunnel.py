@@ -1,4 +1,4 @@
-"""A tunnel that carries less than is published, behind buffers that take whatever comes: messages stay fresh."""
+"""A tunnel that carries less than is published, behind buffers without a limit: messages stay fresh."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ class Publishing:
 
 
 def ages(there: Listener, relay: Relay | None = None) -> list[float]:
-    """How old (s) each message was when it came out, the first one first, without the relay's pauses."""
+    """Return the age (s) of each message on arrival, in order, without the relay's pauses."""
     received = [*there.received]  # more may come at once
     made = [read_stamp(deserialize_message(payload, String).data)[1] for payload in there.payloads[: len(received)]]
     ways = zip(made, received, strict=True)
@@ -158,7 +158,7 @@ def test_topics_in_one_queue_and_pings_beside_them(bridge: Bridge, robot: Domain
 
 
 def test_latched_topic_keeps_its_promise(bridge: Bridge, robot: Domain, pc: Domain) -> None:
-    """All that a publisher keeps for late joiners crosses, however late, beside a live topic that floods the tunnel."""
+    """All messages kept for late joiners cross, however late, next to a live topic that floods the tunnel."""
     kept = QoSProfile(depth=20, durability=QoSDurabilityPolicy.TRANSIENT_LOCAL)
     latched, live = robot.publisher("/latched", qos=kept), robot.publisher("/live")
     there, beside = pc.listener("/latched", qos=kept), pc.listener("/live")

@@ -1,4 +1,4 @@
-"""A subscription that fails while it runs: both sides say so, and it is there again by itself."""
+"""A subscription that fails while it runs: both sides show it, and the bridge subscribes again."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def refused(engine: Engine) -> Iterator[None]:
 
 
 def look_down(*engines: Engine) -> None:
-    """What both operators see."""
+    """Wait until both sides show that it is down."""
     for engine in engines:
         eventually(lambda engine=engine: route(engine, "/chat").state == "down")
         assert route(engine, "/chat").reason in (FAILURE, f"robot1: {FAILURE}", f"server: {FAILURE}")

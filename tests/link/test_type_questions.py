@@ -70,7 +70,7 @@ class Side:
     def __init__(self) -> None:
         self.ros, self.time = Ros(), 0.0
         self.sent: list[Any] = []
-        self.known = TypeDescriptions(self.ros, lambda: self.time)  # type: ignore[arg-type]
+        self.known = TypeDescriptions(self.ros, lambda: self.time)
         self.tasks: list[asyncio.Task[None]] = []
         self.has_sent = asyncio.Event()
         self.questions = TypeQuestions(self.known, lambda _: Route(), self._send, self._spawn)  # type: ignore[arg-type, return-value]
@@ -156,7 +156,7 @@ def test_nodes_that_know_nothing_are_asked_again_after_a_while() -> None:
 
 def test_what_is_kept_is_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(type_descriptions, "_KEPT", 3 * len(TEXT))
-    known = TypeDescriptions(Ros(), lambda: 0.0)  # type: ignore[arg-type]
+    known = TypeDescriptions(Ros(), lambda: 0.0)
     texts = [TEXT.replace('"x"', f'"{letter}"') for letter in "abcde"]
     hashes = [hash_of_text(text) for text in texts]
     for text, type_hash in zip(texts[:3], hashes[:3], strict=True):
@@ -203,7 +203,7 @@ async def asked_by_a_caller(answering: Side) -> tuple[str, str]:
     """Have a side with other versions ask: the texts of the answer, and the difference that it tells."""
     asking, told = Side(), asyncio.get_running_loop().create_future()
     asking.ros = Installed(*HERE)
-    asking.known = TypeDescriptions(asking.ros, lambda: 0.0)  # type: ignore[arg-type]
+    asking.known = TypeDescriptions(asking.ros, lambda: 0.0)
     asking.questions._known = asking.known
     asking.questions.compare(3, versions(REQUEST, RESPONSE), told.set_result)
     await asking.has_sent.wait()
@@ -218,7 +218,7 @@ def test_one_answer_has_all_types_of_a_service_that_fit(most: int, monkeypatch: 
     monkeypatch.setattr(questions, "DESCRIPTION_LIMIT", max(most, 1))
     monkeypatch.setattr(Route, "message_types", versions(REQUEST, RESPONSE, REQUEST))
     answering = Side()
-    answering.known._ros = Installed(REQUEST, RESPONSE)  # type: ignore[assignment]
+    answering.known._ros = Installed(REQUEST, RESPONSE)
     texts, difference = asyncio.run(asked_by_a_caller(answering))
     fit = [text for text, size in ((REQUEST, len(REQUEST)), (RESPONSE, DESCRIPTION_LIMIT)) if size <= most]
     assert texts == "\n".join(fit)

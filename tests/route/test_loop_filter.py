@@ -135,7 +135,7 @@ class World(NamedTuple):
 
     @property
     def sent(self) -> list[bytes]:
-        """What was sent."""
+        """Return the messages that were sent."""
         return [payload for payload, _ in self.peer.channel.sent]
 
 

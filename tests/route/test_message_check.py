@@ -100,7 +100,7 @@ def test_an_installed_type_is_checked_from_the_first_message() -> None:
 
 
 def test_a_type_that_is_not_installed_is_described_by_its_subscribers() -> None:
-    """By their own hash, whatever the peer says the type's is."""
+    """The checker goes by the subscribers' hash, not by the peer's."""
 
     async def work() -> None:
         bed = Bed({}, {"/node": TEXT})

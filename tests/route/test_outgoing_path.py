@@ -23,7 +23,7 @@ SECOND = 10**9
 
 
 def publish(world: World, count: int, rate: int = 100, size: int = 100) -> int:
-    """Publish messages at a rate (Hz), and return the number of those that were sent."""
+    """Publish messages at a rate (Hz), and return the number that was sent."""
     before, now = len(world.sent), world.context.stamps.now()
     for number in range(count):
         world.route._path.offer([RawMessage(bytes(size), now + number * SECOND // rate, FIRST)])
@@ -80,7 +80,7 @@ def test_both_steps_count_what_each_leaves_out(world: World) -> None:
 
 
 def test_a_demand_to_arm_holds_from_the_next_message_on(world: World) -> None:
-    """Whoever demands it, and whatever else happens."""
+    """For demands of either side, and all other events."""
     assert publish(world, 1) == 1
     world.route.arming.demand(required=True, deadman=0.0)
     assert publish(world, 3) == 0

@@ -1,4 +1,4 @@
-"""What a route subscribes with."""
+"""The QoS that a route subscribes with."""
 
 from __future__ import annotations
 
