@@ -141,10 +141,10 @@ def test_one_way_does_not_close_a_loop_with_the_other(pair: Callable[..., Pair])
 
 
 @pytest.mark.parametrize("first_heard", ["the proposal", "the run"])
-def test_a_run_whose_topic_is_opened_anew_has_no_figures(
+def test_a_run_whose_topic_is_opened_again_has_no_figures(
     first_heard: str, pair: Callable[..., Pair], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """As where the link is lost, and back soon: the other side has counted from 0 since.
+    """For example where the link is lost, and back soon: the other side has counted from 0 since.
 
     The run may go on before the other side has heard of the new opening.
     """
@@ -302,7 +302,7 @@ MEGABYTE = 1_000_000
 
 
 def let_in(server: Engine) -> tuple[int, int, int]:
-    """What a peer that measures has got in: bytes as they came, unpacked, and those of messages that are not whole."""
+    """Return the bytes of a measuring peer: as received, unpacked, and of incomplete messages."""
 
     async def ask(bridge: Bridge) -> tuple[int, int, int]:
         (link,) = bridge.links()

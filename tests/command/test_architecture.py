@@ -1,4 +1,4 @@
-"""What docs/architecture.md names is in the program, and the page has every package, in the order of its layers."""
+"""Names in docs/architecture.md exist in the program, and the page has every package, in the order of its layers."""
 
 from __future__ import annotations
 
@@ -86,7 +86,7 @@ def test_the_layers_are_those_of_the_contracts(package: str) -> None:
 
 
 def test_every_package_is_named() -> None:
-    """Packages within packages, too; and all stand in the picture or are named in the text."""
+    """Packages within packages, too; the picture or the text has them all."""
     named = set(re.findall(r"`([\w.]+)`", _TEXT))
     packages = {
         ".".join(each.parent.relative_to(folder).parts) for folder in _PACKAGES for each in folder.rglob("__init__.py")

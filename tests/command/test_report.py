@@ -1,4 +1,4 @@
-"""`rsb-console report`: of a bridge that runs, of one that does not, as text, JSON and CSV."""
+"""`rsb-console report` of a running bridge and of a stopped one, as text, JSON and CSV."""
 
 from __future__ import annotations
 

@@ -88,5 +88,5 @@ class World:
 
 
 def brief(outages: Sequence[Outage]) -> list[tuple[Any, ...]]:
-    """What matters of some outages: the topic, the whole seconds, state and cause."""
+    """Return the topic, the whole seconds, state and cause of some outages."""
     return [(each.topic, round(each.seconds), each.state, each.cause) for each in outages]

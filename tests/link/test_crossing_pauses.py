@@ -26,7 +26,7 @@ def press(engine: Engine, *states: bool) -> None:
 
 
 def paused(engine: Engine) -> bool:
-    """Asked of the route itself: on a link that is down, the snapshot says that it is down."""
+    """Ask the route itself: on a link that is down, the snapshot shows only that."""
     assert engine._bridge is not None
     return any(each.paused for link in engine._bridge.links() for each in link.routes.values())
 

@@ -1,4 +1,4 @@
-"""What both sides' link rows say of a wrong key, of a robot that is missing, and of two machines with one name."""
+"""Both sides' link rows for a wrong key, a missing robot, and two machines with one name."""
 
 from __future__ import annotations
 
@@ -141,7 +141,7 @@ def test_several_second_clients_are_one_warning(bridge: Bridge) -> None:
     eventually(lambda: "(host spare1)" in link(first).warning)
     for host in ("spare2", "spare3", "spare1"):
         try_as(bridge, host)
-    # The one that came last is named, not whichever tried last. They count for a few seconds after they tried.
+    # The newest one is named, not the one that tried last. They count for a few seconds after an attempt.
     words = SameName.SEVERAL(address="127.0.0.1 (host spare3)", others="2 others", name="robot1")
     for engine in (server, first):
         warning = eventually(lambda engine=engine: found if words in (found := link(engine).warning) else "")

@@ -50,7 +50,7 @@ def test_both_sides_say_that_they_carry_calls(bridge: Bridge) -> None:
 
 
 def test_only_topics_are_proposed_to_an_older_client(bridge: Bridge) -> None:
-    """The routes say in words what is to be done, and come with its update."""
+    """The routes show the remedy, and come with its update."""
     called = [Topic(f"/{kind}", "transmit", kind=kind) for kind in KINDS]
     server = bridge.server(
         key_file=None,

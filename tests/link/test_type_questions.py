@@ -1,4 +1,4 @@
-"""What a peer answers about types is bounded, and believed only where the type's hash proves it."""
+"""A peer's answers about types are bounded, and accepted only if the type's hash proves them."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ HASH = hash_of_text(TEXT)
 
 
 class Ros(NoRos):
-    """A side on which nothing is installed; its nodes say what they are given."""
+    """A side without installed types, whose nodes answer as a test sets them."""
 
     def __init__(self) -> None:
         self.nodes: dict[str, str | None] = {}
@@ -83,7 +83,7 @@ class Side:
         self.tasks.append(asyncio.ensure_future(work))
 
     async def ask(self, answer: bytes | None) -> str:
-        """Ask, and have the peer answer; None: the link ends."""
+        """Ask, and have the peer answer, or end the link if the answer is None."""
         asking = asyncio.ensure_future(self.questions.describe(Route(), linked=True))  # type: ignore[arg-type]
         await self.has_sent.wait()
         assert self.sent == [AskType(route=3)]

@@ -44,7 +44,7 @@ HZ = 50
 
 
 def served(engine: Engine, out: Publisher, there: Listener, seconds: float = 1.0) -> None:
-    """Publish at 50 Hz for a while: every message arrives, in order, while whatever disturbs is still there."""
+    """Publish at 50 Hz for a while: every message arrives, in order, during the disturbance."""
     count = len(there.payloads)
     sent = [text(f"{number}") for number in range(int(seconds * HZ))]
     began = time.monotonic()
@@ -242,8 +242,10 @@ def test_half_a_handshake_and_then_nothing(friend: Any, bridge: Bridge) -> None:
     assert happened(server, EventCode.LINK_REJECTED, Rejected.NO_HANDSHAKE, seconds=5)
 
 
-def test_a_client_links_beside_a_flood_of_connections_from_its_own_address(friend: Any, bridge: Bridge) -> None:
-    """Behind one NAT with somebody who connects 500 times a second, silent, or as anybody: whoever speaks is served."""
+def test_a_client_links_during_a_flood_of_connections_from_its_own_address(friend: Any, bridge: Bridge) -> None:
+    """Behind one NAT with a stranger who connects 500 times a second, silently or under a random name, the client is
+    served.
+    """
     server, _, out, there = friend
     with flood(bridge.port, 500, b"") as silent, flood(bridge.port, 50, frame(b"rsb\x02\x63")):
         eventually(lambda: happened(server, EventCode.LINK_REJECTED, "too many"))
@@ -336,7 +338,7 @@ def test_an_authenticated_peer_that_breaks_the_format(bridge: Bridge, relay: Rel
 
 
 def test_forged_and_replayed_datagrams(bridge: Bridge, relay: Relay, robot: Domain, pc: Domain) -> None:
-    """Each of ours ten times over, damaged, cut short, and noise between: what arrives is what was sent, once."""
+    """Each of ours ten times, damaged, cut short, and noise between: messages arrive as sent, once."""
     there, out = pc.listener("/beat"), robot.publisher("/beat")
     server, client = bridge.both(Topic("/beat", "transmit", protocol="udp", qos={"depth": 1000}))
     carries([out], server, ["/beat"])

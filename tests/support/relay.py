@@ -166,8 +166,7 @@ class Relay:
 
     def close(self) -> None:
         """End everything."""
-        self._over = True
-        self._wake.send(b"\0")
+        self._call(self._end)
         self._thread.join()
 
     # --- figures
@@ -231,6 +230,9 @@ class Relay:
             connection.read_again()
         if self.rate is not None and not any(way.queued and way.budget >= 1 for way in self.ways):
             time.sleep(_RATE_TICK)
+
+    def _end(self) -> None:
+        self._over = True
 
     def _cut(self) -> None:
         for connection in self.connections:

@@ -1,7 +1,7 @@
 """A stand-in for the ROS side (`rsb_bridge.ros.ros_interface.RosInterface`): ROS does not fit in the machine.
 
-It has one publisher and one subscriber on whatever topic a test names, one server and one client of whatever service,
-and hands messages over as the real one does: raw, from a thread of its own.
+It has one publisher and one subscriber on any topic that a test names, one server and one client of any service, and
+hands messages over as the real one does: raw, from a thread of its own.
 """
 
 from __future__ import annotations
@@ -59,7 +59,7 @@ class StandIn(NoRos):
         turns: as a real node's; it has no thread.
         offered: the topics that this domain's own nodes publish, with their QoS.
         arrived: what the engine published, by topic.
-        answering: what this domain's own nodes answer, by service; None: nothing.
+        answering: the answers of this domain's own nodes, by service, or None for no answer.
     """
 
     def __init__(self, **offered: Qos) -> None:
@@ -77,7 +77,7 @@ class StandIn(NoRos):
     # --- what tests do
 
     def publish(self, topic: str, payload: bytes) -> None:
-        """As a node of this domain; lost where the engine does not subscribe, as with ROS."""
+        """Publish as a node of this domain; the message is lost if the engine does not subscribe, as with ROS."""
         sink = self._sinks.get(topic)
         if sink is not None:
             sink((RawMessage(payload, time.time_ns(), _GID),))
@@ -104,10 +104,10 @@ class StandIn(NoRos):
         return all(service in self._servers for service in services)
 
     def call(self, service: str, payload: bytes, within: float) -> bytes:
-        """As a node of this domain calls what the engine serves; the answer.
+        """Call a service of the engine as a node of this domain, and return the answer.
 
         Raises:
-            queue.Empty: there was none within so many s.
+            queue.Empty: no answer came within so many s.
         """
         return self._servers[service].ask(payload).get(timeout=within)
 
