@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import msgspec
 import pytest
 import zstandard
+from tests.support.inside import inside
 from tests.support.ports import free_port
 from tests.support.rogue import Rogue
 from tests.support.waiting import eventually
@@ -66,7 +67,7 @@ class QuietRos(NoRos):
 
 def on_bridge(engine: Engine, ask: Callable[[Bridge], Coroutine[None, None, T]]) -> T:
     """Run a coroutine on the thread of an engine's bridge."""
-    bridge = engine._bridge
+    bridge = inside(engine)
     assert bridge is not None
     return engine._commands.run(lambda: ask(bridge)).result(WITHIN)
 
@@ -271,7 +272,9 @@ def test_a_higher_rate_than_the_leave_has_is_not_made(pair: Callable[..., Pair])
 def test_who_sends_faster_all_the_same_is_cut_off(pair: Callable[..., Pair]) -> None:
     both = pair(to_client=BenchmarkLimits(max_rate=100.0))
     both.run(both.client, rate=50.0, count=5)
-    source = synthetic_of(both.client._bridge.context.ros).sources["/rsb_bench/tcp/transmit", "robot1"]  # type: ignore[union-attr]
+    synthetic = synthetic_of(inside(both.client).context.ros)
+    assert synthetic is not None
+    source = synthetic.sources["/rsb_bench/tcp/transmit", "robot1"]
     source.start(100, 1000.0, 5000)
     eventually(lambda: not both.server.snapshot().routes, WITHIN)
 

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import pytest
 from tests.bluetooth.guest.conftest import wait_until
 from tests.bluetooth.guest.stand_in import StandIn
+from tests.support.inside import inside
 from tests.support.ports import free_port
 from tests.support.waiting import eventually
 
@@ -135,8 +136,7 @@ class Pair(NamedTuple):
 
     def accepted(self, topic: str) -> bool:
         """Whether both sides have agreed about one of the client's topics."""
-        assert self.client._bridge is not None
-        (link,) = self.client._bridge.links()
+        (link,) = inside(self.client).links()
         return any(route.accepted for route in tuple(link.routes.values()) if route.local_topic == topic)
 
     def opened(self, topic: str) -> int:
@@ -148,8 +148,7 @@ class Pair(NamedTuple):
     @property
     def waiting(self) -> Collection[object]:
         """The client's topics that wait for the connection."""
-        assert self.client._bridge is not None
-        (link,) = self.client._bridge.links()
+        (link,) = inside(self.client).links()
         assert isinstance(link, ClientLink)
         return link._waiting.get(_CHANNEL, {})
 

@@ -11,7 +11,8 @@ from tests.console.scripted import SESSION, ScriptedEngine
 from tests.support.waiting import pauses
 from tests.support.wording import says
 from textual.app import App, ScreenStackError
-from textual.events import Paste
+from textual.events import Key, Paste
+from textual.notifications import Notification
 from textual.pilot import Pilot
 
 from rsb_bridge.model.snapshot import RouteSnapshot
@@ -104,11 +105,28 @@ async def shown(pilot: Pilot[None], words: str | Wording, seconds: float = 180.0
     await until(pilot, lambda: is_shown(pilot.app, words, **parameters), f"{words!r} on the screen", seconds)
 
 
+def notices(app: App[Any]) -> list[Notification]:
+    """Return the notifications of an app, which Textual keeps to itself."""
+    return list(app._notifications)
+
+
+def ended(app: App[Any]) -> bool:
+    """Whether an app has been told to end."""
+    return app._exit
+
+
+def send(app: App[Any], *events: Key | Paste) -> None:
+    """Give an app events as its terminal does, without waiting for their effect."""
+    assert app._driver is not None
+    for event in events:
+        app._driver.send_message(event)
+
+
 async def notified(pilot: Pilot[None], wording: Wording, **parameters: object) -> None:
     """Wait for a notification with a text of the program."""
 
     def is_there() -> bool:
-        texts = [f"{each.title} {each.message}" for each in pilot.app._notifications]
+        texts = [f"{each.title} {each.message}" for each in notices(pilot.app)]
         return any(says(each, wording, **parameters) for each in texts)
 
     await until(pilot, is_there, f"a notification: {wording!r}")

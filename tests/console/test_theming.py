@@ -3,7 +3,7 @@
 from pathlib import Path
 
 import pytest
-from tests.console.driving import drive, notified, scripted_app, shown
+from tests.console.driving import drive, notices, notified, scripted_app, shown
 from tests.support.wording import says
 from textual.color import Color
 from textual.pilot import Pilot
@@ -119,7 +119,7 @@ def test_bad_themes_become_one_toast_and_the_rest_still_works(tmp_path: Path) ->
     async def steps(pilot: Pilot[None]) -> None:
         await shown(pilot, "Themes skipped")
         assert app.theme == "mine"
-        assert len(app._notifications) == 1
+        assert len(notices(app)) == 1
 
     drive(app, steps)
 

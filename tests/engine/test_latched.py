@@ -10,6 +10,7 @@ import pytest
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from tests.support.bridge import balance, connections, linked, listeners, route, settled
 from tests.support.domain import Domain, text
+from tests.support.inside import inside
 from tests.support.long import long
 from tests.support.ports import free_port
 from tests.support.waiting import eventually, holds
@@ -115,10 +116,8 @@ def test_two_bridges_in_a_row(
 
 def brought_by(receiver: Engine, sender: Engine) -> bool:
     """Whether all that an engine publishes has crossed another one's bridge."""
-    assert receiver._bridge is not None
-    assert sender._bridge is not None
-    node = sender._bridge.context.ros.node_name
-    routes = [route for link in receiver._bridge.links() for route in tuple(link.routes.values())]
+    node = inside(sender).context.ros.node_name
+    routes = [route for link in inside(receiver).links() for route in tuple(link.routes.values())]
     outputs = [output for route in routes for output in tuple(route._outputs._outputs)]  # type: ignore[attr-defined]
     return bool(outputs) and all(node in map(node_of, output.came_by) for output in outputs)
 

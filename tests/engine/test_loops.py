@@ -10,6 +10,7 @@ from rclpy.qos import QoSDurabilityPolicy, QoSProfile
 from std_msgs.msg import String
 from tests.support.bridge import find, happened, linked, route
 from tests.support.domain import Domain, text
+from tests.support.inside import inside
 from tests.support.long import long
 from tests.support.ports import free_port
 from tests.support.waiting import eventually
@@ -134,7 +135,7 @@ def test_a_message_does_not_go_round_a_ring(bridge: Bridge, robot: Domain, pc: D
     for engine in ring[2]:
         event = happened(engine, EventCode.ROUTE_LOOP)
         assert event is not None
-        nodes = [each.client._bridge.context.ros.node_name for each in ring[:2]]  # type: ignore[union-attr]
+        nodes = [inside(each.client).context.ros.node_name for each in ring[:2]]
         assert all(node in event.text for node in nodes)
 
 

@@ -14,6 +14,7 @@ from std_srvs.srv import Trigger
 from tests.engine.test_latched import JOINS_LATE, latched
 from tests.support.bridge import linked, opened, route
 from tests.support.domain import text
+from tests.support.inside import inside
 from tests.support.long import long_cases
 from tests.support.relay import Relay
 from tests.support.spun import Spun
@@ -79,7 +80,7 @@ def ages(listener: Listener) -> list[float]:
 
 
 def clocks_known(*engines: Engine) -> bool:
-    return all(link.keepalive.stamps.offset is not None for each in engines for link in each._bridge.links())  # type: ignore[union-attr]
+    return all(link.keepalive.stamps.offset is not None for each in engines for link in inside(each).links())
 
 
 @pytest.mark.parametrize(

@@ -14,6 +14,7 @@ import pytest
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from tests.support.bridge import carries, happened, heard, linked, route, settled
 from tests.support.domain import text
+from tests.support.inside import inside
 from tests.support.rogue import BLOB, Rogue
 from tests.support.stopping import stop
 from tests.support.waiting import eventually
@@ -69,8 +70,7 @@ def rogue(bridge: Bridge, server: Engine, monkeypatch: pytest.MonkeyPatch) -> It
 
 
 def link_of(server: Engine) -> Link:
-    assert server._bridge is not None
-    return next(iter(server._bridge.links()))
+    return next(iter(inside(server).links()))
 
 
 def received(server: Engine, topic: str) -> int:

@@ -9,6 +9,7 @@ import pytest
 from std_msgs.msg import String
 from tests.support.bridge import carries, find, happened, heard, link, linked, protocol_of, route
 from tests.support.domain import LATCHED, text
+from tests.support.inside import inside
 from tests.support.waiting import eventually, holds
 from tests.support.wording import pattern
 
@@ -398,7 +399,7 @@ def test_commands_after_the_end(bridge: Bridge) -> None:
 
 
 def test_every_command_has_a_handler(bridge: Bridge) -> None:
-    running = bridge.client()._bridge
+    running = inside(bridge.client())
     assert running is not None
     elsewhere = {History, Restart, Stop}
     assert running.handlers.keys() | elsewhere == set(get_args(AnyCommand))

@@ -10,6 +10,7 @@ import pytest
 from tests.engine.test_slow_tunnel import TUNNEL, Publishing, ages
 from tests.support.bridge import carries, linked, outgoing
 from tests.support.domain import BEST_EFFORT
+from tests.support.inside import inside
 from tests.support.long import long_cases
 from tests.support.relay import QUEUE, Relay
 from tests.support.waiting import eventually
@@ -51,8 +52,7 @@ class Seen(NamedTuple):
 
 
 def _look(engine: Engine, at: float) -> Seen:
-    assert engine._bridge is not None
-    (link,) = engine._bridge.links()
+    (link,) = inside(engine).links()
     (route,) = [each for each in link.routes.values() if isinstance(each, TopicRoute)]
     verdict = route.judged.shown(route.verdict()).verdict
     return Seen(at, verdict.state, verdict.cause, verdict.text, link.full_out or link.full_in)

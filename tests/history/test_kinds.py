@@ -65,7 +65,7 @@ def test_each_has_a_line_of_its_own() -> None:
 
 def test_they_are_told_apart_after_a_restart(tmp_path: Path) -> None:
     world = lived()
-    world.recorder._timeline.cut()
+    world.timeline.cut()
     path = tmp_path / "robot1.history"
     history_files.write_history(path, world.recorder.save())
     check(

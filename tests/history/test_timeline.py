@@ -215,7 +215,7 @@ def test_a_day_is_kept_and_no_more() -> None:
         world.put("/scan", State.OK)
         world.go(HOUR - 60, step=5)
     assert len(world.outages(KEPT_FOR)) == 24
-    kept = world.recorder._timeline._records["robot1", "topic", "/scan", False]
+    kept = world.timeline._records["robot1", "topic", "/scan", False]
     assert len(kept.outages) <= 25
     assert len(kept.series) <= 1500
     track = world.track("/scan", KEPT_FOR)
@@ -272,10 +272,10 @@ def test_what_a_peer_can_name_is_bounded(monkeypatch: pytest.MonkeyPatch) -> Non
     for number in range(100):
         world.routes = World(f"/t{number}", clock=world.clock).routes
         world.go(1)
-    assert len(world.recorder._timeline._records) == 11
+    assert len(world.timeline._records) == 11
     world.routes = World(*(f"/more{number}" for number in range(50)), clock=world.clock).routes
     world.go(1)
-    assert len(world.recorder._timeline._records) == 11
+    assert len(world.timeline._records) == 11
 
 
 def test_one_link_that_makes_up_names_displaces_nobody_elses(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -290,7 +290,7 @@ def test_one_link_that_makes_up_names_displaces_nobody_elses(monkeypatch: pytest
         world.go(1)
     world.routes |= World("/map", clock=world.clock).routes
     world.go(1)
-    known = world.recorder._timeline._records
+    known = world.timeline._records
     assert {topic for link, _, topic, _ in known if link != "rogue" and topic} == {"/scan", "/gone", "/map"}
     assert len(known) <= 20
 
@@ -310,7 +310,7 @@ def test_what_finds_no_room_costs_one_walk_a_look(monkeypatch: pytest.MonkeyPatc
     walks.clear()
     world.go(3)
     assert len(walks) <= 3
-    assert len(world.recorder._timeline._records) <= 20
+    assert len(world.timeline._records) <= 20
 
 
 def test_operators_actions_are_remembered() -> None:
@@ -399,7 +399,7 @@ def test_an_engine_that_hangs_or_has_ended_is_not_known_to_be_fine() -> None:
 
 def next_process(world: World, away: float) -> World:
     """The next one, after so many s, on what the first one saved."""
-    world.recorder._timeline.cut()
+    world.timeline.cut()
     saved = msgspec.msgpack.decode(msgspec.msgpack.encode(world.recorder.save()), type=timeline.Saved)
     world.clock.go(away)
     new = World(*world.routes, clock=world.clock)

@@ -11,6 +11,7 @@ from unittest.mock import MagicMock
 
 import pytest
 from tests.support.bridge import happened, link, linked, now
+from tests.support.inside import inside
 from tests.support.waiting import eventually, holds
 
 from rsb_bridge.config.keys import fingerprint, read_key
@@ -168,9 +169,8 @@ def test_a_replay_is_no_second_client(bridge: Bridge) -> None:
 def test_a_client_takes_the_name_of_one_that_is_silent(bridge: Bridge) -> None:
     """A process that hangs, or whose end a network in between hides."""
     server, first = bridge.both()
-    assert first._bridge is not None
     over = threading.Event()
-    first._bridge.context.loop.call_soon_threadsafe(over.wait, 90.0)
+    inside(first).context.loop.call_soon_threadsafe(over.wait, 90.0)
     try:
         second = bridge.client()
         eventually(lambda: linked(second), what="linked")

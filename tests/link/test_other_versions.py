@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 import msgspec
 import pytest
 from tests.support.bridge import happened, linked, route
+from tests.support.inside import inside
 from tests.support.rogue import Rogue
 from tests.support.waiting import eventually
 
@@ -35,8 +36,7 @@ def rogue(bridge: Bridge, *, features: tuple[str, ...] = (FEATURE,)) -> Rogue:
 
 
 def link(engine: Engine) -> Link:
-    assert engine._bridge is not None
-    return engine._bridge.links()[0]
+    return inside(engine).links()[0]
 
 
 def names(engine: Engine, side: str | None) -> set[tuple[str, str]]:

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 import pytest
 from tests.support.bridge import carries, happened, heard, link, linked, now, settled
 from tests.support.domain import text
+from tests.support.inside import inside
 from tests.support.relay import message_number
 from tests.support.waiting import eventually
 from tests.support.wording import has_text
@@ -266,7 +267,7 @@ def test_a_client_is_read_among_many_that_arrive_at_once(sent: bytes, friend: An
         started.set()
         go_on.wait(60)
 
-    server._bridge.context.call(hold)
+    inside(server).context.call(hold)
     started.wait(60)
     key = read_key(bridge.folder / "other.key").secret
     with contextlib.ExitStack() as crowd:
