@@ -359,6 +359,8 @@ class LinkSnapshot:
         rtt: s, or None without a figure.
         clock_offset: s, peer's clock minus ours, or None without a figure.
         clock_uncertainty: s.
+        loss_out: share of the packets from here that is lost, 0 to 1, or None without a figure.
+        loss_in: the same to here, as the peer reports it.
         rx_bytes_per_second: wire bytes received.
         tx_bytes_per_second: wire bytes sent.
         peer_version: the other side's rsb-console version, or empty.
@@ -406,6 +408,8 @@ class LinkSnapshot:
     patterns: tuple[PatternSnapshot, ...] = ()
     full_out: Fullness | None = None
     full_in: Fullness | None = None
+    loss_out: float | None = None
+    loss_in: float | None = None
     warning_since: float | None = None
     acknowledged: Acknowledgement | None = None
 

@@ -22,7 +22,7 @@ from rsb_bridge.model.snapshot import Level, RouteSnapshot
 from rsb_bridge.model.text import sanitize_text
 from rsb_bridge.route.age import MessageAge
 from rsb_bridge.route.arming import DISARM_TEXT, Arming, Disarmed, Settling
-from rsb_bridge.route.blocking_rules import RouteStatus
+from rsb_bridge.route.blocking_rules import DATA_CONNECTION, RouteStatus
 from rsb_bridge.route.combined_verdict import CombinedVerdict
 from rsb_bridge.route.lifecycle import Event, Lifecycle, PauseState
 from rsb_bridge.route.notices import ChannelLosses, Notices, timed_out
@@ -303,7 +303,7 @@ class Route:
     def channel_lost(self, reason: str) -> None:
         """Open the route again after its channel broke. It is an error only if the link survives."""
         if self.id:
-            text, connection = f"data connection: {reason}", self.peer.connections
+            text, connection = f"{DATA_CONNECTION}{reason}", self.peer.connections
             # A side that disarms closes the channel; the closed channel may be noticed before the message about it.
             ends_with_arming = self.arming.required and not timed_out(reason)
             if self.arming.held:
@@ -421,7 +421,7 @@ class Route:
             self._backoff.reset()
         self._verdict = None
         verdict = self.verdict()
-        if said := self.judged.announce(verdict, now):
+        if said := self.judged.announce(verdict, now, self.peer.path_fault):
             self.log(said.level, said.code, said.text, **self._about(said, now))
 
     @property
@@ -449,6 +449,11 @@ class Route:
     def flowing(self) -> bool:
         """Whether messages could cross now."""
         return self.connected and not self.paused and not self.notices.loop and self.arming.stands(self.context.now())
+
+    @property
+    def large_vanish(self) -> bool:
+        """Whether none of its last large datagrams has arrived, while small ones of the same socket do."""
+        return False
 
     # --- verdict
 
@@ -488,6 +493,7 @@ class Route:
             came_before=self.came_before,
             limit=self.limit.rate,
             limited_by=self.limit.why,
+            path=self.peer.path_fault,
         )
 
     def _disarmed_text(self, armed: bool, why: Disarmed | None) -> str:

@@ -29,8 +29,8 @@ if TYPE_CHECKING:
     from rsb_bridge.telemetry.watches import Loss
 
 LATELY = 10
-USE_TCP, LOWER_MTU = "use protocol: tcp", "lower the MTU"
-"""Remedies for messages that are lost on the way."""
+USE_TCP = "use protocol: tcp"
+"""The remedy for messages that are lost on the way."""
 STOPPED_PUBLISHING = ("has stopped publishing, or died", "have stopped publishing, or died")
 PUBLISHED_NOTHING = ("has published nothing yet", "have published nothing yet")
 NOTHING_SINCE_OPENED = (
@@ -402,10 +402,7 @@ def _remedy_for_loss(facts: Facts) -> str:
     if facts.loss_unexplained:
         return ""
     if facts.datagrams > 1:
-        return (
-            f"; each takes {facts.datagrams} datagrams, and is lost if one of them is: {USE_TCP} or smaller messages; "
-            f"if none arrives, {LOWER_MTU} on both sides"
-        )
+        return f"; each takes {facts.datagrams} datagrams, and is lost if one of them is: {USE_TCP} or smaller messages"
     return f"; {USE_TCP}"
 
 
@@ -414,11 +411,11 @@ def _lossy(facts: Facts) -> Verdict | None:
     if loss is None or (facts.expired is not None and facts.expired.lost > loss.lost):
         return None  # most of what did not come was too old, which `_expired` tells
     cause, why = _LOSSES.get(loss.cause, (Cause.LOSSY, f"lost on the way{_remedy_for_loss(facts)}"))
+    # The cause stays that of the ledger: a full link loses datagrams on the way, where this side has no queue.
     if facts.full is not None and cause in (Cause.LOSSY, Cause.QUEUE_FULL):
         why = f"the link is full ({facts.full.share}): set max_rate, compression: zstd or priority"
-        cause = Cause.QUEUE_FULL
     elif facts.loss_of_full_link and cause is Cause.LOSSY:
-        cause, why = Cause.QUEUE_FULL, "the link was full"
+        why = "the link was full"
     if loss.recovering:
         if facts.shown_cause not in LOSS_CAUSES:
             return None  # a fault that nobody was shown needs no end

@@ -132,6 +132,8 @@ def _link_parts(link: LinkSnapshot) -> Iterator[str]:
     yield f"{link.name} {link_word(link)}{f' {link.peer}' if link.peer else ''}"
     if link.rtt is not None:
         yield f"rtt {formats.span(link.rtt)}"
+    if loss := formats.loss([link]):
+        yield f"loss {loss}"
     if fault := link.reason or link.warning:
         yield without_peer(fault, link)
 
