@@ -1,4 +1,4 @@
-"""What a path loses, and what operators of both sides are told of it."""
+"""Loss of packets on a path, and its fault on both sides."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ class Path:
         stalled: int = 0,
         vanish: bool = False,
     ) -> list[Stream]:
-        """Let time pass; return the streams to open anew.
+        """Let time pass; return the streams to open again.
 
         Args:
             seconds: s.
@@ -84,7 +84,7 @@ class Path:
         return None if self.watch.fault is None else self.watch.fault.cause
 
     def changes(self) -> int:
-        """How often what is told has changed."""
+        """Count the changes of the fault's text."""
         return sum(one != other for one, other in zip(self.told, self.told[1:], strict=False))
 
 
@@ -122,7 +122,7 @@ def test_a_gap_is_no_lossy_path() -> None:
     path = Path()
     path.pass_(20)
     path.pass_(3, loss=1.0)
-    path.pass_(1, loss=0.6, rate=200)  # what was under way is sent again
+    path.pass_(1, loss=0.6, rate=200)  # a window is sent again
     path.pass_(30)
     assert set(path.told) == {None}
 

@@ -93,7 +93,7 @@ class Program:
         return found or {"links": {}, "routes": []}
 
     def link(self) -> dict[str, Any]:
-        """What the newest status says of the link; empty: nothing."""
+        """The link in the newest status, or an empty dict."""
         return next(iter(self.status()["links"].values()), {})
 
     def route(self, topic: str) -> dict[str, Any]:

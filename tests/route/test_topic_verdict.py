@@ -171,6 +171,13 @@ def test_a_route_that_flows_is_fine() -> None:
             Cause.SIMILAR_NAME,
             ["/chat", "domain 2", "/char"],
         ),
+        (
+            SENDER,
+            {"stopped_since": NOW - 9.0, "expected_rate": 10.0, "endpoints": [], "similar": "/char"},
+            State.STOPPED,
+            Cause.PUBLISHER_GONE,
+            ["any more", "/char?"],
+        ),
         (SENDER, {"came": False}, State.WAITING, Cause.PUBLISHER_SILENT, [f"/talker {PUBLISHED_NOTHING[0]}"]),
         (
             SENDER,

@@ -164,13 +164,13 @@ class FaultHook:
 class WaitingChanges:
     """Changes that wait for their command: the newest of each link, route and pattern.
 
-    Nothing is told of a fault whose begin was not told.
+    A fault whose begin was not reported has no other report.
     """
 
     def __init__(self) -> None:
         self._waiting: dict[tuple[str, str], FaultChange] = {}
         self._told: set[tuple[str, str]] = set()
-        """Links, routes and patterns whose fault was told to have begun, and not to be over."""
+        """Links, routes and patterns with a reported begin, and no reported end."""
         self._merged = 0
 
     def __len__(self) -> int:
@@ -220,7 +220,7 @@ class WaitingChanges:
         return self._merged
 
     def told(self, changes: Iterable[FaultChange]) -> None:
-        """Remove the changes that the command is told of."""
+        """Remove the reported changes."""
         self._merged = 0
         for each in changes:
             del self._waiting[each.key]

@@ -253,7 +253,7 @@ class BaseLink(ABC):
         )
         self.fullness = LinkFullness(partial(self.log, link_status=True))
         self.contention = Contention(context, lambda: tuple(self.routes.values()), self.carriers, self.fullness)
-        self.path = PathWatch(partial(self.log, link_status=True))
+        self.path = PathWatch(self._log_path)
         self.handlers: dict[type, Callable[[Any], Slices | None]] = {
             Ping: self._on_ping,
             Pong: self._on_pong,
@@ -619,6 +619,9 @@ class BaseLink(ABC):
 
     def _log_udp(self, level: Level, code: EventCode, text: str) -> None:
         self.log(level, code, f"{self.peer_at}: {text}")
+
+    def _log_path(self, level: Level, code: EventCode, text: str) -> None:
+        self.log(level, code, f"{self.peer_at}: {text}", link_status=True)
 
     def log(self, level: Level, code: EventCode, text: str, *, topic: str = "", link_status: bool = False) -> None:
         """Add an event about this link; `link_status` means that it tells whether the link is up."""

@@ -133,6 +133,8 @@ class LinkFullness:
             self._stalled = _AFTER_STALL
         over = full and carried > 0.0 and not self._stalled and asked > _OVERLOAD * carried and too_little
         was = self.out is not None
+        if asked and not arrived and (was or not self._other):
+            return  # in a gap nothing is known of what the link carries, and its last figures stay
         if not was and not self._other:
             self._lately.clear()  # it carried what it was asked for
         self._lately.append(arrived)

@@ -1,11 +1,11 @@
-"""Measures what the path of a link does to packets: the share that it loses, and whether it loses only large ones.
+"""Measures the loss of packets on the path of a link: their share, and whether only large ones are lost.
 
 Each side measures its own direction and reports it. TCP's losses are the kernel's repetitions, UDP's come from
 receipts. Losses count only while no queue builds up on the path: a full link loses packets, too.
 
-Whether large packets are lost is known from a probe, as one stalled connection proves nothing. While pings are answered
-at once, a stream that stalls is opened anew. If its first, small packets pass and the large ones do not, the path loses
-large packets. UDP's own probes are small and have the same addresses as its messages.
+One stalled connection does not prove that large packets are lost, so a probe does. While pings are answered at once, a
+stream that stalls is opened again. If its first, small packets pass and the large ones do not, the path loses large
+packets. UDP's own probes are small and have the same addresses as its messages.
 """
 
 from __future__ import annotations
@@ -32,13 +32,13 @@ _COUNTED = 10
 _ENOUGH, _LOSES_IN = 30, 4
 """Packets, and ticks with a loss, before a path counts as lossy."""
 _LOSSY_ABOVE, _WHOLE_BELOW = 0.05, 0.02
-"""Shares, as those of a topic's messages (`rsb_bridge.telemetry.watches`)."""
+"""Shares, the same as for a topic's messages (`rsb_bridge.telemetry.watches`)."""
 _FORGOTTEN_AFTER = 10.0
 """s without a link after which it may go another way."""
 _PINGS = 3
 _QUEUE, _QUEUE_PART = 0.01, 0.25
-"""s, and part of the shortest ping, by which all of the last pings take longer where a queue stands on the path. Where
-only packets are lost, some of them meet none."""
+"""s, and part of the shortest ping, by which all of the last pings take longer if a queue has built up on the path. If
+only packets are lost, some pings meet no loss."""
 _SILENT_AFTER = 2.5
 """s without a byte, while pings come once a second."""
 _STALLED = 2
@@ -51,11 +51,11 @@ _SMALL_PASSED = 3
 _LARGE_AGAIN_AFTER = 10.0
 """s without a stalled stream after which large packets count as passing again."""
 STALLED = "nothing gets through it, though pings are answered"
-"""The reason why a stalled stream is opened anew."""
+"""The reason why a stalled stream is opened again."""
 
 
 class Pings(NamedTuple):
-    """What a link's pings tell.
+    """Figures of a link's pings.
 
     Attributes:
         round_trip: s of the newest, or of the wait for its answer, or None before the first.
@@ -171,7 +171,7 @@ class PathWatch:
             large_vanish: none of the last large datagrams has arrived, while probes of their sockets are answered.
 
         Returns:
-            The streams that are stalled, to be opened anew.
+            The streams that are stalled, to be opened again.
         """
         if now - self._ticked_at > _FORGOTTEN_AFTER:
             self._loss.clear()
@@ -207,7 +207,7 @@ class PathWatch:
         return sent, lost, passed
 
     def _queues(self, round_trip: float | None) -> bool:
-        """Whether a queue stands on the path, by the newest ping (s)."""
+        """Whether a queue has built up on the path, by the newest ping (s)."""
         if round_trip is None:
             return False
         self._pings.append(round_trip)
@@ -224,7 +224,7 @@ class PathWatch:
         *,
         vanish: bool,
     ) -> list[Stream]:
-        """Find out whether large packets are lost, and return the streams to open anew for that."""
+        """Find out whether large packets are lost, and return the streams to open again for that."""
         stalled = {
             stream: counts
             for stream, counts in streams.items()

@@ -148,7 +148,7 @@ class EventCode(StrEnum):
     LINK_ROOM = "link.room"
     """The link is no longer full."""
     LINK_PATH_FAULT = "link.path_fault"
-    """The link loses packets, or all large ones, in either direction; the cause says which."""
+    """The link loses packets, or all large ones, in either direction."""
     LINK_PATH_RESTORED = "link.path_restored"
     LINK_PATTERN_FULL = "link.pattern_full"
     """More names match a pattern than it may bridge or leave out; the text names the limit."""

@@ -55,7 +55,7 @@ class PathFault(NamedTuple):
 
 
 def explained_by_link(route: RouteSnapshot, link: LinkSnapshot | None) -> bool:
-    """Whether a route's fault is its link's, so that operators need not be told of both."""
+    """Whether a route's fault is its link's, so that one report is enough."""
     if route.cause == Cause.LINK_DOWN:
         return True
     if link is None or link.cause not in _OF_TOPICS:

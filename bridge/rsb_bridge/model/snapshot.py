@@ -240,6 +240,7 @@ class RouteSnapshot:
         age: s since the last message, or None before the first.
         history: messages in each of the last seconds, up to 120, oldest first.
         last_error: the last error, or empty.
+        last_error_at: s since the epoch, its time, or 0 without one.
         cause: of the state, an `rsb_bridge.model.verdict.Cause`, one of a newer peer, or empty.
         from_peer: whether the other side reports the state.
         since: s since the epoch, the beginning of this state and cause, as far as this process knows.
@@ -297,6 +298,7 @@ class RouteSnapshot:
     lanes: tuple[str, ...] = ()
     pattern: str = ""
     messages_total: int = 0
+    last_error_at: float = 0.0
     acknowledged: Acknowledgement | None = None
     max_age: float = 0.0
 

@@ -304,7 +304,7 @@ class OutgoingRoute(TopicRoute[SendingChannel]):
 
     def _log_subscription(self, level: Level, code: EventCode, text: str) -> None:
         if level is Level.ERROR:
-            self.notices.last_error = text
+            self.notices.record(text)
         self.log(level, code, text)
 
     @property

@@ -121,7 +121,7 @@ class Route:
         self._warned_of = ""  # the process of an older peer
         self._refused = ""  # the last refusal, until a later opening succeeds
         self._backoff = Backoff(_FIRST_PAUSE, _LONGEST_PAUSE)
-        self.notices = Notices(self.log)
+        self.notices = Notices(self.log, context.wall)
         self.limit = RateLimit(proposal.max_rate, self.local_topic, peer.budget.rates, self.log)
         self.pausing = PauseState(peer.revisions, paused=proposal.paused, is_client=peer.is_client)
         self.arming = Arming()
@@ -540,6 +540,7 @@ class Route:
             age=None if self.meter.last is None else now - self.meter.last,
             history=tuple(self.meter.history),
             last_error=self.notices.last_error,
+            last_error_at=self.notices.last_error_at,
             cause=verdict.cause,
             from_peer=from_peer,
             since=self.context.wall() - (now - self.judged.since(verdict, now)),

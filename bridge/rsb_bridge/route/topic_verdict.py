@@ -75,7 +75,7 @@ class TopicProgress(NamedTuple):
         endpoints: the topic's publishers on the sending side, its subscriptions on the receiving side.
         publishers: number of publishers on the sending side, or None if it is unknown.
         loop_note: the publishers that are left out because their messages would loop, as the end of a sentence.
-        similar: a topic of the sending side with publishers and a similar name, where this one never had any; or empty.
+        similar: a published topic of the sending side with a similar name, which may be meant, or empty.
         described: whether the sender has described its messages in this opening, so that `type_name` and `qos` hold.
         type_name: of its messages, as last known, or empty.
         qos: of its subscription and publishers, as last known, or None.
@@ -168,10 +168,10 @@ def judge(facts: Facts) -> Verdict:
     return verdict
 
 
-def no_publisher(topic: str, domain_id: int, similar: str = "") -> str:
-    """Says that nobody publishes a topic."""
+def no_publisher(topic: str, domain_id: int, similar: str = "", *, gone: bool = False) -> str:
+    """Says that nobody publishes a topic, or no longer."""
     hint = f"; did you mean {similar}?" if similar else ""
-    return f"no publisher of {topic} in domain {domain_id}{hint}"
+    return f"no publisher of {topic} in domain {domain_id}{' any more' if gone else ''}{hint}"
 
 
 def no_subscriber(topic: str, where: str, present: Collection[object] = ()) -> str:
@@ -277,8 +277,12 @@ def _why_silent(facts: Facts) -> tuple[Cause, str]:
             silent = PUBLISHED_NOTHING
         return Cause.PUBLISHER_SILENT, _plural(facts.progress.endpoints, *silent)
     if ever:
-        return Cause.PUBLISHER_GONE, f"{no_publisher(facts.status.topic, facts.status.domain_id)} any more"
+        return Cause.PUBLISHER_GONE, _publisher_gone(facts)
     return _nobody(facts), no_publisher(facts.status.topic, facts.status.domain_id, facts.progress.similar)
+
+
+def _publisher_gone(facts: Facts) -> str:
+    return no_publisher(facts.status.topic, facts.status.domain_id, facts.progress.similar, gone=True)
 
 
 def _nobody(facts: Facts) -> Cause:
@@ -368,8 +372,7 @@ def _departed(facts: Facts) -> Verdict | None:
     """Judge a topic whose publisher has left while no message was due."""
     if not facts.status.sends or not facts.status.flowing or not facts.status.came or facts.progress.endpoints:
         return None
-    text = f"{no_publisher(facts.status.topic, facts.status.domain_id)} any more"
-    return Verdict(State.OK, Cause.PUBLISHER_GONE, text)
+    return Verdict(State.OK, Cause.PUBLISHER_GONE, _publisher_gone(facts))
 
 
 def _steady_figure(rate: float) -> str:

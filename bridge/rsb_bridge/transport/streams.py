@@ -30,11 +30,11 @@ _READS = 256 * 1024
 """Bytes that are read at a time from a peer that has proven its key."""
 _LINGER = 2.0
 _TCP_INFO = struct.Struct("=2xB 97x I 16x Q 28x I 40x Q Q I")
-"""The kernel's tcp_info (linux/tcp.h), as far as it is read: `tcpi_retransmits`, `tcpi_total_retrans`,
+"""The kernel's tcp_info (linux/tcp.h), in part: `tcpi_retransmits`, `tcpi_total_retrans`,
 `tcpi_bytes_acked`, `tcpi_data_segs_out`, `tcpi_bytes_sent`, `tcpi_bytes_retrans` and `tcpi_dsack_dups`. Linux has the
-last ones since 4.19; without them nothing is known."""
+last ones since 4.19; without them there are no counts."""
 _IN_VAIN = 4
-"""Times, which take 2.4 s at the least: by then a path that loses every third packet is known to be lossy."""
+"""Times, which take 2.4 s at the least: by then a path that loses every third packet counts as lossy."""
 
 
 class PacketCounts(NamedTuple):
@@ -61,6 +61,7 @@ class StreamProblem(Wording):
     CLOSED_HERE = "closed here"
     TIMED_OUT = "timed out"
     REFUSED = "{error}: is the server running there?"
+    RESET = "{error}: the program at the other end died, or the network between ended the connection"
     NO_DESCRIPTORS = "{error}: this process needs more file descriptors: {remedy}"
 
 
@@ -330,6 +331,8 @@ def os_error_message(error: BaseException) -> str:
             return StreamProblem.REFUSED(error=message)
         if error.errno == errno.EMFILE:
             return StreamProblem.NO_DESCRIPTORS(error=message, remedy=MORE_DESCRIPTORS)
+        if error.errno in (errno.EPIPE, errno.ECONNRESET):
+            return StreamProblem.RESET(error=message)
         return message
     if isinstance(error, OSError) and error.strerror:
         return error.strerror

@@ -144,11 +144,11 @@ class FullRecord(msgspec.Struct, frozen=True, omit_defaults=True):
 
 
 class PathRecord(msgspec.Struct, frozen=True, omit_defaults=True):
-    """What the path loses in the direction of the report (`rsb_bridge.link.path_watch`).
+    """Loss of packets in the direction of the report (`rsb_bridge.link.path_watch`).
 
     Attributes:
-        lost: share of the packets, 0 to 1, or None if it is unknown.
-        lossy: the same if it is a fault, as operators are told, or 0.
+        lost: share of the packets, 0 to 1, or None without a figure.
+        lossy: the same, rounded, if it is a fault, else 0.
         large: whether large packets are lost while small ones arrive.
     """
 
