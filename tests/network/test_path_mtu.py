@@ -1,4 +1,4 @@
-"""Packets vanish on the way, and nobody says so: both sides name it, on their screens and as JSON, with the remedy."""
+"""Large packets vanish silently: both sides show the cause and the remedy, on their screens and as JSON."""
 
 from __future__ import annotations
 
@@ -98,7 +98,7 @@ def _remedied(side: Program, topic: str, state: str, cause: Cause, remedy: str) 
 
 
 def _why(side: Program, topic: str, state: str, cause: Cause) -> str:
-    """Why a topic is in a state; empty: it is not, or for another cause."""
+    """Return the reason of a topic's state, or an empty string if it has another state or cause."""
     shown = side.route(topic)
     return shown["reason"] if (shown.get("state"), shown.get("cause")) == (state, cause) else ""
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections import Counter, deque
+from collections import Counter
 from functools import partial
 from typing import TYPE_CHECKING, ClassVar
 
@@ -25,8 +25,16 @@ from rsb_bridge.route.combined_verdict import lasting, node_names, record_of
 from rsb_bridge.route.latched import LatchedFullError, LatchedTopic
 from rsb_bridge.route.ledger import THROTTLED, reported_ledger
 from rsb_bridge.route.lifecycle import Event
-from rsb_bridge.route.message_check import ExpandsTooMuchError, MessageCheck, Unpacker, malformed_text
+from rsb_bridge.route.message_check import (
+    BACKLOG_FULL,
+    Backlog,
+    ExpandsTooMuchError,
+    MessageCheck,
+    Unpacker,
+    malformed_text,
+)
 from rsb_bridge.route.peeking import peeked
+from rsb_bridge.route.rest_message import RestMessage, has_rest
 from rsb_bridge.route.source_publishers import (
     AUTO_DEPTH,
     PublicationSpec,
@@ -44,14 +52,14 @@ from rsb_bridge.wire.protocol_error import ProtocolError
 from rsb_bridge.wire.records import ReceivedReport, SentReport
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Iterable
+    from collections.abc import Callable, Iterable, Mapping
 
     from rsb_bridge.context import Context
     from rsb_bridge.model.qos import Qos
     from rsb_bridge.model.session import Topic
     from rsb_bridge.model.verdict import Verdict
     from rsb_bridge.route.arming import Disarmed
-    from rsb_bridge.route.rest import Signs
+    from rsb_bridge.route.idling import Signs
     from rsb_bridge.route.route import Owner
 
 _INCOMPLETE_IN_A_ROW = 3
@@ -108,9 +116,10 @@ class IncomingRoute(TopicRoute[ReceivingChannel]):
         super().__init__(context, peer, spec, proposal, proposed_here=proposed_here)
         self.compare_types: CompareTypes = unknown_difference
         self._outputs = SourcePublishers(context, peer, self._failed_later)
+        self._rest_message: RestMessage | None = None
         self._unpacker = Unpacker(peer.budget.expansion, context)
         self.check = MessageCheck(context, peer.budget.checks)
-        self._later: deque[Message] = deque()
+        self._later = Backlog()
         self._received = 0
         self._report_at = _REPORTS_AFTER  # messages received
         self._delivered = 0
@@ -141,7 +150,8 @@ class IncomingRoute(TopicRoute[ReceivingChannel]):
             self._received = self._delivered = 0
             self._report_at = _REPORTS_AFTER
             self._dropped.clear()
-        self._later.clear()
+        self._later.take()
+        self._unpacker.forget()
         super().close(reason)
 
     def described(self, description: Describe) -> None:
@@ -161,6 +171,7 @@ class IncomingRoute(TopicRoute[ReceivingChannel]):
         spec = PublicationSpec(self.remote_topic, description.type, description.type_hash, bounded(qos))
         try:
             self._outputs.make(spec, description.sources)
+            self._prepare_rest(spec)
         except (RosError, LatchedFullError) as error:
             self._refuse_type(str(error))
             return
@@ -206,10 +217,50 @@ class IncomingRoute(TopicRoute[ReceivingChannel]):
         self.refuse(EventCode.ROUTE_TYPE_DIFFERS, reason)
         self.peer.send(Refuse(route=route_id, code="type_differs", reason=sanitize_text(reason)))
 
+    def armed(self) -> None:
+        """Let messages cross: the rest of the arming before is over."""
+        if self._rest_message is not None:
+            self._rest_message.stop()
+        super().armed()
+
     def disarm(self, why: Disarmed, reason: str = "") -> None:
-        """Close the publishers, and with them the messages that they hold for slow subscribers."""
+        """Close the publishers, and with them the messages that they hold for slow subscribers; then publish the rest.
+
+        Every end of an arming passes here. Nothing that moves can follow the rest: `deliver` publishes nothing from now
+        on, and a rest's own publisher is not theirs.
+        """
         self._outputs.close()
         super().disarm(why, reason)
+        self.lapsed()
+
+    def lapsed(self) -> None:
+        """Publish the rest, as nothing passes any more, at least for now."""
+        if self._rest_message is not None:
+            self._rest_message.begin()
+
+    def moved(self, spec: PublicationSpec, message: bytes) -> None:
+        """Note a message that an operator of this side has published by this route's arming.
+
+        Raises:
+            RosError: there can be no rest after it.
+        """
+        self._prepare_rest(spec)
+        if self._rest_message is not None:
+            self._rest_message.moved(message)
+
+    def _prepare_rest(self, spec: PublicationSpec) -> None:
+        before = self._rest_message
+        if before is not None and before.spec == spec and self.arming.required:
+            return
+        self._drop_rest()
+        if self.arming.required and has_rest(spec.type_name):
+            failed = partial(self.log, Level.ERROR, EventCode.ROUTE_PUBLISH_FAILED)
+            self._rest_message = RestMessage(self.context, self.peer.name, spec, failed)
+
+    def _drop_rest(self) -> None:
+        if self._rest_message is not None:
+            self._rest_message.close()
+            self._rest_message = None
 
     def advance(self) -> None:
         """Open the channel once there is a publisher, and look for subscribers."""
@@ -234,13 +285,14 @@ class IncomingRoute(TopicRoute[ReceivingChannel]):
         """End it for good, its publisher too."""
         super().destroy()
         self._outputs.close()
+        self._drop_rest()
         self.check.end()
 
     def set_check(self) -> None:
         self.check.set()
 
-    def publishers_present(self, publishers: Collection[bytes]) -> None:
-        """Take the publishers of a latched topic that the sending side has now."""
+    def publishers_present(self, publishers: Mapping[bytes, int]) -> None:
+        """Take the publishers of a latched topic that the sending side has now, and the depths that it knows."""
         self._outputs.present(publishers)
 
     # --- messages
@@ -251,7 +303,7 @@ class IncomingRoute(TopicRoute[ReceivingChannel]):
         Each message goes through lease, expansion budget, rate limit, unpacking and check, where they are on.
         """
         if self._later:
-            self._later.extend(messages)
+            self._wait(messages)
             return
         began, arming = self.context.now(), self.arming
         required = arming.required
@@ -266,6 +318,7 @@ class IncomingRoute(TopicRoute[ReceivingChannel]):
         check = None if checker is None else self.check.check if checker.loops else checker.check
         limited, looks = self.limit.here > 0.0, required or self.age.is_on
         count = size = number = 0
+        published = b""
         messages = iter(messages)
         arrived: Message | None
         for message in messages:
@@ -275,13 +328,13 @@ class IncomingRoute(TopicRoute[ReceivingChannel]):
                 if arrived is None:
                     self._drop_disarmed(1)
                     continue
-            if arrived[2] & ZSTD and not self._unpacker.begin(arrived):
-                self._later.extend((message, *messages))
-                self.peer.budget.expansion.wait(self._go_on)
+            if arrived[2] & ZSTD and not self._unpacker.begin(arrived, self._go_on):
+                self._wait((message, *messages))
                 break
             payload, stamp, flags = arrived  # the last one's stamp is the batch's latency sample
             self._received += 1
             if limited and not self.limit.admits(began):
+                self._unpacker.forget()
                 self._leave_out()
                 continue
             if flags >> SOURCE_SHIFT >= len(sinks):
@@ -301,7 +354,10 @@ class IncomingRoute(TopicRoute[ReceivingChannel]):
             else:
                 count += 1
                 size += len(payload)
+                published = content
         self._delivered += count
+        if required and count and self._rest_message is not None:
+            self._rest_message.moved(published)
         if self._received >= self._report_at:
             self._report_at = self._received + _REPORTS_AFTER
             self.peer.report_soon(self)
@@ -310,7 +366,7 @@ class IncomingRoute(TopicRoute[ReceivingChannel]):
             if latency is not None and latency <= began - self._flows_since:  # else it was kept from before
                 self.latency.add(latency)
             if self.peek_slot.wanted:
-                self._show(payload, flags, self.context.wall_ns(), latency)
+                self._show(published, self.context.wall_ns(), latency)
             self.count(count, size)
 
     def _drop_disarmed(self, count: int) -> None:
@@ -326,8 +382,12 @@ class IncomingRoute(TopicRoute[ReceivingChannel]):
         return number, arrived if self.arming.admits(number) else None
 
     def _go_on(self) -> None:
-        later, self._later = self._later, deque()
-        self.deliver(later)
+        self.deliver(self._later.take())
+
+    def _wait(self, messages: Iterable[Message]) -> None:
+        """Have messages wait until the first of them is unpacked."""
+        if not self._later.add(messages):
+            self.request_reopen(EventCode.ROUTE_EXPANDS_TOO_MUCH, BACKLOG_FULL)
 
     def _leave_out(self) -> None:
         self._dropped[THROTTLED] += 1
@@ -395,14 +455,8 @@ class IncomingRoute(TopicRoute[ReceivingChannel]):
     def _came_here(self) -> int:
         return self._received
 
-    def _show(self, payload: bytes, flags: int, now_ns: int, latency: float | None) -> None:
+    def _show(self, content: bytes, now_ns: int, latency: float | None) -> None:
         """Show a message to the operators who look at the topic."""
-        try:
-            if flags & HISTORY:
-                _, payload = split_history(payload)
-            content = self._unpacker.unpack(payload) if flags & ZSTD else payload
-        except (ExpandsTooMuchError, zstandard.ZstdError, ProtocolError):
-            return
         clock = (self.peer.clock.offset, self.peer.clock.uncertainty)
         self.peek_slot.put(peeked(self, content, now_ns, latency=latency, clock=clock), self.context.now())
 

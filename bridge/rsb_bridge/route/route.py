@@ -90,7 +90,7 @@ class Route:
         losses: losses of its channels.
         judged: combined verdict of both sides.
         limit: limit of its rate.
-        rests: whether it needs no tick now, as nothing has happened: then it is neither reported nor shown anew.
+        idle: whether it needs no tick now, as nothing has happened: then it is neither reported nor shown anew.
         peer_report: type of the reports that the other side's half sends.
     """
 
@@ -132,7 +132,7 @@ class Route:
         self.type_hash = ""
         self.endpoints: Sequence[Endpoint] = ()
         self.losses = ChannelLosses()
-        self.rests = False
+        self.idle = False
         self._verdict: Verdict | None = None  # None: it has to be judged
         self.judged = CombinedVerdict(sends=self.outgoing, peer_name="server" if peer.is_client else peer.name)
         self.meter = RateMeter(context.now())
@@ -174,6 +174,11 @@ class Route:
     def came_before(self) -> bool:
         """Whether messages or calls came in an earlier opening, and none in this one."""
         raise NotImplementedError
+
+    @property
+    def owing(self) -> bool:
+        """Whether messages or answers are on their way to the other side, or wait for the channel."""
+        return False
 
     @property
     def breaking(self) -> str:
@@ -303,7 +308,7 @@ class Route:
     def channel_lost(self, reason: str) -> None:
         """Open the route again after its channel broke. It is an error only if the link survives."""
         if self.id:
-            text, connection = f"{DATA_CONNECTION}{reason}", self.peer.connections
+            text, connection, owing = f"{DATA_CONNECTION}{reason}", self.peer.connections, self.owing
             # A side that disarms closes the channel; the closed channel may be noticed before the message about it.
             ends_with_arming = self.arming.required and not timed_out(reason)
             if self.arming.held:
@@ -316,7 +321,7 @@ class Route:
                 if self.peer.linked and self.peer.connections == connection:
                     self.notices.error(EventCode.ROUTE_CHANNEL_LOST, text)
 
-            self.losses.add(reason, self.context.loop, report)
+            self.losses.add(reason, self.context.loop, report, owing=owing)
 
     def request_reopen(self, code: EventCode, reason: str, level: Level = Level.WARNING) -> None:
         """Close the route on both sides; its proposer opens it again, which usually solves the problem."""
@@ -384,6 +389,9 @@ class Route:
         arming.end(why, reason)
         self._verdict = None
 
+    def lapsed(self) -> None:
+        """Act on the fact that nothing passes for now although it is armed: the sides do not hear each other."""
+
     def amend(self, spec: Topic, proposal: Propose) -> None:
         """Apply new limits; counts, endpoints and messages in transit stay."""
         changes = limits_changed(self.proposal, proposal)
@@ -410,15 +418,16 @@ class Route:
     # --- time
 
     def is_due(self, now: float) -> bool:
-        """Whether it is to be ticked at `now` (s); sets `rests`. Called once a second."""
+        """Whether it is to be ticked at `now` (s); sets `idle`. Called once a second."""
         return True
 
     def tick(self) -> None:
-        """Update the meter and report a changed verdict; called once a second while the route does not rest."""
+        """Update the meter and report a changed verdict; called once a second while the route is not idle."""
         now = self.context.now()
         self.meter.tick(now, learns=self.learns)
         if self.flowing:  # acceptance alone is not enough: a refusal may follow
             self._backoff.reset()
+        self.losses.tick(now, idle=self.connected and not self.owing)
         self._verdict = None
         verdict = self.verdict()
         if said := self.judged.announce(verdict, now, self.peer.path_fault):

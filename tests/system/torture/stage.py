@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from tests.support.zenoh_router import Router
+    from tests.system.torture.ends import Arrival
 
     from rsb_bridge.model.snapshot import RouteSnapshot
 
@@ -38,7 +39,7 @@ TOPIC = "/cmd"
 RATE = 100.0
 
 _SHOW_DISARMED = {"disarmed", "down"}
-"""States in which a console shows what has to be armed as disarmed, if it is not armed: not `disarming`."""
+"""States in which a console shows an unarmed topic as disarmed: not `disarming`."""
 _LOOK_EVERY = 0.02
 _FLOWS_WITHIN = 30.0
 _SIGN_OF_LIFE_EVERY = 0.5
@@ -176,8 +177,8 @@ class Stage:
         nodes: at both ends.
         transport: of the topic.
         server: the side that listens for the other one.
-        entries: what stands in each side's session beside the usual; the default has `TOPIC`, which has to be armed.
-        entry: settings of the topic beside these.
+        entries: of each side's session, in addition to the usual ones; the default has `TOPIC`, which requires arming.
+        entry: further settings of the topic.
 
     Attributes:
         robot: its bridge.
@@ -277,10 +278,10 @@ class Stage:
 
     # --- what people do
 
-    def prepare(self) -> None:
-        """Publish from now on, and wait until the topic is set up and can be armed."""
-        self._nodes.ear.listen([TOPIC])
-        self._nodes.talker.talk([TOPIC], RATE)
+    def prepare(self, *, twist: bool = False, talks: bool = True) -> None:
+        """Publish from now on, as velocities with `twist`, and wait until the topic is set up and can be armed."""
+        self._nodes.ear.listen([TOPIC], twist=twist)
+        self._nodes.talker.talk([TOPIC] if talks else [], RATE, twist=twist)
         self.await_disarmed()
 
     def await_disarmed(self, within: float = 180.0) -> None:
@@ -297,7 +298,7 @@ class Stage:
         eventually(ready, within, f"disarmed on both sides: {self.describe()}")
 
     def describe(self, topic: str = TOPIC) -> str:
-        """What both sides show of a topic."""
+        """Return both sides' states of a topic."""
         lines = []
         for name, bridge in (("robot", self.robot), ("pc", self.pc)):
             shown = [f"{each.state} {each.cause}: {each.reason}" for each in bridge.routes(topic)]
@@ -337,7 +338,7 @@ class Stage:
     def await_flow(self, window: Window, count: int = 20) -> None:
         """Wait until messages cross that were published since then."""
         deadline = time.monotonic() + _FLOWS_WITHIN
-        while sum(each.published > window.asked for each in self._heard()) <= count:
+        while sum(each.published > window.asked for each in self.heard()) <= count:
             assert time.monotonic() < deadline, f"no messages cross: {self.describe()}"
             time.sleep(0.05)
 
@@ -346,7 +347,7 @@ class Stage:
         return (bridge or self.pc).run("disarm", TOPIC)
 
     def disarmed(self) -> None:
-        """An operator has been told that the topic is disarmed."""
+        """Whether an operator got the answer that the topic is disarmed."""
         with self._lock:
             self.windows[-1].show("the command")
 
@@ -359,7 +360,7 @@ class Stage:
         self._nodes.talker.talk([], RATE)
         last, since = -1, time.monotonic()
         while time.monotonic() - since < 1.0:
-            count = len(self._heard())
+            count = len(self.heard())
             if count != last:
                 last, since = count, time.monotonic()
             time.sleep(0.05)
@@ -368,8 +369,13 @@ class Stage:
         """Judge all that has reached the robot."""
         return judge(self._nodes.ear.arrivals(), self.windows, true_clock=not self._nodes.clocks)
 
-    def _heard(self) -> list[Any]:
+    def heard(self) -> list[Arrival]:
+        """All messages of the topic that have reached the robot's node."""
         return [each for each in self._nodes.ear.arrivals() if each.topic == TOPIC]
+
+    def arrivals(self) -> list[Arrival]:
+        """All messages that have reached the robot's node, the witness's included."""
+        return self._nodes.ear.arrivals()
 
     # --- the watching thread
 
