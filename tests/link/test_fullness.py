@@ -134,3 +134,15 @@ def test_a_warning_begins_when_the_link_becomes_full(loop: VirtualLoop, make_con
     link.handlers[Duplicate](Duplicate())
     link.fullness.take_record(FullRecord(), "the server")
     assert link.snapshot().fault_since == up
+
+
+@pytest.mark.parametrize(("seconds", "words"), [(30, "30 s ahead of"), (-7200, "2 h behind"), (2, "")])
+def test_clocks_that_differ_are_a_warning(seconds: int, words: str, make_context: Callable[..., Context]) -> None:
+    link = ClientRole(make_context(), {"robot1": ()}).links()[0]
+    link.control = SimpleNamespace()  # type: ignore[assignment]
+    link.status.up(link.context.wall())
+    there = seconds * 10**9
+    link.clock.add(0, there + 10**6, there + 10**6, 2 * 10**6)
+    assert words in link.warning
+    assert bool(link.warning) is bool(words)
+    assert link.cause is (LinkCause.CLOCKS_DIFFER if words else LinkCause.NONE)

@@ -116,6 +116,8 @@ class LinkCause(StrEnum):
     """It is up and loses packets."""
     LARGE_PACKETS = "large_packets"
     """It is up and loses large packets, while small ones arrive."""
+    CLOCKS_DIFFER = "clocks_differ"
+    """It is up, and the clocks of the two sides differ by seconds."""
     UNPROVEN_SERVERS = "unproven_servers"
     """It is up, and other servers are announced in its Zenoh network that did not prove the key."""
     SHUT_DOWN = "shut_down"

@@ -224,7 +224,7 @@ def figure(name: str, pieces: Sequence[str], width: int) -> Iterator[Line]:
 def last_error(route: RouteSnapshot, width: int) -> Iterator[Line]:
     """Yield the last error with its time, if there was one."""
     if route.last_error:
-        words = [f"{formats.time_of_day(route.last_error_at)}:", *route.last_error.split()]
+        words = [*route.last_error.split(), f"(at {formats.time_of_day(route.last_error_at)})"]
         yield from figure("last error", words, width)
 
 
