@@ -23,10 +23,7 @@ if TYPE_CHECKING:
 class StreamTrouble(Wording):
     """Troubles of a route that has a stream of its own."""
 
-    STUCK = (
-        "nothing gets through its data connection now; if the link stays up, large packets are lost on the way: set a "
-        "lower MTU on both sides (ip link set DEVICE mtu 1280), or make messages smaller"
-    )
+    STUCK = "nothing gets through its data connection now: check the network and firewalls between the two sides"
 
 
 class _StreamChannel(StreamHandler):

@@ -312,6 +312,7 @@ class ClientLink(Link):
         self._retry.set()
         if self.control is not None:
             self.control.shut_down(reason, retry_after=None)
+        self.status.down(LinkCause.CLOSED, f"{reason}; run `rsb-console retry` to connect again")
 
     def tick(self) -> None:
         super().tick()

@@ -243,6 +243,7 @@ class RouteSnapshot:
         age: s since the last message, or None before the first.
         history: messages in each of the last seconds, up to 120, oldest first.
         last_error: the last error, or empty.
+        last_error_at: s since the epoch, its time, or 0 without one.
         cause: of the state, an `rsb_bridge.model.verdict.Cause`, one of a newer peer, or empty.
         from_peer: whether the other side reports the state.
         since: s since the epoch, the beginning of this state and cause, as far as this process knows.
@@ -300,6 +301,7 @@ class RouteSnapshot:
     lanes: tuple[str, ...] = ()
     pattern: str = ""
     messages_total: int = 0
+    last_error_at: float = 0.0
     acknowledged: Acknowledgement | None = None
     max_age: float = 0.0
 
@@ -362,6 +364,8 @@ class LinkSnapshot:
         rtt: s, or None without a figure.
         clock_offset: s, peer's clock minus ours, or None without a figure.
         clock_uncertainty: s.
+        loss_out: share of the packets from here that is lost, 0 to 1, or None without a figure.
+        loss_in: the same to here, as the peer reports it.
         rx_bytes_per_second: wire bytes received.
         tx_bytes_per_second: wire bytes sent.
         peer_version: the other side's rsb-console version, or empty.
@@ -409,6 +413,8 @@ class LinkSnapshot:
     patterns: tuple[PatternSnapshot, ...] = ()
     full_out: Fullness | None = None
     full_in: Fullness | None = None
+    loss_out: float | None = None
+    loss_in: float | None = None
     warning_since: float | None = None
     acknowledged: Acknowledgement | None = None
 

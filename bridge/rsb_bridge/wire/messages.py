@@ -47,6 +47,7 @@ from rsb_bridge.wire.records import (
     CallsReport,
     FullRecord,
     LaneEntry,
+    PathRecord,
     ReceivedReport,
     SentReport,
     Source,
@@ -343,12 +344,14 @@ class Report(ControlMessageBase, frozen=True):
         received: counts of the routes that it receives on.
         calls: counts of the routes of calls, in both directions.
         full: the rates of a full link in the direction of the message, or None if unchanged.
+        path: what the path loses in the direction of the message, or None if unchanged.
     """
 
     sent: tuple[SentReport, ...]
     received: tuple[ReceivedReport, ...]
     calls: tuple[CallsReport, ...] = ()
     full: FullRecord | None = None
+    path: PathRecord | None = None
 
 
 class Duplicate(ControlMessageBase, frozen=True):

@@ -225,6 +225,13 @@ def figure(name: str, pieces: Sequence[str], width: int) -> Iterator[Line]:
         yield labelled("" if number else name, line.replace(TIED, " ").rstrip())
 
 
+def last_error(route: RouteSnapshot, width: int) -> Iterator[Line]:
+    """Yield the last error with its time, if there was one."""
+    if route.last_error:
+        words = [*route.last_error.split(), f"(at {formats.time_of_day(route.last_error_at)})"]
+        yield from figure("last error", words, width)
+
+
 def labelled(name: str, text: str) -> Line:
     """Format a named figure on one line."""
     return ((f" {name:<{LABEL}} ", "dim"), (text, ""))
