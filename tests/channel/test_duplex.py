@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Literal, TypeAlias
 
 import pytest
+from tests.support.session_keys import session_keys
 
 from rsb_bridge.channel.data_keys import DataKeys
 from rsb_bridge.channel.multiplexer import CHUNK, SharedStream
@@ -91,7 +92,7 @@ class End:
 
 
 def _keys() -> SessionKeys:
-    return SessionKeys(Suite.AESGCM, _EXPORT, bytes(8))
+    return session_keys(Suite.AESGCM, _EXPORT, bytes(8))
 
 
 Place: TypeAlias = "Callable[[End, Iterable[Route]], None]"

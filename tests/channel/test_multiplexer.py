@@ -8,13 +8,14 @@ from random import Random
 from typing import TYPE_CHECKING
 
 from tests.simulation.loop import SimulatedLoop
+from tests.support.session_keys import session_keys
 
 from rsb_bridge.channel.data_keys import DataKeys
 from rsb_bridge.channel.multiplexer import CHUNK, MultiplexedReceiver, MultiplexedSender, Multiplexer
 from rsb_bridge.transport.rfcomm import RfcommStream
 from rsb_bridge.transport.streams import Stream, StreamHandler
 from rsb_bridge.wire.framing import HEADER, LENGTH, Budget, DataWriter, FrameReader
-from rsb_bridge.wire.sealing import Sealer, SessionKeys, Suite
+from rsb_bridge.wire.sealing import Sealer, Suite
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Coroutine, Iterable
@@ -135,9 +136,9 @@ def share(*topics: Topic) -> None:
     receivers: dict[int, MultiplexedReceiver] = {}
     Radio(SlowStream(handler), receivers)
     for topic in topics:
-        keys = SessionKeys(Suite.CHACHAPOLY, _KEY, bytes(8))
-        topic.channel = MultiplexedSender(handler.multiplexer, topic, DataKeys(keys, "client", _budget()))
-        receivers[topic.id] = MultiplexedReceiver(handler.multiplexer, topic, DataKeys(keys, "server", _budget()))
+        ours, theirs = (session_keys(Suite.CHACHAPOLY, _KEY, bytes(8)) for _ in range(2))
+        topic.channel = MultiplexedSender(handler.multiplexer, topic, DataKeys(ours, "client", _budget()))
+        receivers[topic.id] = MultiplexedReceiver(handler.multiplexer, topic, DataKeys(theirs, "server", _budget()))
 
 
 def play(scene: Callable[[], Coroutine[None, None, None]]) -> None:

@@ -1,6 +1,7 @@
 """Streams of a route's own, and data frames that share the control stream."""
 
 import pytest
+from tests.support.session_keys import session_keys
 from tests.support.wording import pattern, says
 from tests.wire.links import OTHER_KEY, SUITES, WELCOME, established, make_server, the
 
@@ -11,7 +12,7 @@ from rsb_bridge.wire.framing import LENGTH, DataReader, DataWriter, pack_frame
 from rsb_bridge.wire.messages import Ping
 from rsb_bridge.wire.preamble import Kind, Refusal, RefusalText, parse_further, preamble_frame
 from rsb_bridge.wire.protocol_error import Broken, ProtocolError
-from rsb_bridge.wire.sealing import SealError, SessionKeys, Suite
+from rsb_bridge.wire.sealing import SealError, Suite
 
 
 @SUITES
@@ -70,7 +71,7 @@ def test_what_a_client_sends_after_its_data_preamble_is_left_over() -> None:
 @pytest.mark.parametrize("suite", [Suite.AESGCM, Suite.CHACHAPOLY])
 def test_a_data_stream_of_another_link_has_no_proof(suite: Suite) -> None:
     _, _, _, server_keys = established(suite)
-    stranger = SessionKeys(suite, OTHER_KEY, server_keys.link_id)
+    stranger = session_keys(suite, OTHER_KEY, server_keys.link_id)
     server = make_server(suite)
     attach = the(Attach, server.receive_data(DataConnection(stranger, 5).start()))
     with pytest.raises(SealError):

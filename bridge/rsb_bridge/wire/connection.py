@@ -265,13 +265,12 @@ class DataConnection(PreambleStream):
 
     def __init__(self, keys: SessionKeys, route: int) -> None:
         super().__init__()
-        self._keys = keys
-        self._route = route
+        header = data_header(keys.link_id, route)
+        self._beginning = pack_frame(header, keys.attach_proof(header, route))
 
     def start(self) -> bytes:
         """Return the bytes to write first."""
-        header = data_header(self._keys.link_id, self._route)
-        return pack_frame(header, self._keys.attach_proof(header, self._route))
+        return self._beginning
 
     def _on_preamble(self, kind: Kind, body: bytes, frame: bytes) -> None:
         match kind:
