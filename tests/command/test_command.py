@@ -105,7 +105,7 @@ def test_closed_outputs_change_nothing_but_what_is_said(closed: str, name: str, 
 
 
 def test_version_and_help() -> None:
-    assert re.fullmatch(r"rsb-console \d+\.\d+\.\d+\n", process("--version").stdout)
+    assert re.fullmatch(r"rsb-console \d+\.\d+\.\d+(\.dev\d+)?\n", process("--version").stdout)
     for command in ("run", "check", "keygen", "import", "bt-scan", "demo"):
         assert command in rsb_console("--help").stdout
         assert rsb_console(command, "--help").stdout.startswith(f"usage: rsb-console {command}")

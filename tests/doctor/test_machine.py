@@ -52,7 +52,7 @@ def test_how_the_process_that_draws_is_confined(
 ) -> None:
     facts = {"no_new_privileges": True, "no_capabilities": not rights, "landlock": landlock}
     ran = SimpleNamespace(stdout=json.dumps(facts))
-    monkeypatch.setattr(machine.subprocess, "run", lambda *_, **__: ran)
+    monkeypatch.setattr("rsb_bridge.doctor.machine.subprocess.run", lambda *_, **__: ran)
     (finding,) = found("pictures", tmp_path)
     assert (finding.grade, bool(finding.remedy), finding.facts) == (grade, grade != Grade.OK, facts)
 
