@@ -50,7 +50,7 @@ sys.exit(main())
 """
 ENVIRONMENT = "home = /usr/bin\ninclude-system-site-packages = true\nversion = {python}\n"
 # Without bytecode, each start by a user would compile everything again.
-AFTER_INSTALLATION = "#!/bin/sh\nset -e\n/{home}/bin/python -m compileall -q /{home}/lib\n"
+AFTER_INSTALLATION = "#!/bin/sh\nset -e\n/{home}/bin/python -P -m compileall -q /{home}/lib\n"
 BEFORE_REMOVAL = "#!/bin/sh\nset -e\nfind /{home}/lib -depth -name __pycache__ -exec rm -r {{}} +\n"
 
 
