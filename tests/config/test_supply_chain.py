@@ -1,4 +1,4 @@
-"""What a release and an image are made of: commits, hashes and digests, and of the checkout only what they need."""
+"""The ingredients of a release and an image: commits, hashes and digests, and only the needed files of the checkout."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def test_actions_are_named_by_their_commit(workflow: Path) -> None:
     assert used
     for action, comment in used:
         assert re.fullmatch(r"[\w-]+/[\w/-]+@[0-9a-f]{40}", action), action
-        assert re.fullmatch(r" # v\d+\.\d+\.\d+", comment), f"{action}: name its version, for whoever reads it"
+        assert re.fullmatch(r" # v\d+\.\d+\.\d+", comment), f"{action}: name its version, for readers"
 
 
 @pytest.mark.parametrize("workflow", WORKFLOWS, ids=lambda path: path.stem)
@@ -52,7 +52,7 @@ def test_containers_are_named_by_their_digest() -> None:
 
 @pytest.mark.parametrize("path", ["Makefile", "Dockerfile", "deb/build.py"])
 def test_a_build_installs_by_hash(path: str) -> None:
-    """Of what has no hash, only the files of the checkout, without what these depend on."""
+    """Only the files of the checkout have no hash; they come without their dependencies."""
     text = (ROOT / path).read_text(encoding="utf-8").replace("\\\n", " ")
     for line in re.findall(r".*(?:bin/pip install|\[\*into).*", text):
         for command in re.split(r"&&", line):
