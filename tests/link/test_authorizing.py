@@ -81,7 +81,8 @@ def test_messages_cross_after_a_refused_proposal(
     """Both sides count it in the chain from which the keys of routes come."""
     robot.publisher("/secret")
     out, listener = robot.publisher("/scan"), pc.listener("/scan")
-    server, client = bridge.server(), bridge.client(deny=(Grant("/secret", may="read"),))
+    server = bridge.server()
+    bridge.client(deny=(Grant("/secret", may="read"),))
     eventually(lambda: linked(server))
     server.add_topic(Topic("/secret", "transmit")).result(60)
     eventually(lambda: route(server, "/secret").cause == "refused")
