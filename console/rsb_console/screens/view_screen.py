@@ -232,6 +232,11 @@ class ViewScreen(FullScreen[bool]):
         self.set_interval(1.0, self._entitle)
         self.call_after_refresh(self._begin)
 
+    def on_unmount(self) -> None:
+        """End the view, so that the next one finds room: there are few."""
+        if (engine := self.console.engine) is not None:
+            engine.end_look(self._viewer)
+
     def on_resize(self) -> None:
         self.call_after_refresh(self._fit)
 
