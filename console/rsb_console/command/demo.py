@@ -25,7 +25,7 @@ from rsb_console.command.shell import FAILURE, HUNG_UP, INTERRUPTED, OK, print_e
 from rsb_console.fleet.fleet import Fleet, Memory
 from rsb_console.fleet.server_source import ServerFleet
 from rsb_console.fleet.zenoh_source import ZenohFleet
-from rsb_console.session.demo_session import need_ros, own_domain, running_demo
+from rsb_console.session.demo_session import SimulatedPart, need_ros, own_domain, running_demo
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
@@ -147,12 +147,16 @@ def simulated(robots: int) -> Iterator[Simulated]:
     sys.stdout.flush()
     over = "zenoh" if over_zenoh else "tcp"
     names = [f"robot{number}" for number in range(1, robots + 1)]
+    domain = own_domain()
     with (
         tempfile.TemporaryDirectory(prefix="rsb-fleet-") as folder,
         fleet(
-            Path(folder), names, domain=own_domain(), over=over, load=WITH_BATTERY, groups=GROUPS, operated=over_zenoh
+            Path(folder), names, domain=domain, over=over, load=WITH_BATTERY, groups=GROUPS, operated=over_zenoh
         ) as running,
+        contextlib.ExitStack() as stack,
     ):
+        topics = [f"/{name}{talk.topic}" for name in names for talk in WITH_BATTERY.talks]
+        stack.callback(SimulatedPart.start("listener", domain, Path(folder), *topics).stop)
         control = running.start_control()
         running.start_robots(running.names)
         listening(control, running.session)
