@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import dataclasses
+import io
 import json
 import os
+import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeAlias, get_args
 
@@ -22,6 +24,7 @@ from rsb_bridge.config.validation import SessionMistake
 from rsb_bridge.model.session import Client, May, Session, Topic
 from rsb_bridge.model.snapshot import State
 from rsb_console.command.client_command import ClientCommandProblem, ClientEffect
+from rsb_console.command.target import Asking
 from rsb_console.session.client_files import ClientFileProblem, RobotFileText
 
 if TYPE_CHECKING:
@@ -214,12 +217,42 @@ def test_a_key_is_replaced_while_both_count(path: Path, run: Run, machine: Machi
     assert (again.code, says(again.err, ClientFileProblem.NO_NEXT_KEY, name="robot1")) == (2, True)
 
 
+@pytest.mark.parametrize("runs", [False, True], ids=["no server", "not linked"])
+@pytest.mark.parametrize(("answer", "finished"), [("y\n", True), ("n\n", False), ("", False), (None, False)])
+def test_a_finish_asks_if_the_client_may_not_have_the_new_key(
+    path: Path,
+    run: Run,
+    machine: Machine,
+    monkeypatch: pytest.MonkeyPatch,
+    runs: bool,
+    answer: str | None,
+    finished: bool,
+) -> None:
+    if runs:
+        engine = ScriptedEngine(SERVER)
+        engine.now = dataclasses.replace(engine.now, links=(dataclasses.replace(LINK, state=State.DOWN),))
+        machine.serve(engine, file=path)
+    run("rekey", "robot1", str(path), "--keep-old")
+    before = path.read_text()
+    terminal = io.StringIO(answer or "")
+    monkeypatch.setattr(terminal, "isatty", lambda: answer is not None)
+    monkeypatch.setattr(sys, "stdin", terminal)
+    ran = run("rekey", "robot1", str(path), "--finish")
+    assert (ran.code == 0, path.read_text() == TEXT) == (finished, finished)
+    if not finished:
+        assert path.read_text() == before
+        problem = Asking.NOBODY if answer is None else ClientCommandProblem.NOT_FINISHED
+        assert says(ran.err, problem)
+        assert ran.code == (2 if answer is None else 1)
+        assert run("rekey", "robot1", str(path), "--finish", "--json").code == 2
+
+
 def test_a_finish_that_was_cut_off_is_done_again(path: Path, run: Run) -> None:
     """The new key was put in place, and the session was not saved."""
     run("rekey", "robot1", str(path), "--keep-old")
     new = path.with_name("robot1-next.key")
     path.with_name("robot1.key").write_bytes(new.read_bytes())
-    assert run("rekey", "robot1", str(path), "--finish").code == 0
+    assert run("rekey", "robot1", str(path), "--finish", "--yes").code == 0
     assert path.read_text() == TEXT
     assert not new.exists()
 
@@ -229,7 +262,7 @@ def test_a_key_that_others_share_stays_theirs(path: Path, run: Run) -> None:
     save(replace(SERVER, key_file="all.key", shared_keys=True, clients=(Client("robot1"), Client("robot2"))), path)
     assert run("rekey", "robot2", str(path), "--keep-old").code == 0
     own = read_key(path.with_name("all-next.key"))
-    assert run("rekey", "robot2", str(path), "--finish").code == 0
+    assert run("rekey", "robot2", str(path), "--finish", "--yes").code == 0
     assert load(path).clients == (Client("robot1"), Client("robot2", "all-next.key"))
     assert read_key(path.with_name("all.key")) == shared
     assert read_key(path.with_name("all-next.key")) == own
