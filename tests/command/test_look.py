@@ -282,7 +282,8 @@ def terminal(monkeypatch: pytest.MonkeyPatch) -> Callable[..., None]:
     [
         ({"TERM": "xterm", "COLORTERM": "truecolor"}, "\x1b[38;2;255;0;0;48;2;0;0;255m▀"),
         ({"TERM": "xterm-256color"}, "\x1b[38;5;196;48;5;21m▀"),
-        ({"TERM": "xterm"}, "\x1b[31;44m▀"),
+        ({"TERM": "xterm"}, "\x1b[30;40m▀"),  # greys: 16 colours have no shades
+        ({"TERM": "screen"}, "\x1b[30;40m▀"),
     ],
 )
 def test_a_terminal_gets_the_colours_that_it_has(

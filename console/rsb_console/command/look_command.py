@@ -27,7 +27,7 @@ from rsb_console.command.shell import OK, print_line
 from rsb_console.command.target import UsageError, attached, done, failed, other_side, reported
 from rsb_console.look import formats
 from rsb_console.look.glyphs import to_ascii
-from rsb_console.look.picture_rows import UnreadableError, notes_line, picture_rows, reads_webp
+from rsb_console.look.picture_rows import COLOURS, UnreadableError, notes_line, picture_rows, reads_webp
 from rsb_console.session.picture_files import FORMATS, picture_file
 
 if TYPE_CHECKING:
@@ -252,7 +252,7 @@ def _rows(viewed: Viewed, wish: Wish, arguments: Namespace) -> list[Row]:
     if content is None:
         return []
     try:
-        return picture_rows(content, wish.width, wish.height, colours=_console(arguments).color_system is not None)
+        return picture_rows(content, wish.width, wish.height, colours=COLOURS[_console(arguments).color_system])
     except UnreadableError as error:
         raise EngineError(str(error)) from None
 
