@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, ClassVar, TypeVar
 
 from textual.app import App, ReturnType
+from textual.screen import SystemModalScreen
 
 from rsb_console.actions import ACTIONS, BY_ID, Action, Group, bindings
 from rsb_console.look import themes
@@ -114,6 +115,15 @@ class TerminalApp(App[ReturnType]):
         if known is not None and known.changes and self.readonly:
             return False
         return super().check_action(action, parameters)
+
+    def on_key(self, event: events.Key) -> None:
+        """Show the keys on every screen: a dialog's bindings leave out the app's (Textual's)."""
+        keys = self.preferences.keymap.get("help", BY_ID["help"].keys).split(",")
+        if event.key in keys and self.screen.is_modal and not isinstance(self.screen, SystemModalScreen):
+            from rsb_console.screens.help import HelpScreen  # noqa: PLC0415 -- keeps the start short
+
+            if not isinstance(self.screen, HelpScreen):
+                self.action_help()
 
     def action_help(self) -> None:
         from rsb_console.screens.help import HelpScreen  # noqa: PLC0415 -- keeps the start short

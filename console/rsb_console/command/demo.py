@@ -17,6 +17,7 @@ from rsb_bridge.config.fleet_file import load_fleet
 from rsb_bridge.engine import Engine
 from rsb_bridge.model.clock import Clock
 from rsb_bridge.model.robot_summary import RobotState
+from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.text import keep_output_clean
 from rsb_console.bench.results import BenchError
 from rsb_console.bench.simulated_fleet import WITH_BATTERY, fleet, listening
@@ -259,11 +260,16 @@ def _heard(shown: Fleet, engines: int, as_they_are: Callable[[], bool]) -> list[
         robots = shown.robots()
         enough = as_they_are()
         heard = len(robots) >= engines and all(_has_said(robot, asked) for robot in robots)
-        if heard and (enough or all(robot.summary.state is RobotState.OK for robot in robots)):
+        if heard and (enough or all(map(_is_well, robots))):
             return robots
         if time.time() > asked + (_SEEN_WITHIN if enough else _WELL_WITHIN):
             return robots
         time.sleep(_LOOK_EVERY)
+
+
+def _is_well(robot: Robot) -> bool:
+    """Whether nothing is wrong with a robot, and the desk hears all its topics: it begins with the robots."""
+    return robot.summary.state is RobotState.OK and State.UNHEARD not in robot.summary.states
 
 
 def _has_said(robot: Robot, since: float) -> bool:
