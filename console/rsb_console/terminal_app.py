@@ -116,14 +116,14 @@ class TerminalApp(App[ReturnType]):
             return False
         return super().check_action(action, parameters)
 
-    def on_key(self, event: events.Key) -> None:
-        """Show the keys on every screen: a dialog's bindings leave out the app's (Textual's)."""
-        keys = self.preferences.keymap.get("help", BY_ID["help"].keys).split(",")
-        if event.key in keys and self.screen.is_modal and not isinstance(self.screen, SystemModalScreen):
-            from rsb_console.screens.help import HelpScreen  # noqa: PLC0415 -- keeps the start short
+    def key_question_mark(self) -> None:
+        """Show the keys. Textual calls this if no binding has the key: those of dialogs leave out the app's."""
+        from rsb_console.screens.help import HelpScreen  # noqa: PLC0415 -- keeps the start short
 
-            if not isinstance(self.screen, HelpScreen):
-                self.action_help()
+        if not isinstance(self.screen, HelpScreen | SystemModalScreen):
+            self.action_help()
+
+    key_f1 = key_question_mark
 
     def action_help(self) -> None:
         from rsb_console.screens.help import HelpScreen  # noqa: PLC0415 -- keeps the start short

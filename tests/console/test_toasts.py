@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import pytest
 from tests.console.driving import drive, scripted_app, shown, until
@@ -19,7 +19,7 @@ SIZES = [(200, 50), (120, 36), (100, 30), (80, 24)]
 TEXT = "the session is saved, and one topic of it could not be added: it is bridged already by another client"
 
 
-async def toast_on(pilot: Pilot[None], screen: Screen[object]) -> Region:
+async def toast_on(pilot: Pilot[None], screen: Screen[Any]) -> Region:
     pilot.app.notify(TEXT, title="Not done", severity="error", markup=False)
     await until(pilot, lambda: any(each.region for each in screen.query(Toast)), "a toast")
     return screen.query_one(Toast).region

@@ -16,7 +16,7 @@ Image = pytest.importorskip("PIL.Image", reason="needs Pillow")
 RED, GREEN, BLUE, WHITE, BLACK = b"\xff\0\0", b"\0\xff\0", b"\0\0\xff", b"\xff\xff\xff", b"\0\0\0"
 
 
-def rows(content: Cells | Pixels | Series, width: int = 80, height: int = 24, **how: bool) -> list[str]:
+def rows(content: Cells | Pixels | Series, width: int = 80, height: int = 24, **how: int) -> list[str]:
     """Return the characters of a picture."""
     return ["".join(part.text for part in row) for row in picture_rows(content, width, height, **how)]
 

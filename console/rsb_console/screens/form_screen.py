@@ -68,9 +68,9 @@ class FormScreen(ModalScreen[T | None]):
     def on_mount(self) -> None:
         self.check()
 
-    def on_resize(self, event: events.Resize) -> None:
+    def on_resize(self) -> None:
         """Leave room for a toast below the dialog; the fields scroll."""
-        self.form.styles.max_height = max(4, event.size.height - _AROUND)
+        self.form.styles.max_height = max(4, self.size.height - _AROUND)
 
     def on_field_changed(self) -> None:
         self.check()
