@@ -148,7 +148,7 @@ def with_unknown_kept(
         return msgspec.structs.replace(command, topic=_kept(command.topic, before, features))
     if isinstance(command, ChangeClient):
         client = command.client
-        entries = (each.topics for each in session.clients if each.name == client.name)
+        entries = (each.topics for each in session.listed_clients if each.name == client.name)
         before_of = {each.identity: each for each in next(entries, ())}
         topics = tuple(_kept(each, before_of.get(each.identity, each), features) for each in client.topics)
         return msgspec.structs.replace(command, client=msgspec.structs.replace(client, topics=topics))

@@ -79,6 +79,7 @@ class RemoteProblem(Wording):
     CONDITION_UNKNOWN = "--for {condition}: not one of flowing TOPIC, linked [CLIENT], stopped"
     NOT_BRIDGED = "{topic} is not bridged{hint}; `rsb-console add` adds a topic"
     NOT_BROUGHT = "no client has brought {topic} so far{hint}"
+    NO_CLIENT = "add {topic}: the server has no client yet; `rsb-console client add NAME` adds one"
     CLIENT_MISSING = "add {topic}: several clients; choose one with --link {links}"
     RATE_WITHOUT_DRY_RUN = "add {topic}: --rate and --size are for --dry-run, which adds nothing"
     DRY_RUN_OF_CALLS = "add {topic}: --dry-run is for topics only; calls go first and have no budget"
@@ -371,6 +372,8 @@ def _add(arguments: Namespace) -> int:
     with attached(arguments) as engine:
         check_link(engine, arguments.link)
         links = [link.name for link in engine.snapshot().links]
+        if not links:
+            raise UsageError(RemoteProblem.NO_CLIENT(topic=arguments.topic))
         if len(links) > 1 and not arguments.link:
             raise UsageError(RemoteProblem.CLIENT_MISSING(topic=arguments.topic, links=" or --link ".join(links)))
         topic = _topic(values, keys, engine, None)
