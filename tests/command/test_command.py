@@ -341,7 +341,8 @@ def test_import_writes_a_session_that_loads() -> None:
     rsb_console("keygen")
     arguments = ("import", "bringup.yaml", "--name", "robot1", "--key-file", "key.txt", "-o", "sessions/new.yaml")
     run = rsb_console(*arguments)
-    assert (run.returncode, run.stdout, run.stderr) == (0, "", "")
+    assert (run.returncode, run.stderr) == (0, "")
+    assert says(run.stdout, LocalText.IMPORTED, path="sessions/new.yaml")
     session = load(Path("sessions/new.yaml"))
     assert session.key_file == "../key.txt"
     assert [topic.topic for topic in session.topics] == ["/topic"]

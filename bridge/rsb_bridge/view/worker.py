@@ -192,6 +192,8 @@ class Artist:
                 problem = str(error)
         try:
             view = self._view(task)
+            if not task.seen:  # a view's own words would be about messages, and hold up who waits for the first one
+                return about
             view.now = task.now / 1e9
             drawn = view.draw(task.wish)
         except UndrawableError:
