@@ -103,7 +103,10 @@ def listen(topic: str, depth: int) -> None:
             continue
         messages = list(heard.messages)
         late = [_Heard(node, topic, _latched(30000)) for node in late_nodes]
-        time.sleep(2)
+        heard_late = -1
+        while (now_late := sum(len(side.messages) for side in late)) != heard_late:
+            heard_late = now_late
+            time.sleep(2)
         near, there = ({each[:2] for each in side.messages} for side in late)
         delays = sorted((at - sent) / 1e6 for _, _, sent, at in messages) or [float("nan")]
         newest: dict[int, int] = {}
