@@ -8,6 +8,7 @@ from collections import Counter
 from typing import TYPE_CHECKING, Any
 
 from tests.engine.test_churn import Publisher, Subscription
+from tests.support.inside import inside
 from tests.support.ports import free_port
 from tests.support.waiting import eventually
 
@@ -110,11 +111,10 @@ def test_topics_that_come_and_go_by_a_pattern_leave_nothing(tmp_path: Path, monk
             return {kind: more for kind, more in (counts() - before).items() if more > TOPICS // 2 and kind not in KEPT}
 
         eventually(lambda: not grown(), within=60, what="what grows goes again")
-        bridge = engines[1]._bridge
-        assert bridge is not None
+        bridge = inside(engines[1])
         (link,) = bridge.links()
         # Plain values are not among the objects that are counted.
-        eventually(lambda: seen(lambda: not link.patterns._known and not bridge._names._known), what="names are gone")  # type: ignore[attr-defined]
+        eventually(lambda: seen(lambda: not link.patterns._known and not bridge._names._known), what="names are gone")
     except AssertionError as error:
         raise AssertionError(f"{error}: {counts() - before}") from None
     finally:
