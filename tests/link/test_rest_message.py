@@ -225,7 +225,7 @@ def test_the_robot_rests_at_once_however_it_is_disarmed(
     hear_all(driven.pair)
     assert driven.robot.heard[1:] == [(began, RESTS)]
     for _ in range(20):
-        driven.drive(half=half, number=number)  # what was under way
+        driven.drive(half=half, number=number)  # messages that were in flight
         driven.wait(0.05)
     rests = driven.robot.heard[1:]
     assert {each.payload for each in rests} == {RESTS}
@@ -323,7 +323,7 @@ def test_the_more_careful_session_says_what_follows(
     loop: VirtualLoop,
     make_context: Callable[..., Context],
 ) -> None:
-    """Of two messages the robot's counts; both sides show which."""
+    """The robot's message counts; both sides show it."""
     driven = Driven(loop, make_context, on_end=on_end, there=there)
     driven.drive()
     assert driven.half.on_end == shown

@@ -1,4 +1,4 @@
-"""What a robot hears last after an arming has ended, for each way in which it can end.
+"""The last messages that reach a robot after an arming has ended, for each kind of end.
 
 Somebody drives while the topic is armed: a node or a hand on the control PC, or a hand on the robot's own bridge. Then
 the arming ends, and an outside node on the robot's side notes what still comes.
@@ -44,7 +44,7 @@ _ENTRY = {"type": "geometry_msgs/msg/Twist"}
 
 @dataclass
 class Rested:
-    """What the robot's node heard from the end of an arming on.
+    """The messages that the robot's node heard from the end of an arming on.
 
     Attributes:
         moving: messages that move and came after the first rest, or after the allowed time.
