@@ -7,7 +7,7 @@ PYTHON=${PYTHON:-python3}
 # Makes an environment build/$1 from a lock.
 environment() {
   "$PYTHON" -m venv "build/$1"
-  "build/$1/bin/pip" install --quiet --disable-pip-version-check --require-hashes -r "locks/$2.txt"
+  build/"$1"/bin/pip install --quiet --disable-pip-version-check --require-hashes -r "locks/$2.txt"
 }
 
 # Wheel and source distribution. Two builds of one commit are the same, byte by byte.
