@@ -14,7 +14,7 @@ unexport PYTHONDONTWRITEBYTECODE
 export ROS_AUTOMATIC_DISCOVERY_RANGE := LOCALHOST
 export OTHER_PYTHON PYTHON
 
-.PHONY: demo demo-fleet test test-all on-all test-kilted on-kilted test-quick test-wire quick-lint types lint soak fuzz \
+.PHONY: demo demo-fleet test test-all on-all test-kilted on-kilted test-quick coverage test-wire quick-lint types lint soak fuzz \
   bench dist deb lock screenshots texts man system clean
 demo: $(STAMP)
 	$(BIN)/rsb-console demo
@@ -28,10 +28,11 @@ SEED := 0
 AT_ONCE = $(PYTEST) -n $(WORKERS) --dist loadscope
 # tests/checks runs lint, and tests/wire with its coverage.
 ALL = tests --ignore=tests/wire --ignore=tests/distributions
+NOT_DAILY := $(addprefix --ignore=tests/,network bluetooth release)
 QUICK := cdr channel config fleet fuzz history model route wire
 
 test: $(STAMP) system
-	$(AT_ONCE) -m "not long" $(ALL) $(addprefix --ignore=tests/,network bluetooth release)
+	$(AT_ONCE) -m "not long" $(ALL) $(NOT_DAILY)
 test-all: $(STAMP) system
 	$(MAKE) SEED=$$(date +%-j) on-all
 on-all:
@@ -42,6 +43,9 @@ on-kilted: $(STAMP)
 	$(AT_ONCE) -m "not long" $(addprefix tests/,engine calls system ros distributions)
 test-quick: $(STAMP)
 	$(PYTEST) -q -n 2 --dist worksteal -m "not long" 'tests/checks/test_checks.py::test_it_passes[quick-lint]' $(addprefix tests/,$(QUICK))
+coverage: $(STAMP) system
+	$(AT_ONCE) -m "not long" $(ALL) tests/wire $(NOT_DAILY) --cov=rsb_bridge --cov=rsb_console --cov-report=
+	$(BIN)/coverage report --format=total
 test-wire: $(STAMP)
 	$(PYTEST) tests/wire --cov=rsb_bridge.wire --cov-branch --cov-fail-under=100
 test-%: $(STAMP) system
