@@ -12,7 +12,7 @@ EXTRAS := $(ROS_EXTRAS)zenoh$(comma)metrics$(comma)look$(comma)dev
 # Children by the hundred start sooner with bytecode, and nothing that runs from here leaves this machine.
 unexport PYTHONDONTWRITEBYTECODE
 export ROS_AUTOMATIC_DISCOVERY_RANGE := LOCALHOST
-export OTHER_PYTHON PYTHON
+export OTHER_PYTHON
 
 .PHONY: demo demo-fleet test test-all on-all test-kilted on-kilted test-quick coverage test-wire quick-lint types lint soak fuzz \
   bench dist deb lock screenshots texts man system clean
@@ -27,16 +27,16 @@ PYTEST = PYTHONHASHSEED=$(SEED) timeout -s INT -k 60 3600 $(BIN)/python -m pytes
 SEED := 0
 AT_ONCE = $(PYTEST) -n $(WORKERS) --dist loadscope
 # tests/checks runs lint, and tests/wire with its coverage.
-ALL = tests --ignore=tests/wire --ignore=tests/distributions
-NOT_DAILY := $(addprefix --ignore=tests/,network bluetooth release)
+ALL := tests
+without = $(addprefix --ignore=tests/,distributions $(1))
 QUICK := cdr channel config fleet fuzz history model route wire
 
 test: $(STAMP) system
-	$(AT_ONCE) -m "not long" $(ALL) $(NOT_DAILY)
+	$(AT_ONCE) -m "not long" $(ALL) $(call without,wire network bluetooth release)
 test-all: $(STAMP) system
 	$(MAKE) SEED=$$(date +%-j) on-all
 on-all:
-	$(AT_ONCE) --random $(ALL)
+	$(AT_ONCE) --random $(ALL) $(call without,wire)
 test-kilted: $(STAMP) system
 	$(MAKE) VENV=.venv-kilted ROS_EXTRAS=ros-kilted$(comma)ros-kilted-test$(comma) OTHER_PYTHON=$(abspath $(BIN))/python on-kilted
 on-kilted: $(STAMP)
@@ -44,7 +44,7 @@ on-kilted: $(STAMP)
 test-quick: $(STAMP)
 	$(PYTEST) -q -n 2 --dist worksteal -m "not long" 'tests/checks/test_checks.py::test_it_passes[quick-lint]' $(addprefix tests/,$(QUICK))
 coverage: $(STAMP) system
-	$(AT_ONCE) -m "not long" $(ALL) tests/wire $(NOT_DAILY) --cov=rsb_bridge --cov=rsb_console --cov-report=
+	$(AT_ONCE) -m "not long" $(ALL) $(call without,checks network bluetooth release) --cov=rsb_bridge --cov=rsb_console --cov-report=
 	$(BIN)/coverage report --format=total
 test-wire: $(STAMP)
 	$(PYTEST) tests/wire --cov=rsb_bridge.wire --cov-branch --cov-fail-under=100
