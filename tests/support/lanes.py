@@ -18,11 +18,11 @@ if TYPE_CHECKING:
 COMPUTING = {"simulation": "simulation", "checks": "checks"} | dict.fromkeys(
     ("cdr", "channel", "config", "fleet", "fuzz", "history", "model", "route", "wire"), "pure"
 )
-_ALONE = {"bluetooth", "network", "release"}
+ALONE = {"bluetooth", "network", "release"}
 """Folders whose tests share machines, hosts or builds."""
-_SHARED = {"calls": 3}
+SHARED = {"calls": 3}
 """Folders that start processes for all their tests, and so run in a few lanes."""
-_FIRST = ("simulation", "checks", "pure", *_ALONE, "soak", "calls", "system", "engine", "console", "bench", "control")
+FIRST = ("simulation", "checks", "pure", *ALONE, "soak", "calls", "system", "engine", "console", "bench", "control")
 """What takes the longest; the rest fills the gaps at the end."""
 
 
@@ -35,10 +35,10 @@ def lane_of(nodeid: str) -> str:
     folder, file = folder_of(nodeid), nodeid.split("::", 1)[0]
     if folder in COMPUTING:
         return COMPUTING[folder]
-    if folder in _ALONE:
+    if folder in ALONE:
         return folder
-    if folder in _SHARED:
-        return f"{folder}/{sum(file.encode()) % _SHARED[folder]}"
+    if folder in SHARED:
+        return f"{folder}/{sum(file.encode()) % SHARED[folder]}"
     return file
 
 
@@ -47,8 +47,8 @@ def sort_by_lane(items: list[pytest.Item]) -> None:
 
     def rank(item: pytest.Item) -> int:
         name = lane_of(item.nodeid)
-        name = name if name in _FIRST else folder_of(item.nodeid)
-        return _FIRST.index(name) if name in _FIRST else len(_FIRST)
+        name = name if name in FIRST else folder_of(item.nodeid)
+        return FIRST.index(name) if name in FIRST else len(FIRST)
 
     items.sort(key=rank)
 
