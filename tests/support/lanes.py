@@ -59,7 +59,7 @@ def give_way(item: pytest.Item) -> None:
         os.setpriority(os.PRIO_PROCESS, 0, max(5, os.getpriority(os.PRIO_PROCESS, 0)))
 
 
-class Lanes(LoadScopeScheduling):
+class Lanes(LoadScopeScheduling):  # type: ignore[misc]
     """Gives the next lane to the first worker that is free."""
 
     def _split_scope(self, nodeid: str) -> str:
