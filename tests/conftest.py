@@ -180,7 +180,7 @@ def pc(_pc_domain: Domain) -> Iterator[Domain]:
 @pytest.fixture
 def third() -> Iterator[Domain]:
     """A domain beside those two."""
-    yield from _domain(domains_of("third"))
+    yield from _domain(domains_of("programs"))
 
 
 @pytest.fixture

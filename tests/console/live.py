@@ -17,7 +17,7 @@ from rsb_bridge.model.session import Session, Topic
 
 HERE = domains_of("nodes")
 THERE = HERE + 1
-ELSEWHERE = domains_of("third")
+ELSEWHERE = domains_of("programs")
 """ROS domains of this run's own: otherwise the searched lists would have other tests' topics."""
 COMMAND = Path(sys.executable).with_name("rsb-console")
 

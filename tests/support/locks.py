@@ -31,7 +31,8 @@ def domains_of(use: str) -> int:
     """Return the first of two domains that this process has for one use: those of two uses do not meet.
 
     Args:
-        use: ``engines`` (nodes that outlive a test), ``nodes``, ``third``, ``programs``.
+        use: ``engines`` (nodes outlive a test), or ``nodes`` or ``programs`` (they end with it). More uses would be
+            more domains than there are for 12 workers.
     """
     return two_domains()
 
