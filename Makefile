@@ -23,8 +23,9 @@ demo-fleet: $(STAMP)
 
 # Most tests wait for most of their time, so there are five workers a core. Sets have one order in all workers, and each day another.
 WORKERS := $(shell $(PYTHON) -c 'import os; print(min(max(8, 5 * len(os.sched_getaffinity(0))), 12))')
-PYTEST = PYTHONHASHSEED=$(SEED) timeout -s INT -k 60 3600 $(BIN)/python -m pytest
+PYTEST = PYTHONHASHSEED=$(SEED) timeout -s INT -k 60 $(LIMIT) $(BIN)/python -m pytest
 SEED := 0
+LIMIT := 3600
 AT_ONCE = $(PYTEST) -n $(WORKERS) --dist loadscope
 # tests/checks runs lint, and tests/wire with its coverage.
 ALL := tests
@@ -34,7 +35,7 @@ QUICK := cdr channel config fleet fuzz history model route wire
 test: $(STAMP) system
 	$(AT_ONCE) -m "not long" $(ALL) $(call without,wire network bluetooth release)
 test-all: $(STAMP) system
-	$(MAKE) SEED=$$(date +%-j) on-all
+	$(MAKE) SEED=$$(date +%-j) LIMIT=10000 on-all
 on-all:
 	$(AT_ONCE) --random $(ALL) $(call without,wire)
 test-kilted: $(STAMP) system
