@@ -44,11 +44,13 @@ def pytest_pycollect_makemodule(module_path: Path, parent: pytest.Collector) -> 
     if b"hypothesis" in module_path.read_bytes():
         from hypothesis import HealthCheck, settings
 
-        random = parent.config.getoption("random")
+        config = parent.config
+        random = config.getoption("random")
+        more = random or config.getoption("cov_source", None)  # the wire's coverage is complete with 100
         settings.register_profile(
             "patient",
             deadline=None,
-            max_examples=100 if random or module_path.parent.name == "wire" else 30,  # its coverage must be complete
+            max_examples=100 if more else 30,
             derandomize=not random,
             suppress_health_check=[HealthCheck.too_slow],
         )
