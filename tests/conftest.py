@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gc
+import os
 import shlex
 import sys
 from typing import TYPE_CHECKING, Any
@@ -28,6 +29,8 @@ def pytest_configure(config: pytest.Config) -> None:
     At the end pytest would collect five times (for PyPy), which takes seconds after the console's tests.
     """
     gc.set_threshold(100_000, 20, 20)
+    for name in ("COLUMNS", "LINES"):  # readline puts them where only a child sees them: a worker of pytest-xdist
+        os.environ.pop(name, None)
     config.stash[gc_collect_iterations_key] = 1
 
 
