@@ -32,7 +32,7 @@ _BUDGET = 64 << 20
 
 @dataclass(eq=False)
 class Route:
-    """What a channel knows of a route (`RouteSink`), and messages that wait for the channel to take them.
+    """A channel's view of a route (`RouteSink`), with messages that wait for the channel.
 
     Attributes:
         arrived: payloads.
@@ -99,13 +99,13 @@ Place: TypeAlias = "Callable[[End, Iterable[Route]], None]"
 
 def on_its_own(end: End, routes: Iterable[Route]) -> None:
     for route in routes:
-        route.channel = stream_channel(end.stream, route, end.keys)  # type: ignore[assignment]  # tests use what it has
+        route.channel = stream_channel(end.stream, route, end.keys)  # type: ignore[assignment]  # tests use only these attributes
 
 
 def _on_a_shared_one(end: End, routes: Iterable[Route]) -> None:
     shared = SharedStream(end.stream, end, 3, end.keys.budget)
     for route in routes:
-        route.channel = shared.carry(route, end.keys)  # type: ignore[assignment]  # likewise
+        route.channel = shared.carry(route, end.keys)  # type: ignore[assignment]  # the same
 
 
 CARRIERS = pytest.mark.parametrize("place", [on_its_own, _on_a_shared_one])
@@ -137,7 +137,7 @@ async def connected(place: Place, *specs: tuple[int, bool]) -> AsyncIterator[tup
 
 
 class _SlowStream(Stream):
-    """As tolerant of waiting bytes as RFCOMM's."""
+    """A stream that allows as many waiting bytes as RFCOMM's."""
 
     batch_bytes = RfcommStream.batch_bytes
     high_water = RfcommStream.high_water
@@ -245,7 +245,7 @@ def test_an_end_that_sends_one_way_refuses_what_comes_the_other_way(place: Place
 
 
 def test_on_a_shared_stream_either_way_takes_its_turn() -> None:
-    """A call goes ahead of a map that is under way, and its answer ahead of another one."""
+    """A call overtakes a map that is being sent, and its answer another one."""
 
     async def scene() -> None:
         async with connected(_on_a_shared_one, (1, True), (2, True)) as (here, there):

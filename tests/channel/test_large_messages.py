@@ -30,7 +30,7 @@ def test_messages_of_all_sizes_are_exact_and_in_order() -> None:
 
 
 def test_messages_share_pieces() -> None:
-    """What comes with large ones costs no call of its own."""
+    """Small messages next to large ones cost no call of their own."""
     sent = [_payload(size)[:size] for size in (20_000, 0, 20_000, 60_000, 300_000, 1, 0, 100_000)]
 
     async def scene() -> None:

@@ -78,7 +78,7 @@ class Radio(asyncio.Transport):
 
 
 class Topic:
-    """What a channel knows of a route (`RouteSink`): here with a queue that never runs dry, or single messages.
+    """A channel's view of a route (`RouteSink`), with a queue that never runs dry, or single messages.
 
     Attributes:
         id: route id.

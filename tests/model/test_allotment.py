@@ -1,4 +1,4 @@
-"""How a link is divided: the highest priority first, and nobody gets nothing."""
+"""Division of a link: the highest priority first, and everybody gets something."""
 
 from __future__ import annotations
 

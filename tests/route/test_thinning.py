@@ -1,4 +1,4 @@
-"""What a topic leaves to others of its link."""
+"""The share that a topic leaves to others of its link."""
 
 from __future__ import annotations
 

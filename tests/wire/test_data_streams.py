@@ -24,7 +24,7 @@ def test_a_data_stream_is_attached(suite: Suite) -> None:
     assert (attach.link_id, attach.route) == (WELCOME.link_id, 5)
     server_keys.check_attach_proof(attach.header, attach.route, attach.proof)
 
-    # The server may send at once: what comes with the ACCEPT is the route's.
+    # The server may send at once: bytes behind the ACCEPT are the route's.
     first = DataWriter(server_keys.route_sealer(5, "server"), 5).write(b"x" * 10_000, 7)
     stream = server.accept_attach() + first
     assert data.receive_data(stream[:20]) == [Accepted()]

@@ -183,6 +183,8 @@ class ArmingSnapshot:
         why: the cause why it is not armed, as of `EventCode.ROUTE_DISARMED`, or "operator" or "not_yet"; empty while it
             is armed, and of an older bridge.
         reason: the same in words, with the operator who disarmed it.
+        on_end: what the robot gets when the arming ends: ``zero``, ``none``, or a message as JSON; of what is no topic,
+            and while the type is unknown, empty.
     """
 
     armed: bool
@@ -193,6 +195,7 @@ class ArmingSnapshot:
     demanded_by: tuple[str, ...] = ()
     why: str = ""
     reason: str = ""
+    on_end: str = ""
 
 
 @dataclass(frozen=True, slots=True)

@@ -220,6 +220,11 @@ class Route:
             self.topic = topic
 
     @property
+    def on_end(self) -> str:
+        """What the receiving side publishes once an arming ends, or an empty string where it is not known."""
+        return ""
+
+    @property
     def local_topic(self) -> str:
         return self.topic if self.outgoing else self.remote_topic
 
@@ -553,7 +558,7 @@ class Route:
             cause=verdict.cause,
             from_peer=from_peer,
             since=self.context.wall() - (now - self.judged.since(verdict, now)),
-            arming=self.arming.snapshot(now),
+            arming=self.arming.snapshot(now, self.on_end),
             allowed_rate=self.limit.allowed or None,
             pattern=self.pattern,
             messages_total=self.meter.count,
