@@ -87,7 +87,7 @@ class _Loss:
         self._skipped = 0
 
     def skip(self) -> None:
-        """Leave a second out, which says nothing; after many in a row, nothing is known."""
+        """Leave a second out; after many in a row, begin again."""
         self._skipped += 1
         if self._skipped >= _TICKS:
             self.clear()
