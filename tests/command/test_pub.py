@@ -21,7 +21,7 @@ from rsb_bridge.engine.publishing import PublishProblem
 from rsb_bridge.model.by_hand import Draft, Published
 from rsb_bridge.model.calls import FIELDS_LENGTH
 from rsb_bridge.model.session import Topic
-from rsb_bridge.model.snapshot import State
+from rsb_bridge.model.snapshot import ArmingSnapshot, State
 from rsb_console.command import pub_command
 from rsb_console.command.pub_command import PubText
 from rsb_console.session.by_hand import ByHandText
@@ -136,6 +136,28 @@ def test_some_messages_at_a_rate(ran: Any, engine: ScriptedEngine, clock: Clock)
     engine.published = [TAKEN] * 5
     assert ran("/words", "data: hello", "--count", "5", "--rate", "4").code == 0
     assert clock.slept == [0.25] * 4
+
+
+@pytest.mark.parametrize(
+    ("rate", "armed", "on_end", "end"),
+    [
+        ("10", True, "zero", ("{}", 0.5)),
+        ("2", True, "zero", ("{}", 1.0)),
+        ("10", True, '{"x": 1}', ('{"x": 1}', 0.5)),
+        ("10", True, "none", ("", 0.5)),
+        ("10", False, "zero", ("", 0.5)),
+        ("0.5", True, "zero", ("", 0.5)),
+    ],
+)
+def test_messages_at_a_rate_end_with_what_stops_the_robot(
+    rate: str, armed: bool, on_end: str, end: tuple[str, float], ran: Any, engine: ScriptedEngine, clock: Clock
+) -> None:
+    """The engine publishes it, so that it comes even if the command is killed."""
+    arming = ArmingSnapshot(armed=armed, on_end=on_end)
+    engine.now = replace(engine.now, routes=(route("/words", outgoing=True, max_age=1.0, arming=arming),))
+    engine.published = [TAKEN] * 2
+    assert ran("/words", "data: go", "--count", "2", "--rate", rate).code == 0
+    assert {(each.rest, each.rest_after) for each in sent(engine)} == {end}
 
 
 def test_messages_that_are_late_are_not_made_up_for(

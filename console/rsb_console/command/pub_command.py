@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import sys
 import time
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 from rsb_bridge.api import EngineError
+from rsb_bridge.model.by_hand import LONGEST_REST, REST_AFTER
 from rsb_bridge.model.calls import FIELDS_LENGTH
 from rsb_bridge.model.clock import Clock
+from rsb_bridge.model.on_end import NONE, ZERO
 from rsb_bridge.model.text import escape_text
 from rsb_bridge.model.wording import Wording
 from rsb_console.command.formatting import json_line
@@ -21,7 +23,22 @@ if TYPE_CHECKING:
 
     from rsb_bridge.control.remote_engine import RemoteEngine
     from rsb_bridge.model.by_hand import Published
-    from rsb_bridge.model.snapshot import RouteSnapshot
+    from rsb_bridge.model.snapshot import RouteSnapshot, Snapshot
+
+
+class _End(NamedTuple):
+    """The end of a motion.
+
+    Attributes:
+        rest: the message that stops the robot, or an empty string for none.
+        after: s after the last message, when the engine publishes it.
+    """
+
+    rest: str = ""
+    after: float = REST_AFTER
+
+
+_NO_END = _End()
 
 
 class PubText(Wording):
@@ -65,7 +82,8 @@ def _publish(engine: RemoteEngine, arguments: Namespace, fields: str) -> int:
     count, due, ticket = 0, Clock.steady(), 0
     last: Published | None = None
     while limit is None or count < limit:
-        last = publish(engine, arguments.topic, fields, arguments.type, ticket, due)
+        end = _end(engine.snapshot(), arguments.topic, pause) if arguments.rate else _NO_END
+        last = publish(engine, arguments.topic, fields, arguments.type, ticket, due, end)
         count, ticket = count + 1, last.ticket
         if count == 1 and limit != 1 and not arguments.json:
             _print(engine, arguments, last, count)
@@ -97,7 +115,18 @@ def _publish(engine: RemoteEngine, arguments: Namespace, fields: str) -> int:
     return OK if heard else FAILURE
 
 
-def publish(engine: RemoteEngine, topic: str, fields: str, type_name: str, ticket: int, due: float) -> Published:
+def _end(snapshot: Snapshot, topic: str, pause: float) -> _End:
+    """Return what ends a motion by messages at an interval (s), if the topic is armed and they are not too rare."""
+    routes = [each for each in snapshot.routes if each.topic == topic and each.arming is not None]
+    on_end = next((each.arming.on_end for each in routes if each.arming is not None and each.arming.armed), NONE)
+    if on_end in ("", NONE) or 2 * pause > LONGEST_REST or not all(each.max_age for each in routes):
+        return _NO_END
+    return _End("{}" if on_end == ZERO else on_end, max(REST_AFTER, 2 * pause))
+
+
+def publish(
+    engine: RemoteEngine, topic: str, fields: str, type_name: str, ticket: int, due: float, end: _End = _NO_END
+) -> Published:
     """Publish a message, with a new ticket if the one before has become too old, but the message has not.
 
     Args:
@@ -107,13 +136,15 @@ def publish(engine: RemoteEngine, topic: str, fields: str, type_name: str, ticke
         type_name: its type, or an empty string if the topic has one.
         ticket: from the answer before, or 0.
         due: time (s) of `Clock.steady` when the operator wanted it published.
+        end: what ends the motion.
 
     Raises:
         EngineError: the bridge refuses it, or it is too old.
         TimeoutError: the bridge does not answer.
     """
     for _ in range(TRIES):
-        published = result(engine.publish(topic, fields, type_name, ticket=ticket))
+        message = engine.publish(topic, fields, type_name, ticket=ticket, rest=end.rest, rest_after=end.after)
+        published = result(message)
         if published.is_done:
             return published
         if Clock.steady() - due > OLD_AFTER:
