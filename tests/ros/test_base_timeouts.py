@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from geometry_msgs.msg import Twist
-from tests.support.locks import two_domains
+from tests.support.locks import domains_of
 from tests.support.spun import Spun
 from tests.support.waiting import eventually
 
@@ -11,7 +11,7 @@ from rsb_bridge.ros.base_timeouts import base_timeouts
 
 
 def test_a_base_tells_its_timeouts() -> None:
-    domain = two_domains()
+    domain = domains_of("nodes")
     base = Spun(domain, "base")
     arm = Spun(domain, "arm", start_parameter_services=False)
     try:
