@@ -20,6 +20,7 @@ from rsb_bridge.api import EngineError
 from rsb_bridge.engine.publishing import PublishProblem
 from rsb_bridge.model.by_hand import Draft, Published
 from rsb_bridge.model.calls import FIELDS_LENGTH
+from rsb_bridge.model.clock import Clock as SteadyClock
 from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import State
 from rsb_console.command import pub_command
@@ -80,7 +81,7 @@ class Clock:
 def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
     made = Clock()
     monkeypatch.setattr(pub_command, "time", made)
-    monkeypatch.setattr(pub_command, "Clock", made)
+    monkeypatch.setattr(SteadyClock, "steady", staticmethod(made.steady))
     return made
 
 

@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
-import sys
 import time
 from typing import TYPE_CHECKING
 
 from rsb_bridge.api import EngineError
-from rsb_bridge.model.calls import FIELDS_LENGTH
+from rsb_bridge.model.by_hand import OLD_AFTER
 from rsb_bridge.model.clock import Clock
 from rsb_bridge.model.text import escape_text
 from rsb_bridge.model.wording import Wording
 from rsb_console.command.formatting import json_line
 from rsb_console.command.shell import FAILURE, OK, print_error, print_line, print_lines
-from rsb_console.command.target import UsageError, attached, done, reported, result
-from rsb_console.session.by_hand import OLD_AFTER, TRIES, ByHandText
+from rsb_console.command.target import UsageError, attached, done, fields_from, given_at, reported, result
+from rsb_console.session.by_hand import TRIES, ByHandText
 
 if TYPE_CHECKING:
     from argparse import Namespace
@@ -44,8 +43,8 @@ def _pub(arguments: Namespace) -> int:
         return _template(arguments)
     if arguments.message is None:
         raise UsageError(PubText.NO_MESSAGE(topic=arguments.topic))
-    fields = sys.stdin.read(FIELDS_LENGTH + 1) if arguments.message == "-" else arguments.message
-    with attached(arguments) as engine:
+    fields = fields_from(arguments, arguments.message)
+    with attached(arguments, expires=True) as engine:
         return _publish(engine, arguments, fields)
 
 
@@ -62,9 +61,10 @@ def _publish(engine: RemoteEngine, arguments: Namespace, fields: str) -> int:
     """Publish once, or at a rate until the count or an interrupt."""
     limit = arguments.count or (1 if arguments.rate is None else None)
     pause = 1.0 if arguments.rate is None else 1 / arguments.rate
-    count, due, ticket = 0, Clock.steady(), 0
+    count, due, ticket = 0, given_at(arguments), 0
     last: Published | None = None
     while limit is None or count < limit:
+        engine.given_at = due
         last = publish(engine, arguments.topic, fields, arguments.type, ticket, due)
         count, ticket = count + 1, last.ticket
         if count == 1 and limit != 1 and not arguments.json:

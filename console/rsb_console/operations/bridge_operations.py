@@ -201,7 +201,7 @@ class BridgeOperations:
             self._console.pull()
 
     async def edit_topic(self) -> None:
-        from rsb_console.screens.dialog import ConfirmScreen  # noqa: PLC0415 -- keeps the start short
+        from rsb_console.screens.dialog import GuardedConfirmScreen  # noqa: PLC0415 -- keeps the start short
         from rsb_console.screens.topic_form import TopicScreen  # noqa: PLC0415 -- keeps the start short
 
         engine, route = self._console.engine, self._selected()
@@ -213,7 +213,7 @@ class BridgeOperations:
                 return
             now, since, new = engine.snapshot(), _last_event(engine), draft.topic
             drops = route.spec.arm and not new.arm
-            if drops and not await self._console.ask(ConfirmScreen(*_dropping(route), "Drop")):
+            if drops and not await self._console.ask(GuardedConfirmScreen(*_dropping(route), "Drop")):
                 raise EngineError("not changed: it still has to be armed")
             key = await asyncio.wrap_future(engine.edit_topic(route.key, new, drop_arm=drops))
             if new.topic != route.spec.topic and not new.is_pattern:
@@ -228,7 +228,7 @@ class BridgeOperations:
 
     async def remove_topic(self) -> None:
         """Remove the topic under the cursor, after a question."""
-        from rsb_console.screens.dialog import ConfirmScreen  # noqa: PLC0415 -- keeps the start short
+        from rsb_console.screens.dialog import GuardedConfirmScreen  # noqa: PLC0415 -- keeps the start short
 
         engine, route = self._console.engine, self._selected()
         if route is None or engine is None:
@@ -238,7 +238,7 @@ class BridgeOperations:
             message += " Its name still has to be armed (armed in the session)."
         if route.pattern:
             message += f" {route.pattern} leaves it out from then on (except)."
-        if not await self._console.ask(ConfirmScreen(f"Remove {route.topic}?", message, "Remove")):
+        if not await self._console.ask(GuardedConfirmScreen(f"Remove {route.topic}?", message, "Remove")):
             return
         now, since = self._console.snapshot(), _last_event(engine)
         patterns = tuple((row.key, row.spec) for row in patterns_of(now, route.link, route.spec))

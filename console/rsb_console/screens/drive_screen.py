@@ -2,7 +2,8 @@
 
 A key counts for `_KEY_LASTS`, and the engine ends a motion by itself if no further command comes
 (`rsb_bridge.model.commands.Publish.rest`). So the robot stops if the operator lets the key go, if the terminal or the
-console hangs, or if the way to the bridge does.
+console hangs, or if the way to the bridge does. Keys that come late never arrive here (`GuardedScreen`), unless a
+terminal multiplexer hides that they are late: then `Steering` is stricter.
 """
 
 from __future__ import annotations
@@ -23,9 +24,12 @@ from rsb_bridge.model.text import escape_text
 from rsb_bridge.model.wording import Wording
 from rsb_console.screens.dialog import ArmScreen
 from rsb_console.session.by_hand import TWIST, TWIST_STAMPED, ByHandText, velocity
+from rsb_console.terminal.input_gate import GuardedScreen, InputGate
 from rsb_console.terminal.input_queue import DIALOG
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from textual.app import ComposeResult
     from textual.events import Key
 
@@ -42,6 +46,12 @@ _BURST, _BURST_SECONDS = 10, 0.1
 """Keys in so short a time were held up on their way: people and keyboards repeat them more slowly."""
 _IGNORED_FOR = 0.3
 """s after a burst in which keys are ignored."""
+_TOGETHER, _MANY_TOGETHER = 0.02, 4
+"""s between keys that a multiplexer has held up: they count as one, and so many are a burst. Keyboards repeat every
+0.03 s, and a connection that does not hang passes one on before the next."""
+_HELD = 0.15, 0.7
+"""s until a held key repeats for the first time, at least and at most: 0.66 is X11's default, the longest of the usual
+ones. Parts of a burst that TCP sends again come one round trip apart, mostly sooner than that."""
 _STOOD_STILL = 1.0
 """s without a look at the keys after which this process stood still: keys that waited for it are ignored."""
 _TICKETS = 3
@@ -87,12 +97,18 @@ def why_not_driven(route: RouteSnapshot) -> str:
 class Steering:
     """The velocity that the operator's keys mean.
 
+    Args:
+        relayed: gives whether late keys may look young, because a multiplexer stands between them and this process.
+
     Attributes:
         speed: m/s of a key.
         turn: rad/s of a key.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, relayed: Callable[[], bool] = lambda: False) -> None:
+        self._relayed = relayed
+        self._pressed = ("", float("-inf"))
+        self._together = 0
         self.speed, self.turn = _SPEED, _TURN
         self._forward = self._left = 0
         self._forward_until = self._left_until = 0.0
@@ -106,6 +122,8 @@ class Steering:
         self._times.append(now)
         if len(self._times) == _BURST and now - self._times[0] < _BURST_SECONDS:
             self._ignored_until = now + _IGNORED_FOR
+        if self._relayed() and not self._is_held(key, now):
+            return
         if key in _STOPS or now < self._ignored_until:
             self._forward_until = self._left_until = 0.0
             return
@@ -115,6 +133,17 @@ class Steering:
             self._forward, self._forward_until = forward, now + _KEY_LASTS
         if left or letters:
             self._left, self._left_until = left, now + _KEY_LASTS
+
+    def _is_held(self, key: str, now: float) -> bool:
+        """Whether a key counts though it may have come late: it stops, or the robot moves, or the key repeats."""
+        (before, at), self._pressed = self._pressed, (key, now)
+        self._together = self._together + 1 if now - at < _TOGETHER else 1
+        if self._together >= _MANY_TOGETHER:
+            self._ignored_until = now + _IGNORED_FOR
+        if key in _STOPS or now < self._ignored_until:
+            return True
+        moves = now < max(self._forward_until, self._left_until)
+        return self._together == 1 and (moves or (key == before and _HELD[0] < now - at < _HELD[1]))
 
     def _look(self, now: float) -> None:
         if now - self._looked_at > _STOOD_STILL:
@@ -138,7 +167,7 @@ class Steering:
         return forward, self._left * self.turn if now < self._left_until else 0.0
 
 
-class DriveScreen(ModalScreen[None]):
+class DriveScreen(GuardedScreen, ModalScreen[None]):
     """Drives until it is closed. What is below stays in sight: a camera's picture, for example.
 
     Args:
@@ -152,12 +181,13 @@ class DriveScreen(ModalScreen[None]):
         Binding("minus", f"speed({1 / _FASTER})", show=False),
         Binding("A", "arm", show=False),
     ]
+    SAFE_KEYS = frozenset({*_STOPS, "escape", "q", "A", "ctrl+c"})  # A disarms, or opens a question that is guarded
 
     def __init__(self, console: Console, route: RouteSnapshot) -> None:
         super().__init__()
         self.console = console
         self._route = route
-        self._steering = Steering()
+        self._steering = Steering(self._is_relayed)
         self._problem = ""
         self._ticket = self._refusals = 0
         self._pane = Static(id="drive", classes="dialog", markup=False)
@@ -170,6 +200,10 @@ class DriveScreen(ModalScreen[None]):
     def on_mount(self) -> None:
         self.set_interval(0.1, self._draw)
         self._drive()
+
+    def _is_relayed(self) -> bool:
+        pulse = InputGate.of(self.app).pulse
+        return pulse is not None and pulse.relayed
 
     # -- commands -----------------------------------------------------------------------------------------------------
 
