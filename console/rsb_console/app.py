@@ -103,7 +103,7 @@ class ConsoleApp(TerminalApp[None]):
         self.fault_bell = Bell(self.bell, is_on=self.preferences.bell)
         self.changes = Changes()
         console: Console = self
-        bridge = BridgeOperations(console, lambda: self.main.selected)
+        bridge = BridgeOperations(console, lambda: self.main.selected, lambda: self.main)
         self.sessions = SessionOperations(console, bridge.reload)
         self.main: MainScreen = self.main_screen(console, {Group.OPERATE: bridge, Group.SESSION: self.sessions})
         self.attached_to = ""
@@ -324,8 +324,8 @@ class ConsoleApp(TerminalApp[None]):
 
     async def on_event(self, event: events.Event) -> None:
         """Note that the operator is active (Textual's)."""
-        if not self.input_gate.is_late(event):
-            self.deadman.saw(event)
+        if self.screen_stack and not self.input_gate.is_late(event):
+            self.deadman.saw(event, self.screen)
         await super().on_event(event)
 
 

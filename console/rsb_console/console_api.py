@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Protocol, TypeVar
+from typing import TYPE_CHECKING, Any, Protocol, TypeVar
 
 if TYPE_CHECKING:
     from concurrent.futures import Future
@@ -21,6 +21,14 @@ if TYPE_CHECKING:
     from rsb_console.session.changes import Changes
 
 T = TypeVar("T")
+
+
+class OperatorWatch(Protocol):
+    """Finds out whether the operator watches what is armed."""
+
+    def armed_on(self, screen: Screen[Any]) -> None:
+        """Note that a topic is armed on a screen, whose keys count from then on."""
+        ...
 
 
 class ConsoleShell(Protocol):
@@ -74,6 +82,7 @@ class Console(ConsoleShell, Protocol):
         note: the console's present work on the session (``starting``), or empty.
         refresh_rate: Hz.
         changes: this console's changes to the engine that can be undone.
+        deadman: proves to the engine that the operator watches what is armed.
     """
 
     engine: EngineApi | None
@@ -86,6 +95,7 @@ class Console(ConsoleShell, Protocol):
     note: str
     refresh_rate: float
     changes: Changes
+    deadman: OperatorWatch
 
     # --- the session
 

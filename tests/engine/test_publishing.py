@@ -24,7 +24,7 @@ from rsb_bridge.config.fields_text import read_fields
 from rsb_bridge.engine.publishing import AT_ONCE, ENDS_AFTER, TOPICS, PublishProblem
 from rsb_bridge.model.by_hand import TICKET_LIFE
 from rsb_bridge.model.codes import EventCode
-from rsb_bridge.model.command_origin import acting
+from rsb_bridge.model.command_origin import acting, on_console
 from rsb_bridge.model.commands import Command, Pause, Publish, RemoveTopic, Restart, ShutDown
 from rsb_bridge.model.pictures import view_topic
 from rsb_bridge.model.session import Armed, Client, Topic
@@ -374,6 +374,45 @@ def test_what_disarms_ends_the_motion_first(
     }
     server.do(commands[command])
     eventually(lambda: [deserialize_message(each, Twist).linear.x for each in motors.payloads] == [0.1, 0.0])
+
+
+def test_only_the_holder_drives(bridge: Bridge, robot: Domain, pc: Domain, consoles: Consoles) -> None:
+    """Two people who drive at the same time would send the robot to and fro."""
+    motors = robot.listener("/cmd", Twist)
+    server, client = driven(bridge, pc, consoles)
+    drive(server, 0.1)
+    with (
+        on_console("another"),
+        acting("bert on pts/7"),
+        pytest.raises(EngineError, match=pattern(PublishProblem.ANOTHER_DRIVES)),
+    ):
+        drive(server, 0.5)
+    with pytest.raises(EngineError, match=pattern(PublishProblem.ANOTHER_DRIVES)):
+        publish(client, "linear: {x: 0.6}", type_name=TWIST)
+    with on_console("another"):
+        server.disarm(route(server, "/cmd").key).result(30)  # anybody may
+    eventually(lambda: speeds(motors)[-1:] == [0.0], 10)
+    assert set(speeds(motors)) == {0.1, 0.0}
+
+
+def test_an_arming_by_a_shell_is_for_the_commands_of_its_operator(
+    bridge: Bridge, robot: Domain, pc: Domain, consoles: Consoles
+) -> None:
+    motors = robot.listener("/cmd", Twist)
+    pc.publisher("/cmd", Twist)
+    server, client = bridge.both(DRIVEN)
+    eventually(lambda: can_be_armed(server, client))
+    with on_console("arm"), acting("anna on pts/1"):
+        server.arm(route(server, "/cmd").key, shared=True).result(30)
+    with on_console("pub"), acting("anna on pts/2"):
+        publish(server, "linear: {x: 0.1}")
+    with (
+        on_console("pub"),
+        acting("bert on pts/1"),
+        pytest.raises(EngineError, match=pattern(PublishProblem.ANOTHER_DRIVES)),
+    ):
+        publish(server, "linear: {x: 0.5}")
+    eventually(lambda: speeds(motors)[:1] == [0.1], 10)
 
 
 def test_a_console_that_goes_ends_the_motion(bridge: Bridge, robot: Domain, pc: Domain, consoles: Consoles) -> None:

@@ -127,10 +127,16 @@ class Acknowledge(Command[None], frozen=True, tag="acknowledge"):
 class ArmTopic(Command[None], frozen=True, tag="arm"):
     """Arm a topic for the console that gives the command; done once both sides hold it for armed.
 
-    The console has to keep the topic armed (`KeepArmed`).
+    The console has to keep the topic armed (`KeepArmed`). Only its messages by hand pass from then on.
+
+    Attributes:
+        key: of the route.
+        shared: whether messages by hand of that operator's other consoles pass, too: the commands of a shell are one
+            console each.
     """
 
     key: str
+    shared: bool = False
 
     @property
     def expires(self) -> bool:

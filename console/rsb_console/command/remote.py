@@ -486,7 +486,7 @@ def _arm(arguments: Namespace) -> int:
     """Arm a topic until this process ends in any way; then the bridge disarms it. Return the exit code."""
     with attached(arguments, expires=True) as engine:
         route = chosen_route(engine, arguments)
-        result(engine.arm(route.key))
+        result(engine.arm(route.key, shared=True))  # for `rsb-console pub` in another shell
         _say_armed(arguments, route)
         why, cause = _hold(engine, route.key)
     return failed(arguments, RemoteProblem.DISARMED(topic=route.topic, reason=why), FAILURE, cause=cause)

@@ -44,6 +44,8 @@ _ASKED_LINES, _ASKED_CHARACTERS = 200, 4 << 10
 """Limits of the part of an operator's YAML that a question shows, as much as a person can read."""
 RUNNING = "◌"
 _NO_KEYS_YET = "…"
+_LOOK_EVERY = 0.1
+"""s between two looks whether the keys of a question count."""
 
 
 def beginning(fields: str) -> str:
@@ -167,11 +169,13 @@ class GuardedConfirmScreen(GuardedScreen, ConfirmScreen):
 
     def _is_drawn(self) -> None:
         self.drawn_at = time.monotonic()
-        self.set_timer(self.seen_after, self._take_keys)
+        self._waiting = self.set_interval(_LOOK_EVERY, self._look)
 
-    def _take_keys(self) -> None:
-        self._takes_keys = True
-        self._show_keys()
+    def _look(self) -> None:
+        if InputGate.of(self.app).takes_keys(self):
+            self._waiting.stop()
+            self._takes_keys = True
+            self._show_keys()
 
 
 class ArmScreen(GuardedConfirmScreen):

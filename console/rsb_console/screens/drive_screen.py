@@ -9,6 +9,7 @@ terminal multiplexer hides that they are late: then `Steering` is stricter.
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import time
 from collections import deque
 from typing import TYPE_CHECKING, ClassVar
@@ -20,9 +21,10 @@ from textual.screen import ModalScreen
 from textual.widgets import Static
 
 from rsb_bridge.api import EngineError
-from rsb_bridge.model.text import escape_text
+from rsb_bridge.model.names import expand_type_name
+from rsb_bridge.model.text import escape_text, join_first
 from rsb_bridge.model.wording import Wording
-from rsb_console.screens.dialog import ArmScreen
+from rsb_console.screens.dialog import ArmScreen, GuardedConfirmScreen
 from rsb_console.session.by_hand import TWIST, TWIST_STAMPED, ByHandText, velocity
 from rsb_console.terminal.input_gate import GuardedScreen, InputGate
 from rsb_console.terminal.input_queue import DIALOG
@@ -33,7 +35,7 @@ if TYPE_CHECKING:
     from textual.app import ComposeResult
     from textual.events import Key
 
-    from rsb_bridge.model.snapshot import RouteSnapshot
+    from rsb_bridge.model.snapshot import RouteSnapshot, Snapshot
     from rsb_console.console_api import Console
 
 _KEY_LASTS = 0.6
@@ -66,6 +68,8 @@ _WAYS = {
 }  # fmt: skip
 """Forward and turn, counterclockwise, of each key, with the letters of teleop_twist_keyboard."""
 _STOPS = {"k", "space"}
+_NAMED = 4
+"""Robots in one line."""
 _KEYS = "↑↓←→ uiojlm,. drive · space stop · +- speed · A arm · esc leave"
 
 
@@ -78,20 +82,66 @@ class DriveText(Wording):
     LATE = "keys came late, all at once: they are ignored"
     DISARMED = "disarmed: press A to arm it{reason}"
     ARMED = "armed{left}"
+    ARMED_BY = "armed by {who}, whose messages pass alone; A disarms it"
     LEFT = ", for {seconds:.0f} s without a key"
+    NOT_WHILE_DISARMED = "keys do nothing while it is disarmed"
+    MOVED = "moves {robots}{round_trip}"
+    ROUND_TRIP = ", round trip {milliseconds:.0f} ms"
+    SEVERAL = "Drive {count} robots by {topic}?"
+    SEVERAL_MEANS = "Its messages cross to {robots}: all of them move that are armed."
     GONE = "it is no longer bridged"
     OTHER_TYPE = "{topic} cannot be driven: its type is {type_name}, not Twist or TwistStamped"
     NOT_DRIVEN = "{topic} cannot be driven: set arm: true on the topic first (e), and leave max_age as it is"
 
 
-def why_not_driven(route: RouteSnapshot) -> str:
-    """Return the reason why a topic cannot be driven, or an empty string."""
-    type_name = route.type_name or route.spec.type
+def known_type(route: RouteSnapshot) -> str:
+    """Return the full name of a route's type, or an empty string if nobody on this side knows it."""
+    if route.type_name or route.spec.type == "auto":
+        return route.type_name
+    return expand_type_name(route.spec.type)
+
+
+def why_not_driven(route: RouteSnapshot, type_name: str = "") -> str:
+    """Return the reason why a topic cannot be driven, or an empty string.
+
+    Args:
+        route: the topic's.
+        type_name: the type, if the route does not know it.
+    """
+    type_name = known_type(route) or type_name
     if type_name not in (TWIST, TWIST_STAMPED):
         return DriveText.OTHER_TYPE(topic=route.topic, type_name=type_name or "unknown")
     if route.arming is None or not route.max_age:
         return DriveText.NOT_DRIVEN(topic=route.topic)
     return ""
+
+
+def moved_by(route: RouteSnapshot, snapshot: Snapshot) -> list[str]:
+    """Return the robots that messages on a route's topic move, by the names of their links."""
+    if route.calls is not None or not route.outgoing:
+        return [route.link]
+    return sorted({each.link for each in snapshot.routes if each.outgoing and each.topic == route.topic} | {route.link})
+
+
+async def drive(console: Console, route: RouteSnapshot) -> None:
+    """Open the screen on a topic that can be driven, after a question if that moves other robots, too.
+
+    Only from a worker.
+    """
+    type_name = known_type(route)
+    if not type_name and console.engine is not None:
+        with contextlib.suppress(EngineError):  # then the reason names what is missing
+            type_name = (await asyncio.wrap_future(console.engine.draft_message(route.topic))).type_name
+    if problem := why_not_driven(route, type_name):
+        console.notify(problem, title="Not done", severity="warning", markup=False)
+        return
+    robots = moved_by(route, console.snapshot())
+    if len(robots) > 1:
+        title = DriveText.SEVERAL(topic=route.topic, count=len(robots))
+        means = DriveText.SEVERAL_MEANS(robots=join_first(robots, _NAMED))
+        if not await console.ask(GuardedConfirmScreen(title, means, "Drive")):
+            return
+    await console.ask(DriveScreen(console, route, type_name))
 
 
 class Steering:
@@ -173,6 +223,7 @@ class DriveScreen(GuardedScreen, ModalScreen[None]):
     Args:
         console: the app.
         route: the topic's.
+        type_name: its type.
     """
 
     BINDINGS: ClassVar = [
@@ -183,10 +234,12 @@ class DriveScreen(GuardedScreen, ModalScreen[None]):
     ]
     SAFE_KEYS = frozenset({*_STOPS, "escape", "q", "A", "ctrl+c"})  # A disarms, or opens a question that is guarded
 
-    def __init__(self, console: Console, route: RouteSnapshot) -> None:
+    def __init__(self, console: Console, route: RouteSnapshot, type_name: str) -> None:
         super().__init__()
         self.console = console
         self._route = route
+        self._type_name = type_name
+        self._has_armed = False
         self._steering = Steering(self._is_relayed)
         self._problem = ""
         self._ticket = self._refusals = 0
@@ -231,7 +284,7 @@ class DriveScreen(GuardedScreen, ModalScreen[None]):
         Raises:
             EngineError: the bridge refuses it, or answers too slowly.
         """
-        engine, type_name = self.console.engine, self._route.type_name or self._route.spec.type
+        engine, type_name = self.console.engine, self._type_name
         if engine is None:
             raise EngineError(ByHandText.NO_SESSION())
         published = await asyncio.wrap_future(
@@ -274,7 +327,19 @@ class DriveScreen(GuardedScreen, ModalScreen[None]):
         if route.arming.armed:
             await self.console.command(engine.disarm(route.key))
         elif await self.console.ask(ArmScreen(route)):
+            self._has_armed = True
+            self.console.deadman.armed_on(self)
+            if not self.is_running:
+                return
             await self.console.command(engine.arm(route.key))
+
+    def on_unmount(self) -> None:
+        """Disarm what this screen has armed: nobody watches it any more."""
+        route, engine = self._current(), self.console.engine
+        if not self._has_armed or engine is None or route is None or route.arming is None:
+            return
+        if route.arming.here and route.arming.armed:
+            engine.disarm(route.key)
 
     # -- the picture --------------------------------------------------------------------------------------------------
 
@@ -284,10 +349,24 @@ class DriveScreen(GuardedScreen, ModalScreen[None]):
     def _draw(self) -> None:
         now = time.monotonic()
         forward, turn = self._steering.at(now)
-        moves = DriveText.MOVES(forward=forward, turn=turn) if forward or turn else DriveText.STANDS()
+        route = self._current()
+        if route is None or route.arming is None or not route.arming.armed:
+            moves = DriveText.NOT_WHILE_DISARMED()
+        else:
+            moves = DriveText.MOVES(forward=forward, turn=turn) if forward or turn else DriveText.STANDS()
         speed = DriveText.SPEED(speed=self._steering.speed, turn=self._steering.turn)
         problem = DriveText.LATE() if self._steering.came_late(now) else self._problem
-        self._pane.update(Content(escape_text(f"{moves}   ({speed})") + f"\n{self._state()}\n{escape_text(problem)}"))
+        lines = (f"{moves}   ({speed})", self._moved(), problem)
+        first, moved, last = map(escape_text, lines)
+        self._pane.update(Content(f"{first}\n{self._state()}\n{moved}\n{last}"))
+
+    def _moved(self) -> str:
+        snapshot = self.console.snapshot()
+        robots = join_first(moved_by(self._route, snapshot), _NAMED)
+        trip = next((link.rtt for link in snapshot.links if link.name == self._route.link), None)
+        return DriveText.MOVED(
+            robots=robots, round_trip="" if trip is None else DriveText.ROUND_TRIP(milliseconds=trip * 1e3)
+        )
 
     def _state(self) -> str:
         route = self._current()
@@ -297,4 +376,6 @@ class DriveScreen(GuardedScreen, ModalScreen[None]):
             reason = f" ({escape_text(route.arming.reason)})" if route.arming.reason else ""
             return DriveText.DISARMED(reason=reason)
         left = route.arming.left
+        if not route.arming.here:
+            return DriveText.ARMED_BY(who=escape_text(route.arming.by))
         return DriveText.ARMED(left="" if left is None else DriveText.LEFT(seconds=left))

@@ -86,16 +86,23 @@ class InputGate:
         if isinstance(event, events.Key) and event.key in screen.SAFE_KEYS:
             return False
         if not self.is_late(event):
-            if screen.seen_after == 0.0:
-                return False
-            if screen.drawn_at is not None and self._clock() - screen.drawn_at >= screen.seen_after:
-                # An answer to a question after the picture proves that the terminal has it.
-                return heard_before(event) < screen.drawn_at
-            return True
+            return not self._was_seen(screen, heard_before(event))
         if self._clock() - self._told_at > _TOLD_EVERY:
             self._told_at = self._clock()
             self._app.notify(LateInput.IGNORED(), severity="warning", timeout=_TOLD_EVERY)
         return True
+
+    def takes_keys(self, screen: GuardedScreen) -> bool:
+        """Whether a key that is pressed now would count."""
+        return self.pulse is None or self._was_seen(screen, self.pulse.heard_now)
+
+    def _was_seen(self, screen: GuardedScreen, heard: float) -> bool:
+        """Whether the operator may have read a screen before input that came after an answer."""
+        if screen.seen_after == 0.0:
+            return True
+        drawn_at = screen.drawn_at
+        # An answer to a question after the picture proves that the terminal has it.
+        return drawn_at is not None and self._clock() - drawn_at >= screen.seen_after and heard >= drawn_at
 
 
 def _is_pressed(event: Message) -> bool:

@@ -76,6 +76,11 @@ class Pulse:
         return self.round_trip is None and self._clock() - self._began > ANSWERS_WITHIN
 
     @property
+    def heard_now(self) -> float:
+        """When the question was asked that was answered last, or infinity for a terminal that gives no answers."""
+        return float("inf") if self._is_mute else self.heard
+
+    @property
     def waits(self) -> bool:
         """Whether an answer is due from a terminal that gives answers."""
         return bool(self._open) and self.round_trip is not None
@@ -118,7 +123,7 @@ class Pulse:
 
     def stamp(self, event: Message) -> None:
         """Note how young an event from the terminal is, for `heard_before`."""
-        vars(event)["heard"] = float("inf") if self._is_mute else self.heard
+        vars(event)["heard"] = self.heard_now
 
 
 def heard_before(event: Message) -> float:

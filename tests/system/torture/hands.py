@@ -80,8 +80,6 @@ CASES = {
     "arm by y and drive": Case("DAyiii", armed=False),
     "arm": Case("Ay", armed=False),
     "arm, by the mouse": Case("A" + _CLICKS, armed=False),
-    "publish": Case("S\x1b[20~y", armed=False),
-    "publish, tab": Case("S\x1b[20~\t\r", armed=False),
     "remove": Case("dy", armed=False),
 }
 PLACES: tuple[Place, ...] = ("direct", "behind-tmux")
