@@ -82,7 +82,6 @@ class Console(ConsoleShell, Protocol):
         note: the console's present work on the session (``starting``), or empty.
         refresh_rate: Hz.
         changes: this console's changes to the engine that can be undone.
-        deadman: proves to the engine that the operator watches what is armed.
     """
 
     engine: EngineApi | None
@@ -95,7 +94,6 @@ class Console(ConsoleShell, Protocol):
     note: str
     refresh_rate: float
     changes: Changes
-    deadman: OperatorWatch
 
     # --- the session
 
@@ -150,6 +148,11 @@ class Console(ConsoleShell, Protocol):
         ...
 
     # --- the operator
+
+    @property
+    def deadman(self) -> OperatorWatch:
+        """The proof to the engine that the operator watches what is armed."""
+        ...
 
     def pull(self) -> None:
         """Show the engine's present state now."""

@@ -462,7 +462,7 @@ def test_other_robots_that_a_topic_moves_are_named_and_asked_for(clock: Clock) -
 def test_only_keys_on_the_screen_that_armed_a_topic_keep_it_armed(clock: Clock) -> None:
     async def steps(app: ConsoleApp, pilot: Pilot[None]) -> None:
         kept: list[bool] = []
-        engine_of(app).keep_armed = lambda *, pressed: kept.append(pressed)  # type: ignore[method-assign, assignment]
+        engine_of(app).keep_armed = lambda *, pressed: kept.append(pressed)  # type: ignore[method-assign, assignment, return-value]
         await pilot.press("A", "y")
         put(app, ARMED)
         kept.clear()

@@ -334,8 +334,8 @@ class Arming:
 
 
 def account_of(operator: str) -> str:
-    """Return who an operator is, without the terminal."""
-    return operator.partition(" on ")[0]
+    """Return who an operator is, without the terminal and the process."""
+    return operator.partition(" on ")[0].partition(" (")[0]
 
 
 def without_history(qos: Qos) -> Qos:

@@ -14,6 +14,7 @@ from rsb_console.command.formatting import json_line
 from rsb_console.command.shell import FAILURE, OK, print_error, print_line, print_lines
 from rsb_console.command.target import UsageError, attached, done, fields_from, given_at, reported, result
 from rsb_console.session.by_hand import TRIES, ByHandText
+from rsb_console.session.landing import REPORTED_WITHIN, Landing
 
 if TYPE_CHECKING:
     from argparse import Namespace
@@ -21,6 +22,10 @@ if TYPE_CHECKING:
     from rsb_bridge.control.remote_engine import RemoteEngine
     from rsb_bridge.model.by_hand import Published
     from rsb_bridge.model.snapshot import RouteSnapshot
+
+
+_LOOK_EVERY = 0.1
+"""s between two looks for a report."""
 
 
 class PubText(Wording):
@@ -63,6 +68,7 @@ def _publish(engine: RemoteEngine, arguments: Namespace, fields: str) -> int:
     pause = 1.0 if arguments.rate is None else 1 / arguments.rate
     count, due, ticket = 0, given_at(arguments), 0
     last: Published | None = None
+    landing = Landing(arguments.topic, engine.snapshot())
     while limit is None or count < limit:
         engine.given_at = due
         last = publish(engine, arguments.topic, fields, arguments.type, ticket, due)
@@ -74,6 +80,7 @@ def _publish(engine: RemoteEngine, arguments: Namespace, fields: str) -> int:
             time.sleep(max(0.0, due - Clock.steady()))
     assert last is not None
     heard = bool(last.nodes or last.links)
+    landed = _landed(engine, landing, last.links) if limit is not None else []
     if arguments.json:
         missing = [
             {"link": route.link, "state": route.state, "reason": route.reason}
@@ -89,11 +96,14 @@ def _publish(engine: RemoteEngine, arguments: Namespace, fields: str) -> int:
                     "subscriptions": last.nodes,
                     "links": last.links,
                     "not_over": missing,
+                    "landed": [{"ok": ok, "report": report} for ok, report in landed],
                 }
             )
         )
     elif limit == 1:
         _print(engine, arguments, last, count)
+    for ok, report in () if arguments.json else landed:
+        (print_line if ok else print_error)(escape_text(report))
     return OK if heard else FAILURE
 
 
@@ -120,6 +130,14 @@ def publish(engine: RemoteEngine, topic: str, fields: str, type_name: str, ticke
             break
         ticket = published.ticket
     raise EngineError(ByHandText.TOO_SLOW(topic=topic))
+
+
+def _landed(engine: RemoteEngine, landing: Landing, links: tuple[str, ...]) -> list[tuple[bool, str]]:
+    """Wait for the other sides' reports on the messages."""
+    deadline = Clock.steady() + REPORTED_WITHIN
+    while not landing.is_known(engine.snapshot(), links) and Clock.steady() < deadline:
+        time.sleep(_LOOK_EVERY)
+    return landing.reports(engine.snapshot(), links)
 
 
 def _not_over(engine: RemoteEngine, published: Published, topic: str) -> list[RouteSnapshot]:

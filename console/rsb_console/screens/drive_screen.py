@@ -26,6 +26,7 @@ from rsb_bridge.model.text import escape_text, join_first
 from rsb_bridge.model.wording import Wording
 from rsb_console.screens.dialog import ArmScreen, GuardedConfirmScreen
 from rsb_console.session.by_hand import TWIST, TWIST_STAMPED, ByHandText, velocity
+from rsb_console.session.landing import Landing
 from rsb_console.terminal.input_gate import GuardedScreen, InputGate
 from rsb_console.terminal.input_queue import DIALOG
 
@@ -68,6 +69,8 @@ _WAYS = {
 }  # fmt: skip
 """Forward and turn, counterclockwise, of each key, with the letters of teleop_twist_keyboard."""
 _STOPS = {"k", "space"}
+_LANDING_LASTS = 10.0
+"""s without a report after which the count of what has landed begins anew."""
 _NAMED = 4
 """Robots in one line."""
 _KEYS = "↑↓←→ uiojlm,. drive · space stop · +- speed · A arm · esc leave"
@@ -86,6 +89,7 @@ class DriveText(Wording):
     LEFT = ", for {seconds:.0f} s without a key"
     NOT_WHILE_DISARMED = "keys do nothing while it is disarmed"
     MOVED = "moves {robots}{round_trip}"
+    LANDED = "{moved}   {reports}"
     ROUND_TRIP = ", round trip {milliseconds:.0f} ms"
     SEVERAL = "Drive {count} robots by {topic}?"
     SEVERAL_MEANS = "Its messages cross to {robots}: all of them move that are armed."
@@ -240,6 +244,10 @@ class DriveScreen(GuardedScreen, ModalScreen[None]):
         self._route = route
         self._type_name = type_name
         self._has_armed = False
+        self._links: tuple[str, ...] = ()
+        self._landing: Landing | None = None
+        self._landed_at = 0.0
+        self._reports = ""
         self._steering = Steering(self._is_relayed)
         self._problem = ""
         self._ticket = self._refusals = 0
@@ -297,7 +305,9 @@ class DriveScreen(GuardedScreen, ModalScreen[None]):
                 rest_after=_RESTS_AFTER,
             )
         )
-        self._ticket = published.ticket
+        self._ticket, self._links = published.ticket, published.links
+        if self._landing is None and published.is_done:
+            self._landing, self._landed_at = Landing(self._route.topic, self.console.snapshot()), time.monotonic()
         self._refusals = 0 if published.is_done else self._refusals + 1
         if self._refusals > _TICKETS:
             self._refusals = 0
@@ -364,9 +374,17 @@ class DriveScreen(GuardedScreen, ModalScreen[None]):
         snapshot = self.console.snapshot()
         robots = join_first(moved_by(self._route, snapshot), _NAMED)
         trip = next((link.rtt for link in snapshot.links if link.name == self._route.link), None)
-        return DriveText.MOVED(
+        moved = DriveText.MOVED(
             robots=robots, round_trip="" if trip is None else DriveText.ROUND_TRIP(milliseconds=trip * 1e3)
         )
+        if self._landing is None:
+            return moved
+        if (now := time.monotonic()) - self._landed_at > _LANDING_LASTS:
+            self._landed_at, self._landing = now, Landing(self._route.topic, snapshot)
+        elif self._landing.is_known(snapshot, self._links):
+            self._reports = "; ".join(text for _, text in self._landing.reports(snapshot, self._links))
+            self._landed_at, self._landing = now, Landing(self._route.topic, snapshot)
+        return DriveText.LANDED(moved=moved, reports=self._reports) if self._reports else moved
 
     def _state(self) -> str:
         route = self._current()
