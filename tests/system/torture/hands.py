@@ -47,7 +47,7 @@ Place = Literal["direct", "behind-tmux"]
 TOPIC = "/cmd_vel"
 UP = "\x1b[A"
 _ROOT = Path(__file__).parents[3]
-_PROGRAM = Path(sys.executable).with_name("rsb-console")
+PROGRAM = Path(sys.executable).with_name("rsb-console")
 _TAIL = 200_000
 _QUESTION = re.compile(rb"\x1b\[(\d+);(\d+)H\x1b\[6n")
 _KIND = re.compile(rb"\x1b\[>0?c")
@@ -277,8 +277,8 @@ class Bed:
         time.sleep(3)  # a terminal's kind, and its first answers
 
     def _spawn(self, *command: str) -> None:
-        log = (self._folder / "log").open("ab")
-        process = subprocess.Popen(command, cwd=self._folder, stdout=log, stderr=log, env=self._environ())
+        with (self._folder / "log").open("ab") as log:
+            process = subprocess.Popen(command, cwd=self._folder, stdout=log, stderr=log, env=self._environ())
         self._resources.callback(process.wait)
         self._resources.callback(process.terminate)
 
@@ -403,7 +403,7 @@ def main() -> int:
     parser.add_argument("names", nargs="*", metavar="CASE", help=", ".join(CASES))
     parser.add_argument("--hang", type=float, default=8.0, metavar="SECONDS")
     parser.add_argument("--place", choices=PLACES, action="append")
-    parser.add_argument("--program", type=Path, default=_PROGRAM, help="rsb-console of another version")
+    parser.add_argument("--program", type=Path, default=PROGRAM, help="rsb-console of another version")
     arguments = parser.parse_args()
     print(f"{'keys':22}{'console':14}{'moving':>8}{'messages':>10}{'armed':>8}{'removed':>9}")  # noqa: T201
     wrong = 0
