@@ -248,7 +248,7 @@ class ArmingCommands:
 
     async def arm(self, command: ArmTopic) -> None:
         link, route = self._find(command.key)
-        await link.table.arming.arm(route, console())
+        await link.table.arming.arm(route, console(), shared=command.shared)
 
     async def disarm(self, command: DisarmTopic) -> None:
         link, route = self._find(command.key)

@@ -2,21 +2,20 @@
 
 from __future__ import annotations
 
-import sys
 import time
 from typing import TYPE_CHECKING, NamedTuple
 
 from rsb_bridge.api import EngineError
-from rsb_bridge.model.by_hand import LONGEST_REST, REST_AFTER
-from rsb_bridge.model.calls import FIELDS_LENGTH
+from rsb_bridge.model.by_hand import LONGEST_REST, OLD_AFTER, REST_AFTER
 from rsb_bridge.model.clock import Clock
 from rsb_bridge.model.on_end import NONE, ZERO
 from rsb_bridge.model.text import escape_text
 from rsb_bridge.model.wording import Wording
 from rsb_console.command.formatting import json_line
 from rsb_console.command.shell import FAILURE, OK, print_error, print_line, print_lines
-from rsb_console.command.target import UsageError, attached, done, reported, result
-from rsb_console.session.by_hand import OLD_AFTER, TRIES, ByHandText
+from rsb_console.command.target import UsageError, attached, done, fields_from, given_at, reported, result
+from rsb_console.session.by_hand import TRIES, ByHandText
+from rsb_console.session.landing import REPORTED_WITHIN, Landing
 
 if TYPE_CHECKING:
     from argparse import Namespace
@@ -41,6 +40,10 @@ class _End(NamedTuple):
 _NO_END = _End()
 
 
+_LOOK_EVERY = 0.1
+"""s between two looks for a report."""
+
+
 class PubText(Wording):
     """Texts of the command."""
 
@@ -61,8 +64,8 @@ def _pub(arguments: Namespace) -> int:
         return _template(arguments)
     if arguments.message is None:
         raise UsageError(PubText.NO_MESSAGE(topic=arguments.topic))
-    fields = sys.stdin.read(FIELDS_LENGTH + 1) if arguments.message == "-" else arguments.message
-    with attached(arguments) as engine:
+    fields = fields_from(arguments, arguments.message)
+    with attached(arguments, expires=True) as engine:
         return _publish(engine, arguments, fields)
 
 
@@ -79,10 +82,12 @@ def _publish(engine: RemoteEngine, arguments: Namespace, fields: str) -> int:
     """Publish once, or at a rate until the count or an interrupt."""
     limit = arguments.count or (1 if arguments.rate is None else None)
     pause = 1.0 if arguments.rate is None else 1 / arguments.rate
-    count, due, ticket = 0, Clock.steady(), 0
+    count, due, ticket = 0, given_at(arguments), 0
     last: Published | None = None
+    landing = Landing(arguments.topic, engine.snapshot())
     while limit is None or count < limit:
         end = _end(engine.snapshot(), arguments.topic, pause) if arguments.rate else _NO_END
+        engine.given_at = due
         last = publish(engine, arguments.topic, fields, arguments.type, ticket, due, end)
         count, ticket = count + 1, last.ticket
         if count == 1 and limit != 1 and not arguments.json:
@@ -92,6 +97,7 @@ def _publish(engine: RemoteEngine, arguments: Namespace, fields: str) -> int:
             time.sleep(max(0.0, due - Clock.steady()))
     assert last is not None
     heard = bool(last.nodes or last.links)
+    landed = _landed(engine, landing, last.links) if limit is not None else []
     if arguments.json:
         missing = [
             {"link": route.link, "state": route.state, "reason": route.reason}
@@ -107,11 +113,14 @@ def _publish(engine: RemoteEngine, arguments: Namespace, fields: str) -> int:
                     "subscriptions": last.nodes,
                     "links": last.links,
                     "not_over": missing,
+                    "landed": [{"ok": ok, "report": report} for ok, report in landed],
                 }
             )
         )
     elif limit == 1:
         _print(engine, arguments, last, count)
+    for ok, report in () if arguments.json else landed:
+        (print_line if ok else print_error)(escape_text(report))
     return OK if heard else FAILURE
 
 
@@ -151,6 +160,14 @@ def publish(
             break
         ticket = published.ticket
     raise EngineError(ByHandText.TOO_SLOW(topic=topic))
+
+
+def _landed(engine: RemoteEngine, landing: Landing, links: tuple[str, ...]) -> list[tuple[bool, str]]:
+    """Wait for the other sides' reports on the messages."""
+    deadline = Clock.steady() + REPORTED_WITHIN
+    while not landing.is_known(engine.snapshot(), links) and Clock.steady() < deadline:
+        time.sleep(_LOOK_EVERY)
+    return landing.reports(engine.snapshot(), links)
 
 
 def _not_over(engine: RemoteEngine, published: Published, topic: str) -> list[RouteSnapshot]:
