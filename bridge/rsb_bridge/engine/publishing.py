@@ -358,7 +358,8 @@ class Publishing:
             raise LinkError(PublishProblem.NO_TYPE(topic=topic))
         if known and name not in known:
             raise LinkError(PublishProblem.OTHER_TYPE(topic=topic, actual=", ".join(sorted(known)), wanted=name))
-        type_hash = ros.installed_hash(name) or ""
+        installed = await asyncio.to_thread(ros.installed_hash, name)
+        type_hash = installed or ""
         if type_hash and known.get(name, set()) - {"", type_hash}:
             raise LinkError(PublishProblem.OTHER_VERSION(type_name=name, topic=topic))
         return _Resolved(name, type_hash, self._qos(topic, name, publishers, subscriptions, routes))
