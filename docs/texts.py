@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import re
+import sys
 from pathlib import Path
 
 _ROOT = Path(__file__).parent.parent
@@ -56,4 +57,4 @@ if __name__ == "__main__":
     written = _ROOT / "build" / "texts.txt"
     written.parent.mkdir(exist_ok=True)
     written.write_text(page(), encoding="utf-8")
-    print(written)
+    sys.stdout.write(f"{written}\n")
