@@ -36,7 +36,7 @@ from rsb_bridge.route.message_check import (
     malformed_text,
 )
 from rsb_bridge.route.peeking import peeked
-from rsb_bridge.route.rest_message import RestMessage
+from rsb_bridge.route.rest_message import RestMessage, velocity_on
 from rsb_bridge.route.source_publishers import (
     AUTO_DEPTH,
     PublicationSpec,
@@ -56,6 +56,7 @@ from rsb_bridge.wire.records import ReceivedReport, SentReport
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping
 
+    from rsb_bridge.cdr.resting import Velocity
     from rsb_bridge.context import Context
     from rsb_bridge.model.qos import Qos
     from rsb_bridge.model.session import Topic
@@ -239,6 +240,11 @@ class IncomingRoute(TopicRoute[ReceivingChannel]):
         """Publish the rest, as nothing passes any more, at least for now."""
         if self._rest_message is not None:
             self._rest_message.begin()
+            self.peer.report_soon(self)
+
+    @property
+    def velocity(self) -> Velocity | None:
+        return velocity_on(self.context, self.remote_topic)
 
     def moved(self, spec: PublicationSpec, message: bytes) -> None:
         """Note a message that an operator of this side has published by this route's arming.
@@ -366,8 +372,8 @@ class IncomingRoute(TopicRoute[ReceivingChannel]):
                 size += len(payload)
                 published = content
         self._delivered += count
-        if required and count and self._rest_message is not None:
-            self._rest_message.moved(published)
+        if required and count and self._rest_message is not None and self._rest_message.moved(published):
+            self.peer.report_soon(self)
         if self._received >= self._report_at:
             self._report_at = self._received + _REPORTS_AFTER
             self.peer.report_soon(self)
@@ -569,6 +575,7 @@ class IncomingRoute(TopicRoute[ReceivingChannel]):
             verdict=record_of(self.verdict()),
             nodes=node_names(self.endpoints),
             came_before=self.came_before,
+            velocity=self.velocity if self.arming.required else None,
         )
 
     def progress(self) -> TopicProgress:

@@ -36,6 +36,7 @@ from rsb_bridge.wire.messages import Close, Propose
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Sequence
 
+    from rsb_bridge.cdr.resting import Velocity
     from rsb_bridge.channel.channel import DataChannel
     from rsb_bridge.context import Context
     from rsb_bridge.model.capacity import Fullness
@@ -225,6 +226,11 @@ class Route:
     def on_end(self) -> str:
         """What the receiving side publishes once an arming ends, or an empty string where it is not known."""
         return ""
+
+    @property
+    def velocity(self) -> Velocity | None:
+        """The velocity that the receiving side has published last, or None if it is unknown."""
+        return None
 
     @property
     def local_topic(self) -> str:
@@ -560,7 +566,7 @@ class Route:
             cause=verdict.cause,
             from_peer=from_peer,
             since=self.context.wall() - (now - self.judged.since(verdict, now)),
-            arming=self.arming.snapshot(now, self.on_end),
+            arming=self.arming.snapshot(now, self.on_end, self.velocity),
             allowed_rate=self.limit.allowed or None,
             pattern=self.pattern,
             messages_total=self.meter.count,
