@@ -277,8 +277,10 @@ def test_a_silent_console_ends_a_motion(bridge: Bridge, robot: Domain, pc: Domai
         ticket = publish(
             server, f"linear: {{x: 0.{number}}}", ticket=ticket, rest="linear: {x: 0}", rest_after=0.3
         ).ticket
-    eventually(lambda: len(speeds()) == 6)
-    holds(lambda: speeds() == [0.1, 0.2, 0.3, 0.4, 0.5, 0.0], 0.5)
+    moving = [0.1, 0.2, 0.3, 0.4, 0.5]
+    eventually(lambda: speeds()[-2:] == [0.5, 0.0])
+    # A busy machine takes longer than 0.3 s between two keys now and then: then the motion ends there, too.
+    holds(lambda: [each for each in speeds() if each] == moving and speeds()[-1] == 0.0, 0.5)
 
 
 @pytest.mark.parametrize("topic", [Topic("/cmd", "receive"), Topic("/cmd", "receive", arm=True, max_age=0.0)])
@@ -327,8 +329,8 @@ def test_a_topic_is_driven_whose_type_only_the_robot_knows(
     assert server.draft_message("/cmd").result(30).type_name == TWIST
     consoles.arm(server)
     drive(server, 0.1)
-    eventually(lambda: speeds(motors)[:1] == [0.1], 10)
-    eventually(lambda: speeds(motors)[-1] == 0.0, 10)
+    eventually(lambda: speeds(motors)[:1] == [0.1])
+    eventually(lambda: speeds(motors)[-1] == 0.0)
 
 
 def test_what_has_landed_is_reported(bridge: Bridge, robot: Domain, pc: Domain, consoles: Consoles) -> None:
@@ -338,7 +340,7 @@ def test_what_has_landed_is_reported(bridge: Bridge, robot: Domain, pc: Domain, 
     landing = Landing("/cmd", now(server))
     links = drive(server, 0.1).links
     assert links == ("robot1",)
-    eventually(lambda: landing.is_known(now(server), links) and route(server, "/cmd").subscribers, 10)
+    eventually(lambda: landing.is_known(now(server), links) and route(server, "/cmd").subscribers)
     ((landed, report),) = landing.reports(now(server), links)
     assert landed
     assert says(report, LandingText.DELIVERED)
@@ -366,7 +368,7 @@ def test_another_operators_message_leaves_the_rest(
     server, _ = driven(bridge, pc, consoles)
     drive(server, 0.1, rest_after=1.0)
     publish(server, "linear: {x: 0.2}")
-    eventually(lambda: speeds(motors)[-1:] == [0.0], 10)
+    eventually(lambda: speeds(motors)[-1:] == [0.0])
     assert speeds(motors)[-2:] == [0.2, 0.0]
 
 
@@ -378,13 +380,13 @@ def test_a_message_without_ticket_leaves_the_rest(
     motors = robot.listener("/cmd", Twist)
     server, _ = driven(bridge, pc, consoles)
     drive(server, 0.1)
-    eventually(lambda: speeds(motors)[-1:] == [0.0], 10)
+    eventually(lambda: speeds(motors)[-1:] == [0.0])
     pc.clear()
     pc.publisher("/cmd", Twist, QoSProfile(depth=10, deadline=Duration(seconds=5)))
     drive(server, 0.2, rest_after=2.0)
     pc.clear()
     assert not server.publish("/cmd", "linear: {x: 0.3}").result(30).is_done
-    eventually(lambda: speeds(motors) == [0.1, 0.0, 0.2, 0.0], 10)
+    eventually(lambda: speeds(motors) == [0.1, 0.0, 0.2, 0.0])
 
 
 def test_whoever_disarms_ends_the_motion_first(bridge: Bridge, robot: Domain, pc: Domain, consoles: Consoles) -> None:
@@ -393,7 +395,7 @@ def test_whoever_disarms_ends_the_motion_first(bridge: Bridge, robot: Domain, pc
     server, _ = driven(bridge, pc, consoles)
     drive(server, 0.1, rest_after=2.0)
     server.disarm(route(server, "/cmd").key).result(30)
-    eventually(lambda: speeds(motors) == [0.1, 0.0], 10)
+    eventually(lambda: speeds(motors) == [0.1, 0.0])
 
 
 @pytest.mark.parametrize("command", ["pause", "remove", "restart", "shut_down"])
@@ -432,7 +434,7 @@ def test_only_the_holder_drives(bridge: Bridge, robot: Domain, pc: Domain, conso
         publish(client, "linear: {x: 0.6}", type_name=TWIST)
     with on_console("another"):
         server.disarm(route(server, "/cmd").key).result(30)  # anybody may
-    eventually(lambda: speeds(motors)[-1:] == [0.0], 10)
+    eventually(lambda: speeds(motors)[-1:] == [0.0])
     assert set(speeds(motors)) == {0.1, 0.0}
 
 
@@ -453,7 +455,7 @@ def test_an_arming_by_a_shell_is_for_the_commands_of_its_operator(
         pytest.raises(EngineError, match=pattern(PublishProblem.ANOTHER_DRIVES)),
     ):
         publish(server, "linear: {x: 0.5}")
-    eventually(lambda: speeds(motors)[:1] == [0.1], 10)
+    eventually(lambda: speeds(motors)[:1] == [0.1])
 
 
 def test_a_console_that_goes_ends_the_motion(bridge: Bridge, robot: Domain, pc: Domain, consoles: Consoles) -> None:
@@ -462,7 +464,7 @@ def test_a_console_that_goes_ends_the_motion(bridge: Bridge, robot: Domain, pc: 
     server, _ = driven(bridge, pc, consoles)
     drive(server, 0.1, rest_after=2.0)
     server.release_armed().result(30)
-    eventually(lambda: speeds(motors) == [0.1, 0.0], 10)
+    eventually(lambda: speeds(motors) == [0.1, 0.0])
     assert not armed(server)
 
 
@@ -471,7 +473,7 @@ def test_a_bridge_that_stops_ends_a_motion(bridge: Bridge, robot: Domain, pc: Do
     server, _ = driven(bridge, pc, consoles)
     drive(server, 0.1, rest_after=2.0)
     server.stop()
-    eventually(lambda: speeds(near) == [0.1, 0.0], 10)
+    eventually(lambda: speeds(near) == [0.1, 0.0])
 
 
 def test_all_robots_of_a_name_have_to_be_driven(bridge: Bridge, robot: Domain, pc: Domain) -> None:
@@ -589,7 +591,7 @@ def test_reliable_subscriptions_hear_it_beside_a_best_effort_publisher(
     before = route(client, "/text").qos
     published = publish(client, "data: by hand", "/text")
     assert published.links == ("robot1",)
-    eventually(lambda: listener.texts(1) == ["by hand"], 10)
+    eventually(lambda: listener.texts(1) == ["by hand"])
     assert route(client, "/text").qos == before
 
 
