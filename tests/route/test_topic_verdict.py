@@ -320,6 +320,17 @@ def test_each_cause_is_named_in_words(
     assert [each for each in words if each not in verdict.said(NOW)] == []
 
 
+def test_a_new_publisher_has_not_stopped() -> None:
+    stopped = {"stopped_since": NOW - 3.0, "expected_rate": 10.0, "new": {b"/new"}}
+    for endpoints, who in (
+        ([endpoint("/new")], f"/new {PUBLISHED_NOTHING[0]}"),
+        ([TALKER, endpoint("/new")], f"/talker {STOPPED_PUBLISHING[0]}"),
+    ):
+        verdict = verdict_on(SENDER, endpoints=endpoints, **stopped)
+        assert (verdict.state, verdict.cause) == (State.STOPPED, Cause.PUBLISHER_SILENT)
+        assert verdict.text.endswith(who)
+
+
 def test_a_publisher_whose_messages_are_not_taken_is_not_called_silent() -> None:
     for changes, state in (
         ({"stale_since": NOW - 20.0}, State.STALE),

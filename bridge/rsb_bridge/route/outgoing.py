@@ -130,6 +130,7 @@ class Health:
         return facts._replace(
             expected_rate=self.expected_rate,
             stopped_since=self._stop.since,
+            new=self._stop.new,
             slow_since=self._slow.since,
             loss=self._loss.loss,
             lost_in_dds=max(0, lost[-1] - lost[0]) if lost else 0,

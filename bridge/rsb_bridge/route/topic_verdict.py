@@ -124,6 +124,7 @@ class Facts(NamedTuple):
         left_out: the publishers with another type, which are not bridged, or empty.
         stale_since: s, of the last message if silence counts and has lasted `stale_after`, or None.
         stopped_since: s, of the last message if its publishers have stopped, or None.
+        new: ids of the publishers that have come since the last message.
         slow_since: s, when it became slow, or None.
         rate: Hz, of the messages that are sent.
         expected_rate: Hz, to judge the rate by, or None.
@@ -144,6 +145,7 @@ class Facts(NamedTuple):
     left_out: str = ""
     stale_since: float | None = None
     stopped_since: float | None = None
+    new: Collection[bytes] = ()
     slow_since: float | None = None
     rate: float = 0.0
     expected_rate: float | None = None
@@ -272,10 +274,9 @@ def _why_silent(facts: Facts) -> tuple[Cause, str]:
     """Explain the silence. DDS lists a publisher for up to 40 s after its death, so it may not run any more."""
     ever = facts.status.came or facts.status.came_before
     if facts.progress.endpoints:
-        silent = STOPPED_PUBLISHING
-        if not ever:
-            silent = PUBLISHED_NOTHING
-        return Cause.PUBLISHER_SILENT, _plural(facts.progress.endpoints, *silent)
+        stopped = [each for each in facts.progress.endpoints if each.gid not in facts.new] if ever else []
+        who, silent = (stopped, STOPPED_PUBLISHING) if stopped else (facts.progress.endpoints, PUBLISHED_NOTHING)
+        return Cause.PUBLISHER_SILENT, _plural(who, *silent)
     if ever:
         return Cause.PUBLISHER_GONE, _publisher_gone(facts)
     return _nobody(facts), no_publisher(facts.status.topic, facts.status.domain_id, facts.progress.similar)
