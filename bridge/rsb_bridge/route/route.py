@@ -22,7 +22,7 @@ from rsb_bridge.model.snapshot import Level, RouteSnapshot
 from rsb_bridge.model.text import sanitize_text
 from rsb_bridge.route.age import MessageAge
 from rsb_bridge.route.arming import DISARM_TEXT, Arming, Disarmed, Settling
-from rsb_bridge.route.blocking_rules import DATA_CONNECTION, RouteStatus
+from rsb_bridge.route.blocking_rules import DATA_CONNECTION, LossyPath, RouteStatus
 from rsb_bridge.route.combined_verdict import CombinedVerdict
 from rsb_bridge.route.lifecycle import Event, Lifecycle, PauseState
 from rsb_bridge.route.notices import ChannelLosses, Notices, timed_out
@@ -137,6 +137,7 @@ class Route:
         self.losses = ChannelLosses()
         self.idle = False
         self._verdict: Verdict | None = None  # None: it has to be judged
+        self._lossy_path = LossyPath()
         self.judged = CombinedVerdict(sends=self.outgoing, peer_name="server" if peer.is_client else peer.name)
         self.meter = RateMeter(context.now())
         self.release_port: Callable[[], None] | None = None
@@ -532,7 +533,7 @@ class Route:
     def verdict(self) -> Verdict:
         """Return this side's verdict, made at the last tick or at a later change by an operator or the peer."""
         if self._verdict is None or self.arming.overdue(self.context.now()):
-            self._verdict = self._judge()
+            self._verdict = self._lossy_path.steady(self._judge(), self.peer.path_fault, self.context.now())
         return self._verdict
 
     def common_snapshot(self) -> partial[RouteSnapshot]:
