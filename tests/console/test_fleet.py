@@ -227,14 +227,18 @@ def test_both_screens_count_topics_that_nobody_hears_alike() -> None:
 
     async def steps(bed: Bed) -> None:
         (first, *_) = text(bed.app).splitlines()
-        (on_consoles,) = state_counts([each for routes in robots.values() for each in routes], [State.UNHEARD], words=True)
+        (on_consoles,) = state_counts(
+            [each for routes in robots.values() for each in routes], [State.UNHEARD], words=True
+        )
         assert on_consoles[0].strip() == "◇ 32 unheard"
         assert on_consoles[0].strip() in first
         await bed.shown("nothing is wrong")
         (of_group,) = [line for line in text(bed.app).splitlines() if "nothing is wrong" in line]
         assert on_consoles[0].strip() in of_group
 
-    summaries = [msgspec.structs.replace(on_server(*routes), name=name, group="hall") for name, routes in robots.items()]
+    summaries = [
+        msgspec.structs.replace(on_server(*routes), name=name, group="hall") for name, routes in robots.items()
+    ]
     Bed(*summaries, view=FleetView(grouped=True)).run(steps)
 
 

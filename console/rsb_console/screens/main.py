@@ -155,7 +155,9 @@ class MainScreen(Screen[None]):
         lost = "" if engine is None or not engine.unreachable else f"✗ NOT ATTACHED: {engine.unreachable}"
         attached = bool(console.attached_to)
         note = console.note or lost
-        return View(session, console.refresh_rate, self._frozen_since, console.readonly, note, way_on, attached=attached)
+        return View(
+            session, console.refresh_rate, self._frozen_since, console.readonly, note, way_on, attached=attached
+        )
 
     def _engine_faults(self, snapshot: Snapshot) -> list[Fault]:
         """Return the reason why the engine does not run, if it has logged one."""
