@@ -69,8 +69,9 @@ def _measure(name: str, rate: float, seconds: float, publishers: int, depth: int
         talker.stop()
         since, near = ((heard[each] - first) / 1e9 for each in ("first", "first_near"))
         return (
-            f"{rate:g} | {count} | {heard['heard']} | {heard['disorder']} | {since:.3f}, {near:.3f} | {heard['p50']:.1f} | "
-            f"{heard['max']:.0f} | {heard['missing']} of {heard['near']}, {heard['more']} | {_words(ledger)}"
+            f"{rate:g} | {count} | {heard['heard']} | {heard['disorder']} | {since:.3f}, {near:.3f} | "
+            f"{heard['p50']:.1f} | {heard['max']:.0f} | "
+            f"{heard['missing']} of {heard['near']}, {heard['more']} | {_words(ledger)}"
         )
 
 
