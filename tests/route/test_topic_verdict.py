@@ -341,6 +341,15 @@ def test_a_publisher_whose_messages_are_not_taken_is_not_called_silent() -> None
         assert (verdict.state, verdict.cause) == (state, Cause.TYPE_CONFLICT)
 
 
+def test_a_subscriber_that_hears_another_publisher_is_told_so() -> None:
+    asks = {"endpoints": [endpoint("/rviz"), endpoint("/ok", BEST_EFFORT)], "qos": BEST_EFFORT}
+    alone = verdict_on(RECEIVER, **asks)
+    beside = verdict_on(RECEIVER, **asks, others=[endpoint("/joystick"), endpoint("/lidar", BEST_EFFORT)])
+    assert (alone.state, alone.cause) == (beside.state, beside.cause) == (State.UNHEARD, Cause.QOS_INCOMPATIBLE)
+    assert "only" not in alone.text
+    assert "so that only /joystick is heard" in beside.text
+
+
 LOST_PACKETS = {
     "late": Verdict(State.LATE, Cause.LOSSY, LOSSY.text),
     "slow": Verdict(State.SLOW, Cause.LOSSY, LOSSY.text),

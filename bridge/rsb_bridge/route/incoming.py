@@ -15,7 +15,7 @@ from rsb_bridge.model.calls import FieldError
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.demands import PEER_DEMANDS, full_type
 from rsb_bridge.model.on_end import NONE
-from rsb_bridge.model.qos import incompatible, match_subscriptions
+from rsb_bridge.model.qos import clashes, incompatible, match_subscriptions
 from rsb_bridge.model.snapshot import Ledger, Level, State
 from rsb_bridge.model.text import sanitize_text
 from rsb_bridge.model.verdict import Cause
@@ -54,13 +54,14 @@ from rsb_bridge.wire.protocol_error import ProtocolError
 from rsb_bridge.wire.records import ReceivedReport, SentReport
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Mapping
+    from collections.abc import Callable, Collection, Iterable, Mapping
 
     from rsb_bridge.cdr.resting import Velocity
     from rsb_bridge.context import Context
     from rsb_bridge.model.qos import Qos
     from rsb_bridge.model.session import Topic
     from rsb_bridge.model.verdict import Verdict
+    from rsb_bridge.ros.ros_interface import Endpoint
     from rsb_bridge.route.arming import Disarmed
     from rsb_bridge.route.idling import Signs
     from rsb_bridge.route.route import Owner
@@ -134,6 +135,7 @@ class IncomingRoute(TopicRoute[ReceivingChannel]):
         self._subscriber_qos: Qos | None = None
         self._clash = ""
         self._subscribers = 0
+        self._others: Collection[Endpoint] = ()  # publishers here, if a subscription does not match
         self._asked_at = float("-inf")
         self._received_before = 0
         self._expired_before = 0
@@ -293,8 +295,12 @@ class IncomingRoute(TopicRoute[ReceivingChannel]):
         self.endpoints = self.context.ros.subscriptions(self.remote_topic)
         requested = [endpoint.qos for endpoint in self.endpoints]
         self._subscriber_qos = match_subscriptions(requested) if requested else None
-        self._clash = ""
-        if not self._subscribers and self.qos is not None:
+        self._clash, self._others = "", ()
+        if self.qos is None:
+            return
+        if any(clashes(self.qos, qos) for qos in requested):
+            self._others = tuple(self.context.ros.publishers(self.remote_topic))
+        if not self._subscribers:
             self._clash = next((clash for qos in requested if (clash := incompatible(self.qos, qos))), "")
 
     def destroy(self) -> None:
@@ -495,7 +501,7 @@ class IncomingRoute(TopicRoute[ReceivingChannel]):
         return self.qos.latched or (self.qos.reliability == "reliable" and self.rank >= 0)
 
     def _signs(self) -> Signs:
-        return *super()._signs(), self._report, self._subscribers, self._clash
+        return *super()._signs(), self._report, self._subscribers, self._clash, self._others
 
     def _changes_at(self, shown: Verdict, now: float) -> float:
         return now if self._sender_ledger.in_flight else super()._changes_at(shown, now)
@@ -597,6 +603,7 @@ class IncomingRoute(TopicRoute[ReceivingChannel]):
             undelivered="" if self._received else self.notices.undelivered,
             subscribers=self._subscribers,
             deaf=self.endpoints,
+            others=self._others,
         )
 
     @property

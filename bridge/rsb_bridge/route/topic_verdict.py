@@ -92,6 +92,7 @@ class TopicProgress(NamedTuple):
         subscribers: subscriptions on the receiving side that DDS has matched, which may be known before their nodes
             are, or None if their number is unknown.
         deaf: the subscribers, if they do not match.
+        others: on the receiving side, other publishers of the topic, if a subscription does not match.
     """
 
     endpoints: Collection[Endpoint] = ()
@@ -113,6 +114,7 @@ class TopicProgress(NamedTuple):
     undelivered: str = ""
     subscribers: int | None = None
     deaf: Collection[object] = ()
+    others: Collection[Endpoint] = ()
 
 
 class Facts(NamedTuple):
@@ -178,7 +180,11 @@ def no_publisher(topic: str, domain_id: int, similar: str = "", *, gone: bool = 
 
 def no_subscriber(topic: str, where: str, present: Collection[object] = ()) -> str:
     """Says that nobody hears a topic, whether somebody subscribes to it or not."""
-    return f"the subscribers of {topic} {where} receive nothing" if present else f"nobody subscribes to {topic} {where}"
+    return (
+        f"nothing from the bridge reaches the subscribers of {topic} {where}"
+        if present
+        else f"nobody subscribes to {topic} {where}"
+    )
 
 
 def topic_stages(status: RouteStatus, progress: TopicProgress) -> tuple[Stage, ...]:
@@ -447,9 +453,11 @@ def _subscribers(facts: Facts) -> Verdict | None:
             alike = [other for other in progress.endpoints if clashes(qos, other.qos) == found]
             offer, asked = zip(*found, strict=True)
             who = _plural(alike, "asks", "ask", "subscriptions")
+            heard = {p.node for p in progress.others if any(not clashes(p.qos, other.qos) for other in alike)}
+            only = f", so that only {named(heard)} {'is' if len(heard) == 1 else 'are'} heard" if heard else ""
             text = (
                 f"{who} for {', '.join(asked)}, but {facts.status.topic} is published with "
-                f"{', '.join(offer)}: change the QoS of the subscription, or of the publishers and this topic"
+                f"{', '.join(offer)}{only}: change the QoS of the subscription, or of the publishers and this topic"
             )
             return Verdict(State.UNHEARD, Cause.QOS_INCOMPATIBLE, text)
     if not progress.endpoints and not progress.subscribers and facts.status.came:
