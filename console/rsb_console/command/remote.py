@@ -466,10 +466,18 @@ def _topic(values: dict[str, str], keys: list[str], engine: RemoteEngine, replac
 # --- arming
 
 
+def _standard_input() -> int:
+    """Return the descriptor of standard input, or one that is at its end where there is none."""
+    try:
+        return sys.stdin.fileno()
+    except (AttributeError, OSError):  # a closed one, as of some services
+        return os.open(os.devnull, os.O_RDONLY)
+
+
 def _arm(arguments: Namespace) -> int:
     """Arm a topic until this process ends in any way; then the bridge disarms it. Return the exit code."""
     # The console detaches first, which disarms: the terminal's last answer may take its time.
-    with TypedKeys(sys.stdin.fileno(), os.environ) as keys, attached(arguments, expires=True) as engine:
+    with TypedKeys(_standard_input(), os.environ) as keys, attached(arguments, expires=True) as engine:
         route = chosen_route(engine, arguments)
         result(engine.arm(route.key, shared=True))  # for `rsb-console pub` in another shell
         _say_armed(arguments, route)
