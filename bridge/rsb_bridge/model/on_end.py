@@ -28,7 +28,7 @@ def is_message(text: str) -> bool:
 
 
 def suits(kind: str, text: str) -> bool:
-    """Whether something of a kind can end so. Nothing is known of a message's fields yet."""
+    """Whether something of a kind can end so. The fields of a message are not looked at."""
     if kind == "action":
         return text in (CANCEL, NONE)
     return kind == "topic" and (text in (ZERO, NONE) or is_message(text))

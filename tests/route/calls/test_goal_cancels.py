@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 
 class Client:
-    """A client of one of the action's services.
+    """A client of a service of the action.
 
     Attributes:
         calls: what it was asked.

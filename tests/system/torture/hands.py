@@ -189,7 +189,8 @@ class Bed:
         self._resources.callback(process.terminate)
 
     def _environ(self) -> dict[str, str]:
-        return os.environ | {"PYTHONPATH": str(_ROOT)}
+        path = [str(_ROOT), *filter(None, [os.environ.get("PYTHONPATH")])]
+        return os.environ | {"PYTHONPATH": os.pathsep.join(path)}
 
     def _attached(self) -> RemoteEngine | None:
         engine = RemoteEngine(self._folder / "pc.sock")

@@ -86,7 +86,7 @@ class Terminal:
         os.close(self._fd)
 
     def state(self) -> str:
-        """Return whether the line lives, and the end of what came."""
+        """Return whether the line lives, and its newest output."""
         return f"the line has ended with {self._line.poll()}, its last output: {self.output[-2000:]!r}"
 
     def _read(self) -> None:
