@@ -18,7 +18,9 @@ from tests.console.scripted import route
 from tests.console.side import every_so_often
 from tests.console.tmux import Tmux
 from tests.support.long import long
+from tests.support.wording import says
 
+from rsb_bridge.control.protocol import RequestProblem
 from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import ArmingSnapshot, State
 from rsb_console.screens.main import MainText
@@ -183,6 +185,10 @@ def armed_pair(folder: Path, domain: int) -> Pair:
     return Pair(folder, Topic(CHATTER, "transmit", arm=True, deadman=0.0), domains=(domain, domain + 1))
 
 
+def json_of(line: str) -> dict[str, Any]:
+    return dict(json.loads(line)) if line.startswith("{") else {}
+
+
 class Robot:
     """The client's bridge, without a console, as others attach to it."""
 
@@ -192,6 +198,28 @@ class Robot:
 
     def command(self, *words: str) -> list[str]:
         return [str(COMMAND), *words, "--control", self._control]
+
+    @contextlib.contextmanager
+    def arming(self, *options: str, stdin: int = subprocess.DEVNULL) -> Iterator[tuple[subprocess.Popen[str], str]]:
+        """`rsb-console arm` while it holds the topic armed, and its first line.
+
+        Where its process takes more than 5 s to start, it arms nothing, as a command that has come late; then it is
+        given again.
+        """
+        first = ""
+        while not first:
+            with subprocess.Popen(
+                self.command("arm", *options, CHATTER),
+                stdin=stdin, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+            ) as process:  # fmt: skip
+                assert process.stdout is not None
+                assert process.stderr is not None
+                first = process.stdout.readline()
+                if first and json_of(first).get("ok", True):
+                    yield process, first
+                else:
+                    assert says(first + process.stderr.read(), RequestProblem.TOO_LATE)
+                    first = ""
 
     def ask(self, *words: str) -> list[dict[str, Any]]:
         command = self.command(*words, "--json")
@@ -288,10 +316,8 @@ def test_the_robot_s_own_console_that_dies_disarms_the_other_side(tmp_path: Path
 
 @pytest.mark.parametrize("number", [signal.SIGKILL, *long(signal.SIGINT)], ids=["kill -9", "Ctrl-C"])
 def test_the_command_holds_it_armed_while_it_runs(number: signal.Signals, robot: Robot) -> None:
-    command = robot.command("arm", CHATTER)
-    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as arming:
-        assert arming.stdout is not None
-        assert "ARMED" in arming.stdout.readline()
+    with robot.arming(stdin=subprocess.PIPE) as (arming, first):
+        assert "ARMED" in first
         robot.is_armed()
         arming.send_signal(number)
         assert arming.wait(60) == (130 if number is signal.SIGINT else -signal.SIGKILL)
@@ -300,21 +326,17 @@ def test_the_command_holds_it_armed_while_it_runs(number: signal.Signals, robot:
 
 
 def test_another_disarms_what_the_command_holds_armed(robot: Robot) -> None:
-    command = robot.command("arm", CHATTER)
-    with subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, text=True) as arming:
-        assert arming.stdout is not None
-        assert "ARMED" in arming.stdout.readline()
+    with robot.arming() as (arming, first):
+        assert "ARMED" in first
         assert robot.ask("disarm", CHATTER) == [{"ok": True}]
         assert arming.wait(60) == 1
 
 
 def test_the_command_says_who_has_disarmed_it(robot: Robot) -> None:
     """It told the operator to arm again what a colleague had just disarmed."""
-    command = robot.command("arm", "--json", CHATTER)
-    with subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, text=True) as arming:
+    with robot.arming("--json") as (arming, first):
+        assert json.loads(first)["armed"] is True
         assert arming.stdout is not None
-        first = json.loads(arming.stdout.readline())
-        assert first.get("armed") is True, first
         robot.ask("disarm", CHATTER)
         (ended,) = map(json.loads, arming.stdout)
         assert arming.wait(60) == 1
