@@ -58,7 +58,6 @@ class Window:
         limit: count of sent bytes at which the channel is congested.
         size: bytes that may be in transit.
         slow: whether messages wait on the path.
-        patience: how many times longer than usual messages may wait on the path before the window shrinks.
         back: s that a receipt takes to come back now; what waits in the other direction is not held against this one.
     """
 
@@ -74,7 +73,6 @@ class Window:
         "_shortest",
         "back",
         "limit",
-        "patience",
         "size",
         "slow",
     )
@@ -90,7 +88,6 @@ class Window:
         self.size = int(FIRST * max(1.0, ping / _FIRST_LASTS))
         self.limit = sent + self.size
         self.slow = False
-        self.patience = 1.0
         self.back = 0.0
         self._origin = self._acknowledged = sent
         self._marks: deque[tuple[int, float]] = deque()  # how many bytes were sent when (s)
@@ -139,11 +136,11 @@ class Window:
         self._acknowledged = acknowledged
         rate = self._rate(acknowledged, now)
         waits = self._waits(now)
-        if waits > _LATE * self.patience:
+        if waits > _LATE:
             self.slow = True
             if self._before_shrinking is None:
                 self._before_shrinking = sent, self._age(now) - self._credit
-            crosses = _AIM * self.patience + min(self._ping, self._shortest + self._credit)
+            crosses = _AIM + min(self._ping, self._shortest + self._credit)
             self.size = max(LEAST, int(rate * crosses), min(self.size, (sent - acknowledged) // 2))
         elif waits < _FRESH:
             self.slow = self.slow and limited
@@ -152,6 +149,17 @@ class Window:
         elif limited:
             self.slow = True
         self.limit = acknowledged + self.size
+
+    def write_off(self, acknowledged: int, sent: int) -> None:
+        """Count bytes as acknowledged that no receipt will count, since their stream is lost; they tell nothing."""
+        marks = self._marks
+        written_at = None
+        while marks and marks[0][0] < acknowledged:
+            written_at = marks.popleft()[1]
+        if written_at is not None and acknowledged < sent and (not marks or marks[0][0] > acknowledged):
+            marks.appendleft((acknowledged, written_at))
+        self._acknowledged = self._origin + acknowledged
+        self.limit = self._acknowledged + self.size
 
     def _accept_delay(self, took: float, acknowledged: int) -> None:
         """Accept a delay as that of the path if it stays although less is in transit."""

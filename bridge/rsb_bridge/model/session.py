@@ -115,7 +115,7 @@ class Topic(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defaul
         deadman: s without a key on that console after which it disarms, 0 for never, or None for `DEADMAN`.
         kind: topic, service, action or parameters.
         timeout: s that a call waits for its answer, or None for `CALL_TIMEOUT`; not for topics.
-        priority: on a full link, topics of a lower priority are thinned first; only for topics.
+        priority: on a full link, topics of a higher priority get a larger share; only for topics.
         excepts: names on the client that a pattern leaves out, patterns or not; ``except`` in a file.
     """
 

@@ -22,7 +22,6 @@ class Broken(Wording):
     NAME_NOT_UTF8 = "the name in a {frame} frame is not UTF-8"
     NAME_UNPRINTABLE = "the name in a {frame} frame has unprintable characters"
     DATA_TOO_SHORT = "a DATA frame ends before its route does"
-    UNEXPECTED_AFTER_PREAMBLE = "unexpected {kind} frame after the preamble"
     UNKNOWN_SUITE = "unknown cipher suite"
     UNKNOWN_REFUSAL = "unknown refusal code"
     LEASE_HEADER_TOO_SHORT = "a lease header of {length} bytes: it has {expected}"

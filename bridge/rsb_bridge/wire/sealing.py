@@ -319,23 +319,23 @@ class SessionKeys:
         """The secret of sample tags (`rsb_bridge.wire.sample_tags`), or None without encryption."""
         return None if self._export is None else derive_sample_secret(self._export)
 
-    def attach_proof(self, header: bytes, route: int) -> bytes:
+    def attach_proof(self, header: bytes, stream: int) -> bytes:
         """Return a client's proof that a data stream is its own, over the preamble frame up to the proof."""
-        return Sealer(self.suite, self._attach_key(route)).seal(b"", header)
+        return Sealer(self.suite, self._attach_key(stream)).seal(b"", header)
 
-    def check_attach_proof(self, header: bytes, route: int, proof: bytes) -> None:
+    def check_attach_proof(self, header: bytes, stream: int, proof: bytes) -> None:
         """Check a client's `attach_proof`.
 
         Raises:
             SealError: the proof is not this client's.
         """
-        StreamOpener(self.suite, self._attach_key(route)).open(proof, header)
+        StreamOpener(self.suite, self._attach_key(stream)).open(proof, header)
 
     def _data_key(self, route: int, sending_role: Role) -> bytes | None:
         return self._derive(b"rsb data", route, 0 if sending_role == "client" else 1)
 
-    def _attach_key(self, route: int) -> bytes | None:
-        return self._derive(b"rsb attach", route, 0)
+    def _attach_key(self, stream: int) -> bytes | None:
+        return self._derive(b"rsb attach", stream, 0)
 
     def _derive(self, label: bytes, route: int, direction: int) -> bytes | None:
         if self._export is None:
