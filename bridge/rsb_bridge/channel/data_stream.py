@@ -69,7 +69,7 @@ class DataStream(StreamHandler):
         pair: that it belongs to.
 
     Attributes:
-        queue: see `rsb_bridge.channel.scheduler.Carrier`.
+        queue: see `rsb_bridge.channel.scheduler.Carrier`, and so for `time` and `behind`.
         sent: bytes sent so far.
         acknowledged: those that have arrived.
     """
@@ -78,6 +78,7 @@ class DataStream(StreamHandler):
         self.stream = stream
         self.number = number
         self.queue: list[tuple[int, int, Turns]] = []
+        self.time = self.behind = 0
         self.sent = self.acknowledged = 0
         self._pair = pair
         self._frames = FrameReader(CONTROL_LIMIT, pair.budget)

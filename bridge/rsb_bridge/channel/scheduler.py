@@ -74,9 +74,13 @@ class Carrier(Protocol):
 
     Attributes:
         queue: its routes that wait for a turn: when it begins, in which order they came, and the route's end.
+        time: virtual time of its last turn.
+        behind: what its virtual time is behind the link's, because it was congested while other streams sent.
     """
 
     queue: list[tuple[int, int, Turns]]
+    time: int
+    behind: int
 
     @property
     def congested(self) -> bool:
@@ -148,14 +152,17 @@ class Scheduler:
         return not self._waiting and not self._passing and self.sent < self._window.limit and not carrier.congested
 
     def join(self, end: Turns) -> None:
-        """Queue a route's end for a turn."""
+        """Queue a route's end for a turn; one that had nothing to send does not make up for that."""
         if end.queued:
             return
+        end.start = max(end.start, end.via.time)
+        self._push(end)
+
+    def _push(self, end: Turns) -> None:
         end.queued = True
         if not self._waiting:
             self.busy_since = self._now()
         self._waiting += 1
-        end.start = max(end.start, self._time)
         self._order += 1
         heapq.heappush(end.via.queue, (end.start, self._order, end))
 
@@ -169,7 +176,7 @@ class Scheduler:
 
     def charge(self, end: Turns, size: int) -> None:
         """Move the start of a route's next turn by `size` bytes that it has sent."""
-        end.start = max(end.start, self._time) + size * _UNIT // weight_of(end.rank)
+        end.start = max(end.start, end.via.time) + size * _UNIT // weight_of(end.rank)
 
     def write(self, carrier: Carrier, data: bytes | memoryview) -> None:
         """Send bytes on a stream."""
@@ -199,14 +206,22 @@ class Scheduler:
         """Return the stream with the earliest turn of those that take bytes, or None."""
         if not self._waiting or self.sent >= self._window.limit:
             return None
-        first: Carrier | None = None
+        first: tuple[int, Carrier] | None = None
         for carrier in self._carriers:
             queue = carrier.queue
             while queue and not queue[0][2].queued:
                 heapq.heappop(queue)  # it has left
-            if queue and not carrier.congested and (first is None or queue[0] < first.queue[0]):
-                first = carrier
-        return first
+            if queue and not carrier.congested:
+                start = queue[0][0] + carrier.behind
+                if start < self._time:  # it was congested, and does not make up for that
+                    carrier.behind += self._time - start
+                    start = self._time
+                if first is None or start < first[0]:
+                    first = start, carrier
+        if first is None:
+            return None
+        self._time = first[0]
+        return first[1]
 
     def _give_turns(self, carrier: Carrier) -> int:
         """Give turns on one stream until they are worth a write; return the bytes, at least 1."""
@@ -218,12 +233,15 @@ class Scheduler:
             start, _, end = heapq.heappop(queue)
             if not end.queued:
                 continue
-            self._time = max(self._time, start)
+            carrier.time = start
             self.leave(end)
             data = end.take_turn(self.chunk)
             size += len(data)
             self.charge(end, len(data))
-            if end.waits:
+            if end.waits and end.via is carrier:
+                self._push(end)
+            elif end.waits:
+                end.start = 0  # another stream's time
                 self.join(end)
             if isinstance(data, bytes):
                 parts.append(data)
